@@ -1,0 +1,2 @@
+//! The `urg` program.
+fn main() {}

@@ -1,0 +1,207 @@
+//! What can go wrong, for the crate's users.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
+
+/// What went wrong.
+///
+/// `Display` tells the error's own layer, on one line, and what to do about
+/// it; the cause is in [`source`](std::error::Error::source). An error is
+/// cheap to clone: everyone who waits for the same thing gets the same error.
+///
+/// That there is no distance in a direction is no error but a
+/// [`Measurement`](crate::Measurement).
+#[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The text names no endpoint.
+    #[error("{text:?} is no port: {reason}")]
+    InvalidEndpoint {
+        /// The text.
+        text: String,
+        /// What is wrong with it.
+        reason: &'static str,
+    },
+    /// There is no such port.
+    #[error("no port {port}: plug the sensor in, or see what is there with `urg list`")]
+    NoSuchPort {
+        /// The port as it was asked for.
+        port: String,
+    },
+    /// The path exists and is not a serial port.
+    #[error("{port} is not a serial port")]
+    NotASerialPort {
+        /// The port as it was asked for.
+        port: String,
+    },
+    /// The user may not open the port.
+    #[error(
+        "no permission to open {port}: {}",
+        match group {
+            Some(group) => format!("add the user to the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"),
+            None => "give the user read and write access to it".to_owned(),
+        }
+    )]
+    PermissionDenied {
+        /// The port as it was asked for.
+        port: String,
+        /// The group that owns the port, where that is known.
+        group: Option<String>,
+    },
+    /// Another program has the port.
+    #[error(
+        "{port} is in use: stop the program that has it open (`fuser {port}` tells which; ModemManager probes new ports for some seconds)"
+    )]
+    Busy {
+        /// The port as it was asked for.
+        port: String,
+    },
+    /// The port cannot be opened, for a reason that has no kind of its own.
+    #[error("cannot open {port}")]
+    Open {
+        /// The port as it was asked for.
+        port: String,
+        /// Why not.
+        source: Arc<io::Error>,
+    },
+    /// No port leads to the sensor with this serial number.
+    #[error(
+        "no sensor with serial number {serial_number} on any port: plug it in (`urg list` shows the ports that were looked through; busy ones are skipped)"
+    )]
+    NoSuchSensor {
+        /// The serial number that was asked for.
+        serial_number: String,
+    },
+    /// The port opened, and no sensor answers.
+    #[error(
+        "no sensor answers{}: check its power and the wiring (after power-up it is silent for some seconds){}",
+        match speed { Some(speed) => format!(" at {speed} baud"), None if *searched => " at any line speed".to_owned(), None => String::new() },
+        if *bytes > 0 { format!("; {bytes} bytes came that are no reply of SCIP 1.1") } else { String::new() },
+    )]
+    NoAnswer {
+        /// The only line speed that was tried, where the port cannot change it.
+        speed: Option<BaudRate>,
+        /// Whether all six line speeds were tried.
+        searched: bool,
+        /// How many bytes came that made no reply.
+        bytes: u64,
+    },
+    /// What is sent comes straight back.
+    #[error(
+        "the port sends back what is written to it: a loopback plug, a terminal with echo, or crossed wires; no sensor is at the other end"
+    )]
+    Loopback,
+    /// The sensor speaks SCIP 2.
+    #[error(
+        "the sensor speaks SCIP 2 (status \"{status}\"): power-cycle it, a URG-04LX is back in SCIP 1.1 after a restart; a model that knows only SCIP 2 cannot be used"
+    )]
+    WrongProtocol {
+        /// The status that gave it away.
+        status: Text,
+    },
+    /// A sensor answers, and it is not the one that was asked for.
+    #[error(
+        "the sensor is {found}, where {expected} was expected: plug in {expected}, or ask for {found}"
+    )]
+    AnotherSensor {
+        /// The serial number that was expected.
+        expected: Text,
+        /// The serial number that answers.
+        found: Text,
+    },
+    /// The link is gone: unplugged, hung up, or silent for good.
+    #[error("the link to the sensor is lost")]
+    Disconnected {
+        /// What the system said, if it said anything.
+        source: Option<Arc<io::Error>>,
+    },
+    /// The sensor did not answer in time.
+    #[error("no answer to {command} within {} ms", after.as_millis())]
+    Timeout {
+        /// What was sent.
+        command: Command,
+        /// How long was waited.
+        after: Duration,
+    },
+    /// The sensor answered with an error status.
+    #[error(
+        "the sensor refused {command} with status {status}{}",
+        match status.meaning(command) { Some(meaning) => format!(": {meaning}"), None => String::new() }
+    )]
+    Refused {
+        /// What was sent.
+        command: Command,
+        /// What came back.
+        status: Status,
+    },
+    /// The reply was damaged.
+    #[error("the reply to {command} is damaged")]
+    Malformed {
+        /// What was sent.
+        command: Command,
+        /// Where, what was expected, and what came.
+        source: Malformed,
+    },
+    /// A scan was asked for while the laser is off by request.
+    #[error("the laser was switched off: switch it on before asking for scans")]
+    LaserOff,
+    /// The sensor accepted a command and then behaved as if it had not.
+    #[error("the sensor accepted {command}, and then did not act on it")]
+    NotConfirmed {
+        /// What was sent.
+        command: Command,
+    },
+    /// The port cannot be set to this line speed.
+    #[error("the port cannot be set to {speed} baud: {}", match source { Some(source) => source.to_string(), None => "its speed is fixed at the other end".to_owned() })]
+    UnsupportedSpeed {
+        /// The speed that was asked for.
+        speed: BaudRate,
+        /// Why not.
+        #[source]
+        source: Option<Arc<io::Error>>,
+    },
+    /// The driver has ended: it was closed, or its task was dropped.
+    #[error("the driver has ended")]
+    Closed,
+}
+
+impl Error {
+    /// Whether trying again later may help with nothing else done: the link
+    /// may come back, the next scan may be whole.
+    pub fn is_transient(&self) -> bool {
+        match self {
+            Self::NoSuchPort { .. }
+            | Self::NoSuchSensor { .. }
+            | Self::Busy { .. }
+            | Self::Open { .. }
+            | Self::NoAnswer { .. }
+            | Self::Disconnected { .. }
+            | Self::Timeout { .. }
+            | Self::Malformed { .. }
+            | Self::NotConfirmed { .. } => true,
+            Self::InvalidEndpoint { .. }
+            | Self::NotASerialPort { .. }
+            | Self::PermissionDenied { .. }
+            | Self::Loopback
+            | Self::WrongProtocol { .. }
+            | Self::AnotherSensor { .. }
+            | Self::Refused { .. }
+            | Self::LaserOff
+            | Self::UnsupportedSpeed { .. }
+            | Self::Closed => false,
+        }
+    }
+
+    pub(crate) fn disconnected(source: Option<io::Error>) -> Self {
+        Self::Disconnected { source: source.map(Arc::new) }
+    }
+}
+
+impl From<std::convert::Infallible> for Error {
+    fn from(never: std::convert::Infallible) -> Self {
+        match never {}
+    }
+}

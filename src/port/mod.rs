@@ -1,0 +1,59 @@
+//! What a driver talks through: [`Port`], how one is opened ([`Connect`]), and
+//! the ways to name one ([`Endpoint`]).
+
+use std::future::Future;
+use std::io;
+
+use tokio::io::{AsyncRead, AsyncWrite};
+
+use crate::{BaudRate, Error};
+
+/// A byte stream to a sensor.
+///
+/// Any `AsyncRead + AsyncWrite` can be one; [`Sensor::attach`](crate::Sensor::attach)
+/// makes one of it. Implement this trait where the stream has a line speed
+/// that the driver should know of or change.
+///
+/// The driver never calls `poll_flush`, never blocks, and stops using a port
+/// after the first `Ok(0)` or error.
+pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
+    /// The speed of the serial line to the sensor, or `None` where none
+    /// matters, as on USB. Deadlines are computed from it.
+    fn line_speed(&self) -> Option<BaudRate> {
+        None
+    }
+
+    /// Sets this side's line speed. The driver calls it when the sensor was
+    /// told to change its own, and to find out which one the sensor has.
+    ///
+    /// # Errors
+    ///
+    /// Any, if the speed is not in force afterwards; it must be in force after
+    /// `Ok`. `ErrorKind::Unsupported` (the default) means that this port cannot
+    /// change its speed at all; the sensor's is then left alone, too.
+    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+        let _ = speed;
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// Throws away what was written and is not on the line yet, so that closing
+    /// the port does not wait for it. Called once, before the port is dropped.
+    fn discard_output(&mut self) {}
+}
+
+/// Opens ports: once at first, and again whenever the link was lost.
+pub trait Connect: Send + 'static {
+    /// What it opens.
+    type Port: Port;
+
+    /// Opens the port, with nothing sent yet.
+    ///
+    /// The future may be dropped at any await.
+    ///
+    /// # Errors
+    ///
+    /// The errors of opening, such as [`Error::NoSuchPort`] or
+    /// [`Error::Open`]; [`Error::is_transient`] decides whether the driver
+    /// waits for the port to appear where it was asked to.
+    fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
+}

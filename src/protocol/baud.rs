@@ -1,0 +1,106 @@
+//! The six line speeds of RS-232.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// A line speed that a sensor knows (C-42-3320-A p. 2 and 5).
+///
+/// A sensor speaks [`BaudRate::B19200`] after power-up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(into = "u32", try_from = "u32"))]
+pub enum BaudRate {
+    /// 19,200 bit/s, the speed after power-up.
+    B19200,
+    /// 57,600 bit/s.
+    B57600,
+    /// 115,200 bit/s.
+    B115200,
+    /// 250,000 bit/s.
+    B250000,
+    /// 500,000 bit/s.
+    B500000,
+    /// 750,000 bit/s.
+    B750000,
+}
+
+impl BaudRate {
+    /// All six, slowest first.
+    pub const ALL: [Self; 6] =
+        [Self::B19200, Self::B57600, Self::B115200, Self::B250000, Self::B500000, Self::B750000];
+
+    /// Bits per second.
+    pub const fn bits_per_second(self) -> u32 {
+        match self {
+            Self::B19200 => 19_200,
+            Self::B57600 => 57_600,
+            Self::B115200 => 115_200,
+            Self::B250000 => 250_000,
+            Self::B500000 => 500_000,
+            Self::B750000 => 750_000,
+        }
+    }
+
+    /// The six ASCII digits that the `S` command takes (p. 5): `057600` for
+    /// 57,600 bit/s.
+    pub const fn digits(self) -> [u8; 6] {
+        match self {
+            Self::B19200 => *b"019200",
+            Self::B57600 => *b"057600",
+            Self::B115200 => *b"115200",
+            Self::B250000 => *b"250000",
+            Self::B500000 => *b"500000",
+            Self::B750000 => *b"750000",
+        }
+    }
+
+    /// How long `bytes` bytes take on the line: 10 bits each (8 data bits, no
+    /// parity, one start and one stop bit, p. 2).
+    pub const fn wire_time(self, bytes: usize) -> std::time::Duration {
+        let nanos = bytes as u64 * 10 * 1_000_000_000 / self.bits_per_second() as u64;
+        std::time::Duration::from_nanos(nanos)
+    }
+}
+
+impl fmt::Display for BaudRate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.bits_per_second())
+    }
+}
+
+/// A number that is none of the six line speeds.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{found:?} is no line speed of SCIP 1.1: use 19200, 57600, 115200, 250000, 500000 or 750000"
+)]
+pub struct UnknownBaudRate {
+    found: String,
+}
+
+impl TryFrom<u32> for BaudRate {
+    type Error = UnknownBaudRate;
+
+    fn try_from(bits_per_second: u32) -> Result<Self, UnknownBaudRate> {
+        Self::ALL
+            .into_iter()
+            .find(|speed| speed.bits_per_second() == bits_per_second)
+            .ok_or_else(|| UnknownBaudRate { found: bits_per_second.to_string() })
+    }
+}
+
+impl From<BaudRate> for u32 {
+    fn from(speed: BaudRate) -> Self {
+        speed.bits_per_second()
+    }
+}
+
+impl FromStr for BaudRate {
+    type Err = UnknownBaudRate;
+
+    fn from_str(text: &str) -> Result<Self, UnknownBaudRate> {
+        text.parse::<u32>()
+            .ok()
+            .and_then(|number| Self::try_from(number).ok())
+            .ok_or_else(|| UnknownBaudRate { found: text.to_owned() })
+    }
+}

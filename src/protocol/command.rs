@@ -1,0 +1,117 @@
+//! The commands of SCIP 1.1 and their bytes.
+
+use std::fmt;
+
+use super::{BaudRate, Window};
+
+/// The reserved digits of `S`: echoed, without influence on the sensor (p. 5).
+const RESERVED: &[u8; 7] = b"0000000";
+
+/// One of the four commands, with its parameters (C-42-3320-A p. 3).
+///
+/// A value of this type is always a command that a sensor knows: undefined
+/// commands are not answered (p. 8), so none can be made.
+///
+/// ```
+/// use tokio_scip::protocol::{BaudRate, Command, Window};
+///
+/// assert_eq!(&*Command::Version.bytes(), b"V");
+/// assert_eq!(&*Command::LaserOn.bytes(), b"L1");
+/// assert_eq!(&*Command::BaudRate(BaudRate::B57600).bytes(), b"S0576000000000");
+/// assert_eq!(&*Command::Distances(Window::FULL).bytes(), b"G00076801");
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Command {
+    /// `V`: who the sensor is (p. 4).
+    Version,
+    /// `L1`: switch the laser on (p. 4).
+    LaserOn,
+    /// `L0`: switch the laser off (p. 4).
+    LaserOff,
+    /// `S`: change the line speed of RS-232 (p. 5).
+    BaudRate(BaudRate),
+    /// `G`: the distances in the sensor's memory (p. 5).
+    Distances(Window),
+}
+
+impl Command {
+    /// The command as it goes over the line, without its terminator. A reply
+    /// begins with the same bytes.
+    pub fn bytes(&self) -> CommandBytes {
+        let mut out = CommandBytes { bytes: [0; CommandBytes::CAPACITY], len: 0 };
+        match self {
+            Self::Version => out.push(b"V"),
+            Self::LaserOn => out.push(b"L1"),
+            Self::LaserOff => out.push(b"L0"),
+            Self::BaudRate(speed) => {
+                out.push(b"S");
+                out.push(&speed.digits());
+                out.push(RESERVED);
+            }
+            Self::Distances(window) => {
+                out.push(b"G");
+                out.push(&digits::<3>(window.start().number()));
+                out.push(&digits::<3>(window.end().number()));
+                out.push(&digits::<2>(u16::from(window.cluster_count())));
+            }
+        }
+        out
+    }
+
+    /// The length in bytes of the longest reply that this command is expected
+    /// to have, terminator included.
+    pub fn reply_len(&self) -> usize {
+        match self {
+            // Five to six lines of at most 64 bytes, and room for one more.
+            Self::Version => 4 + 7 * 65 + 1,
+            Self::Distances(window) => window.reply_len(),
+            other => other.bytes().len() + 4,
+        }
+    }
+}
+
+impl fmt::Display for Command {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for &byte in self.bytes().iter() {
+            write!(f, "{}", char::from(byte))?;
+        }
+        Ok(())
+    }
+}
+
+/// The bytes of a [`Command`], without a terminator: 1 to 14 of them.
+#[derive(Debug, Clone, Copy)]
+pub struct CommandBytes {
+    bytes: [u8; Self::CAPACITY],
+    len: usize,
+}
+
+impl CommandBytes {
+    /// `S`, six digits and seven more: the longest command.
+    const CAPACITY: usize = 14;
+
+    fn push(&mut self, part: &[u8]) {
+        for (slot, &byte) in self.bytes.iter_mut().skip(self.len).zip(part) {
+            *slot = byte;
+        }
+        self.len += part.len();
+    }
+}
+
+impl std::ops::Deref for CommandBytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        self.bytes.get(..self.len).unwrap_or(&self.bytes)
+    }
+}
+
+/// `number` in `N` decimal digits, with leading zeros.
+fn digits<const N: usize>(mut number: u16) -> [u8; N] {
+    let mut out = [b'0'; N];
+    for slot in out.iter_mut().rev() {
+        *slot = b'0' + (number % 10) as u8;
+        number /= 10;
+    }
+    out
+}

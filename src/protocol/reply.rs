@@ -1,0 +1,275 @@
+//! A frame held against the command that it should answer: the whole echo, the
+//! status, and for `G` every line, every character and the number of points.
+//!
+//! SCIP 1.1 has no checksum, so every other way to tell damage is used: what
+//! passes here has exactly the shape that its command asked for.
+
+use std::fmt;
+
+use super::measurement;
+use super::{Command, Text};
+
+/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
+pub const BLOCK: usize = 64;
+/// How much of a frame an error shows.
+const EXCERPT: usize = 32;
+
+/// The status of a reply: one character, of which only `0` means success
+/// (C-42-3320-A p. 3).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", serde(transparent))]
+pub struct Status(u8);
+
+impl Status {
+    /// `0`: done.
+    pub const OK: Self = Self(b'0');
+
+    /// A status by its character.
+    pub const fn new(character: u8) -> Self {
+        Self(character)
+    }
+
+    /// The character as it came.
+    pub const fn character(self) -> u8 {
+        self.0
+    }
+
+    /// True for `0`.
+    pub const fn is_ok(self) -> bool {
+        matches!(self, Self::OK)
+    }
+
+    /// What drivers of real sensors know of this status in answer to
+    /// `command`. The protocol text names none but `0`.
+    pub const fn meaning(self, command: &Command) -> Option<&'static str> {
+        match (self.0, command) {
+            (b'0', _) => Some("success"),
+            (b'2', Command::LaserOn | Command::LaserOff) => Some("the laser is so already"),
+            (b'3', Command::BaudRate(_)) => Some("the line has that speed already, or is USB"),
+            (b'6', Command::Distances(_)) => Some("the laser is off"),
+            (b'E', _) => Some("the sensor does not know the command"),
+            _ => None,
+        }
+    }
+
+    /// True for `0`, and for the statuses by which `L` and `S` say that
+    /// nothing had to be done: `2` on `L`, `3` on `S`.
+    pub const fn is_ok_for(self, command: &Command) -> bool {
+        match command {
+            Command::LaserOn | Command::LaserOff => matches!(self.0, b'0' | b'2'),
+            Command::BaudRate(_) => matches!(self.0, b'0' | b'3'),
+            Command::Version | Command::Distances(_) => self.is_ok(),
+        }
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "'{}'", Text::from(&[self.0][..]))
+    }
+}
+
+/// A whole and well-formed reply to a [`Command`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Reply<'a> {
+    status: Status,
+    data: &'a [u8],
+}
+
+impl<'a> Reply<'a> {
+    /// Holds `frame`, a reply without its terminator, against `command`.
+    ///
+    /// # Errors
+    ///
+    /// [`ReplyError`] unless the frame is exactly what a sensor that speaks
+    /// SCIP 1.1 answers to this very command: the same bytes back, a status of
+    /// one character, and data of the right shape after success, none after
+    /// anything else.
+    pub fn parse(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
+        let (echo, rest) = split_line(frame);
+        if echo != &*command.bytes() {
+            return Err(match rest.map(split_line) {
+                // `MD` and `MS` stream by themselves in SCIP 2.
+                Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
+                    ReplyError::Scip2 { status: status.into() }
+                }
+                _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
+            });
+        }
+        let Some(rest) = rest else { return Err(Malformed::NoStatus.into()) };
+        let (line, data) = split_line(rest);
+        if is_scip2(line) {
+            return Err(ReplyError::Scip2 { status: line.into() });
+        }
+        let &[status] = line else {
+            return Err(Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into());
+        };
+        let status = Status(status);
+        match (data, status.is_ok(), command) {
+            (Some(data), true, Command::Distances(window)) => {
+                check_blocks(data, window.points() * 2)?;
+                Ok(Self { status, data })
+            }
+            (Some(data), true, Command::Version) => Ok(Self { status, data }),
+            (None, true, Command::Distances(_) | Command::Version) => Err(Malformed::NoData.into()),
+            (None, ..) => Ok(Self { status, data: &[] }),
+            (Some(data), ..) => Err(Malformed::UnexpectedData { status, bytes: data.len() }.into()),
+        }
+    }
+
+    /// The reply to `command` at the end of `frame`, whatever is in front of
+    /// it: what is left of a reply that was cut short has no terminator of its
+    /// own, so the next reply is glued to it.
+    ///
+    /// Meant for a command of which no older reply can be on its way.
+    pub fn parse_end(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
+        // With data and without; both reply lengths count the two LFs.
+        let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
+        lengths
+            .into_iter()
+            .filter_map(|length| frame.len().checked_sub(length))
+            .filter_map(|start| frame.get(start..))
+            .find_map(|tail| Self::parse(command, tail).ok())
+            .map_or_else(|| Self::parse(command, frame), Ok)
+    }
+
+    /// The status.
+    pub const fn status(&self) -> Status {
+        self.status
+    }
+
+    /// The lines after the status.
+    pub fn lines(&self) -> impl Iterator<Item = &'a [u8]> {
+        self.data.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
+    }
+
+    /// Appends the values of a `G` reply, 0..=4095 each, in the order of their
+    /// steps.
+    pub fn values_into(&self, values: &mut Vec<u16>) {
+        for block in self.data.chunks(BLOCK + 1) {
+            let block = block.strip_suffix(b"\n").unwrap_or(block);
+            measurement::decode(block, values);
+        }
+    }
+}
+
+/// Holds the data of a `G` reply against the number of bytes that it must have.
+fn check_blocks(data: &[u8], expected: usize) -> Result<(), Malformed> {
+    let mut left = expected;
+    for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
+        let expected = left.min(BLOCK);
+        if line.len() != expected || expected == 0 {
+            return Err(Malformed::LineLength { line: index, expected, found: line.len() });
+        }
+        if !line.iter().fold(true, |good, &byte| good & measurement::is_character(byte)) {
+            let stray =
+                line.iter().enumerate().find(|(_, byte)| !measurement::is_character(**byte));
+            let (column, found) = stray.map_or((0, 0), |(column, &byte)| (column, byte));
+            return Err(Malformed::Character { line: index, column, found });
+        }
+        left -= expected;
+    }
+    if left == 0 { Ok(()) } else { Err(Malformed::Short { expected, found: expected - left }) }
+}
+
+/// The first line, and what follows its LF if there is one.
+fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
+    let mut parts = bytes.splitn(2, |&byte| byte == b'\n');
+    (parts.next().unwrap_or_default(), parts.next())
+}
+
+/// True for a status of SCIP 2: two characters and their checksum.
+fn is_scip2(status: &[u8]) -> bool {
+    matches!(status, [a, b, sum] if a.is_ascii_alphanumeric() && b.is_ascii_alphanumeric() && sum.is_ascii_graphic())
+}
+
+/// Why a frame is not the reply to a command.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReplyError {
+    /// It begins with something else than the command: it answers another one,
+    /// or was damaged.
+    #[error("it begins with \"{found}\"")]
+    Foreign {
+        /// How it begins.
+        found: Text,
+    },
+    /// It begins with the command, and then is not as it should be.
+    #[error(transparent)]
+    Malformed(#[from] Malformed),
+    /// It has a status of three characters, as in SCIP 2.
+    #[error("its status \"{status}\" is one of SCIP 2")]
+    Scip2 {
+        /// The status line.
+        status: Text,
+    },
+}
+
+/// Where a reply is not as it should be, what was expected there, and what
+/// came.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Malformed {
+    /// The reply ends after its echo.
+    #[error("the reply ends after its echo, where a status was expected")]
+    NoStatus,
+    /// The status line has not exactly one character.
+    #[error("the status is \"{found}\", where one character was expected")]
+    Status {
+        /// The line.
+        found: Text,
+    },
+    /// The status says success, and no data follows.
+    #[error("the reply ends after a status of success, where data was expected")]
+    NoData,
+    /// Data where there must be none.
+    #[error("{bytes} bytes of data follow the status {status}, where none were expected")]
+    UnexpectedData {
+        /// The status.
+        status: Status,
+        /// How many bytes.
+        bytes: usize,
+    },
+    /// A line of data is too short or too long.
+    #[error("line {line} of the data has {found} characters, where {expected} were expected")]
+    LineLength {
+        /// Which line of the data, from 0.
+        line: usize,
+        /// How many characters it must have.
+        expected: usize,
+        /// How many it has.
+        found: usize,
+    },
+    /// The data ends early, after a full line.
+    #[error("the data has {found} characters, where {expected} were expected")]
+    Short {
+        /// How many characters it must have.
+        expected: usize,
+        /// How many it has.
+        found: usize,
+    },
+    /// A character that carries no 6-bit number.
+    #[error(
+        "character {column} of data line {line} is 0x{found:02x}, where 0x30 to 0x6f was expected"
+    )]
+    Character {
+        /// Which line of the data, from 0.
+        line: usize,
+        /// Which character of the line, from 0.
+        column: usize,
+        /// The byte.
+        found: u8,
+    },
+    /// No end in sight.
+    #[error("{bytes} bytes came without the two LFs that end a reply")]
+    Overlong {
+        /// How many bytes came.
+        bytes: usize,
+    },
+    /// Line ends were translated, or telnet talks.
+    #[error(
+        "line ends come as CR LF, or telnet commands come: the connection is not raw; set the terminal or the serial server to raw mode"
+    )]
+    NotRaw,
+}

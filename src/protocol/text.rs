@@ -1,0 +1,88 @@
+//! Bytes that came from a sensor and that a person may get to see.
+
+use std::fmt;
+
+/// What a sensor wrote: any bytes, kept as they came.
+///
+/// [`Display`](fmt::Display) shows printable ASCII as it is and everything
+/// else as an escape (`\x1b`), so that no sensor can write to a terminal or
+/// forge a line of a log.
+///
+/// ```
+/// use tokio_scip::protocol::Text;
+///
+/// assert_eq!(Text::from(&b"URG\x1b[2J\xff"[..]).to_string(), r"URG\x1b[2J\xff");
+/// ```
+#[derive(Clone, PartialEq, Eq, Hash, Default, PartialOrd, Ord)]
+pub struct Text(Box<[u8]>);
+
+impl Text {
+    /// The bytes as they came.
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// True if nothing came.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// At most the first `limit` bytes of `bytes`: enough for a message,
+    /// however much came.
+    pub(crate) fn excerpt(bytes: &[u8], limit: usize) -> Self {
+        Self::from(bytes.get(..limit).unwrap_or(bytes))
+    }
+}
+
+impl From<&[u8]> for Text {
+    fn from(bytes: &[u8]) -> Self {
+        Self(bytes.into())
+    }
+}
+
+impl From<&str> for Text {
+    fn from(text: &str) -> Self {
+        text.as_bytes().into()
+    }
+}
+
+impl PartialEq<str> for Text {
+    fn eq(&self, other: &str) -> bool {
+        self.as_bytes() == other.as_bytes()
+    }
+}
+
+impl PartialEq<&str> for Text {
+    fn eq(&self, other: &&str) -> bool {
+        self == *other
+    }
+}
+
+impl fmt::Display for Text {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for &byte in &self.0 {
+            match byte {
+                b'\\' => f.write_str(r"\\")?,
+                b'\n' => f.write_str(r"\n")?,
+                b'\r' => f.write_str(r"\r")?,
+                b' '..=b'~' => write!(f, "{}", char::from(byte))?,
+                _ => write!(f, r"\x{byte:02x}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Debug for Text {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "\"{self}\"")
+    }
+}
+
+/// The escaped form: what is printable stays, and no byte is lost.
+#[cfg(feature = "serde")]
+impl serde::Serialize for Text {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}

@@ -1,0 +1,104 @@
+//! Who a sensor says it is.
+
+use std::ops::RangeInclusive;
+
+use super::{Reply, Text};
+
+/// The reply to `V` (C-42-3320-A p. 4), read tolerantly: fields may come in any
+/// order, with or without a blank after the colon, missing ones stay empty, and
+/// lines that the text does not know are kept.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct Version {
+    /// `VEND:`, such as `Hokuyo Automatic Co.,Ltd.`.
+    pub vendor: Text,
+    /// `PROD:`, such as `SOKUIKI Sensor URG-04LX`.
+    pub product: Text,
+    /// `FIRM:`, such as `3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])`.
+    pub firmware: Text,
+    /// `PROT:`. Sensors that speak SCIP 1.1 say `SCIP 1.0` here.
+    pub protocol: Text,
+    /// `SERI:`, such as `H0713090`: what tells two sensors apart.
+    pub serial_number: Text,
+    /// `STAT:`, which firmware 3 and later adds to the text's five lines.
+    pub status: Option<Text>,
+    /// Lines with another name, or none, as they came.
+    pub other: Vec<Text>,
+    /// What the bracket in the firmware line says, where there is one.
+    pub specification: Option<Specification>,
+}
+
+impl Version {
+    /// Reads the lines of a reply to `V`.
+    pub fn from_reply(reply: &Reply<'_>) -> Self {
+        let mut version = Self::default();
+        for line in reply.lines() {
+            let (name, value) = match line.iter().position(|&byte| byte == b':') {
+                Some(colon) => (
+                    line.get(..colon).unwrap_or_default(),
+                    line.get(colon + 1..).unwrap_or_default(),
+                ),
+                None => (&b""[..], line),
+            };
+            let text = Text::from(value.trim_ascii());
+            match name {
+                b"VEND" => version.vendor = text,
+                b"PROD" => version.product = text,
+                b"FIRM" => {
+                    version.specification = Specification::find(value);
+                    version.firmware = text;
+                }
+                b"PROT" => version.protocol = text,
+                b"SERI" => version.serial_number = text,
+                b"STAT" => version.status = Some(text),
+                _ => version.other.push(line.into()),
+            }
+        }
+        version
+    }
+}
+
+/// What a sensor says of its own abilities, in the bracket of its firmware
+/// line. Each part may be missing.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct Specification {
+    /// `20-4095[mm]`: the distances that it measures, in millimetres.
+    pub range: Option<RangeInclusive<u16>>,
+    /// `240[deg]`: the aperture in degrees.
+    pub aperture: Option<u16>,
+    /// `44-725[step]`: the steps that it measures.
+    pub steps: Option<RangeInclusive<u16>>,
+    /// `600[rpm]`: the speed of its motor in turns a minute.
+    pub motor_speed: Option<u16>,
+}
+
+impl Specification {
+    /// Looks for parts such as `240[deg]` in a firmware line.
+    fn find(firmware: &[u8]) -> Option<Self> {
+        let mut found = Self::default();
+        for part in firmware.split(|byte| matches!(byte, b'(' | b',' | b')')) {
+            let Some((value, unit)) = std::str::from_utf8(part)
+                .ok()
+                .and_then(|part| part.trim().strip_suffix(']'))
+                .and_then(|part| part.split_once('['))
+            else {
+                continue;
+            };
+            match unit {
+                "mm" => found.range = range(value),
+                "deg" => found.aperture = value.parse().ok(),
+                "step" => found.steps = range(value),
+                "rpm" => found.motor_speed = value.parse().ok().filter(|&speed| speed > 0),
+                _ => {}
+            }
+        }
+        (found != Self::default()).then_some(found)
+    }
+}
+
+fn range(text: &str) -> Option<RangeInclusive<u16>> {
+    let (from, to) = text.split_once('-')?;
+    Some(from.parse().ok()?..=to.parse().ok()?)
+}

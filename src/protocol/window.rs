@@ -1,0 +1,291 @@
+//! Which steps a `G` asks for.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+use super::reply::BLOCK;
+use super::{BaudRate, Command};
+
+/// Steps in a full turn of the motor (C-42-3320-A p. 7).
+const STEPS_PER_TURN: f64 = 1024.0;
+/// The step that looks straight ahead (p. 7).
+const FRONT: u16 = 384;
+/// The last step (p. 6).
+const LAST: u16 = 768;
+
+/// A step of the sensor's turn: 0..=768, 360/1024 degree each (p. 7).
+///
+/// Steps count counter-clockwise seen from above: 0 is -135 degrees (right
+/// rear), 384 the front, 768 is +135 degrees (left rear).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(into = "u16", try_from = "u16"))]
+pub struct Step(u16);
+
+impl Step {
+    /// Step 0, -135 degrees.
+    pub const FIRST: Self = Self(0);
+    /// Step 384, straight ahead, 0 degrees.
+    pub const FRONT: Self = Self(FRONT);
+    /// Step 768, +135 degrees.
+    pub const LAST: Self = Self(LAST);
+
+    /// A step by its number.
+    ///
+    /// # Errors
+    ///
+    /// [`WindowError::Step`] above 768.
+    pub const fn new(number: u16) -> Result<Self, WindowError> {
+        if number <= LAST { Ok(Self(number)) } else { Err(WindowError::Step { found: number }) }
+    }
+
+    /// Its number, 0..=768.
+    pub const fn number(self) -> u16 {
+        self.0
+    }
+
+    /// Its direction in radians, counter-clockwise from the front.
+    pub fn angle(self) -> f32 {
+        angle(f64::from(self.0)) as f32
+    }
+
+    /// Its direction in degrees, counter-clockwise from the front.
+    pub fn degrees(self) -> f32 {
+        ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_TURN) as f32
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl From<Step> for u16 {
+    fn from(step: Step) -> Self {
+        step.0
+    }
+}
+
+impl TryFrom<u16> for Step {
+    type Error = WindowError;
+
+    fn try_from(number: u16) -> Result<Self, WindowError> {
+        Self::new(number)
+    }
+}
+
+/// The direction of a (possibly half) step in radians.
+pub(crate) fn angle(step: f64) -> f64 {
+    (step - f64::from(FRONT)) * std::f64::consts::TAU / STEPS_PER_TURN
+}
+
+/// The part of the turn that a scan covers: starting point, end point and
+/// cluster count, the parameters of `G` (C-42-3320-A p. 6).
+///
+/// A window cannot be invalid: both steps are in 0..=768, the start is not
+/// behind the end, and the cluster count is 1..=99. (The text allows a cluster
+/// count of 0; sensors are not known to agree on what it means.)
+///
+/// ```
+/// use tokio_scip::Window;
+///
+/// let window = Window::new(44..=725)?.with_cluster_count(4)?;
+/// assert_eq!(window.points(), 171); // 682 steps in groups of 4, the last one partial
+/// # Ok::<(), tokio_scip::protocol::WindowError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct Window {
+    start: Step,
+    end: Step,
+    #[cfg_attr(feature = "serde", serde(rename = "cluster"))]
+    cluster_count: u8,
+}
+
+impl Window {
+    /// Every step, 0..=768. A real URG-04LX measures nothing outside of
+    /// [`Window::DETECTION`]: the steps there always carry error code 19.
+    ///
+    /// Successive polls of this window cannot be told apart on the wire (there
+    /// is no step to spare on either side), so it has one safeguard less than
+    /// any other against a reply that a faulty line delivers twice.
+    pub const FULL: Self = Self { start: Step(0), end: Step(LAST), cluster_count: 1 };
+
+    /// What a URG-04LX measures: steps 44..=725, -119.53 to +119.88 degrees,
+    /// 682 points.
+    pub const DETECTION: Self = Self { start: Step(44), end: Step(725), cluster_count: 1 };
+
+    /// The steps `steps`, each a point of its own (cluster count 1).
+    ///
+    /// # Errors
+    ///
+    /// [`WindowError`] if a step is above 768 or the start behind the end.
+    pub const fn new(steps: RangeInclusive<u16>) -> Result<Self, WindowError> {
+        let (start, end) = (*steps.start(), *steps.end());
+        match (Step::new(start), Step::new(end)) {
+            (Err(error), _) | (_, Err(error)) => Err(error),
+            (Ok(_), Ok(_)) if start > end => Err(WindowError::Reversed { start, end }),
+            (Ok(start), Ok(end)) => Ok(Self { start, end, cluster_count: 1 }),
+        }
+    }
+
+    /// The steps inside an interval of degrees, counter-clockwise from the
+    /// front: `Window::degrees(-90.0..=90.0)` is steps 128..=640.
+    ///
+    /// # Errors
+    ///
+    /// [`WindowError`] if no step lies in the interval, if it leaves
+    /// -135..=135, or if a bound is not a number.
+    pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
+        let (from, to) = interval.into_inner();
+        let outside = WindowError::Degrees { from, to };
+        // A bound that was computed may miss its step by a rounding error.
+        let hair = 1e-9;
+        let first = (from * STEPS_PER_TURN / 360.0 + f64::from(FRONT) - hair).ceil();
+        let last = (to * STEPS_PER_TURN / 360.0 + f64::from(FRONT) + hair).floor();
+        let steps = 0.0..=f64::from(LAST);
+        if steps.contains(&first) && steps.contains(&last) && first <= last {
+            // The casts are exact: both are whole numbers in 0..=768.
+            Self::new(first as u16..=last as u16)
+        } else {
+            Err(outside)
+        }
+    }
+
+    /// The same steps in groups of `cluster_count` neighbours, of which the
+    /// sensor sends the smallest value.
+    ///
+    /// The sensor takes the minimum over raw codes, in which one error code
+    /// (0..=19) wins over every distance: clustering saves line time and hides
+    /// points.
+    ///
+    /// # Errors
+    ///
+    /// [`WindowError::ClusterCount`] outside of 1..=99.
+    pub const fn with_cluster_count(self, cluster_count: u8) -> Result<Self, WindowError> {
+        match cluster_count {
+            1..=99 => Ok(Self { cluster_count, ..self }),
+            found => Err(WindowError::ClusterCount { found }),
+        }
+    }
+
+    /// The first step.
+    pub const fn start(&self) -> Step {
+        self.start
+    }
+
+    /// The last step.
+    pub const fn end(&self) -> Step {
+        self.end
+    }
+
+    /// How many neighbouring steps make a point, 1..=99.
+    pub const fn cluster_count(&self) -> u8 {
+        self.cluster_count
+    }
+
+    /// How many steps it covers, 1..=769.
+    pub const fn steps(&self) -> usize {
+        (self.end.0 - self.start.0) as usize + 1
+    }
+
+    /// How many points a scan of it has: steps over cluster count, rounded up.
+    pub const fn points(&self) -> usize {
+        self.steps().div_ceil(self.cluster_count as usize)
+    }
+
+    /// The bytes of the reply, terminator included: 1,576 for
+    /// [`Window::FULL`].
+    pub const fn reply_len(&self) -> usize {
+        let data = self.points() * 2;
+        // Echo, status, each with its LF; data with an LF a block; one more LF.
+        10 + 2 + data + data.div_ceil(BLOCK) + 1
+    }
+
+    /// How long one poll of this window keeps a line of this speed busy:
+    /// command and reply, without the time that the sensor takes to answer.
+    pub fn wire_time(&self, speed: BaudRate) -> Duration {
+        let command = Command::Distances(*self).bytes().len() + 1;
+        speed.wire_time(command + self.reply_len())
+    }
+
+    /// The direction of the first point in radians: the middle of its steps.
+    pub(crate) fn angle_min(&self) -> f64 {
+        let first_group = usize::from(self.cluster_count).min(self.steps());
+        angle(f64::from(self.start.0) + (first_group as f64 - 1.0) / 2.0)
+    }
+
+    /// From one point to the next, in radians.
+    pub(crate) fn angle_increment(&self) -> f64 {
+        f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_TURN
+    }
+
+    /// One step alone.
+    pub(crate) const fn single(step: u16) -> Self {
+        let step = Step(if step > LAST { LAST } else { step });
+        Self { start: step, end: step, cluster_count: 1 }
+    }
+
+    /// This window with `groups` more points in front, or if there is no room,
+    /// behind; and how many points to skip in front. `None` if there is no room
+    /// on either side. The points of this window are the same in both.
+    pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
+        let steps = groups * u16::from(self.cluster_count);
+        if steps <= self.start.0 {
+            let start = Step(self.start.0 - steps);
+            return Some((Self { start, ..*self }, usize::from(groups)));
+        }
+        // A partial last group would be filled up by steps behind the end.
+        let whole = self.steps().is_multiple_of(usize::from(self.cluster_count));
+        (whole && self.end.0 + steps <= LAST)
+            .then(|| (Self { end: Step(self.end.0 + steps), ..*self }, 0))
+    }
+}
+
+impl fmt::Display for Window {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "steps {}..={}", self.start, self.end)?;
+        if self.cluster_count > 1 {
+            write!(f, " in clusters of {}", self.cluster_count)?;
+        }
+        Ok(())
+    }
+}
+
+/// Why there is no such [`Window`].
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum WindowError {
+    /// A step above 768.
+    #[error("there is no step {found}: steps are 0 to 768")]
+    Step {
+        /// The number that was given.
+        found: u16,
+    },
+    /// The start lies behind the end.
+    #[error("the window starts at step {start}, behind its end at step {end}: swap them")]
+    Reversed {
+        /// The first step that was given.
+        start: u16,
+        /// The last step that was given.
+        end: u16,
+    },
+    /// A cluster count outside of 1..=99.
+    #[error("a cluster count of {found} is not possible: use 1 to 99")]
+    ClusterCount {
+        /// The number that was given.
+        found: u8,
+    },
+    /// Degrees outside of -135..=135, or an interval without a step.
+    #[error(
+        "no window from {from} to {to} degrees: use -135 to 135, the smaller one first, and at least one step (0.3515625 degree) inside"
+    )]
+    Degrees {
+        /// The lower bound that was given.
+        from: f64,
+        /// The upper bound that was given.
+        to: f64,
+    },
+}
