@@ -1,12 +1,24 @@
 //! What a driver talks through: [`Port`], how one is opened ([`Connect`]), and
 //! the ways to name one ([`Endpoint`]).
 
+#[cfg(feature = "serial")]
+mod list;
+#[cfg(feature = "serial")]
+mod refusal;
+#[cfg(feature = "serial")]
+mod serial;
+
 use std::future::Future;
 use std::io;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::{BaudRate, Error};
+
+#[cfg(feature = "serial")]
+pub use list::{PortInfo, UsbId, list};
+#[cfg(feature = "serial")]
+pub use serial::SerialPort;
 
 /// A byte stream to a sensor.
 ///
@@ -39,6 +51,20 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
     /// Throws away what was written and is not on the line yet, so that closing
     /// the port does not wait for it. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
+}
+
+impl<P: Port + ?Sized> Port for Box<P> {
+    fn line_speed(&self) -> Option<BaudRate> {
+        (**self).line_speed()
+    }
+
+    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+        (**self).set_line_speed(speed)
+    }
+
+    fn discard_output(&mut self) {
+        (**self).discard_output();
+    }
 }
 
 /// Opens ports: once at first, and again whenever the link was lost.

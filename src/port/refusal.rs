@@ -1,0 +1,222 @@
+//! Why a serial port did not open: from what the system says about the attempt
+//! and about the device, to the [`Error`] that says what to do.
+
+use std::io;
+
+use tokio_serial::ErrorKind;
+
+use super::serial::open_error;
+use crate::Error;
+
+/// What is at a port's path.
+#[derive(Debug, Clone)]
+struct Node {
+    /// Whether a serial port can be there.
+    is_device: bool,
+    /// The group whose members may open it, where being one is worth advising.
+    group: Option<String>,
+    /// It appeared, or changed hands, just now. A device that is plugged in is
+    /// root's for a moment, until udev gives it to its group.
+    is_new: bool,
+}
+
+/// Turns away what is no serial port before it is opened: opening any other
+/// file or device can have effects of its own.
+pub(super) fn check_before_opening(port: &str) -> Result<(), Error> {
+    match node(port) {
+        Ok(node) if node.is_device => Ok(()),
+        Ok(_) => Err(Error::NotASerialPort { port: port.to_owned() }),
+        Err(error) => Err(not_found(port, error)),
+    }
+}
+
+/// Why opening `port` failed with `error`.
+pub(super) fn explain(port: &str, error: tokio_serial::Error) -> Error {
+    explain_with(port, error, node(port))
+}
+
+fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) -> Error {
+    let node = match node {
+        Ok(node) => node,
+        // Unplugged in the middle of opening: what failed then says little.
+        Err(error) => return not_found(port, error),
+    };
+    let port = port.to_owned();
+    // serialport keeps the errno only as nix's text for it, which is not
+    // translated.
+    match (error.kind(), error.description.as_str()) {
+        // EBUSY, and its own lock held by someone else. On Windows, access
+        // denied: for a port that exists it means the same.
+        (ErrorKind::NoDevice, _) => Error::Busy { port },
+        (ErrorKind::Io(io::ErrorKind::NotFound), _)
+        | (ErrorKind::Unknown, "No such device" | "No such device or address") => {
+            Error::NoSuchPort { port }
+        }
+        (ErrorKind::Unknown, "Not a typewriter") => Error::NotASerialPort { port },
+        (ErrorKind::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
+            Error::PermissionDenied { port, group: node.group }
+        }
+        // EPERM: a container or a sandbox without access to the device. No
+        // group would help.
+        (ErrorKind::Unknown, "Operation not permitted") => {
+            Error::PermissionDenied { port, group: None }
+        }
+        _ => open_error(&port, error.into()),
+    }
+}
+
+fn not_found(port: &str, error: io::Error) -> Error {
+    match error.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
+            Error::NoSuchPort { port: port.to_owned() }
+        }
+        io::ErrorKind::PermissionDenied => {
+            Error::PermissionDenied { port: port.to_owned(), group: None }
+        }
+        _ => open_error(port, error),
+    }
+}
+
+#[cfg(unix)]
+fn node(port: &str) -> io::Result<Node> {
+    use std::os::unix::fs::{FileTypeExt, MetadataExt};
+    use std::time::{SystemTime, UNIX_EPOCH};
+
+    let metadata = std::fs::metadata(port)?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
+    Ok(Node {
+        is_device: metadata.file_type().is_char_device(),
+        group: group_to_join(metadata.mode(), metadata.gid(), &groups()),
+        is_new: is_new(metadata.ctime(), now),
+    })
+}
+
+#[cfg(unix)]
+fn groups() -> String {
+    std::fs::read_to_string("/etc/group").unwrap_or_default()
+}
+
+/// The group that makes its members able to open a device: by name where
+/// `groups` (the text of /etc/group) has one, else by number, which `usermod`
+/// takes as well. None where the group may not read and write, and never root's.
+#[cfg(unix)]
+fn group_to_join(mode: u32, gid: u32, groups: &str) -> Option<String> {
+    const GROUP_READ_WRITE: u32 = 0o060;
+    if gid == 0 || mode & GROUP_READ_WRITE != GROUP_READ_WRITE {
+        return None;
+    }
+    let name = groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let name = fields.next()?;
+        let number: u32 = fields.nth(1)?.parse().ok()?;
+        (number == gid).then(|| name.to_owned())
+    });
+    Some(name.unwrap_or_else(|| gid.to_string()))
+}
+
+/// Whether a device whose owner or mode last changed at `changed` (seconds
+/// since 1970) did so within the three seconds before `now`. udev needs some
+/// tens of milliseconds; more on a small machine that is booting.
+#[cfg(unix)]
+fn is_new(changed: i64, now: u64) -> bool {
+    u64::try_from(changed).is_ok_and(|changed| (changed..=changed.saturating_add(3)).contains(&now))
+}
+
+/// A port's name is no file here, and the system has one error for a port that
+/// is missing and one that is in use: whether it is listed tells them apart.
+#[cfg(not(unix))]
+fn node(port: &str) -> io::Result<Node> {
+    if super::list::is_listed(port) {
+        Ok(Node { is_device: true, group: None, is_new: false })
+    } else {
+        Err(io::ErrorKind::NotFound.into())
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    const PORT: &str = "/dev/ttyACM0";
+    const GROUPS: &str = "root:x:0:\nbroken\ndialout:x:20:ada,bob\nuucp:x:10:\n";
+
+    fn device() -> Node {
+        Node { is_device: true, group: Some("dialout".to_owned()), is_new: false }
+    }
+
+    fn unknown(text: &str) -> tokio_serial::Error {
+        tokio_serial::Error::new(ErrorKind::Unknown, text)
+    }
+
+    fn denied() -> tokio_serial::Error {
+        tokio_serial::Error::new(
+            ErrorKind::Io(io::ErrorKind::PermissionDenied),
+            "Permission denied",
+        )
+    }
+
+    #[test]
+    fn permission_denied_names_the_group_to_join() {
+        let error = explain_with(PORT, denied(), Ok(device()));
+        let text = error.to_string();
+        assert!(matches!(error, Error::PermissionDenied { .. }), "{text}");
+        assert!(text.contains("usermod -aG dialout"), "{text}");
+        assert!(!error.is_transient(), "waiting does not help");
+    }
+
+    #[test]
+    fn permission_denied_on_a_device_that_appeared_just_now_may_pass() {
+        let error = explain_with(PORT, denied(), Ok(Node { is_new: true, ..device() }));
+        assert!(matches!(error, Error::Open { .. }), "{error}");
+        assert!(error.is_transient(), "udev is about to give it to its group");
+    }
+
+    #[test]
+    fn a_device_that_a_container_may_not_use_is_no_matter_of_groups() {
+        let error = explain_with(PORT, unknown("Operation not permitted"), Ok(device()));
+        assert!(matches!(error, Error::PermissionDenied { group: None, .. }), "{error}");
+    }
+
+    #[test]
+    fn a_port_locked_by_another_program_is_busy() {
+        let text = "Unable to acquire exclusive lock on serial port";
+        let error = tokio_serial::Error::new(ErrorKind::NoDevice, text);
+        assert!(matches!(explain_with(PORT, error, Ok(device())), Error::Busy { .. }));
+    }
+
+    #[test]
+    fn a_port_unplugged_while_it_is_opened_is_no_such_port() {
+        for text in ["I/O error", "No such device"] {
+            let error = explain_with(PORT, unknown(text), Err(io::ErrorKind::NotFound.into()));
+            assert!(matches!(error, Error::NoSuchPort { .. }), "{error}");
+        }
+        let error = explain_with(PORT, unknown("No such device"), Ok(device()));
+        assert!(matches!(error, Error::NoSuchPort { .. }), "{error}: a name without a device");
+    }
+
+    #[test]
+    fn a_failure_without_a_kind_of_its_own_keeps_its_cause() {
+        let error = explain_with(PORT, unknown("I/O error"), Ok(device()));
+        let source = std::error::Error::source(&error).map(ToString::to_string);
+        assert_eq!(source.as_deref(), Some("I/O error"));
+    }
+
+    #[test]
+    fn the_group_is_named_where_joining_it_helps() {
+        let named = |mode, gid| group_to_join(mode, gid, GROUPS);
+        assert_eq!(named(0o020_660, 20).as_deref(), Some("dialout"));
+        assert_eq!(named(0o020_660, 10).as_deref(), Some("uucp"));
+        assert_eq!(named(0o020_660, 977).as_deref(), Some("977"), "not in /etc/group");
+        assert_eq!(named(0o020_620, 20), None, "the group may only write");
+        assert_eq!(named(0o020_660, 0), None, "nobody is told to join root's group");
+    }
+
+    #[test]
+    fn a_device_is_new_for_three_seconds() {
+        assert!(is_new(1_000, 1_000));
+        assert!(is_new(1_000, 1_003));
+        assert!(!is_new(1_000, 1_004));
+        assert!(!is_new(1_000, 999), "from the future: the clock was set");
+        assert!(!is_new(-5, 1_000));
+    }
+}
