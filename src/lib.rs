@@ -5,5 +5,5 @@ pub mod port;
 pub mod protocol;
 
 pub use error::Error;
-pub use port::{Connect, Port};
+pub use port::{Connect, Endpoint, Port};
 pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window};

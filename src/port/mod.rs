@@ -1,12 +1,17 @@
 //! What a driver talks through: [`Port`], how one is opened ([`Connect`]), and
 //! the ways to name one ([`Endpoint`]).
 
+mod connector;
+mod endpoint;
 #[cfg(feature = "serial")]
 mod list;
 #[cfg(feature = "serial")]
 mod refusal;
 #[cfg(feature = "serial")]
+mod search;
+#[cfg(feature = "serial")]
 mod serial;
+mod tcp;
 
 use std::future::Future;
 use std::io;
@@ -15,10 +20,13 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::{BaudRate, Error};
 
+pub use connector::EndpointConnector;
+pub use endpoint::Endpoint;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
 #[cfg(feature = "serial")]
 pub use serial::SerialPort;
+pub use tcp::TcpPort;
 
 /// A byte stream to a sensor.
 ///
@@ -82,4 +90,21 @@ pub trait Connect: Send + 'static {
     /// [`Error::Open`]; [`Error::is_transient`] decides whether the driver
     /// waits for the port to appear where it was asked to.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
+
+    /// After a port led to no sensor, or to another one: whether to
+    /// [`connect`](Self::connect) again at once, which opens a further port or
+    /// says that none is left. `false` (the default) means to back off first.
+    fn has_more(&self) -> bool {
+        false
+    }
+
+    /// Told when the port that was opened last leads to the right sensor: the
+    /// next [`connect`](Self::connect), after the link was lost, starts over.
+    fn found(&mut self) {}
+
+    /// The serial number (`SERI:`) that the sensor must have, if any will not
+    /// do.
+    fn expected_serial_number(&self) -> Option<&str> {
+        None
+    }
 }

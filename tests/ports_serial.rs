@@ -1,0 +1,225 @@
+//! Serial ports, on pseudo-terminals and on real files that are none. In real
+//! time, and without sleeping: every wait is for bytes.
+#![cfg(all(unix, feature = "serial"))]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use futures::FutureExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_scip::port::SerialPort;
+use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
+use tokio_serial::SerialPort as _;
+use tokio_serial::SerialStream;
+
+/// A line with two ends, and the path of one of them.
+struct Line {
+    far: SerialStream,
+    /// Held open, so that the line does not hang up while nobody has it open;
+    /// it also sees how the line is set.
+    near: SerialStream,
+    path: String,
+}
+
+fn line() -> Line {
+    let (far, near) = SerialStream::pair().unwrap();
+    let path = near.name().unwrap();
+    Line { far, near, path }
+}
+
+/// A directory that is removed with all that is in it.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("tokio-scip-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[tokio::test]
+async fn all_six_line_speeds_are_set_and_in_force() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    assert_eq!(port.line_speed(), Some(BaudRate::B19200), "as a sensor after power-up");
+    assert_eq!(line.near.baud_rate().unwrap(), 19_200);
+    for speed in BaudRate::ALL.into_iter().rev() {
+        port.set_line_speed(speed).unwrap();
+        assert_eq!(port.line_speed(), Some(speed));
+        assert_eq!(line.near.baud_rate().unwrap(), speed.bits_per_second());
+    }
+}
+
+#[tokio::test]
+async fn the_line_is_8n1_without_flow_control() {
+    let mut line = line();
+    line.near.set_parity(tokio_serial::Parity::Even).unwrap();
+    line.near.set_stop_bits(tokio_serial::StopBits::Two).unwrap();
+    line.near.set_flow_control(tokio_serial::FlowControl::Software).unwrap();
+    let _port = SerialPort::open(&line.path).await.unwrap();
+    assert_eq!(line.near.data_bits().unwrap(), tokio_serial::DataBits::Eight);
+    assert_eq!(line.near.parity().unwrap(), tokio_serial::Parity::None);
+    assert_eq!(line.near.stop_bits().unwrap(), tokio_serial::StopBits::One);
+    assert_eq!(line.near.flow_control().unwrap(), tokio_serial::FlowControl::None);
+}
+
+#[tokio::test]
+async fn every_byte_passes_unchanged_both_ways() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let every_byte: Vec<u8> = (0..=255).collect();
+    let mut there = [0; 256];
+    port.write_all(&every_byte).await.unwrap();
+    line.far.read_exact(&mut there).await.unwrap();
+    assert_eq!(there.as_slice(), every_byte);
+    let mut back = [0; 256];
+    line.far.write_all(&every_byte).await.unwrap();
+    port.read_exact(&mut back).await.unwrap();
+    assert_eq!(back.as_slice(), every_byte);
+}
+
+/// Writes until the line takes no more, as when a sensor is stuck; returns how
+/// much it took.
+fn stall(port: &mut SerialPort) -> usize {
+    let mut taken = 0;
+    while let Some(written) = port.write(&[b'x'; 1024]).now_or_never() {
+        taken += written.unwrap();
+    }
+    taken
+}
+
+#[tokio::test]
+async fn flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    stall(&mut port);
+    port.flush().now_or_never().unwrap().unwrap();
+    port.shutdown().now_or_never().unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_port_that_is_dropped_takes_its_unsent_output_along() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let taken = stall(&mut port);
+    drop(port);
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let write = tokio::time::timeout(Duration::from_secs(5), port.write_all(b"V"));
+    write.await.expect("the line is as stuck as before").unwrap();
+    // A pseudo-terminal has a few KiB on the far side by then: those were sent.
+    let mut came = 0;
+    while line.far.read_u8().await.unwrap() != b'V' {
+        came += 1;
+    }
+    assert!(came <= 4096 && came < taken, "{came} of {taken} bytes came");
+}
+
+#[tokio::test]
+async fn an_open_port_is_busy_until_it_is_dropped() {
+    let line = line();
+    let scratch = Scratch::new("busy");
+    let link = scratch.path("sensor");
+    std::os::unix::fs::symlink(&line.path, &link).unwrap();
+
+    let port = SerialPort::open(&link).await.unwrap();
+    for path in [&line.path, &link] {
+        match SerialPort::open(path).await {
+            Err(error @ Error::Busy { .. }) => assert!(error.to_string().contains(path)),
+            other => panic!("{other:?}"),
+        }
+    }
+    drop(port);
+    SerialPort::open(&line.path).await.unwrap();
+}
+
+#[tokio::test]
+async fn an_opening_that_is_given_up_leaves_no_port_open_behind_it() {
+    let line = line();
+    let mut connector = Endpoint::Serial(line.path.clone()).into_connector();
+    let mut given_up = 0;
+    for _ in 0..100 {
+        given_up += usize::from(connector.connect().now_or_never().is_none());
+        drop(connector.connect().await.unwrap());
+    }
+    assert!(given_up > 0, "opening takes a thread, which is seldom done at the first poll");
+}
+
+#[tokio::test]
+async fn what_had_come_before_the_port_was_opened_is_read() {
+    let mut line = line();
+    line.far.write_all(b"left").await.unwrap();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut bytes = [0; 4];
+    port.read_exact(&mut bytes).await.unwrap();
+    assert_eq!(&bytes, b"left");
+}
+
+#[tokio::test]
+async fn a_hung_up_line_ends_reads_and_fails_writes() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let Line { far, near, .. } = line;
+    drop((far, near));
+    for _ in 0..3 {
+        match port.read(&mut [0; 16]).await {
+            Ok(read) => assert_eq!(read, 0),
+            Err(error) => assert!(error.raw_os_error().is_some(), "{error:?}"),
+        }
+    }
+    assert!(port.write(b"V\n").await.unwrap_err().raw_os_error().is_some());
+    assert!(port.set_line_speed(BaudRate::B57600).is_err());
+    assert_eq!(port.line_speed(), Some(BaudRate::B19200));
+    port.discard_output();
+}
+
+#[tokio::test]
+async fn what_is_no_serial_port_is_told_apart_from_what_is_not_there() {
+    let scratch = Scratch::new("files");
+    let file = scratch.path("file");
+    std::fs::write(&file, "no port").unwrap();
+    let dangling = scratch.path("dangling");
+    std::os::unix::fs::symlink(scratch.path("gone"), &dangling).unwrap();
+
+    for path in [&scratch.path("missing"), &dangling, &format!("{file}/below")] {
+        match SerialPort::open(path).await {
+            Err(Error::NoSuchPort { port }) => assert_eq!(port, *path),
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+    for path in [&file, &scratch.path(""), "/dev/null"] {
+        match SerialPort::open(path).await {
+            Err(Error::NotASerialPort { port }) => assert_eq!(port, *path),
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+    assert_eq!(std::fs::read(&file).unwrap(), b"no port");
+}
+
+#[tokio::test]
+async fn a_serial_number_that_no_port_leads_to_is_no_such_sensor() {
+    let mut connector = Endpoint::SerialNumber("H0000000".to_owned()).into_connector();
+    assert_eq!(connector.expected_serial_number(), Some("H0000000"));
+    loop {
+        match connector.connect().await {
+            // A machine with sensors: this one is not theirs.
+            Ok(port) => drop(port),
+            Err(error) => {
+                assert!(matches!(error, Error::NoSuchSensor { .. }), "{error}");
+                break;
+            }
+        }
+    }
+    assert!(!connector.has_more());
+}
