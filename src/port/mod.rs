@@ -1,6 +1,7 @@
 //! What a driver talks through: [`Port`], how one is opened ([`Connect`]), and
 //! the ways to name one ([`Endpoint`]).
 
+mod attached;
 mod connector;
 mod endpoint;
 #[cfg(feature = "serial")]
@@ -20,6 +21,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::{BaudRate, Error};
 
+pub(crate) use attached::Attached;
 pub use connector::EndpointConnector;
 pub use endpoint::Endpoint;
 #[cfg(feature = "serial")]

@@ -1,0 +1,255 @@
+//! Which poll is due when. Knows nothing of ports and replies.
+
+use std::mem::{Discriminant, discriminant};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use crate::ring::{Cursor, Ring};
+use crate::scan::{Scan, ScanMeta};
+use crate::state::ScheduleStats;
+use crate::{Error, Rate, Window};
+
+/// How long the rate that is reached is averaged.
+const RATE_SPAN: Duration = Duration::from_secs(3);
+
+/// Everything that is polled.
+#[derive(Debug)]
+pub(crate) struct Schedules {
+    all: Vec<Schedule>,
+    ring_depth: usize,
+    /// Missed scans of schedules that are gone.
+    missed: u64,
+    /// Whether `stats` says something new.
+    changed: bool,
+}
+
+/// One window at one rate, and the streams that want it.
+#[derive(Debug)]
+struct Schedule {
+    window: Window,
+    rate: Rate,
+    ring: Arc<Ring>,
+    /// The next place on the grid; or, as fast as possible, when the last poll
+    /// ended.
+    due: Instant,
+    sequence: u64,
+    previous: Option<Arc<[u16]>>,
+    /// The kind of the last error since the last scan.
+    condition: Option<Discriminant<Error>>,
+    speed: Speedometer,
+}
+
+/// A poll that is due.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Poll {
+    pub(crate) window: Window,
+    pub(crate) rate: Rate,
+}
+
+/// What became of values that were delivered.
+#[derive(Debug, Default)]
+pub(crate) struct Delivered {
+    /// They are the same as those before.
+    pub(crate) repeat: bool,
+    /// The rate is not reached, which is said once.
+    pub(crate) slow: Option<ScheduleStats>,
+}
+
+impl Schedules {
+    pub(crate) fn new(ring_depth: usize) -> Self {
+        Self { all: Vec::new(), ring_depth, missed: 0, changed: false }
+    }
+
+    /// A reader of what `window` shows at `rate`, from the next scan on. Equal
+    /// ones share a schedule.
+    pub(crate) fn subscribe(
+        &mut self,
+        window: Window,
+        rate: Rate,
+        trouble: Option<&Error>,
+    ) -> Cursor {
+        if let Some(schedule) = self.find(window, rate) {
+            return schedule.ring.reader();
+        }
+        let ring = Ring::new(self.ring_depth);
+        let reader = ring.reader();
+        let mut schedule = Schedule {
+            window,
+            rate,
+            ring,
+            due: Instant::now(),
+            sequence: 0,
+            previous: None,
+            condition: None,
+            speed: Speedometer::new(Instant::now()),
+        };
+        if let Some(error) = trouble {
+            schedule.report(error);
+        }
+        self.all.push(schedule);
+        self.changed = true;
+        reader
+    }
+
+    /// When the next poll is due.
+    pub(crate) fn next_due(&self) -> Option<Instant> {
+        self.all.iter().map(|schedule| schedule.due).min()
+    }
+
+    /// True if nothing is polled.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.all.is_empty()
+    }
+
+    /// Takes the poll that has been due for longest, and how many places on its
+    /// grid went by unused. Schedules without readers end here.
+    pub(crate) fn take_due(&mut self, now: Instant) -> Option<(Poll, u64)> {
+        loop {
+            let (index, schedule) =
+                self.all.iter_mut().enumerate().min_by_key(|(_, schedule)| schedule.due)?;
+            if schedule.due > now {
+                return None;
+            }
+            if schedule.ring.readers() == 0 {
+                self.missed += schedule.ring.missed();
+                self.all.swap_remove(index);
+                self.changed = true;
+                continue;
+            }
+            let skipped = schedule.advance(now);
+            let (window, rate) = (schedule.window, schedule.rate);
+            return Some((Poll { window, rate }, skipped));
+        }
+    }
+
+    /// Delivers the values that `poll` brought.
+    pub(crate) fn deliver(&mut self, poll: Poll, values: &[u16], mut meta: ScanMeta) -> Delivered {
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
+        meta.sequence = schedule.sequence;
+        meta.repeat = schedule.previous.as_deref() == Some(values);
+        schedule.sequence += 1;
+        schedule.condition = None;
+        let values: Arc<[u16]> = values.into();
+        schedule.previous = Some(Arc::clone(&values));
+        schedule.ring.push(Scan::new(poll.window, values, 0, meta));
+        let now = Instant::now();
+        if schedule.rate.period().is_none() {
+            schedule.due = now;
+        }
+        let reached = schedule.speed.count(now);
+        let slow = reached
+            .filter(|reached| schedule.is_slow(*reached))
+            .filter(|_| !std::mem::replace(&mut schedule.speed.told, true))
+            .map(|reached| ScheduleStats::new(poll.window, poll.rate, reached));
+        self.changed |= reached.is_some();
+        Delivered { repeat: meta.repeat, slow }
+    }
+
+    /// Reports the error of one poll.
+    pub(crate) fn fail(&mut self, poll: Poll, error: &Error) {
+        if let Some(schedule) = self.find(poll.window, poll.rate) {
+            schedule.report(error);
+            if schedule.rate.period().is_none() {
+                schedule.due = Instant::now();
+            }
+        }
+    }
+
+    /// Reports an error to everyone.
+    pub(crate) fn fail_all(&mut self, error: &Error) {
+        for schedule in &mut self.all {
+            schedule.report(error);
+        }
+    }
+
+    /// What is polled, and how fast, if that has changed.
+    pub(crate) fn news(&mut self) -> Option<Vec<ScheduleStats>> {
+        let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
+        std::mem::take(&mut self.changed).then(|| self.all.iter().map(stats).collect())
+    }
+
+    /// Scans that consumers were too slow for.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed + self.all.iter().map(|schedule| schedule.ring.missed()).sum::<u64>()
+    }
+
+    /// Ends all streams.
+    pub(crate) fn end(&mut self, cause: Option<&Error>) {
+        for schedule in self.all.drain(..) {
+            schedule.ring.end(cause.cloned());
+        }
+    }
+
+    fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
+        self.all.iter_mut().find(|schedule| schedule.window == window && schedule.rate == rate)
+    }
+}
+
+impl Drop for Schedules {
+    /// Streams never wait for a driver that is gone.
+    fn drop(&mut self) {
+        self.end(Some(&Error::Closed));
+    }
+}
+
+impl Schedule {
+    /// Moves on to the first place on the grid behind `now`, so that a poll is
+    /// late at most once for being late; returns how many places that skips.
+    fn advance(&mut self, now: Instant) -> u64 {
+        let Some(period) = self.rate.period() else {
+            self.due = now;
+            return 0;
+        };
+        let late = now.saturating_duration_since(self.due).as_nanos();
+        let period = period.as_nanos();
+        // A grid lasts as long as the stream: counted in u64 it would end after
+        // 584 years.
+        let skipped = (late / period) as u64;
+        let step = Duration::from_nanos((period * (u128::from(skipped) + 1)) as u64);
+        self.due += step;
+        skipped
+    }
+
+    /// Passes `error` on if it is another kind than the last one since the last
+    /// scan.
+    fn report(&mut self, error: &Error) {
+        let kind = discriminant(error);
+        if self.condition.replace(kind) != Some(kind) {
+            self.ring.report(error.clone());
+        }
+    }
+
+    fn is_slow(&self, reached: f64) -> bool {
+        self.rate.period().is_some_and(|period| reached * period.as_secs_f64() < 0.95)
+    }
+}
+
+/// Measures the rate that is reached.
+#[derive(Debug)]
+struct Speedometer {
+    since: Instant,
+    scans: u32,
+    reached: f64,
+    /// Whether it was said that the rate is not reached.
+    told: bool,
+}
+
+impl Speedometer {
+    fn new(now: Instant) -> Self {
+        Self { since: now, scans: 0, reached: 0.0, told: false }
+    }
+
+    /// Counts a scan; gives the rate at the end of each span.
+    fn count(&mut self, now: Instant) -> Option<f64> {
+        self.scans += 1;
+        let span = now.saturating_duration_since(self.since);
+        if span < RATE_SPAN {
+            return None;
+        }
+        self.reached = f64::from(self.scans) / span.as_secs_f64();
+        (self.since, self.scans) = (now, 0);
+        Some(self.reached)
+    }
+}

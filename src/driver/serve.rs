@@ -1,0 +1,250 @@
+//! An open session at work: requests and polls in turn.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep_until};
+
+use super::opener::Wanted;
+use super::request::{Abandoned, Mailbox, Promise, Request};
+use super::schedule::Schedules;
+use super::session::{Failure, Session, Timing};
+use crate::protocol::{Command, Status, Version};
+use crate::scan::{Scan, ScanMeta};
+use crate::state::Telemetry;
+use crate::{Error, Window};
+
+/// The status of a `G` while the laser is off.
+const LASER_IS_OFF: Status = Status::new(b'6');
+
+/// Why a session is served no longer.
+#[derive(Debug)]
+pub(crate) enum Stop {
+    /// A handle asked for it.
+    Closed(Promise<()>),
+    /// All handles and streams are gone.
+    Abandoned,
+    /// The sensor does not answer any more.
+    Silent(Error),
+    /// The port is of no use any more.
+    Lost(Error),
+}
+
+impl Stop {
+    /// What the request gets that was under way.
+    fn cause(&self) -> Error {
+        match self {
+            Self::Silent(error) | Self::Lost(error) => error.clone(),
+            Self::Closed(_) | Self::Abandoned => Error::Closed,
+        }
+    }
+}
+
+impl From<Abandoned> for Stop {
+    fn from(Abandoned: Abandoned) -> Self {
+        Self::Abandoned
+    }
+}
+
+/// What serving needs besides the session.
+pub(crate) struct Service<'a> {
+    pub(crate) mailbox: &'a mut Mailbox,
+    pub(crate) schedules: &'a mut Schedules,
+    pub(crate) wanted: &'a mut Wanted,
+    pub(crate) telemetry: &'a Telemetry,
+    pub(crate) scan_time: Duration,
+}
+
+impl Service<'_> {
+    /// Serves until there is a reason to stop.
+    pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+        let mut request_served = false;
+        loop {
+            let outcome = self.turn(session, &mut request_served).await;
+            if let Err(stop) = outcome {
+                return stop;
+            }
+        }
+    }
+
+    /// One request, one poll, or a wait for either. They alternate when both
+    /// are due, so that neither can starve the other.
+    async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
+        // A doubt is best cleared up while there is time.
+        if session.is_dirty() {
+            survive(session.settle().await)?;
+        }
+        let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
+        self.telemetry.set_streaming(polling);
+        let due = self.schedules.next_due().filter(|_| polling);
+        let poll_is_due = due.is_some_and(|due| due <= Instant::now());
+        if !(*request_served && poll_is_due)
+            && let Some(request) = self.mailbox.pop()?
+        {
+            *request_served = true;
+            return self.answer(session, request).await;
+        }
+        *request_served = false;
+        if poll_is_due {
+            return self.poll(session).await;
+        }
+        tokio::select! {
+            biased;
+            outcome = session.idle() => survive(outcome)?,
+            outcome = self.mailbox.ready() => outcome?,
+            () = sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => {}
+        }
+        Ok(())
+    }
+
+    async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
+        match request {
+            Request::Version(promise) => {
+                let outcome = session.command_twice(Command::Version, Version::from_reply).await;
+                if let Ok((version, _)) = &outcome {
+                    self.telemetry.set_version(version.clone());
+                }
+                self.keep(promise, outcome.map(|(version, _)| version))
+            }
+            Request::Laser { on, promise } => {
+                // Also if it fails: what was asked for is restored whenever the
+                // sensor is found again.
+                self.wanted.laser = Some(on);
+                let outcome = session.set_laser(on).await;
+                self.keep(promise, outcome)
+            }
+            Request::BaudRate { speed, promise } => {
+                let outcome = session.change_speed(speed).await;
+                if outcome.is_ok() {
+                    self.wanted.speed = Some(speed);
+                }
+                self.telemetry.set_line_speed(session.line_speed());
+                self.keep(promise, outcome)
+            }
+            Request::Scan { window, promise } => {
+                let outcome = self.scan(session, window).await;
+                self.keep(promise, outcome)
+            }
+            Request::Subscribe { window, rate, promise } => {
+                // A stream that nobody took is a stream that was dropped.
+                let _ = promise.send(Ok(self.schedules.subscribe(window, rate, None)));
+                self.note_schedules();
+                Ok(())
+            }
+            Request::Close(promise) => Err(Stop::Closed(promise)),
+        }
+    }
+
+    async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, Failure> {
+        if self.wanted.laser == Some(false) {
+            return Err(Failure::Command(Error::LaserOff));
+        }
+        let (scan_time, mut tries) = (self.scan_time, 2);
+        loop {
+            tries -= 1;
+            match self.poll_with_laser(session, window).await {
+                Ok(timing) => {
+                    let values: Arc<[u16]> = session.values().into();
+                    return Ok(Scan::new(window, values, 0, meta(timing, scan_time)));
+                }
+                Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. }))
+                    if tries > 0 => {}
+                Err(failure) => return Err(failure),
+            }
+        }
+    }
+
+    async fn poll(&mut self, session: &mut Session) -> Result<(), Stop> {
+        let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
+            self.note_schedules();
+            return Ok(());
+        };
+        let scan_time = self.scan_time;
+        let outcome = self.poll_with_laser(session, poll.window).await;
+        let failure = match outcome {
+            Ok(timing) => {
+                let meta = meta(timing, scan_time);
+                let delivered = self.schedules.deliver(poll, session.values(), meta);
+                self.telemetry.stats().repeats += u64::from(delivered.repeat);
+                if let Some(slow) = delivered.slow {
+                    tracing::warn!(
+                        window = %poll.window, asked = %poll.rate, reached = slow.reached,
+                        "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher line speed"
+                    );
+                }
+                None
+            }
+            Err(failure) => Some(failure),
+        };
+        let mut stats = self.telemetry.stats();
+        stats.polls_skipped += skipped;
+        stats.missed = self.schedules.missed();
+        drop(stats);
+        self.note_schedules();
+        if let Some(failure) = failure {
+            self.schedules.fail(poll, &survivable(failure)?);
+        }
+        Ok(())
+    }
+
+    /// Polls; where the laser is off and nobody here switched it off, once more
+    /// after switching it on.
+    async fn poll_with_laser(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+    ) -> Result<Timing, Failure> {
+        match session.poll(window).await {
+            Err(Failure::Command(Error::Refused { status: LASER_IS_OFF, .. })) => {
+                tracing::info!("the sensor's laser is off: switching it on");
+                session.set_laser(true).await?;
+                session.poll(window).await
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Answers a request; a failure of the line is also a reason to stop.
+    fn keep<T>(&self, promise: Promise<T>, outcome: Result<T, Failure>) -> Result<(), Stop> {
+        let (answer, stop) = match outcome {
+            Ok(answer) => (Ok(answer), Ok(())),
+            Err(failure) => match survivable(failure) {
+                Ok(error) => (Err(error), Ok(())),
+                Err(stop) => (Err(stop.cause()), Err(stop)),
+            },
+        };
+        // An answer that nobody waits for is dropped.
+        let _ = promise.send(answer);
+        stop
+    }
+
+    fn note_schedules(&mut self) {
+        if let Some(schedules) = self.schedules.news() {
+            self.telemetry.stats().schedules = schedules;
+        }
+    }
+}
+
+/// The error of a command, if that is all that failed.
+fn survivable(failure: Failure) -> Result<Error, Stop> {
+    match failure {
+        Failure::Command(error) => Ok(error),
+        Failure::Silent(error) => Err(Stop::Silent(error)),
+        Failure::Line(error) => Err(Stop::Lost(error)),
+    }
+}
+
+fn survive(outcome: Result<(), Failure>) -> Result<(), Stop> {
+    outcome.or_else(|failure| survivable(failure).map(drop))
+}
+
+fn meta(timing: Timing, scan_time: Duration) -> ScanMeta {
+    ScanMeta {
+        sequence: 0,
+        requested_at: timing.requested.into_std(),
+        received_at: timing.received.into_std(),
+        stamp: timing.stamp,
+        repeat: false,
+        scan_time,
+    }
+}

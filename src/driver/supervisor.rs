@@ -1,0 +1,233 @@
+//! Keeps a session open: connects, and whenever the link is lost recovers or
+//! reconnects, with what the service had asked for restored.
+
+use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep};
+
+use super::Config;
+use super::opener::Opener;
+use super::request::{Mailbox, Promise, Unlinked};
+use super::schedule::Schedules;
+use super::serve::{Service, Stop};
+use super::session::Session;
+use crate::Error;
+use crate::port::Connect;
+use crate::state::{State, Telemetry};
+
+/// The whole driver.
+pub(crate) struct Supervisor<C> {
+    opener: Opener<C>,
+    desk: Desk,
+    config: Config,
+    telemetry: Arc<Telemetry>,
+}
+
+/// What is served whether there is a link or not.
+struct Desk {
+    mailbox: Mailbox,
+    schedules: Schedules,
+}
+
+/// Why a driver ends.
+enum End {
+    Closed(Option<Promise<()>>),
+    Failed(Error),
+}
+
+impl<C: Connect> Supervisor<C> {
+    pub(crate) fn new(
+        connect: C,
+        config: Config,
+        mailbox: Mailbox,
+        telemetry: Arc<Telemetry>,
+    ) -> Self {
+        let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
+        let schedules = Schedules::new(config.ring_depth);
+        Self { opener, desk: Desk { mailbox, schedules }, config, telemetry }
+    }
+
+    /// Runs until the driver is closed, abandoned, or out of luck.
+    pub(crate) async fn run(mut self) -> Result<(), Error> {
+        // Also if this future is dropped or panics.
+        let _closing = Closing(Arc::clone(&self.telemetry));
+        let (error, promise) = match self.supervise().await {
+            End::Closed(promise) => (None, promise),
+            End::Failed(error) => (Some(error), None),
+        };
+        self.telemetry.enter(State::Closed { error: error.clone() });
+        self.desk.schedules.end(error.as_ref());
+        self.desk.mailbox.end(error.as_ref().unwrap_or(&Error::Closed));
+        if let Some(promise) = promise {
+            // Nobody waits any more: it is closed all the same.
+            let _ = promise.send(Ok(()));
+        }
+        error.map_or(Ok(()), Err)
+    }
+
+    async fn supervise(&mut self) -> End {
+        let mut session = match self.open_first().await {
+            Ok(session) => session,
+            Err(end) => return end,
+        };
+        loop {
+            let stop = self.serve(&mut session).await;
+            let next = match stop {
+                Stop::Closed(promise) => return End::Closed(Some(promise)),
+                Stop::Abandoned => return End::Closed(None),
+                Stop::Silent(error) => self.recover(session, error).await,
+                Stop::Lost(error) => self.reconnect(session, error).await,
+            };
+            session = match next {
+                Ok(session) => session,
+                Err(end) => return end,
+            };
+        }
+    }
+
+    async fn serve(&mut self, session: &mut Session) -> Stop {
+        let line_speed = session.line_speed();
+        self.telemetry.enter(State::Connected { line_speed, streaming: false });
+        let scan_time = self.opener.scan_time();
+        let mut service = Service {
+            mailbox: &mut self.desk.mailbox,
+            schedules: &mut self.desk.schedules,
+            wanted: self.opener.wanted(),
+            telemetry: &self.telemetry,
+            scan_time,
+        };
+        service.run(session).await
+    }
+
+    async fn open_first(&mut self) -> Result<Session, End> {
+        let mut backoff = self.backoff();
+        loop {
+            let error = match self.desk.attend(None, self.opener.open()).await? {
+                Ok(session) => return Ok(session),
+                Err(error) => error,
+            };
+            if !self.config.wait_for_sensor || !error.is_transient() {
+                return Err(End::Failed(error));
+            }
+            tracing::debug!(%error, "waiting for the sensor");
+            self.desk.attend(None, sleep(backoff.next())).await?;
+        }
+    }
+
+    /// Looks for a silent sensor on the port that is open; it may have been
+    /// reset, and speak at another speed.
+    async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, End> {
+        self.telemetry.enter(State::Recovering);
+        let found = self.desk.attend(Some(&error), self.opener.find_again(&mut session)).await?;
+        match found {
+            Ok(()) => {
+                self.telemetry.stats().reconnects += 1;
+                Ok(session)
+            }
+            Err(cause) => {
+                tracing::debug!(%cause, "not found");
+                self.reconnect(session, error).await
+            }
+        }
+    }
+
+    async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, End> {
+        // First, or the system could not give the port the same name again.
+        drop(session);
+        let error = match cause {
+            Error::Disconnected { .. } => cause,
+            _ => Error::disconnected(None),
+        };
+        self.telemetry.stats().disconnects += 1;
+        if !self.config.reconnect {
+            return Err(End::Failed(error));
+        }
+        self.desk.schedules.fail_all(&error);
+        let since = Instant::now().into_std();
+        self.telemetry.enter(State::Disconnected { since, error: error.clone() });
+        let (mut backoff, mut latest) = (self.backoff(), error);
+        loop {
+            self.desk.attend(Some(&latest), sleep(backoff.next())).await?;
+            let error = match self.desk.attend(Some(&latest), self.opener.open()).await? {
+                Ok(session) => {
+                    self.telemetry.stats().reconnects += 1;
+                    return Ok(session);
+                }
+                Err(error) => error,
+            };
+            // What does not get better by itself is told, once.
+            let news = std::mem::discriminant(&error) != std::mem::discriminant(&latest);
+            if news {
+                self.telemetry.enter(State::Disconnected { since, error: error.clone() });
+            }
+            if news && !error.is_transient() {
+                self.desk.schedules.fail_all(&error);
+            }
+            latest = error;
+        }
+    }
+
+    fn backoff(&self) -> Backoff {
+        let seed = self.config.jitter_seed;
+        let seed = seed.unwrap_or_else(|| RandomState::new().hash_one(Instant::now().into_std()));
+        Backoff { next: self.config.backoff.0, longest: self.config.backoff.1, seed }
+    }
+}
+
+impl Desk {
+    /// Does `work` while there is no link, and serves what needs none.
+    async fn attend<T>(
+        &mut self,
+        trouble: Option<&Error>,
+        work: impl Future<Output = T>,
+    ) -> Result<T, End> {
+        tokio::pin!(work);
+        loop {
+            tokio::select! {
+                biased;
+                done = &mut work => return Ok(done),
+                request = self.mailbox.next_unlinked() => match request {
+                    Ok(Unlinked::Subscribe { window, rate, promise }) => {
+                        // A stream that nobody took is a stream that was dropped.
+                        let _ = promise.send(Ok(self.schedules.subscribe(window, rate, trouble)));
+                    }
+                    Ok(Unlinked::Close(promise)) => return Err(End::Closed(Some(promise))),
+                    Err(_) => return Err(End::Closed(None)),
+                }
+            }
+        }
+    }
+}
+
+/// Sees to it that nobody waits for a driver that is gone.
+struct Closing(Arc<Telemetry>);
+
+impl Drop for Closing {
+    fn drop(&mut self) {
+        if !self.0.is_closed() {
+            self.0.enter(State::Closed { error: None });
+        }
+    }
+}
+
+/// Ever longer waits, each a little off, so that many drivers that lost a bus
+/// together do not come back together.
+struct Backoff {
+    next: Duration,
+    longest: Duration,
+    seed: u64,
+}
+
+impl Backoff {
+    fn next(&mut self) -> Duration {
+        // A step of a linear congruential generator; its upper bits are good.
+        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        let jitter = 0.75 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
+        let wait = self.next.min(self.longest);
+        self.next = wait * 2;
+        wait.mul_f64(jitter)
+    }
+}

@@ -1,0 +1,225 @@
+//! The keep-last ring between the driver, which fills it and never waits, and
+//! streams, each of which reads from a place of its own.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll, Waker};
+
+use crate::{Error, Scan};
+
+/// The newest scans of a schedule, and its latest error.
+///
+/// Errors are kept beside the scans, where none can push them out.
+#[derive(Debug)]
+pub(crate) struct Ring {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Debug)]
+struct Inner {
+    scans: VecDeque<Scan>,
+    depth: usize,
+    /// How many scans there ever were: the number of the next one.
+    next: u64,
+    error: Option<Error>,
+    /// How many errors there ever were: the number of the one in `error`.
+    errors: u64,
+    /// Set once the driver has ended: nothing more comes.
+    ended: bool,
+    readers: Vec<Reader>,
+    missed: u64,
+}
+
+#[derive(Debug)]
+enum Reader {
+    /// A place that a reader has left.
+    Gone,
+    Busy,
+    Waiting(Waker),
+}
+
+impl Ring {
+    /// A ring that keeps the last `depth` scans.
+    pub(crate) fn new(depth: usize) -> Arc<Self> {
+        let depth = depth.max(1);
+        let inner = Inner {
+            scans: VecDeque::with_capacity(depth),
+            depth,
+            next: 0,
+            error: None,
+            errors: 0,
+            ended: false,
+            readers: Vec::new(),
+            missed: 0,
+        };
+        Arc::new(Self { inner: Mutex::new(inner) })
+    }
+
+    /// Adds a scan, in place of the oldest where the ring is full.
+    pub(crate) fn push(&self, scan: Scan) {
+        let mut inner = self.lock();
+        if inner.scans.len() == inner.depth {
+            inner.scans.pop_front();
+        }
+        inner.scans.push_back(scan);
+        inner.next += 1;
+        drop(inner);
+        self.wake();
+    }
+
+    /// Puts an error in the place of the one before: each reader gets it before
+    /// its next scan.
+    pub(crate) fn report(&self, error: Error) {
+        let mut inner = self.lock();
+        inner.error = Some(error);
+        inner.errors += 1;
+        drop(inner);
+        self.wake();
+    }
+
+    /// Nothing more comes: readers get what is left, `cause`, and then the end.
+    pub(crate) fn end(&self, cause: Option<Error>) {
+        let mut inner = self.lock();
+        if inner.ended {
+            return;
+        }
+        inner.ended = true;
+        drop(inner);
+        match cause {
+            Some(cause) => self.report(cause),
+            None => self.wake(),
+        }
+    }
+
+    /// How many readers there are.
+    pub(crate) fn readers(&self) -> usize {
+        self.lock().readers.iter().filter(|reader| !matches!(reader, Reader::Gone)).count()
+    }
+
+    /// How many scans readers did not get to see.
+    pub(crate) fn missed(&self) -> u64 {
+        self.lock().missed
+    }
+
+    /// A reader that gets what comes from now on.
+    pub(crate) fn reader(self: &Arc<Self>) -> Cursor {
+        let mut inner = self.lock();
+        let (next, errors) = (inner.next, inner.errors);
+        let place = inner.enter();
+        drop(inner);
+        Cursor { ring: Arc::clone(self), place, next, errors, missed: 0, finished: false }
+    }
+
+    /// Wakes all readers, with the lock released: a waker may run anything.
+    fn wake(&self) {
+        for place in 0.. {
+            let mut inner = self.lock();
+            let Some(reader) = inner.readers.get_mut(place) else { return };
+            if let Reader::Waiting(_) = reader {
+                let reader = std::mem::replace(reader, Reader::Busy);
+                drop(inner);
+                if let Reader::Waiting(waker) = reader {
+                    waker.wake();
+                }
+            }
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inner> {
+        // Nothing can be half done in there: no code that may panic runs
+        // between two changes.
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Inner {
+    fn enter(&mut self) -> usize {
+        let free = self.readers.iter().position(|reader| matches!(reader, Reader::Gone));
+        match free.and_then(|place| Some((place, self.readers.get_mut(place)?))) {
+            Some((place, reader)) => {
+                *reader = Reader::Busy;
+                place
+            }
+            None => {
+                self.readers.push(Reader::Busy);
+                self.readers.len() - 1
+            }
+        }
+    }
+}
+
+/// A reader's place in a ring.
+#[derive(Debug)]
+pub(crate) struct Cursor {
+    ring: Arc<Ring>,
+    place: usize,
+    next: u64,
+    errors: u64,
+    missed: u64,
+    finished: bool,
+}
+
+impl Cursor {
+    /// The next error or scan, or `None` after the end.
+    pub(crate) fn poll_next(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Scan, Error>>> {
+        if self.finished {
+            return Poll::Ready(None);
+        }
+        let mut inner = self.ring.lock();
+        let fresh = inner.errors != self.errors;
+        // The cause of the end comes last, every other error first.
+        let last = inner.ended && inner.next != self.next;
+        if fresh && !last {
+            self.errors = inner.errors;
+            if let Some(error) = inner.error.clone() {
+                return Poll::Ready(Some(Err(error)));
+            }
+        }
+        let oldest = inner.next - inner.scans.len() as u64;
+        if self.next < oldest {
+            self.missed += oldest - self.next;
+            inner.missed += oldest - self.next;
+            self.next = oldest;
+        }
+        if let Some(scan) = inner.scans.get((self.next - oldest) as usize) {
+            self.next += 1;
+            return Poll::Ready(Some(Ok(scan.clone())));
+        }
+        if inner.ended {
+            self.finished = true;
+            return Poll::Ready(None);
+        }
+        if let Some(reader) = inner.readers.get_mut(self.place) {
+            match reader {
+                Reader::Waiting(waker) => waker.clone_from(cx.waker()),
+                other => *other = Reader::Waiting(cx.waker().clone()),
+            }
+        }
+        Poll::Pending
+    }
+
+    /// True once the end was reported.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.finished
+    }
+
+    /// How many scans this reader did not get to see.
+    pub(crate) fn missed(&self) -> u64 {
+        self.missed
+    }
+}
+
+impl Clone for Cursor {
+    fn clone(&self) -> Self {
+        let place = self.ring.lock().enter();
+        Self { ring: Arc::clone(&self.ring), place, ..*self }
+    }
+}
+
+impl Drop for Cursor {
+    fn drop(&mut self) {
+        if let Some(reader) = self.ring.lock().readers.get_mut(self.place) {
+            *reader = Reader::Gone;
+        }
+    }
+}

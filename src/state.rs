@@ -1,0 +1,264 @@
+//! What a driver tells of itself: [`State`], to be awaited, and [`Stats`], to
+//! be counted.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::watch;
+
+use crate::protocol::{Malformed, ReplyError, Version};
+use crate::{BaudRate, Error, Rate, Window};
+
+/// What the driver is about. [`Sensor::state`](crate::Sensor::state) gives a
+/// watch of it.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub enum State {
+    /// The port is being opened for the first time, or the sensor looked for.
+    Connecting,
+    /// The sensor answers.
+    Connected {
+        /// The speed of the line to it, or `None` where none matters (USB).
+        line_speed: Option<BaudRate>,
+        /// Whether scans are polled: a stream is open, and the laser was not
+        /// switched off.
+        streaming: bool,
+    },
+    /// The sensor fell silent on a port that is still open, and is looked for at
+    /// every line speed.
+    Recovering,
+    /// The link is lost; the driver tries to get it back.
+    Disconnected {
+        /// Since when.
+        since: Instant,
+        /// The latest reason.
+        error: Error,
+    },
+    /// The driver has ended for good.
+    Closed {
+        /// Why, or `None` if it was closed or nobody used it any more.
+        error: Option<Error>,
+    },
+}
+
+/// What happened since the driver began.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct Stats {
+    /// `G`s sent for streams and single scans.
+    pub polls: u64,
+    /// Scans that came back whole.
+    pub scans: u64,
+    /// Scans equal to the one before.
+    pub repeats: u64,
+    /// Commands that were not answered in time, fences not counted.
+    pub timeouts: u64,
+    /// Commands that the sensor refused.
+    pub refused: u64,
+    /// Replies that were damaged, by what was wrong with them.
+    pub malformed: MalformedCounts,
+    /// Fences sent: single-step `G`s that prove that nothing older is on its
+    /// way.
+    pub fences: u64,
+    /// Fences that were not answered in time.
+    pub fence_timeouts: u64,
+    /// Times that the link was lost.
+    pub disconnects: u64,
+    /// Times that a sensor was found again, on the same port or a new one.
+    pub reconnects: u64,
+    /// Bytes that belonged to no reply that was asked for.
+    pub bytes_skipped: u64,
+    /// Scans that streams did not get to see because their consumers were slow.
+    pub missed: u64,
+    /// Polls that were dropped because the line was busy when they were due.
+    pub polls_skipped: u64,
+    /// From a `G` sent to the last byte of its reply.
+    pub reply_latency: Latency,
+    /// What is polled now, and how fast.
+    pub schedules: Vec<ScheduleStats>,
+}
+
+/// Damaged replies, by what was wrong with them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct MalformedCounts {
+    /// The echo was that of another command, or damaged.
+    pub echo: u64,
+    /// The status was missing or not one character.
+    pub status: u64,
+    /// A line had the wrong length, or data was missing or too much.
+    pub length: u64,
+    /// A character carried no 6-bit number.
+    pub character: u64,
+    /// No end came in sight.
+    pub overlong: u64,
+}
+
+impl MalformedCounts {
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.echo + self.status + self.length + self.character + self.overlong
+    }
+
+    pub(crate) fn count(&mut self, error: &ReplyError) {
+        let counter = match error {
+            ReplyError::Foreign { .. } => &mut self.echo,
+            ReplyError::Scip2 { .. } => &mut self.status,
+            ReplyError::Malformed(malformed) => match malformed {
+                Malformed::NoStatus | Malformed::Status { .. } => &mut self.status,
+                Malformed::Character { .. } => &mut self.character,
+                Malformed::Overlong { .. } | Malformed::NotRaw => &mut self.overlong,
+                _ => &mut self.length,
+            },
+        };
+        *counter += 1;
+    }
+}
+
+/// How long replies took. All zero before the first one.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct Latency {
+    /// The latest.
+    pub last: Duration,
+    /// The shortest.
+    pub min: Duration,
+    /// The longest.
+    pub max: Duration,
+    /// The sum of all, and how many they are.
+    pub total: Duration,
+    /// How many replies were timed.
+    pub count: u64,
+}
+
+impl Latency {
+    /// The mean, or zero before the first reply.
+    pub fn mean(&self) -> Duration {
+        if self.count == 0 { Duration::ZERO } else { self.total.div_f64(self.count as f64) }
+    }
+
+    pub(crate) fn add(&mut self, latency: Duration) {
+        self.last = latency;
+        self.min = if self.count == 0 { latency } else { self.min.min(latency) };
+        self.max = self.max.max(latency);
+        self.total += latency;
+        self.count += 1;
+    }
+}
+
+/// What one schedule asked for, and what it gets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct ScheduleStats {
+    /// What is polled.
+    pub window: Window,
+    /// How often, or `None` for [`Rate::MAX`], in scans a second.
+    pub asked: Option<f64>,
+    /// Scans a second that came, over the last three seconds or so; 0 before
+    /// that.
+    pub reached: f64,
+}
+
+impl ScheduleStats {
+    pub(crate) fn new(window: Window, rate: Rate, reached: f64) -> Self {
+        let asked = rate.period().map(|period| 1.0 / period.as_secs_f64());
+        Self { window, asked, reached }
+    }
+}
+
+/// What driver and handles share: the state, the counters, and who the sensor
+/// is while it is there.
+#[derive(Debug)]
+pub(crate) struct Telemetry {
+    state: watch::Sender<State>,
+    stats: Mutex<Stats>,
+    version: Mutex<Option<Version>>,
+}
+
+impl Telemetry {
+    pub(crate) fn new() -> Self {
+        Self {
+            state: watch::Sender::new(State::Connecting),
+            stats: Mutex::default(),
+            version: Mutex::default(),
+        }
+    }
+
+    pub(crate) fn watch(&self) -> watch::Receiver<State> {
+        self.state.subscribe()
+    }
+
+    /// Enters a state; one line of log for each.
+    pub(crate) fn enter(&self, state: State) {
+        match &state {
+            State::Connecting => tracing::debug!("looking for the sensor"),
+            State::Connected { line_speed, streaming } => {
+                let line_speed = line_speed.map(u32::from);
+                tracing::info!(line_speed, streaming, "connected");
+            }
+            State::Recovering => tracing::warn!("the sensor is silent: looking for it"),
+            State::Disconnected { error, .. } => tracing::warn!(%error, "disconnected"),
+            State::Closed { error: Some(error) } => tracing::error!(%error, "the driver has ended"),
+            State::Closed { error: None } => tracing::debug!("closed"),
+        }
+        if matches!(state, State::Disconnected { .. } | State::Closed { .. }) {
+            *lock(&self.version) = None;
+        }
+        self.state.send_replace(state);
+    }
+
+    /// Notes the speed after a change of it.
+    pub(crate) fn set_line_speed(&self, now: Option<BaudRate>) {
+        self.state.send_if_modified(|state| match state {
+            State::Connected { line_speed, .. } if *line_speed != now => {
+                *line_speed = now;
+                true
+            }
+            _ => false,
+        });
+    }
+
+    /// Notes whether scans are polled, if that is news.
+    pub(crate) fn set_streaming(&self, now: bool) {
+        self.state.send_if_modified(|state| match state {
+            State::Connected { streaming, .. } if *streaming != now => {
+                *streaming = now;
+                true
+            }
+            _ => false,
+        });
+    }
+
+    /// The error that calls get once the driver has ended.
+    pub(crate) fn cause(&self) -> Error {
+        match &*self.state.borrow() {
+            State::Closed { error: Some(error) } => error.clone(),
+            _ => Error::Closed,
+        }
+    }
+
+    pub(crate) fn is_closed(&self) -> bool {
+        matches!(&*self.state.borrow(), State::Closed { .. })
+    }
+
+    pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
+        lock(&self.stats)
+    }
+
+    pub(crate) fn version(&self) -> Option<Version> {
+        lock(&self.version).clone()
+    }
+
+    pub(crate) fn set_version(&self, version: Version) {
+        *lock(&self.version) = Some(version);
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    // Counters and plain values: never half changed.
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
