@@ -1,0 +1,161 @@
+//! The framing: where replies end, however their bytes are cut up.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use bytes::BytesMut;
+use proptest::prelude::*;
+use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
+use tokio_scip::protocol::{BaudRate, Command};
+use tokio_scip::Window;
+use tokio_util::codec::{Decoder, Encoder};
+
+/// Feeds `chunks` one after the other, and takes every frame as soon as it is
+/// there.
+fn decode<'a>(chunks: impl IntoIterator<Item = &'a [u8]>) -> (Vec<Frame>, BytesMut) {
+    let (mut codec, mut buffer, mut frames) = (ScipCodec::default(), BytesMut::new(), Vec::new());
+    for chunk in chunks {
+        buffer.extend_from_slice(chunk);
+        while let Some(frame) = codec.decode(&mut buffer).unwrap() {
+            frames.push(frame);
+        }
+    }
+    (frames, buffer)
+}
+
+fn reply(bytes: &[u8]) -> Frame {
+    Frame::Reply(bytes.into())
+}
+
+#[test]
+fn a_reply_ends_with_two_line_feeds() {
+    let (frames, rest) = decode([&b"L1\n0\n\nV\n0\nVEND:x\n\nG000"[..]]);
+    assert_eq!(frames, [reply(b"L1\n0"), reply(b"V\n0\nVEND:x")]);
+    assert_eq!(&*rest, b"G000");
+}
+
+#[test]
+fn a_reply_is_found_however_it_is_split() {
+    let bytes = b"G00076801\n0\n0123456789\n\nL0\n0\n\n";
+    for split in 0..=bytes.len() {
+        let (frames, rest) = decode([&bytes[..split], &bytes[split..]]);
+        assert_eq!(frames.len(), 2, "split at {split}");
+        assert!(rest.is_empty());
+    }
+    let (frames, _) = decode(bytes.chunks(1));
+    assert_eq!(frames, [reply(b"G00076801\n0\n0123456789"), reply(b"L0\n0")]);
+}
+
+#[test]
+fn leading_nuls_are_skipped_and_inner_ones_are_not() {
+    let (frames, _) = decode([&b"\0\0"[..], b"\0V\n0\n\n\0L1\0\n0\n\n"]);
+    assert_eq!(frames, [reply(b"V\n0"), reply(b"L1\0\n0")]);
+}
+
+#[test]
+fn an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
+    for extra in [1, 2, 64, 3 * MAX_FRAME] {
+        let mut bytes = vec![b'x'; MAX_FRAME + extra];
+        bytes.extend_from_slice(b"\n\nL1\n0\n\n");
+        for chunk in [1, 7, 1000, bytes.len()] {
+            let (frames, rest) = decode(bytes.chunks(chunk));
+            let skipped = Frame::Overlong { bytes: MAX_FRAME + extra };
+            assert_eq!(frames, [skipped, reply(b"L1\n0")], "{extra} more in chunks of {chunk}");
+            assert!(rest.is_empty());
+        }
+    }
+}
+
+#[test]
+fn a_reply_of_the_greatest_length_is_a_reply() {
+    let mut bytes = vec![b'x'; MAX_FRAME];
+    bytes.extend_from_slice(b"\n\n");
+    let (frames, _) = decode(bytes.chunks(100));
+    assert_eq!(frames, [reply(&bytes[..MAX_FRAME])]);
+}
+
+#[test]
+fn endless_garbage_is_not_kept() {
+    let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());
+    for _ in 0..1000 {
+        buffer.extend_from_slice(&[b'x'; 100]);
+        assert_eq!(codec.decode(&mut buffer).unwrap(), None);
+        assert!(buffer.len() <= MAX_FRAME);
+    }
+}
+
+#[test]
+fn line_feeds_alone_are_empty_replies() {
+    let (frames, rest) = decode([&b"\n\n\n\n\n"[..]]);
+    assert_eq!(frames, [reply(b""), reply(b"")]);
+    assert_eq!(&*rest, b"\n");
+}
+
+#[test]
+fn half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
+    let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&b"V\n0\n\nG00"[..]));
+    assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(reply(b"V\n0")));
+    assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
+    assert!(buffer.is_empty());
+}
+
+#[test]
+fn a_command_ends_with_one_line_feed() {
+    let mut buffer = BytesMut::new();
+    for command in [
+        Command::Version,
+        Command::LaserOff,
+        Command::BaudRate(BaudRate::B115200),
+        Command::Distances(Window::DETECTION),
+    ] {
+        ScipCodec::default().encode(&command, &mut buffer).unwrap();
+    }
+    assert_eq!(&*buffer, b"V\nL0\nS1152000000000\nG04472501\n");
+}
+
+/// The framing as one would write it without any thought of speed or memory.
+fn reference(mut bytes: &[u8]) -> Vec<Frame> {
+    let mut frames = Vec::new();
+    loop {
+        while let [0, rest @ ..] = bytes {
+            bytes = rest;
+        }
+        let Some(end) = bytes.windows(2).position(|pair| pair == b"\n\n") else { return frames };
+        let frame = &bytes[..end];
+        frames.push(match frame.len() {
+            0..=MAX_FRAME => reply(frame),
+            bytes => Frame::Overlong { bytes },
+        });
+        bytes = &bytes[end + 2..];
+    }
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_in_any_chunks_give_the_frames_of_the_reference(
+        parts in prop::collection::vec(
+            prop_oneof![
+                Just(b"\n".to_vec()),
+                Just(b"\n\n".to_vec()),
+                Just(vec![0]),
+                Just(vec![b'x'; 5000]),
+                prop::collection::vec(any::<u8>(), 0..100),
+            ],
+            0..30,
+        ),
+        cuts in prop::collection::vec(1usize..2000, 1..50),
+    ) {
+        let bytes = parts.concat();
+        let mut chunks = Vec::new();
+        let mut rest = &bytes[..];
+        for &cut in cuts.iter().cycle() {
+            if rest.is_empty() {
+                break;
+            }
+            let (chunk, more) = rest.split_at(cut.min(rest.len()));
+            chunks.push(chunk);
+            rest = more;
+        }
+        let (frames, buffer) = decode(chunks);
+        prop_assert_eq!(frames, reference(&bytes));
+        prop_assert!(buffer.len() <= MAX_FRAME);
+    }
+}
