@@ -223,3 +223,106 @@ impl Drop for Cursor {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::future::poll_fn;
+    use std::time::Instant;
+
+    use futures::FutureExt;
+
+    use super::*;
+    use crate::Window;
+    use crate::scan::ScanMeta;
+
+    fn scan(sequence: u64) -> Scan {
+        let now = Instant::now();
+        let meta = ScanMeta {
+            sequence,
+            requested_at: now,
+            received_at: now,
+            stamp: std::time::SystemTime::now(),
+            repeat: false,
+            scan_time: std::time::Duration::from_millis(100),
+        };
+        Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
+    }
+
+    /// What the reader gets without waiting.
+    fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
+        let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
+        Some(item.map(|item| item.map(|scan| scan.sequence()).map_err(|error| error.to_string())))
+    }
+
+    #[test]
+    fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
+        let ring = Ring::new(2);
+        let mut reader = ring.reader();
+        (0..5).for_each(|sequence| ring.push(scan(sequence)));
+        assert_eq!(take(&mut reader), Some(Some(Ok(3))));
+        assert_eq!(take(&mut reader), Some(Some(Ok(4))));
+        assert_eq!(take(&mut reader), None);
+        assert_eq!((reader.missed(), ring.missed()), (3, 3));
+    }
+
+    #[test]
+    fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
+        let ring = Ring::new(1);
+        let mut reader = ring.reader();
+        ring.report(Error::LaserOff);
+        (0..5).for_each(|sequence| ring.push(scan(sequence)));
+        assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+        assert_eq!(take(&mut reader), Some(Some(Ok(4))));
+        assert_eq!(take(&mut reader), None);
+    }
+
+    #[test]
+    fn the_end_comes_after_what_is_left_and_its_cause() {
+        let ring = Ring::new(1);
+        let (mut reader, mut other) = (ring.reader(), ring.reader());
+        ring.push(scan(0));
+        ring.end(Some(Error::Loopback));
+        ring.end(Some(Error::Closed));
+        for reader in [&mut reader, &mut other] {
+            assert_eq!(take(reader), Some(Some(Ok(0))));
+            assert_eq!(take(reader), Some(Some(Err(Error::Loopback.to_string()))));
+            assert!(!reader.is_finished());
+            assert_eq!(take(reader), Some(None));
+            assert_eq!(take(reader), Some(None));
+            assert!(reader.is_finished());
+        }
+    }
+
+    #[test]
+    fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
+        let ring = Ring::new(8);
+        let mut reader = ring.reader();
+        ring.push(scan(0));
+        ring.push(scan(1));
+        assert_eq!(take(&mut reader), Some(Some(Ok(0))));
+        let (mut clone, mut late) = (reader.clone(), ring.reader());
+        assert_eq!(take(&mut late), None);
+        for reader in [&mut reader, &mut clone] {
+            assert_eq!(take(reader), Some(Some(Ok(1))));
+        }
+        assert_eq!(ring.readers(), 3);
+        drop((reader, late));
+        assert_eq!(ring.readers(), 1);
+    }
+
+    #[tokio::test]
+    async fn every_waiting_reader_is_woken() {
+        let ring = Ring::new(1);
+        let readers: Vec<_> = (0..3).map(|_| ring.reader()).collect();
+        let waiting = readers.into_iter().map(|mut reader| {
+            tokio::spawn(async move { poll_fn(|cx| reader.poll_next(cx)).await })
+        });
+        let waiting: Vec<_> = waiting.collect();
+        tokio::task::yield_now().await;
+        ring.push(scan(7));
+        for task in waiting {
+            let scan = task.await.ok().flatten().and_then(Result::ok);
+            assert_eq!(scan.map(|scan| scan.sequence()), Some(7));
+        }
+    }
+}

@@ -197,3 +197,101 @@ impl Scan {
         self.meta.repeat
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scan(window: Window) -> Scan {
+        let now = Instant::now();
+        let meta = ScanMeta {
+            sequence: 0,
+            requested_at: now,
+            received_at: now,
+            stamp: SystemTime::now(),
+            repeat: false,
+            scan_time: Duration::from_millis(100),
+        };
+        // Each value tells its place.
+        let values = (0..window.points() as u16).map(|n| 20 + n).collect();
+        Scan::new(window, values, 0, meta)
+    }
+
+    fn window(from: u16, to: u16, cluster_count: u8) -> Window {
+        Window::new(from..=to).and_then(|window| window.with_cluster_count(cluster_count)).unwrap()
+    }
+
+    #[test]
+    fn the_geometry_is_that_of_the_text() {
+        let scan = scan(Window::FULL);
+        let angles: Vec<f32> = scan.angles().collect();
+        let degrees = |n: usize| angles.get(n).map(|angle| angle.to_degrees().round());
+        assert_eq!(
+            (degrees(0), degrees(384), degrees(768)),
+            (Some(-135.0), Some(0.0), Some(135.0))
+        );
+        assert_eq!((scan.angle_min(), scan.angle_max()), (angles[0], angles[768]));
+        assert_eq!(scan.angle_increment(), (360.0f64 / 1024.0).to_radians() as f32);
+        assert!((scan.time_increment() - 97.66e-6).abs() < 1e-8);
+        assert_eq!((scan.range_min(), scan.range_max(), scan.scan_time()), (0.020, 4.094, 0.1));
+    }
+
+    #[test]
+    fn a_cluster_lies_in_the_middle_of_its_steps_and_a_partial_last_one_is_taken_as_whole() {
+        for (window, first) in [(window(44, 725, 4), 45.5), (window(0, 768, 99), 49.0)] {
+            let scan = scan(window);
+            let step = |angle: f32| angle / (std::f32::consts::TAU / 1024.0) + 384.0;
+            assert!((step(scan.angle_min()) - first).abs() < 1e-3);
+            let last = first + (scan.len() - 1) as f32 * f32::from(window.cluster_count());
+            assert!((step(scan.angle_max()) - last).abs() < 1e-3);
+            assert_eq!(scan.angles().last(), Some(scan.angle_max()));
+            assert_eq!(scan.angles().len(), scan.len());
+        }
+        // Fewer steps than a cluster has: the middle of those that there are.
+        assert_eq!(scan(window(384, 386, 99)).angle_min(), scan(window(385, 385, 1)).angle_min());
+    }
+
+    #[test]
+    fn points_are_ahead_of_the_sensor_and_to_its_left() {
+        let mut scan = scan(window(384, 640, 1));
+        scan.values = std::iter::repeat_n(1000, 257).collect();
+        let points: Vec<Point> = scan.points().collect();
+        let (front, left) = (points[0], points[256]);
+        assert_eq!((front.x, front.y), (1.0, 0.0));
+        assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
+        scan.values = std::iter::repeat_n(7, 257).collect();
+        assert_eq!(scan.points().count(), 0);
+    }
+
+    #[test]
+    fn a_crop_keeps_the_points_of_which_all_steps_are_inside() {
+        let all = scan(window(44, 725, 1));
+        let part =
+            all.crop(window(100, 199, 1)).map(|part| (part.window(), part.values().to_vec()));
+        assert_eq!(part, Some((window(100, 199, 1), (76..176).collect())));
+        assert_eq!(all.crop(Window::FULL).map(|part| part.window()), Some(all.window()));
+        assert!(all.crop(window(0, 43, 1)).is_none());
+        assert!(all.crop(window(726, 768, 1)).is_none());
+
+        // Groups 10..=13, 14..=17, 18..=20.
+        let grouped = scan(window(10, 20, 4));
+        let crop = |from, to| {
+            let part = grouped.crop(window(from, to, 1))?;
+            Some((
+                part.window().start().number(),
+                part.window().end().number(),
+                part.values().to_vec(),
+            ))
+        };
+        assert_eq!(crop(10, 20), Some((10, 20, vec![20, 21, 22])));
+        assert_eq!(crop(11, 20), Some((14, 20, vec![21, 22])));
+        assert_eq!(crop(10, 19), Some((10, 17, vec![20, 21])));
+        assert_eq!(crop(0, 13), Some((10, 13, vec![20])));
+        assert_eq!(crop(11, 16), None);
+        assert_eq!(crop(18, 18), None);
+        assert_eq!(crop(19, 20), None);
+        // A crop of a crop still finds its values.
+        let twice = all.crop(window(100, 199, 1)).and_then(|part| part.crop(window(150, 150, 1)));
+        assert_eq!(twice.map(|part| part.values().to_vec()), Some(vec![126]));
+    }
+}

@@ -3,9 +3,9 @@
 
 use bytes::BytesMut;
 use proptest::prelude::*;
+use tokio_scip::Window;
 use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command};
-use tokio_scip::Window;
 use tokio_util::codec::{Decoder, Encoder};
 
 /// Feeds `chunks` one after the other, and takes every frame as soon as it is
