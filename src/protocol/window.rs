@@ -140,17 +140,18 @@ impl Window {
     /// -135..=135, or if a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
-        let outside = WindowError::Degrees { from, to };
+        let step = |degrees: f64| degrees * STEPS_PER_TURN / 360.0 + f64::from(FRONT);
         // A bound that was computed may miss its step by a rounding error.
         let hair = 1e-9;
-        let first = (from * STEPS_PER_TURN / 360.0 + f64::from(FRONT) - hair).ceil();
-        let last = (to * STEPS_PER_TURN / 360.0 + f64::from(FRONT) + hair).floor();
-        let steps = 0.0..=f64::from(LAST);
-        if steps.contains(&first) && steps.contains(&last) && first <= last {
+        let (low, high) = (step(from) - hair, step(to) + hair);
+        let (first, last) = (low.ceil(), high.floor());
+        // Not a number is in no range.
+        let turn = -2.0 * hair..=f64::from(LAST) + 2.0 * hair;
+        if turn.contains(&low) && turn.contains(&high) && first <= last {
             // The casts are exact: both are whole numbers in 0..=768.
             Self::new(first as u16..=last as u16)
         } else {
-            Err(outside)
+            Err(WindowError::Degrees { from, to })
         }
     }
 
@@ -232,14 +233,14 @@ impl Window {
     /// behind; and how many points to skip in front. `None` if there is no room
     /// on either side. The points of this window are the same in both.
     pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
-        let steps = groups * u16::from(self.cluster_count);
+        let steps = groups.saturating_mul(u16::from(self.cluster_count));
         if steps <= self.start.0 {
             let start = Step(self.start.0 - steps);
             return Some((Self { start, ..*self }, usize::from(groups)));
         }
         // A partial last group would be filled up by steps behind the end.
         let whole = self.steps().is_multiple_of(usize::from(self.cluster_count));
-        (whole && self.end.0 + steps <= LAST)
+        (whole && steps <= LAST - self.end.0)
             .then(|| (Self { end: Step(self.end.0 + steps), ..*self }, 0))
     }
 }
