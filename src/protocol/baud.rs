@@ -57,8 +57,10 @@ impl BaudRate {
     /// How long `bytes` bytes take on the line: 10 bits each (8 data bits, no
     /// parity, one start and one stop bit, p. 2).
     pub const fn wire_time(self, bytes: usize) -> std::time::Duration {
-        let nanos = bytes as u64 * 10 * 1_000_000_000 / self.bits_per_second() as u64;
-        std::time::Duration::from_nanos(nanos)
+        let bits = (bytes as u64).saturating_mul(10);
+        let speed = self.bits_per_second() as u64;
+        let nanos = bits % speed * 1_000_000_000 / speed;
+        std::time::Duration::new(bits / speed, nanos as u32)
     }
 }
 

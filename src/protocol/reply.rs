@@ -18,7 +18,7 @@ const EXCERPT: usize = 32;
 /// (C-42-3320-A p. 3).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
-#[cfg_attr(feature = "serde", serde(transparent))]
+#[cfg_attr(feature = "serde", serde(into = "char"))]
 pub struct Status(u8);
 
 impl Status {
@@ -64,6 +64,12 @@ impl Status {
     }
 }
 
+impl From<Status> for char {
+    fn from(status: Status) -> Self {
+        status.0.into()
+    }
+}
+
 impl fmt::Display for Status {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "'{}'", Text::from(&[self.0][..]))
@@ -102,7 +108,8 @@ impl<'a> Reply<'a> {
         if is_scip2(line) {
             return Err(ReplyError::Scip2 { status: line.into() });
         }
-        let &[status] = line else {
+        // A byte that no one could have meant as a status is damage, not an answer.
+        let &[status @ b'!'..=b'~'] = line else {
             return Err(Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into());
         };
         let status = Status(status);
@@ -111,8 +118,10 @@ impl<'a> Reply<'a> {
                 check_blocks(data, window.points() * 2)?;
                 Ok(Self { status, data })
             }
+            (None | Some([]), true, Command::Version) | (None, true, Command::Distances(_)) => {
+                Err(Malformed::NoData.into())
+            }
             (Some(data), true, Command::Version) => Ok(Self { status, data }),
-            (None, true, Command::Distances(_) | Command::Version) => Err(Malformed::NoData.into()),
             (None, ..) => Ok(Self { status, data: &[] }),
             (Some(data), ..) => Err(Malformed::UnexpectedData { status, bytes: data.len() }.into()),
         }
@@ -122,7 +131,12 @@ impl<'a> Reply<'a> {
     /// it: what is left of a reply that was cut short has no terminator of its
     /// own, so the next reply is glued to it.
     ///
-    /// Meant for a command of which no older reply can be on its way.
+    /// Meant for a command of which no older reply can be on its way, and whose
+    /// reply has a known length: any but `V`.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`Reply::parse`] for the whole frame, if it does not end so.
     pub fn parse_end(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
         // With data and without; both reply lengths count the two LFs.
         let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
@@ -179,9 +193,18 @@ fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     (parts.next().unwrap_or_default(), parts.next())
 }
 
-/// True for a status of SCIP 2: two characters and their checksum.
+/// True for a status of SCIP 2: two characters and their checksum, which is the
+/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum
+/// itself (`0Eu`).
+///
+/// Without the checksum a reply to a one-step `G` that lost the LF after its
+/// status (`0CD`) would pass for one.
 fn is_scip2(status: &[u8]) -> bool {
-    matches!(status, [a, b, sum] if a.is_ascii_alphanumeric() && b.is_ascii_alphanumeric() && sum.is_ascii_graphic())
+    let &[a, b, sum] = status else { return false };
+    let total = a.wrapping_add(b);
+    a.is_ascii_alphanumeric()
+        && b.is_ascii_alphanumeric()
+        && (sum == (total & 0x3f) + 0x30 || sum == total)
 }
 
 /// Why a frame is not the reply to a command.
@@ -214,7 +237,7 @@ pub enum Malformed {
     /// The reply ends after its echo.
     #[error("the reply ends after its echo, where a status was expected")]
     NoStatus,
-    /// The status line has not exactly one character.
+    /// The status line is not exactly one printable character.
     #[error("the status is \"{found}\", where one character was expected")]
     Status {
         /// The line.

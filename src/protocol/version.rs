@@ -9,6 +9,7 @@ use super::{Reply, Text};
 /// lines that the text does not know are kept.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
 pub struct Version {
     /// `VEND:`, such as `Hokuyo Automatic Co.,Ltd.`.
     pub vendor: Text,
@@ -100,5 +101,6 @@ impl Specification {
 
 fn range(text: &str) -> Option<RangeInclusive<u16>> {
     let (from, to) = text.split_once('-')?;
-    Some(from.parse().ok()?..=to.parse().ok()?)
+    let (from, to) = (from.parse().ok()?, to.parse().ok()?);
+    (from <= to).then_some(from..=to)
 }

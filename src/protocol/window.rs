@@ -140,17 +140,18 @@ impl Window {
     /// -135..=135, or if a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
-        let outside = WindowError::Degrees { from, to };
+        let step = |degrees: f64| degrees * STEPS_PER_TURN / 360.0 + f64::from(FRONT);
         // A bound that was computed may miss its step by a rounding error.
         let hair = 1e-9;
-        let first = (from * STEPS_PER_TURN / 360.0 + f64::from(FRONT) - hair).ceil();
-        let last = (to * STEPS_PER_TURN / 360.0 + f64::from(FRONT) + hair).floor();
-        let steps = 0.0..=f64::from(LAST);
-        if steps.contains(&first) && steps.contains(&last) && first <= last {
+        let (low, high) = (step(from) - hair, step(to) + hair);
+        let (first, last) = (low.ceil(), high.floor());
+        // Not a number is in no range.
+        let turn = -2.0 * hair..=f64::from(LAST) + 2.0 * hair;
+        if turn.contains(&low) && turn.contains(&high) && first <= last {
             // The casts are exact: both are whole numbers in 0..=768.
             Self::new(first as u16..=last as u16)
         } else {
-            Err(outside)
+            Err(WindowError::Degrees { from, to })
         }
     }
 
@@ -232,14 +233,14 @@ impl Window {
     /// behind; and how many points to skip in front. `None` if there is no room
     /// on either side. The points of this window are the same in both.
     pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
-        let steps = groups * u16::from(self.cluster_count);
+        let steps = groups.saturating_mul(u16::from(self.cluster_count));
         if steps <= self.start.0 {
             let start = Step(self.start.0 - steps);
             return Some((Self { start, ..*self }, usize::from(groups)));
         }
         // A partial last group would be filled up by steps behind the end.
         let whole = self.steps().is_multiple_of(usize::from(self.cluster_count));
-        (whole && self.end.0 + steps <= LAST)
+        (whole && steps <= LAST - self.end.0)
             .then(|| (Self { end: Step(self.end.0 + steps), ..*self }, 0))
     }
 }
@@ -288,4 +289,82 @@ pub enum WindowError {
         /// The upper bound that was given.
         to: f64,
     },
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    fn window(start: u16, end: u16, cluster_count: u8) -> Window {
+        Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
+    }
+
+    /// The steps of every point, first and last.
+    fn points(window: Window) -> Vec<(u16, u16)> {
+        let (end, group) = (window.end.0, u16::from(window.cluster_count));
+        (window.start.0..=end)
+            .step_by(usize::from(group))
+            .map(|first| (first, end.min(first + group - 1)))
+            .collect()
+    }
+
+    #[test]
+    fn a_widened_window_has_the_points_of_the_narrow_one_at_the_place_it_says() {
+        let mut refused = 0;
+        for start in 0..=768 {
+            for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
+                if end < start || end > LAST {
+                    continue;
+                }
+                for cluster_count in [1, 2, 4, 5, 99] {
+                    for groups in 0..4 {
+                        let narrow = window(start, end, cluster_count);
+                        let Some((wide, skip)) = narrow.widened(groups) else {
+                            refused += 1;
+                            continue;
+                        };
+                        assert_eq!(wide.points(), narrow.points() + usize::from(groups));
+                        let kept = points(wide).into_iter().skip(skip).take(narrow.points());
+                        assert!(kept.eq(points(narrow)), "{narrow} by {groups}");
+                    }
+                }
+            }
+        }
+        assert!(refused > 0);
+    }
+
+    #[test]
+    fn four_successive_polls_have_four_echoes_where_there_is_room() {
+        for narrow in [Window::DETECTION, window(0, 765, 1), window(12, 768, 4), window(3, 768, 1)]
+        {
+            let echoes: Vec<Window> =
+                (0..4).filter_map(|groups| narrow.widened(groups)).map(|(wide, _)| wide).collect();
+            assert_eq!(echoes.len(), 4, "{narrow}");
+            for (index, echo) in echoes.iter().enumerate() {
+                assert!(!echoes.iter().skip(index + 1).any(|other| other == echo), "{narrow}");
+            }
+        }
+        assert_eq!(Window::FULL.widened(1), None);
+        assert_eq!(window(2, 767, 1).widened(3), None);
+        // Steps behind the end would fill up the partial last group.
+        assert_eq!(window(0, 10, 4).widened(1), None);
+        assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
+        assert_eq!(window(0, 98, 99).widened(u16::MAX), None);
+    }
+
+    #[test]
+    fn a_point_lies_in_the_middle_of_its_steps() {
+        let degrees = |window: Window| window.angle_min().to_degrees();
+        assert!((degrees(Window::FULL) + 135.0).abs() < 1e-9);
+        assert!((degrees(window(384, 386, 3)) - 0.3515625).abs() < 1e-9);
+        assert!((degrees(window(384, 385, 99)) - 0.3515625 / 2.0).abs() < 1e-9);
+        assert!((window(0, 768, 4).angle_increment().to_degrees() - 4.0 * 0.3515625).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_single_step_is_a_window_of_one_point() {
+        assert_eq!(Window::single(5), window(5, 5, 1));
+        assert_eq!(Window::single(u16::MAX), window(768, 768, 1));
+    }
 }

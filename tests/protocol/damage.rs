@@ -1,0 +1,177 @@
+//! What a line does to a reply (the rows W of the list of faults): every
+//! structural damage is refused, and how many flipped bits are not.
+
+use tokio_scip::protocol::{Command, Reply, ReplyError, Status, Window};
+
+use super::encoder::{frame, frames, indoors, reply, spread};
+
+/// Windows of one line, of exactly one, of two, and as services use them.
+fn cases() -> Vec<(Command, Vec<u16>, Vec<u8>)> {
+    [(384, 384), (0, 30), (0, 31), (0, 32), (44, 725), (0, 768)]
+        .into_iter()
+        .map(|(start, end)| {
+            let window = Window::new(start..=end).unwrap();
+            let values = spread(window.points());
+            let reply = reply(&format!("G{start:03}{end:03}01"), &values);
+            (Command::Distances(window), values, reply)
+        })
+        .collect()
+}
+
+/// The scans that a reader gets out of `bytes` who cuts at every double LF.
+fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u16>> {
+    frames(bytes)
+        .into_iter()
+        .filter_map(|frame| Reply::parse(command, frame).ok())
+        .filter(|reply| reply.status().is_ok())
+        .map(|reply| {
+            let mut values = Vec::new();
+            reply.values_into(&mut values);
+            values
+        })
+        .collect()
+}
+
+#[test]
+fn the_undamaged_reply_is_accepted() {
+    for (command, values, reply) in cases() {
+        assert_eq!(accepted(&command, &reply), [values]);
+    }
+}
+
+#[test]
+fn w01_w06_a_reply_without_any_one_byte_is_never_accepted() {
+    for (command, _, reply) in cases() {
+        for at in 0..reply.len() {
+            let damaged = [&reply[..at], &reply[at + 1..]].concat();
+            assert!(accepted(&command, &damaged).is_empty(), "{command} without byte {at}");
+        }
+    }
+}
+
+#[test]
+fn w02_w07_w12_a_reply_with_any_one_byte_more_is_never_accepted() {
+    for (command, values, reply) in cases() {
+        // Behind the first LF of the terminator it is the same bytes again, or
+        // no terminator any more.
+        for at in 0..reply.len() {
+            for byte in [reply[at], b'\n', b'\r', 0, b'0', 0xff] {
+                let damaged = [&reply[..at], &[byte], &reply[at..]].concat();
+                let found = accepted(&command, &damaged);
+                if at + 2 >= reply.len() && byte == b'\n' {
+                    assert_eq!(found, [values.clone()]); // one LF too many behind it
+                } else {
+                    assert!(found.is_empty(), "{command} with {byte:#x} before byte {at}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn w15_a_truncated_reply_is_never_accepted() {
+    for (command, _, reply) in cases() {
+        for length in 0..reply.len() - 2 {
+            // As a reader cuts it, and if something made it end there.
+            assert!(accepted(&command, &reply[..length]).is_empty());
+            let ended = Reply::parse(&command, &reply[..length]);
+            assert!(ended.is_err(), "{command}, {length} bytes of it");
+        }
+    }
+}
+
+#[test]
+fn w15_a_truncated_reply_with_a_whole_one_behind_it_is_never_accepted() {
+    for (command, _, reply) in cases() {
+        for length in 1..reply.len() - 1 {
+            let damaged = [&reply[..length], &reply].concat();
+            assert!(accepted(&command, &damaged).is_empty(), "{command}, {length} bytes of it");
+        }
+    }
+}
+
+#[test]
+fn w10_a_block_lost_or_doubled_is_never_accepted() {
+    for (command, _, reply) in cases() {
+        for start in (12..reply.len() - 2).step_by(65) {
+            let end = (start + 65).min(reply.len() - 1);
+            let lost = [&reply[..start], &reply[end..]].concat();
+            assert!(accepted(&command, &lost).is_empty(), "{command} without the block at {start}");
+            let doubled = [&reply[..end], &reply[start..]].concat();
+            assert!(accepted(&command, &doubled).is_empty(), "{command}, block at {start} twice");
+        }
+    }
+}
+
+#[test]
+fn w11_a_lost_line_end_is_never_accepted_whatever_takes_its_place() {
+    let (command, _, reply) = cases().pop().unwrap();
+    for at in (0..reply.len() - 2).filter(|&at| reply[at] == b'\n') {
+        for byte in (0..=255).filter(|&byte| byte != b'\n') {
+            let mut damaged = reply.clone();
+            damaged[at] = byte;
+            assert!(accepted(&command, &damaged).is_empty(), "{byte:#x} for the LF at {at}");
+        }
+    }
+}
+
+#[test]
+fn w04_a_flipped_status_is_malformed_in_both_directions() {
+    let success = frame("G00003101", &spread(32));
+    let command = Command::Distances(Window::new(0..=31).unwrap());
+    for bit in 0..8 {
+        let mut damaged = success.clone();
+        damaged[10] ^= 1 << bit;
+        assert!(
+            matches!(Reply::parse(&command, &damaged), Err(ReplyError::Malformed(_))),
+            "bit {bit}"
+        );
+    }
+    for status in 1..=255 {
+        let refused = [b"G00003101\n", &[status][..]].concat();
+        let reply = Reply::parse(&command, &refused);
+        assert!(!reply.is_ok_and(|reply| reply.status() == Status::OK), "{status:#x}");
+    }
+}
+
+/// Every single flipped bit of a frame: in how many of its bits a flip is
+/// accepted, and of how many.
+fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
+    let echo = format!("G{:03}{:03}01", window.start(), window.end());
+    let command = Command::Distances(window);
+    let mut frame = frame(&echo, values);
+    let mut undetected = 0;
+    for at in 0..frame.len() {
+        let original = frame[at];
+        for bit in 0..8 {
+            frame[at] = original ^ (1 << bit);
+            let data = at >= 12 && original != b'\n';
+            let hidden = data && (0x30..=0x6f).contains(&frame[at]);
+            let parsed = Reply::parse(&command, &frame);
+            assert_eq!(parsed.is_ok(), hidden, "bit {bit} of byte {at}");
+            if let Ok(reply) = parsed {
+                let mut found = Vec::new();
+                reply.values_into(&mut found);
+                let wrong = found.iter().zip(values).filter(|(found, sent)| found != sent).count();
+                assert_eq!((found.len(), wrong), (values.len(), 1));
+                undetected += 1;
+            }
+        }
+        frame[at] = original;
+    }
+    (undetected, frame.len() * 8)
+}
+
+#[test]
+fn w08_the_share_of_flipped_bits_that_no_one_can_see_is_the_one_in_the_readme() {
+    let share = |window: Window, values: &[u16]| {
+        let (undetected, bits) = accepted_flips(window, values);
+        (undetected as f64 * 100.0 / bits as f64).round() as u32
+    };
+    let points = Window::DETECTION.points();
+    // Outside of the detection window there is only code 19.
+    let full = |values: &[u16]| [&[19; 44], values, &[19; 43]].concat();
+    let shares = [indoors(points), spread(points)]
+        .map(|values| [share(Window::DETECTION, &values), share(Window::FULL, &full(&values))]);
+    assert_eq!(shares, [[55, 55], [61, 61]], "[indoors, evenly spread], each [44..=725, 0..=768]");
+}

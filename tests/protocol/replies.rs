@@ -1,0 +1,295 @@
+//! Whole replies: the text's own, and error replies.
+
+use tokio_scip::protocol::{BaudRate, Command, Malformed, Reply, ReplyError, Status, Text, Window};
+
+use super::encoder::{frame, lines, reply, spread};
+
+fn window(start: u16, end: u16, cluster_count: u8) -> Window {
+    Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
+}
+
+fn values(reply: &Reply<'_>) -> Vec<u16> {
+    let mut values = Vec::new();
+    reply.values_into(&mut values);
+    values
+}
+
+#[test]
+fn commands_have_the_bytes_of_the_text() {
+    let bytes = |command: Command| command.bytes().to_vec();
+    assert_eq!(bytes(Command::Version), b"V");
+    assert_eq!(bytes(Command::LaserOn), b"L1");
+    assert_eq!(bytes(Command::LaserOff), b"L0");
+    // Six digits of speed and the seven reserved ones.
+    assert_eq!(bytes(Command::BaudRate(BaudRate::B19200)), b"S0192000000000");
+    assert_eq!(bytes(Command::BaudRate(BaudRate::B57600)), b"S0576000000000");
+    assert_eq!(bytes(Command::BaudRate(BaudRate::B115200)), b"S1152000000000");
+    assert_eq!(bytes(Command::BaudRate(BaudRate::B750000)), b"S7500000000000");
+    // "000", "768" and "01" are the text's examples of G's parameters.
+    assert_eq!(bytes(Command::Distances(Window::FULL)), b"G00076801");
+    assert_eq!(bytes(Command::Distances(Window::DETECTION)), b"G04472501");
+    assert_eq!(bytes(Command::Distances(window(7, 42, 99))), b"G00704299");
+    assert_eq!(Command::Distances(Window::FULL).to_string(), "G00076801");
+}
+
+/// The text prints the characters of 1234 as `('C', 'D')`; that is a misprint:
+/// its own numbers, 43 and 42 (hexadecimal), are `C` and `B`.
+#[test]
+fn the_value_of_the_text_is_1234_millimetres() {
+    let command = Command::Distances(window(384, 384, 1));
+    let frame = [b"G38438401\n0\n", &[0x43, 0x42][..]].concat();
+    let reply = Reply::parse(&command, &frame).unwrap();
+    assert_eq!(reply.status(), Status::OK);
+    assert_eq!(values(&reply), [1234]);
+    assert_eq!(values(&Reply::parse(&command, b"G38438401\n0\nCD").unwrap()), [1236]);
+}
+
+#[test]
+fn every_value_of_twelve_bits_comes_through() {
+    for first in (0..4096).step_by(512) {
+        let sent: Vec<u16> = (first..first + 512).collect();
+        let frame = frame("G00051101", &sent);
+        assert_eq!(
+            values(&Reply::parse(&Command::Distances(window(0, 511, 1)), &frame).unwrap()),
+            sent
+        );
+    }
+}
+
+#[test]
+fn data_around_whole_lines_is_cut_after_64_bytes() {
+    for (points, echo, cut) in [
+        (31, "G00003001", vec![62]),
+        (32, "G00003101", vec![64]),
+        (33, "G00003201", vec![64, 2]),
+        (64, "G00006301", vec![64, 64]),
+    ] {
+        let sent = spread(points);
+        let frame = frame(echo, &sent);
+        let command = Command::Distances(window(0, points as u16 - 1, 1));
+        assert_eq!(&*command.bytes(), echo.as_bytes());
+        let reply = Reply::parse(&command, &frame).unwrap();
+        assert_eq!(reply.lines().map(<[u8]>::len).collect::<Vec<_>>(), cut, "{points} points");
+        assert_eq!(values(&reply), sent);
+        assert_eq!(command.reply_len(), frame.len() + 2);
+    }
+}
+
+#[test]
+fn a_line_cut_anywhere_else_is_malformed() {
+    let command = Command::Distances(window(0, 32, 1));
+    let data = &frame("G00003201", &spread(33))[12..];
+    let data: Vec<u8> = data.iter().copied().filter(|&byte| byte != b'\n').collect();
+    for at in (1..data.len()).filter(|&at| at != 64) {
+        let frame = [b"G00003201\n0\n", &data[..at], b"\n", &data[at..]].concat();
+        let error = Reply::parse(&command, &frame).unwrap_err();
+        let ReplyError::Malformed(Malformed::LineLength { line, expected, found }) = error else {
+            panic!("cut at {at}: {error:?}");
+        };
+        assert_eq!((line, expected, found), (0, 64, at));
+    }
+    let uncut = [b"G00003201\n0\n", &data[..]].concat();
+    assert_eq!(
+        Reply::parse(&command, &uncut),
+        Err(Malformed::LineLength { line: 0, expected: 64, found: 66 }.into())
+    );
+}
+
+#[test]
+fn a_full_scan_is_1576_bytes_and_the_detection_window_1399() {
+    for (window, echo, points, data_lines, bytes) in [
+        (Window::FULL, "G00076801", 769, 25, 1576),
+        (Window::DETECTION, "G04472501", 682, 22, 1399),
+    ] {
+        let sent = spread(points);
+        let reply = reply(echo, &sent);
+        assert_eq!(reply.len(), bytes);
+        assert_eq!(window.reply_len(), bytes);
+        assert_eq!(window.points(), points);
+        let command = Command::Distances(window);
+        let parsed = Reply::parse(&command, &reply[..bytes - 2]).unwrap();
+        assert_eq!(parsed.lines().count(), data_lines);
+        assert_eq!(values(&parsed), sent);
+    }
+}
+
+#[test]
+fn a_partial_last_cluster_is_a_point_and_one_more_or_less_is_malformed() {
+    for (start, end, cluster_count, points) in [
+        (44, 725, 2, 341),
+        (44, 725, 4, 171),
+        (0, 768, 2, 385),
+        (0, 768, 99, 8),
+        (5, 5, 99, 1),
+        (0, 98, 99, 1),
+        (0, 99, 99, 2),
+    ] {
+        let window = window(start, end, cluster_count);
+        let command = Command::Distances(window);
+        let echo = format!("G{start:03}{end:03}{cluster_count:02}");
+        assert_eq!(window.points(), points);
+        let parse = |count| {
+            Reply::parse(&command, &frame(&echo, &spread(count))).map(|reply| values(&reply).len())
+        };
+        assert_eq!(parse(points), Ok(points));
+        for other in [points - 1, points + 1] {
+            assert!(
+                matches!(parse(other), Err(ReplyError::Malformed(_))),
+                "{other} points for {window}"
+            );
+        }
+    }
+}
+
+#[test]
+fn an_error_reply_is_echo_and_status_for_every_status() {
+    for command in [
+        Command::Version,
+        Command::LaserOn,
+        Command::LaserOff,
+        Command::BaudRate(BaudRate::B250000),
+        Command::Distances(Window::FULL),
+    ] {
+        for status in (b'!'..=b'~').filter(|&status| status != b'0') {
+            let frame = [&command.bytes()[..], b"\n", &[status]].concat();
+            let reply = Reply::parse(&command, &frame).unwrap();
+            assert_eq!(reply.status(), Status::new(status));
+            assert!(!reply.status().is_ok());
+            assert_eq!(reply.lines().count(), 0);
+            assert_eq!(values(&reply), []);
+        }
+    }
+}
+
+#[test]
+fn success_of_l_and_s_has_no_data_and_of_v_and_g_has_some() {
+    let parse =
+        |command: Command, frame: &[u8]| Reply::parse(&command, frame).map(|reply| reply.status());
+    let speed = Command::BaudRate(BaudRate::B57600);
+    assert_eq!(parse(Command::LaserOn, b"L1\n0"), Ok(Status::OK));
+    assert_eq!(parse(Command::LaserOff, b"L0\n0"), Ok(Status::OK));
+    assert_eq!(parse(speed, b"S0576000000000\n0"), Ok(Status::OK));
+    let unexpected = |bytes| Err(Malformed::UnexpectedData { status: Status::OK, bytes }.into());
+    assert_eq!(parse(Command::LaserOn, b"L1\n0\n00"), unexpected(2));
+    assert_eq!(parse(speed, b"S0576000000000\n0\n"), unexpected(0));
+    assert_eq!(parse(Command::Version, b"V\n0"), Err(Malformed::NoData.into()));
+    assert_eq!(parse(Command::Version, b"V\n0\n"), Err(Malformed::NoData.into()));
+    assert_eq!(
+        parse(Command::Distances(Window::FULL), b"G00076801\n0"),
+        Err(Malformed::NoData.into())
+    );
+}
+
+#[test]
+fn a_status_is_one_printable_character() {
+    let parse = |frame: &[u8]| Reply::parse(&Command::LaserOn, frame).unwrap_err();
+    let status = |found: &[u8]| ReplyError::from(Malformed::Status { found: found.into() });
+    assert_eq!(parse(b"L1"), Malformed::NoStatus.into());
+    for line in [&b""[..], b"00", b"0\r", b" ", b"\r", b"\0", b"\x7f", b"\xb6", b"\xff", b"0000"] {
+        assert_eq!(parse(&[b"L1\n", line].concat()), status(line));
+    }
+}
+
+#[test]
+fn another_echo_is_foreign_and_shown_in_short() {
+    let command = Command::Distances(Window::DETECTION);
+    for frame in [
+        &b""[..],
+        b"\n0",
+        b"G04472502\n0",
+        b"G0447250\n0",
+        b"G044725011\n0",
+        b"g04472501\n0",
+        b"V\n0",
+        b"G04472501\r\n0",
+    ] {
+        assert!(
+            matches!(Reply::parse(&command, frame), Err(ReplyError::Foreign { .. })),
+            "{frame:?}"
+        );
+    }
+    let long = [b'x'; 4096];
+    let Err(ReplyError::Foreign { found }) = Reply::parse(&command, &long) else { panic!() };
+    assert_eq!(found, Text::from(&[b'x'; 32][..]));
+}
+
+#[test]
+fn a_failure_says_where_what_was_expected_and_what_came() {
+    let command = Command::Distances(Window::FULL);
+    let mut damaged = frame("G00076801", &spread(769));
+    damaged[12 + 2 * 65 + 5] = 0xff;
+    let error = Reply::parse(&command, &damaged).unwrap_err();
+    assert_eq!(error, Malformed::Character { line: 2, column: 5, found: 0xff }.into());
+    assert_eq!(
+        error.to_string(),
+        "character 5 of data line 2 is 0xff, where 0x30 to 0x6f was expected"
+    );
+    let whole = frame("G00076801", &spread(769));
+    assert_eq!(
+        Reply::parse(&command, &whole[..whole.len() - 3]),
+        Err(Malformed::Short { expected: 1538, found: 1536 }.into())
+    );
+    assert_eq!(
+        Reply::parse(&command, &whole[..whole.len() - 1]).unwrap_err().to_string(),
+        "line 24 of the data has 1 characters, where 2 were expected"
+    );
+}
+
+#[test]
+fn a_status_with_its_checksum_is_scip_2() {
+    let scip2 = |status: &str| Err(ReplyError::Scip2 { status: status.into() });
+    let parse = |frame: &'static [u8]| Reply::parse(&Command::Version, frame);
+    assert_eq!(parse(b"V\n0Eu"), scip2("0Eu"));
+    assert_eq!(parse(b"V\n0Ee"), scip2("0Ee"));
+    assert_eq!(parse(b"V\n00P\nVEND:Hokuyo;x"), scip2("00P"));
+    // MD streams by itself.
+    assert_eq!(parse(b"MD0044072501000\n99b\n0ABCD\n"), scip2("99b"));
+    assert!(matches!(parse(b"MD0044072501000\n0"), Err(ReplyError::Foreign { .. })));
+    // Three characters that no SCIP 2 sensor sends are damage.
+    assert!(matches!(parse(b"V\n0Ex"), Err(ReplyError::Malformed(Malformed::Status { .. }))));
+}
+
+#[test]
+fn w05_a_one_step_reply_that_lost_the_lf_after_its_status_is_no_scip_2() {
+    let command = Command::Distances(window(384, 384, 1));
+    assert_eq!(
+        Reply::parse(&command, b"G38438401\n0CD"),
+        Err(Malformed::Status { found: "0CD".into() }.into())
+    );
+}
+
+#[test]
+fn statuses_mean_what_drivers_of_real_sensors_know() {
+    let distances = Command::Distances(Window::FULL);
+    let speed = Command::BaudRate(BaudRate::B115200);
+    let ok = |status: u8, command: &Command| Status::new(status).is_ok_for(command);
+    for command in [Command::Version, Command::LaserOn, Command::LaserOff, speed, distances] {
+        assert!(ok(b'0', &command));
+        for status in (0..=255).filter(|status| *status != b'0') {
+            let already = match command {
+                Command::LaserOn | Command::LaserOff => status == b'2',
+                Command::BaudRate(_) => status == b'3',
+                Command::Version | Command::Distances(_) => false,
+            };
+            assert_eq!(ok(status, &command), already, "{} on {command}", Status::new(status));
+        }
+    }
+    let meaning = |status: u8, command: &Command| Status::new(status).meaning(command);
+    assert_eq!(meaning(b'6', &distances), Some("the laser is off"));
+    assert_eq!(meaning(b'6', &Command::Version), None);
+    assert_eq!(meaning(b'2', &Command::LaserOff), Some("the laser is so already"));
+    assert_eq!(meaning(b'3', &speed), Some("the line has that speed already, or is USB"));
+    assert_eq!(meaning(b'E', &Command::Version), Some("the sensor does not know the command"));
+    assert_eq!(meaning(b'0', &distances), Some("success"));
+    assert_eq!(meaning(b'9', &distances), None);
+    assert_eq!(Status::new(b'6').to_string(), "'6'");
+    assert_eq!(Status::new(0x1b).to_string(), r"'\x1b'");
+}
+
+#[test]
+fn the_encoder_of_these_tests_is_that_of_the_text() {
+    assert_eq!(super::encoder::characters(1234), [0x43, 0x42]);
+    assert_eq!(super::encoder::characters(0), *b"00");
+    assert_eq!(super::encoder::characters(4095), *b"oo");
+    assert_eq!(lines(&[b'0'; 66]), [&[b'0'; 64][..], b"\n00"].concat());
+}

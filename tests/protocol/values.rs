@@ -1,0 +1,129 @@
+//! What a value means, and the six line speeds.
+
+use std::time::Duration;
+
+use tokio_scip::protocol::{BaudRate, ErrorCode, Measurement, Window};
+
+/// The table of p. 7.
+const MEANINGS: [&str; 20] = [
+    "Possibility of detected object is at 22m",
+    "Reflected light has low intensity",
+    "Reflected light has low intensity",
+    "Reflected light has low intensity",
+    "Reflected light has low intensity",
+    "Reflected light has low intensity",
+    "Possibility of detected object is at 5.7m",
+    "Distance data on the preceding and succeeding steps have errors",
+    "Others",
+    "The same step had error in the last two scan",
+    "Others",
+    "Others",
+    "Others",
+    "Others",
+    "Others",
+    "Others",
+    "Possibility of detected object is in the range 4096mm~5.6m",
+    "Others",
+    "Unspecified",
+    "Non-Measurable Distance",
+];
+
+#[test]
+fn all_twenty_error_codes_have_the_meaning_of_the_text() {
+    assert_eq!(ErrorCode::all().count(), 20);
+    for (code, meaning) in ErrorCode::all().zip(MEANINGS) {
+        assert_eq!(code.meaning(), meaning, "code {}", code.number());
+        assert_eq!(code.to_string(), format!("code {}: {meaning}", code.number()));
+        assert_eq!(code.is_low_intensity(), meaning.contains("low intensity"));
+        assert_eq!(code.is_beyond_range(), meaning.starts_with("Possibility"));
+    }
+    assert_eq!(ErrorCode::new(20), None);
+    assert_eq!(
+        ErrorCode::try_from(20).unwrap_err().to_string(),
+        "20 is no error code: they are 0 to 19"
+    );
+}
+
+#[test]
+fn every_value_is_an_error_a_distance_or_saturated() {
+    for value in 0..4096 {
+        let measurement = Measurement::from_value(value);
+        match value {
+            0..=19 => {
+                assert_eq!(measurement, Measurement::Error(ErrorCode::new(value as u8).unwrap()));
+            }
+            20..=4094 => assert_eq!(measurement, Measurement::Distance(value)),
+            _ => assert_eq!(measurement, Measurement::Saturated),
+        }
+        assert_eq!(measurement.value(), value);
+        assert_eq!(measurement.distance(), (20..=4094).contains(&value).then_some(value));
+        assert_eq!(Measurement::from_value(value | 0xf000), measurement);
+    }
+}
+
+#[test]
+fn ranges_follow_rep_117_code_by_code() {
+    for value in 0..4096 {
+        let range = Measurement::from_value(value).range();
+        match value {
+            0 | 6 | 16 | 4095 => assert_eq!(range, f32::INFINITY, "{value}"),
+            1..=5 | 7..=15 | 17..=19 => assert!(range.is_nan(), "{value}"),
+            millimetres => {
+                assert!((range - f32::from(millimetres) / 1000.0).abs() < 1e-6, "{value}");
+                assert!((0.020..=4.094).contains(&range), "{value}");
+            }
+        }
+    }
+    assert_eq!(Measurement::from_value(1234).range(), 1.234);
+}
+
+#[test]
+fn the_six_line_speeds_have_the_digits_of_the_text() {
+    let digits: Vec<_> = BaudRate::ALL.iter().map(|speed| speed.digits()).collect();
+    assert_eq!(
+        digits,
+        [b"019200", b"057600", b"115200", b"250000", b"500000", b"750000"].map(|digits| *digits)
+    );
+    for speed in BaudRate::ALL {
+        let bits = speed.bits_per_second();
+        assert_eq!(format!("{bits:06}").as_bytes(), speed.digits());
+        assert_eq!(BaudRate::try_from(bits), Ok(speed));
+        assert_eq!(speed.to_string().parse(), Ok(speed));
+    }
+}
+
+#[test]
+fn other_line_speeds_are_refused_by_name() {
+    for text in ["", "9600", "38400", "115200.0", "115 200", "fast", "-19200", "99999999999"] {
+        let error = text.parse::<BaudRate>().unwrap_err().to_string();
+        assert!(error.contains(&format!("{text:?}")) && error.contains("115200"), "{error}");
+    }
+    assert!(BaudRate::try_from(0).is_err());
+}
+
+#[test]
+fn replies_take_the_milliseconds_of_the_table() {
+    let clustered = Window::DETECTION.with_cluster_count(2).unwrap();
+    for (window, bytes, milliseconds) in [
+        (Window::FULL, 1576, [821, 274, 137, 63, 32, 21]),
+        (Window::DETECTION, 1399, [729, 243, 121, 56, 28, 19]),
+        (clustered, 706, [368, 123, 61, 28, 14, 9]),
+    ] {
+        assert_eq!(window.reply_len(), bytes);
+        for (speed, expected) in BaudRate::ALL.into_iter().zip(milliseconds) {
+            let time = speed.wire_time(bytes);
+            assert_eq!((time.as_secs_f64() * 1000.0).round() as u32, expected, "{window}, {speed}");
+            // A poll is the ten bytes of its command as well.
+            assert_eq!(window.wire_time(speed), speed.wire_time(bytes + 10));
+        }
+    }
+}
+
+#[test]
+fn wire_time_is_exact_and_never_overflows() {
+    assert_eq!(BaudRate::B19200.wire_time(0), Duration::ZERO);
+    assert_eq!(BaudRate::B19200.wire_time(1920), Duration::from_secs(1));
+    assert_eq!(BaudRate::B250000.wire_time(1), Duration::from_micros(40));
+    assert_eq!(BaudRate::B19200.wire_time(1 << 40), Duration::new(572_662_306, 133_333_333));
+    assert!(BaudRate::B19200.wire_time(usize::MAX) > Duration::from_secs(1 << 40));
+}

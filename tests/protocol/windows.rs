@@ -1,0 +1,104 @@
+//! Which windows there are.
+
+use tokio_scip::protocol::{Step, Window, WindowError};
+
+#[test]
+fn steps_are_0_to_768() {
+    assert_eq!(Step::new(0), Ok(Step::FIRST));
+    assert_eq!(Step::new(768), Ok(Step::LAST));
+    assert_eq!(Step::new(769), Err(WindowError::Step { found: 769 }));
+    assert_eq!(Step::try_from(u16::MAX), Err(WindowError::Step { found: u16::MAX }));
+    assert_eq!(u16::from(Step::FRONT), 384);
+    assert_eq!(Step::LAST.to_string(), "768");
+}
+
+#[test]
+fn angles_count_counter_clockwise_from_the_front() {
+    for (step, degrees) in
+        [(0, -135.0), (128, -90.0), (384, 0.0), (640, 90.0), (768, 135.0), (385, 0.351_562_5)]
+    {
+        let step = Step::new(step).unwrap();
+        assert_eq!(step.degrees(), degrees);
+        assert!((step.angle() - degrees.to_radians()).abs() < 1e-6);
+    }
+    assert!((Window::DETECTION.start().degrees() - -119.53).abs() < 0.005);
+    assert!((Window::DETECTION.end().degrees() - 119.88).abs() < 0.005);
+}
+
+#[test]
+fn a_window_cannot_be_invalid() {
+    assert_eq!(Window::new(0..=768), Ok(Window::FULL));
+    assert_eq!(Window::new(44..=725), Ok(Window::DETECTION));
+    assert_eq!(Window::new(5..=5).unwrap().points(), 1);
+    assert_eq!(Window::new(0..=769), Err(WindowError::Step { found: 769 }));
+    assert_eq!(Window::new(769..=5), Err(WindowError::Step { found: 769 }));
+    assert_eq!(Window::new(6..=5), Err(WindowError::Reversed { start: 6, end: 5 }));
+    for cluster_count in 0..=255 {
+        let window = Window::FULL.with_cluster_count(cluster_count);
+        match cluster_count {
+            1..=99 => {
+                let window = window.unwrap();
+                assert_eq!(window.cluster_count(), cluster_count);
+                let mut groups = 0;
+                let mut steps = 0..=768;
+                while steps.next().is_some() {
+                    steps.by_ref().take(usize::from(cluster_count) - 1).for_each(drop);
+                    groups += 1;
+                }
+                assert_eq!(window.points(), groups);
+            }
+            found => assert_eq!(window, Err(WindowError::ClusterCount { found })),
+        }
+    }
+}
+
+#[test]
+fn degrees_are_the_steps_inside_the_interval() {
+    let steps = |from: f64, to: f64| {
+        Window::degrees(from..=to).map(|window| (window.start().number(), window.end().number()))
+    };
+    assert_eq!(steps(-90.0, 90.0), Ok((128, 640)));
+    assert_eq!(steps(-135.0, 135.0), Ok((0, 768)));
+    assert_eq!(steps(0.0, 0.0), Ok((384, 384)));
+    assert_eq!(steps(-0.3, 0.3), Ok((384, 384)));
+    assert_eq!(steps(0.1, 0.4), Ok((385, 385)));
+    assert_eq!(steps(-119.54, 119.89), Ok((44, 725)));
+    // 119.53125 degrees is step 44; computed ones miss it by rounding errors.
+    assert_eq!(steps(-119.531_250_000_000_01, 119.9), Ok((44, 725)));
+    assert_eq!(steps((-std::f64::consts::FRAC_PI_2).to_degrees(), 0.0), Ok((128, 384)));
+}
+
+#[test]
+fn degrees_without_a_step_or_outside_of_the_turn_are_refused() {
+    for (from, to) in [
+        (0.1, 0.2),
+        (90.0, -90.0),
+        (-135.1, 0.0),
+        (0.0, 135.1),
+        (-135.000_1, 135.0),
+        (135.1, 200.0),
+        (-1e300, 1e300),
+        (f64::NEG_INFINITY, f64::INFINITY),
+    ] {
+        assert_eq!(Window::degrees(from..=to), Err(WindowError::Degrees { from, to }));
+    }
+    assert!(Window::degrees(f64::NAN..=0.0).is_err());
+    assert!(Window::degrees(0.0..=f64::NAN).is_err());
+}
+
+#[test]
+fn refusals_say_what_to_do() {
+    let message = |error: WindowError| error.to_string();
+    assert_eq!(
+        message(WindowError::Step { found: 800 }),
+        "there is no step 800: steps are 0 to 768"
+    );
+    assert!(message(WindowError::Reversed { start: 9, end: 3 }).ends_with("swap them"));
+    assert!(message(WindowError::ClusterCount { found: 0 }).ends_with("use 1 to 99"));
+    assert!(message(WindowError::Degrees { from: 1.0, to: 0.0 }).contains("-135 to 135"));
+    assert_eq!(Window::DETECTION.to_string(), "steps 44..=725");
+    assert_eq!(
+        Window::FULL.with_cluster_count(3).unwrap().to_string(),
+        "steps 0..=768 in clusters of 3"
+    );
+}
