@@ -8,8 +8,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// From the top down: a module uses those behind it in this list, and no other.
-const ORDER: [&str; 10] =
-    ["sensor", "stream", "driver", "ring", "state", "port", "codec", "scan", "error", "protocol"];
+const ORDER: [&str; 11] = [
+    "sensor", "stream", "driver", "ring", "state", "port", "codec", "scan", "rate", "error",
+    "protocol",
+];
 
 /// They may use all of the crate, and only the program and tests use them.
 const ASIDE: [&str; 2] = ["emulator", "recording"];
