@@ -1,0 +1,234 @@
+//! Opening: finding the sensor, moving it to the wanted speed, and each way to
+//! fail.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{builder, ms, truthful};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+use tokio::time::Instant;
+use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Mode};
+use tokio_scip::{BaudRate, Error, Sensor, State, Window};
+
+async fn fails(emulator: &Emulator) -> Error {
+    builder().connect(emulator.clone()).await.unwrap_err()
+}
+
+fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
+    match &*sensor.state().borrow() {
+        State::Connected { line_speed, .. } => *line_speed,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_is_found_at_each_speed_and_left_there() {
+    for speed in BaudRate::ALL {
+        let emulator = truthful().line_speed(speed).build();
+        let start = Instant::now();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        assert!(start.elapsed() < ms(4000), "{speed}: {:?}", start.elapsed());
+        assert_eq!((line_speed(&sensor), emulator.line_speed()), (Some(speed), Some(speed)));
+        assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().len(), 682);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_is_moved_from_each_speed_to_each() {
+    for from in BaudRate::ALL {
+        for to in BaudRate::ALL {
+            let emulator = truthful().line_speed(from).build();
+            let sensor = builder().baud_rate(to).connect(emulator.clone()).await.unwrap();
+            assert_eq!((line_speed(&sensor), emulator.line_speed()), (Some(to), Some(to)));
+            assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().len(), 682);
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_on_usb_has_no_line_speed_and_needs_none() {
+    for firmware in [Firmware::Text, Firmware::V3] {
+        let emulator = truthful().firmware(firmware).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        assert_eq!(line_speed(&sensor), None);
+        sensor.scan(Window::FULL).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_sensor_says_who_it_is_in_both_characters() {
+    let emulator = truthful().firmware(Firmware::V3).serial_number("H0713090").build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let before = emulator.counts().commands;
+    let version = sensor.version().await.unwrap();
+    assert_eq!(version.product, "SOKUIKI Sensor URG-04LX");
+    assert_eq!(version.serial_number, "H0713090");
+    assert!(version.status.is_some());
+    assert_eq!(emulator.counts().commands, before, "the version was asked for again");
+
+    let emulator = truthful().firmware(Firmware::Text).build();
+    let sensor = builder().connect(emulator).await.unwrap();
+    let version = sensor.version().await.unwrap();
+    assert_eq!(version.vendor, "Hokuyo Automatic Co., Ltd.");
+    assert_eq!((version.status, version.specification), (None, None));
+}
+
+#[tokio::test(start_paused = true)]
+async fn nobody_answers_at_any_speed() {
+    let emulator = truthful().line_speed(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
+    let start = Instant::now();
+    let error = fails(&emulator.build()).await;
+    assert!(matches!(error, Error::NoAnswer { speed: None, searched: true, .. }), "{error:?}");
+    assert!(start.elapsed() >= Duration::from_secs(5) && start.elapsed() < ms(5600));
+    assert!(error.to_string().starts_with("no sensor answers at any line speed"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn nobody_answers_on_usb() {
+    let error = fails(&truthful().faults(Faults::none().every(Fault::Lost)).build()).await;
+    assert!(matches!(error, Error::NoAnswer { speed: None, searched: false, .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
+    for mode in [Mode::Scip2, Mode::Scip2Streaming] {
+        let emulator = truthful().build();
+        emulator.set_mode(mode);
+        let start = Instant::now();
+        let error = fails(&emulator).await;
+        assert!(matches!(error, Error::WrongProtocol { .. }), "{error:?}");
+        assert!(error.to_string().contains("power-cycle it"), "{error}");
+        assert!(start.elapsed() < ms(1000));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_loopback_is_told_from_a_silent_sensor() {
+    let (near, mut far) = duplex(256);
+    tokio::spawn(async move {
+        let (mut read, mut write) = tokio::io::split(&mut far);
+        let _ = tokio::io::copy(&mut read, &mut write).await;
+    });
+    let error = builder().attach(near).await.unwrap_err();
+    assert!(matches!(error, Error::Loopback), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_echo_of_our_own_commands_is_a_loopback_too() {
+    // Half-duplex wiring: every command comes back, and then its reply.
+    let emulator = truthful().build();
+    let (near, mut far) = duplex(4096);
+    tokio::spawn(async move {
+        let mut link = emulator.link();
+        let (mut command, mut reply) = ([0; 64], [0; 4096]);
+        loop {
+            tokio::select! {
+                read = far.read(&mut command) => {
+                    let read = read.unwrap_or(0);
+                    if read == 0 { return }
+                    far.write_all(&command[..read]).await.unwrap();
+                    link.write_all(&command[..read]).await.unwrap();
+                }
+                read = link.read(&mut reply) => {
+                    far.write_all(&reply[..read.unwrap()]).await.unwrap();
+                }
+            }
+        }
+    });
+    let error = builder().attach(near).await.unwrap_err();
+    assert!(matches!(error, Error::Loopback), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn translated_line_ends_are_named() {
+    let error = fails(&truthful().faults(Faults::none().every(Fault::CrLf)).build()).await;
+    let source = std::error::Error::source(&error).unwrap().to_string();
+    assert!(source.contains("not raw"), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_unplugged_sensor_is_no_such_port_unless_it_is_waited_for() {
+    let emulator = truthful().build();
+    emulator.unplug();
+    assert!(matches!(fails(&emulator).await, Error::NoSuchPort { .. }));
+
+    let waiting = tokio::spawn(builder().wait_for_sensor().connect(emulator.clone()));
+    tokio::time::sleep(Duration::from_secs(3600)).await;
+    assert!(!waiting.is_finished());
+    emulator.plug_in();
+    let start = Instant::now();
+    waiting.await.unwrap().unwrap();
+    assert!(start.elapsed() < ms(2000), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_boots_slowly_is_waited_for() {
+    let emulator = truthful().boot_time(Duration::from_secs(20)).build();
+    emulator.power_cycle();
+    assert!(matches!(fails(&emulator).await, Error::NoAnswer { .. }));
+    builder().wait_for_sensor().connect(emulator).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_does_not_get_better_is_not_waited_for() {
+    let emulator = truthful().build();
+    emulator.set_mode(Mode::Scip2);
+    let error = builder().wait_for_sensor().connect(emulator).await.unwrap_err();
+    assert!(matches!(error, Error::WrongProtocol { .. }));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_port_in_use_says_so() {
+    let emulator = truthful().build();
+    let _first = builder().connect(emulator.clone()).await.unwrap();
+    assert!(matches!(fails(&emulator).await, Error::Busy { .. }));
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_sensor_than_the_one_asked_for_is_refused() {
+    let emulator = truthful().serial_number("H0000001").build();
+    let error = builder().serial_number("H0000002").connect(emulator.clone()).await.unwrap_err();
+    let Error::AnotherSensor { expected, found } = error else { panic!("{error:?}") };
+    assert_eq!((expected.to_string(), found.to_string()), ("H0000002".into(), "H0000001".into()));
+    builder().serial_number("H0000001").connect(emulator).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
+    use tokio_scip::emulator::EmptyCommand;
+    for empty in [EmptyCommand::Silent, EmptyCommand::Status, EmptyCommand::LineFeeds] {
+        let emulator = truthful().empty_command(empty).build();
+        let mut link = emulator.link();
+        link.write_all(b"G04472501\nV\nG0007").await.unwrap();
+        drop(link);
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        sensor.scan(Window::FULL).await.unwrap();
+        assert!(sensor.stats().bytes_skipped > 0);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
+    use tokio_scip::emulator::Link;
+    struct Bridge(Emulator, BaudRate);
+    impl tokio_scip::Connect for Bridge {
+        type Port = Link;
+        async fn connect(&mut self) -> Result<Link, Error> {
+            Ok(self.0.bridge(self.1))
+        }
+    }
+    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let bridge = |speed| Bridge(emulator.clone(), speed);
+    let error = builder().connect(bridge(BaudRate::B19200)).await.unwrap_err();
+    assert!(matches!(error, Error::NoAnswer { speed: Some(BaudRate::B19200), .. }), "{error:?}");
+
+    let sensor = builder().connect(bridge(BaudRate::B57600)).await.unwrap();
+    sensor.scan(Window::FULL).await.unwrap();
+    let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
+    assert!(matches!(error, Error::UnsupportedSpeed { source: None, .. }), "{error:?}");
+    assert_eq!(emulator.line_speed(), Some(BaudRate::B57600));
+    sensor.scan(Window::FULL).await.unwrap();
+}

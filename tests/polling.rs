@@ -1,0 +1,292 @@
+//! Polls on a grid, and what streams make of them.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::time::Duration;
+
+use common::{builder, ms, request_of, truthful};
+use futures::StreamExt;
+use futures::stream::FusedStream;
+use tokio::time::{Instant, advance, timeout};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
+use tokio_scip::{BaudRate, Error, Rate, Scan, ScanStream, Sensor, Window};
+
+async fn take(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
+    let mut scans = Vec::new();
+    while scans.len() < count {
+        scans.push(stream.next().await.unwrap().unwrap());
+    }
+    scans
+}
+
+/// Whether nothing comes for a minute.
+async fn is_silent(stream: &mut ScanStream) -> bool {
+    timeout(Duration::from_secs(60), stream.next()).await.is_err()
+}
+
+async fn open(emulator: &Emulator) -> Sensor {
+    builder().connect(emulator.clone()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_motor_a_little_slow_or_fast_is_polled_every_turn() {
+    for revolution in [99_500, 100_000, 100_500].map(Duration::from_micros) {
+        let emulator = truthful().revolution(revolution).build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        take(&mut stream, 1).await;
+        let start = Instant::now();
+        let scans = take(&mut stream, 6000).await.len();
+        let rate = scans as f64 / start.elapsed().as_secs_f64();
+        assert!(rate >= 9.9, "{rate} scans a second at a revolution of {revolution:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn polls_lie_on_the_grid_without_drift() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let scans = take(&mut stream, 36_000).await;
+    let start = scans[0].requested_at();
+    for (n, scan) in (0..).zip(&scans) {
+        let place = ms(100) * n;
+        let late = scan.requested_at() - start;
+        assert!(late >= place && late - place <= ms(1), "scan {n} is at {late:?}");
+        assert_eq!(scan.sequence(), u64::from(n));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
+    let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let start = Instant::now();
+    take(&mut stream, 20).await;
+    let wire = Window::DETECTION.wire_time(BaudRate::B19200);
+    assert!(start.elapsed() < wire.mul_f64(21.5), "{:?}", start.elapsed());
+    let stats = sensor.stats();
+    assert!(stats.polls_skipped > 100, "{stats:?}");
+    let [schedule] = &stats.schedules[..] else { panic!("{stats:?}") };
+    assert_eq!(schedule.asked, Some(10.0));
+    assert!((1.2..1.5).contains(&schedule.reached), "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let first = take(&mut stream, 1).await.remove(0);
+    // Sixty scans later.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    let now = Instant::now().into_std();
+    let next = take(&mut stream, 1).await.remove(0);
+    assert!(now - next.received_at() <= ms(100), "an old scan");
+    assert_eq!(next.sequence() - first.sequence() - 1, stream.missed());
+    assert!((58..=60).contains(&stream.missed()));
+    assert!(request_of(&next) > request_of(&first));
+    take(&mut stream, 1).await;
+    assert_eq!(sensor.stats().missed, stream.missed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_error_is_lost_to_a_slow_consumer() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 1).await;
+    emulator.set_faults(Faults::none().at(0, Fault::Lost));
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert!(matches!(stream.next().await, Some(Err(Error::Timeout { .. }))));
+    let scan = take(&mut stream, 1).await.remove(0);
+    assert!(scan.sequence() > 500);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_error_comes_once_for_each_change_of_condition() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    // Ten polls in a row, the fences between them not counted, are damaged.
+    let mut faults = Faults::none();
+    for reply in (0..20).step_by(2) {
+        faults = faults.at(reply, Fault::Drop(100..101));
+    }
+    take(&mut stream, 1).await;
+    emulator.set_faults(faults);
+    let mut errors = 0;
+    for _ in 0..20 {
+        errors += usize::from(stream.next().await.unwrap().is_err());
+    }
+    assert_eq!(errors, 1);
+    assert_eq!(sensor.stats().malformed.length, 10);
+}
+
+#[tokio::test(start_paused = true)]
+async fn two_streams_of_the_same_cost_one_poll_a_period() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut two = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut three = one.clone();
+    let before = emulator.counts().scans;
+    for _ in 0..100 {
+        let scans = [take(&mut one, 1).await, take(&mut two, 1).await, take(&mut three, 1).await];
+        assert_eq!(request_of(&scans[0][0]), request_of(&scans[1][0]));
+        assert_eq!(request_of(&scans[0][0]), request_of(&scans[2][0]));
+    }
+    assert_eq!(emulator.counts().scans - before, 100);
+}
+
+#[tokio::test(start_paused = true)]
+async fn polling_stops_within_a_period_of_the_last_streams_end() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let two = one.clone();
+    drop(two);
+    take(&mut one, 10).await;
+    drop(one);
+    let before = emulator.counts().commands;
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert_eq!(emulator.counts().commands, before);
+    assert!(emulator.is_connected());
+}
+
+#[tokio::test(start_paused = true)]
+async fn streams_of_different_windows_share_the_sensor_fairly() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let narrow = Window::new(300..=400).unwrap();
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut two = sensor.scans(narrow, Rate::MAX).await.unwrap();
+    let count = async |stream: &mut ScanStream| {
+        let mut count = 0;
+        let end = Instant::now() + Duration::from_secs(20);
+        while tokio::time::timeout_at(end, stream.next()).await.is_ok() {
+            count += 1;
+        }
+        count
+    };
+    let (one, two) = tokio::join!(count(&mut one), count(&mut two));
+    // Ten turns a second for both.
+    assert!((98..=102).contains(&one) && (98..=102).contains(&two), "{one} and {two}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn requests_and_polls_take_turns_however_many_requests_there_are() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    take(&mut stream, 1).await;
+    let window = Window::new(100..=120).unwrap();
+    let asked: Vec<_> = (0..1000)
+        .map(|_| {
+            let sensor = sensor.clone();
+            tokio::spawn(async move { sensor.scan(window).await.unwrap() })
+        })
+        .collect();
+    let before = sensor.stats().scans;
+    let mut answers = Vec::new();
+    for answer in asked {
+        answers.push(request_of(&answer.await.unwrap()).unwrap());
+    }
+    // First come, first served, with a poll of the stream between any two.
+    assert!(answers.windows(2).all(|pair| pair[0] < pair[1]));
+    let polled = sensor.stats().scans - before - 1000;
+    assert!((998..=1002).contains(&polled), "{polled} polls between 1000 requests");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_ends_with_none_after_close_and_stays_ended() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 1).await;
+    sensor.close().await;
+    assert!(!emulator.is_connected());
+    // What had come before the end is still there.
+    while let Some(item) = stream.next().await {
+        item.unwrap();
+    }
+    assert!(stream.is_terminated());
+    assert!(stream.next().await.is_none());
+    assert!(matches!(sensor.scan(Window::FULL).await, Err(Error::Closed)));
+    assert!(matches!(sensor.scans(Window::FULL, Rate::MAX).await, Err(Error::Closed)));
+    sensor.close().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_driver_lives_as_long_as_the_last_handle_or_stream() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut state = sensor.state();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    drop(sensor);
+    take(&mut stream, 10).await;
+    let clone = stream.clone();
+    drop(stream);
+    assert!(emulator.is_connected());
+    drop(clone);
+    state
+        .wait_for(|state| matches!(state, tokio_scip::State::Closed { error: None }))
+        .await
+        .unwrap();
+    assert!(!emulator.is_connected());
+}
+
+#[tokio::test(start_paused = true)]
+async fn only_scans_leaves_the_errors_out() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    emulator.set_faults(Faults::none().at(1, Fault::Lost).at(5, Fault::Drop(50..51)));
+    let scans: Vec<Scan> = StreamExt::take(stream.only_scans(), 20).collect().await;
+    assert_eq!(scans.len(), 20);
+    assert_eq!(sensor.stats().timeouts, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_same_data_again_is_marked_as_a_repeat() {
+    use tokio_scip::emulator::Fixed;
+    let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let repeats: Vec<bool> = take(&mut stream, 3).await.iter().map(Scan::is_repeat).collect();
+    assert_eq!(repeats, [false, true, true]);
+    assert_eq!(sensor.stats().repeats, 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn hours_of_suspend_cost_no_burst() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 3).await;
+    let before = emulator.counts().scans;
+    advance(Duration::from_secs(8 * 3600)).await;
+    take(&mut stream, 2).await;
+    assert!(emulator.counts().scans - before <= 4);
+}
+
+#[tokio::test(start_paused = true)]
+async fn polls_rest_while_the_laser_is_off_by_request() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 3).await;
+    sensor.laser_off().await.unwrap();
+    let before = emulator.counts().scans;
+    while let Ok(Some(item)) = timeout(ms(500), stream.next()).await {
+        item.unwrap();
+    }
+    assert!(is_silent(&mut stream).await);
+    assert_eq!(emulator.counts().scans, before);
+    assert!(matches!(sensor.scan(Window::FULL).await, Err(Error::LaserOff)));
+    sensor.laser_on().await.unwrap();
+    take(&mut stream, 3).await;
+}

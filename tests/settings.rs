@@ -1,0 +1,128 @@
+//! Laser and line speed: told, confirmed, and restored.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use common::{builder, ms, truthful};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Pace};
+use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
+
+async fn open(emulator: &Emulator) -> Sensor {
+    builder().connect(emulator.clone()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_laser_is_switched_and_switching_it_twice_is_no_error() {
+    for firmware in [Firmware::Text, Firmware::V3] {
+        let emulator = truthful().firmware(firmware).build();
+        let sensor = open(&emulator).await;
+        sensor.laser_on().await.unwrap();
+        assert!(emulator.laser());
+        sensor.laser_off().await.unwrap();
+        sensor.laser_off().await.unwrap();
+        assert!(!emulator.laser());
+        sensor.laser_on().await.unwrap();
+        assert!(emulator.laser());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().at(0, Fault::Lost));
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.laser());
+
+    sensor.laser_on().await.unwrap();
+    // The sensor refuses, and a flipped bit makes success of it.
+    emulator.set_faults(
+        Faults::none().at(0, Fault::Status(b'1')).at(0, Fault::Flip(3, b'1' ^ b'0')),
+    );
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.laser());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_only_pretends_to_obey_is_found_out() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut faults = Faults::none();
+    for reply in 0..10 {
+        // Every second reply is that of the fence.
+        if reply % 2 == 0 {
+            faults = faults.at(reply, Fault::Status(b'1')).at(reply, Fault::Flip(3, b'1' ^ b'0'));
+        }
+    }
+    emulator.set_faults(faults);
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error, Error::NotConfirmed { .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_that_somebody_else_switched_off_is_switched_on() {
+    use tokio::io::AsyncWriteExt;
+    let emulator = truthful().build();
+    let mut link = emulator.link();
+    link.write_all(b"L0\n").await.unwrap();
+    drop(link);
+    let sensor = open(&emulator).await;
+    assert!(!emulator.laser());
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    assert!(emulator.laser());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_speed_changes_under_a_stream_and_back() {
+    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    for speed in BaudRate::ALL.into_iter().rev() {
+        sensor.set_baud_rate(speed).await.unwrap();
+        assert_eq!(emulator.line_speed(), Some(speed));
+        let state = sensor.state().borrow().clone();
+        assert!(matches!(state, State::Connected { line_speed, .. } if line_speed == Some(speed)));
+        stream.next().await.unwrap().unwrap();
+    }
+    assert_eq!(sensor.stats().disconnects, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_speed_that_is_there_already_is_no_error() {
+    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let sensor = open(&emulator).await;
+    sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
+    for firmware in [Firmware::Text, Firmware::V3] {
+        let usb = truthful().firmware(firmware).build();
+        open(&usb).await.set_baud_rate(BaudRate::B115200).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_reply_to_s_does_not_lose_the_sensor() {
+    for fault in [Fault::Lost, Fault::CommandLost, Fault::Drop(3..4), Fault::Late(ms(900))] {
+        let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
+        let sensor = open(&emulator).await;
+        // Reply 0 is the fence that follows the trial of the port's speed.
+        emulator.set_faults(Faults::none().at(1, fault.clone()));
+        let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
+        let lost = fault == Fault::CommandLost;
+        assert_eq!(outcome.is_err(), lost, "{fault:?}: {outcome:?}");
+        let expected = if lost { BaudRate::B19200 } else { BaudRate::B115200 };
+        assert_eq!(emulator.line_speed(), Some(expected));
+        sensor.scan(Window::DETECTION).await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_refused_speed_leaves_both_where_they_were() {
+    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')));
+    let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
+    assert!(matches!(error, Error::Refused { .. }), "{error:?}");
+    sensor.scan(Window::DETECTION).await.unwrap();
+}

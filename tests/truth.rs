@@ -1,0 +1,98 @@
+//! A late or doubled reply never becomes another poll's scan.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use common::{Truth, builder, ms, truthful};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
+use tokio_scip::{Rate, Scan, State, Stats, Window};
+
+/// Streams until the sensor was polled `polls` times; what was delivered, and
+/// what the driver says of it.
+async fn stream(emulator: &Emulator, window: Window, rate: Rate, polls: u64) -> (Vec<Scan>, Stats) {
+    let sensor = builder().ring_depth(16).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(window, rate).await.unwrap();
+    let mut scans = Vec::new();
+    while sensor.stats().polls < polls {
+        if let Ok(scan) = stream.next().await.unwrap() {
+            scans.push(scan);
+        }
+    }
+    assert_eq!(stream.missed(), 0);
+    let stats = sensor.stats();
+    (scans, stats)
+}
+
+fn wrong(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
+    let mut truth = Truth::of(&emulator.log());
+    scans.iter().filter_map(|scan| truth.check(scan).err()).collect()
+}
+
+fn late_and_doubled(seed: u64) -> Faults {
+    Faults::none().late(0.01, ms(3000)).rate(0.01, Fault::Doubled).seed(seed)
+}
+
+/// A doubled reply that arrives while the line is quiet is seen; to be a danger
+/// it has to arrive after the next command.
+fn doubled_late(seed: u64) -> Faults {
+    Faults::none().rate(0.01, Fault::Doubled).paused(0.02, ms(700)).late(0.01, ms(900)).seed(seed)
+}
+
+#[tokio::test(start_paused = true)]
+async fn late_and_doubled_replies_never_become_another_polls_scan_on_a_grid() {
+    let window = Window::new(300..=310).unwrap();
+    for (seed, faults) in [(1, late_and_doubled(1)), (2, doubled_late(2))] {
+        let emulator = truthful().seed(seed).pace(Pace::AtOnce).faults(faults).build();
+        let (scans, stats) = stream(&emulator, window, Rate::hz(10.0), 50_000).await;
+        assert_eq!(wrong(&emulator, &scans), Vec::<String>::new());
+        assert!(scans.len() as u64 >= stats.polls * 97 / 100, "{stats:?}");
+        let fired = emulator.fault_counts();
+        assert!(fired.late > 300 && fired.doubled > 300, "{fired:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn late_and_doubled_replies_never_become_another_polls_scan_at_full_speed() {
+    let window = Window::new(300..=310).unwrap();
+    for (seed, faults) in [(1, late_and_doubled(1)), (2, doubled_late(2))] {
+        let emulator = truthful().seed(seed).faults(faults).build();
+        let (scans, stats) = stream(&emulator, window, Rate::MAX, 50_000).await;
+        assert_eq!(wrong(&emulator, &scans), Vec::<String>::new());
+        assert!(scans.len() as u64 >= stats.polls * 97 / 100, "{stats:?}");
+        let fired = emulator.fault_counts();
+        assert!(fired.late > 300 && fired.doubled > 300, "{fired:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_late_reply_is_not_taken_for_the_answer_to_the_next_poll_of_the_whole_turn() {
+    // Where successive polls cannot differ, the fence alone has to do it.
+    let faults = Faults::none().late(0.02, ms(3000)).rate(0.01, Fault::Lost).seed(3);
+    let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();
+    let (scans, stats) = stream(&emulator, Window::FULL, Rate::hz(10.0), 10_000).await;
+    assert_eq!(wrong(&emulator, &scans), Vec::<String>::new());
+    assert!(stats.timeouts > 100 && stats.fences > 100, "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_clean_line_needs_no_fence_after_the_first() {
+    let emulator = truthful().build();
+    let (scans, stats) = stream(&emulator, Window::DETECTION, Rate::hz(10.0), 100).await;
+    assert_eq!(wrong(&emulator, &scans), Vec::<String>::new());
+    assert_eq!((stats.fences, stats.timeouts, stats.bytes_skipped), (1, 0, 0));
+    assert_eq!(emulator.counts().overlapping, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_state_tells_when_scans_are_polled() {
+    let emulator = truthful().build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    let streaming = |state: &State| matches!(state, State::Connected { streaming: true, .. });
+    assert!(!streaming(&state.borrow()));
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    state.wait_for(streaming).await.unwrap();
+    drop(stream);
+    state.wait_for(|state| !streaming(state)).await.unwrap();
+}
