@@ -1,5 +1,7 @@
 //! An async driver for Hokuyo URG laser range sensors that speak SCIP 1.1.
 
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod error;
 pub mod port;
 pub mod protocol;
