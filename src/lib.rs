@@ -2,6 +2,8 @@
 
 pub mod codec;
 mod driver;
+#[cfg(feature = "emulator")]
+pub mod emulator;
 mod error;
 pub mod port;
 pub mod protocol;

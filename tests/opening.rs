@@ -78,7 +78,8 @@ async fn the_sensor_says_who_it_is_in_both_characters() {
 
 #[tokio::test(start_paused = true)]
 async fn nobody_answers_at_any_speed() {
-    let emulator = truthful().line_speed(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
+    let emulator =
+        truthful().line_speed(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
     let start = Instant::now();
     let error = fails(&emulator.build()).await;
     assert!(matches!(error, Error::NoAnswer { speed: None, searched: true, .. }), "{error:?}");

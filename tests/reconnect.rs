@@ -143,10 +143,14 @@ async fn another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
     while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
         errors.extend(item.unwrap().err());
     }
-    assert!(matches!(
-        &errors[..],
-        [Error::Disconnected { .. }, Error::AnotherSensor { .. }] | [Error::AnotherSensor { .. }]
-    ), "{errors:?}");
+    assert!(
+        matches!(
+            &errors[..],
+            [Error::Disconnected { .. }, Error::AnotherSensor { .. }]
+                | [Error::AnotherSensor { .. }]
+        ),
+        "{errors:?}"
+    );
     let state = sensor.state().borrow().clone();
     assert!(matches!(state, State::Disconnected { error: Error::AnotherSensor { .. }, .. }));
     emulator.set_serial_number("H0000001");

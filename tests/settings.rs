@@ -37,9 +37,8 @@ async fn a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
 
     sensor.laser_on().await.unwrap();
     // The sensor refuses, and a flipped bit makes success of it.
-    emulator.set_faults(
-        Faults::none().at(0, Fault::Status(b'1')).at(0, Fault::Flip(3, b'1' ^ b'0')),
-    );
+    emulator
+        .set_faults(Faults::none().at(0, Fault::Status(b'1')).at(0, Fault::Flip(3, b'1' ^ b'0')));
     sensor.laser_off().await.unwrap();
     assert!(!emulator.laser());
 }

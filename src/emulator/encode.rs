@@ -1,0 +1,102 @@
+//! The bytes of replies: echo, status, lines, the 6-bit code and its blocks.
+//!
+//! Written from the protocol text alone, and on purpose without the crate's
+//! `protocol` module: the two check each other in the tests.
+
+/// Data is cut into lines of this many bytes (C-42-3320-A p. 3).
+const BLOCK: usize = 64;
+
+/// A reply without data: echo, status and the terminator (p. 3).
+pub(super) fn status_only(echo: &[u8], status: &[u8]) -> Vec<u8> {
+    let mut reply = Vec::with_capacity(echo.len() + status.len() + 3);
+    start(&mut reply, echo, status);
+    reply.push(b'\n');
+    reply
+}
+
+/// A reply of lines, such as that of `V` (p. 4).
+pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) -> Vec<u8> {
+    let mut reply = Vec::with_capacity(256);
+    start(&mut reply, echo, b"0");
+    for line in lines {
+        reply.extend_from_slice(line);
+        reply.push(b'\n');
+    }
+    reply.push(b'\n');
+    reply
+}
+
+/// A reply of distance data: two characters a code, 64 bytes a line (p. 5, 6).
+pub(super) fn distances(echo: &[u8], codes: impl Iterator<Item = u16>) -> Vec<u8> {
+    let data: Vec<u8> = codes.flat_map(|code| [sextet(code >> 6), sextet(code)]).collect();
+    let mut reply = Vec::with_capacity(echo.len() + 5 + data.len() + data.len() / BLOCK);
+    start(&mut reply, echo, b"0");
+    for block in data.chunks(BLOCK) {
+        reply.extend_from_slice(block);
+        reply.push(b'\n');
+    }
+    reply.push(b'\n');
+    reply
+}
+
+/// A scan as a sensor in SCIP 2 streams it unasked: three characters a point, a
+/// time stamp in milliseconds, and a check character after every line.
+pub(super) fn scip2_scan(codes: &[u16], milliseconds: u64) -> Vec<u8> {
+    let mut reply = Vec::with_capacity(2200);
+    start(&mut reply, b"MD0044072501000", b"99b");
+    let stamp = [18, 12, 6, 0].map(|shift| sextet((milliseconds >> shift) as u16 & 0x3F));
+    checked_line(&mut reply, &stamp);
+    let data: Vec<u8> =
+        codes.iter().flat_map(|&code| [sextet(0), sextet(code >> 6), sextet(code)]).collect();
+    for block in data.chunks(BLOCK) {
+        checked_line(&mut reply, block);
+    }
+    reply.push(b'\n');
+    reply
+}
+
+fn start(reply: &mut Vec<u8>, echo: &[u8], status: &[u8]) {
+    reply.extend_from_slice(echo);
+    reply.push(b'\n');
+    reply.extend_from_slice(status);
+    reply.push(b'\n');
+}
+
+fn checked_line(reply: &mut Vec<u8>, line: &[u8]) {
+    let sum = line.iter().fold(0_u16, |sum, &byte| sum.wrapping_add(u16::from(byte)));
+    reply.extend_from_slice(line);
+    reply.extend_from_slice(&[sextet(sum), b'\n']);
+}
+
+/// The low six bits as a character from `0` to `o` (p. 5).
+fn sextet(bits: u16) -> u8 {
+    (bits & 0x3F) as u8 + 0x30
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_texts_example_of_1234_mm() {
+        assert_eq!(distances(b"G00000001", [1234].into_iter()), b"G00000001\n0\nCD\n\n");
+    }
+
+    #[test]
+    fn the_smallest_and_the_largest_code() {
+        assert_eq!(distances(b"G", [0, 4095].into_iter()), b"G\n0\n00oo\n\n");
+    }
+
+    #[test]
+    fn no_data_leaves_no_empty_line() {
+        assert_eq!(distances(b"G", [].into_iter()), b"G\n0\n\n");
+    }
+
+    #[test]
+    fn a_scip2_scan_checks_its_lines() {
+        let frame = scip2_scan(&[1234; 3], 0);
+        // "0000" sums to 0xC0, whose low six bits are 0; "0CD" three times to
+        // 0x225, 0x25, which is 'U'.
+        assert_eq!(frame, b"MD0044072501000\n99b\n00000\n0CD0CD0CDU\n\n");
+    }
+}
