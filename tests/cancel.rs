@@ -39,7 +39,7 @@ async fn drop_after<F: Future>(
 /// over the wire.
 async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
     for steps in 0.. {
-        let emulator = truthful().line_speed(BaudRate::B115200).build();
+        let emulator = truthful().line_speed(BaudRate::B19200).build();
         let (sensor, driver) = builder().build(emulator.clone());
         let mut driver = pin!(driver);
         let opened = pin!(sensor.opened());

@@ -200,7 +200,7 @@ async fn another_sensor_than_the_one_asked_for_is_refused() {
 #[tokio::test(start_paused = true)]
 async fn half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
     use tokio_scip::emulator::EmptyCommand;
-    for empty in [EmptyCommand::Silent, EmptyCommand::Status, EmptyCommand::LineFeeds] {
+    for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         let emulator = truthful().empty_command(empty).build();
         let mut link = emulator.link();
         link.write_all(b"G04472501\nV\nG0007").await.unwrap();

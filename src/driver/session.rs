@@ -368,7 +368,7 @@ impl Session {
             };
             if let Frame::Reply(bytes) = &frame {
                 match Reply::parse_end(command, bytes) {
-                    Ok(_) if bytes.starts_with(&sent) => {
+                    Ok(_) if is_echoed(&sent, command, bytes) => {
                         return Err(Failure::Line(Error::Loopback));
                     }
                     Ok(reply) => return Ok(reply.status()),
@@ -519,6 +519,11 @@ impl Session {
         let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
         Timing { requested, received, stamp }
     }
+}
+
+/// Whether `frame` is what was sent, and then a reply to it.
+fn is_echoed(sent: &[u8], command: &Command, frame: &[u8]) -> bool {
+    frame.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
 }
 
 /// Notices when far more comes than any sensor sends.

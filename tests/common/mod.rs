@@ -18,7 +18,7 @@ fn code(request: u64, step: usize) -> u16 {
 }
 
 /// An emulated sensor whose every scan tells which `G` it answers.
-pub fn truthful() -> Builder {
+pub(crate) fn truthful() -> Builder {
     Emulator::builder().log(1 << 20).world(|look: Look, codes: &mut Codes| {
         for (step, slot) in codes.iter_mut().enumerate() {
             *slot = code(look.request, step);
@@ -27,7 +27,7 @@ pub fn truthful() -> Builder {
 }
 
 /// The number that the scan carries, if all of it carries the same.
-pub fn request_of(scan: &Scan) -> Option<u64> {
+pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
     let start = usize::from(scan.window().start().number());
     let mut digits = [0; 3];
     for (step, &value) in (start..).zip(scan.values()).take(3) {
@@ -39,7 +39,7 @@ pub fn request_of(scan: &Scan) -> Option<u64> {
 }
 
 /// Which scans are the answers to their own requests.
-pub struct Truth {
+pub(crate) struct Truth {
     arrivals: HashMap<u64, Instant>,
     seen: std::collections::HashSet<u64>,
     last: Option<(u64, std::time::Instant, std::time::Instant)>,
@@ -48,14 +48,14 @@ pub struct Truth {
 impl Truth {
     /// Reads the sensor's log: when the `G` with each number arrived. `answered`
     /// tells which of the well-formed `G`s got distances (not those refused).
-    pub fn of(log: &[Received]) -> Self {
+    pub(crate) fn of(log: &[Received]) -> Self {
         let scans = log.iter().filter(|line| line.line.starts_with(b"G"));
         let arrivals = (0..).zip(scans.map(|line| line.at)).collect();
         Self { arrivals, seen: Default::default(), last: None }
     }
 
     /// Holds one scan of a stream against the truth.
-    pub fn check(&mut self, scan: &Scan) -> Result<u64, String> {
+    pub(crate) fn check(&mut self, scan: &Scan) -> Result<u64, String> {
         let request = request_of(scan).ok_or_else(|| format!("mixed data: {:?}", scan.values()))?;
         let arrived = self.arrivals.get(&request).ok_or(format!("nobody asked for {request}"))?;
         let (sent, received) = (scan.requested_at(), scan.received_at());
@@ -76,10 +76,10 @@ impl Truth {
 }
 
 /// A builder for repeatable tests.
-pub fn builder() -> SensorBuilder {
+pub(crate) fn builder() -> SensorBuilder {
     Sensor::builder().jitter_seed(7)
 }
 
-pub const fn ms(milliseconds: u64) -> Duration {
+pub(crate) const fn ms(milliseconds: u64) -> Duration {
     Duration::from_millis(milliseconds)
 }
