@@ -15,8 +15,8 @@ pub enum Measurement {
     Distance(u16),
     /// No distance, and why (p. 7).
     Error(ErrorCode),
-    /// 4095. The text ends the range at 4094, the sensors' own description at
-    /// 4095; captures never show it.
+    /// All twelve bits set, 4095. The text ends the range at 4094, the sensors'
+    /// own description at 4095; captures never show it.
     Saturated,
 }
 

@@ -30,9 +30,12 @@ fn a_window_cannot_be_invalid() {
     assert_eq!(Window::new(0..=768), Ok(Window::FULL));
     assert_eq!(Window::new(44..=725), Ok(Window::DETECTION));
     assert_eq!(Window::new(5..=5).unwrap().points(), 1);
-    assert_eq!(Window::new(0..=769), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Window::new(769..=5), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Window::new(6..=5), Err(WindowError::Reversed { start: 6, end: 5 }));
+    for (start, end) in [(6, 5), (768, 0)] {
+        assert_eq!(Window::new(start..=end), Err(WindowError::Reversed { start, end }));
+    }
+    for (start, end, found) in [(769, 5, 769), (769, 770, 769), (5, u16::MAX, u16::MAX)] {
+        assert_eq!(Window::new(start..=end), Err(WindowError::Step { found }));
+    }
     for cluster_count in 0..=255 {
         let window = Window::FULL.with_cluster_count(cluster_count);
         match cluster_count {
