@@ -15,8 +15,8 @@ pub enum Measurement {
     Distance(u16),
     /// No distance, and why (p. 7).
     Error(ErrorCode),
-    /// 4095. The text ends the range at 4094, the sensors' own description at
-    /// 4095; captures never show it.
+    /// All twelve bits set, 4095. The text ends the range at 4094, the sensors'
+    /// own description at 4095; captures never show it.
     Saturated,
 }
 
@@ -138,8 +138,6 @@ pub struct UnknownErrorCode {
 
 /// The first of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
-/// The bits that no 6-bit number has.
-const NOT_SIX_BITS: u16 = 0xc0c0;
 
 /// True for the 64 characters that carry 6 bits: `0` to `o`.
 pub(super) const fn is_character(byte: u8) -> bool {
@@ -147,18 +145,15 @@ pub(super) const fn is_character(byte: u8) -> bool {
 }
 
 /// Appends the values of `data`, two characters each, upper six bits first
-/// (p. 5), and tells whether every character was one that carries 6 bits.
+/// (p. 5). Bytes that carry no 6 bits make some value of 12 bits; hold the data
+/// against [`is_character`] first.
 ///
 /// Bytes are taken in pairs, as one little-endian number, without a branch:
 /// the compiler makes vector instructions of it.
-pub(super) fn decode(data: &[u8], values: &mut Vec<u16>) -> bool {
-    let mut stray = 0;
-    let (pairs, rest) = data.as_chunks::<2>();
+pub(super) fn decode(data: &[u8], values: &mut Vec<u16>) {
+    let (pairs, _) = data.as_chunks::<2>();
     values.extend(pairs.iter().map(|pair| {
-        // A borrow out of the low byte only comes with stray bits in it.
         let six = u16::from_le_bytes(*pair).wrapping_sub(u16::from_le_bytes([FIRST_CHARACTER; 2]));
-        stray |= six & NOT_SIX_BITS;
         (six & 0x3f) << 6 | six >> 8
     }));
-    stray == 0 && rest.is_empty()
 }

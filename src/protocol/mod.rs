@@ -3,6 +3,20 @@
 //!
 //! Nothing here does I/O, reads a clock or writes a log. References such as
 //! "p. 6" are to the pages of the protocol text, C-42-3320-A.
+//!
+//! ```
+//! use tokio_scip::protocol::{Command, Measurement, Reply, Window};
+//!
+//! let command = Command::Distances(Window::new(384..=385)?);
+//! let frame = b"G38438501\n0\nCB06"; // what came, without the two LFs at its end
+//! let reply = Reply::parse(&command, frame)?;
+//!
+//! let mut values = Vec::new();
+//! reply.values_into(&mut values);
+//! assert_eq!(Measurement::from_value(values[0]), Measurement::Distance(1234));
+//! assert_eq!(Measurement::from_value(values[1]).range(), f32::INFINITY); // error code 6
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod baud;
 mod command;

@@ -59,7 +59,7 @@ fn w02_w07_w12_a_reply_with_any_one_byte_more_is_never_accepted() {
                 let damaged = [&reply[..at], &[byte], &reply[at..]].concat();
                 let found = accepted(&command, &damaged);
                 if at + 2 >= reply.len() && byte == b'\n' {
-                    assert_eq!(found, [values.clone()]); // one LF too many behind it
+                    assert_eq!(found, std::slice::from_ref(&values)); // one LF too many behind it
                 } else {
                     assert!(found.is_empty(), "{command} with {byte:#x} before byte {at}");
                 }

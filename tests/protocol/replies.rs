@@ -88,6 +88,11 @@ fn a_line_cut_anywhere_else_is_malformed() {
         };
         assert_eq!((line, expected, found), (0, 64, at));
     }
+    let longer = [&frame("G00003101", &spread(32))[..], b"\n"].concat();
+    assert_eq!(
+        Reply::parse(&Command::Distances(window(0, 31, 1)), &longer),
+        Err(Malformed::LineLength { line: 1, expected: 0, found: 0 }.into())
+    );
     let uncut = [b"G00003201\n0\n", &data[..]].concat();
     assert_eq!(
         Reply::parse(&command, &uncut),
@@ -157,6 +162,9 @@ fn an_error_reply_is_echo_and_status_for_every_status() {
             assert!(!reply.status().is_ok());
             assert_eq!(reply.lines().count(), 0);
             assert_eq!(values(&reply), []);
+            if !matches!(command, Command::Version | Command::Distances(_)) {
+                assert_eq!(command.reply_len(), frame.len() + 2);
+            }
         }
     }
 }
@@ -245,8 +253,11 @@ fn a_status_with_its_checksum_is_scip_2() {
     // MD streams by itself.
     assert_eq!(parse(b"MD0044072501000\n99b\n0ABCD\n"), scip2("99b"));
     assert!(matches!(parse(b"MD0044072501000\n0"), Err(ReplyError::Foreign { .. })));
+    assert!(matches!(parse(b"L1\n00P"), Err(ReplyError::Foreign { .. })));
     // Three characters that no SCIP 2 sensor sends are damage.
-    assert!(matches!(parse(b"V\n0Ex"), Err(ReplyError::Malformed(Malformed::Status { .. }))));
+    for damage in [&b"V\n0Ex"[..], b"V\n\x01\x02\x03", b"V\n0\x450", b"V\n\xff0/", b"V\n0\xff/"] {
+        assert!(matches!(parse(damage), Err(ReplyError::Malformed(Malformed::Status { .. }))));
+    }
 }
 
 #[test]

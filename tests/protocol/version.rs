@@ -78,6 +78,11 @@ fn w23_bytes_that_could_write_to_a_terminal_are_kept_and_shown_escaped() {
 }
 
 #[test]
+fn text_shows_line_ends_as_programmers_write_them() {
+    assert_eq!(Text::from("a\r\nb").to_string(), r"a\r\nb");
+}
+
+#[test]
 fn every_byte_is_shown_as_printable_ascii_and_none_is_lost() {
     let mut shown = std::collections::HashSet::new();
     for byte in 0..=255_u8 {

@@ -30,9 +30,12 @@ fn a_window_cannot_be_invalid() {
     assert_eq!(Window::new(0..=768), Ok(Window::FULL));
     assert_eq!(Window::new(44..=725), Ok(Window::DETECTION));
     assert_eq!(Window::new(5..=5).unwrap().points(), 1);
-    assert_eq!(Window::new(0..=769), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Window::new(769..=5), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Window::new(6..=5), Err(WindowError::Reversed { start: 6, end: 5 }));
+    for (start, end) in [(6, 5), (768, 0)] {
+        assert_eq!(Window::new(start..=end), Err(WindowError::Reversed { start, end }));
+    }
+    for (start, end, found) in [(769, 5, 769), (769, 770, 769), (5, u16::MAX, u16::MAX)] {
+        assert_eq!(Window::new(start..=end), Err(WindowError::Step { found }));
+    }
     for cluster_count in 0..=255 {
         let window = Window::FULL.with_cluster_count(cluster_count);
         match cluster_count {
@@ -63,8 +66,9 @@ fn degrees_are_the_steps_inside_the_interval() {
     assert_eq!(steps(-0.3, 0.3), Ok((384, 384)));
     assert_eq!(steps(0.1, 0.4), Ok((385, 385)));
     assert_eq!(steps(-119.54, 119.89), Ok((44, 725)));
-    // 119.53125 degrees is step 44; computed ones miss it by rounding errors.
-    assert_eq!(steps(-119.531_250_000_000_01, 119.9), Ok((44, 725)));
+    // Step 44 is at -119.53125 degrees; a computed bound may miss it by a hair.
+    assert_eq!(steps(-119.531_25 + 1e-12, 119.9), Ok((44, 725)));
+    assert_eq!(steps(-119.6, 90.0 - 1e-12), Ok((44, 640)));
     assert_eq!(steps((-std::f64::consts::FRAC_PI_2).to_degrees(), 0.0), Ok((128, 384)));
 }
 
