@@ -133,6 +133,10 @@ async fn two_streams_of_the_same_cost_one_poll_a_period() {
     let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut two = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut three = one.clone();
+    // The first poll may have been sent before the second stream was there.
+    take(&mut two, 1).await;
+    take(&mut one, 1).await;
+    take(&mut three, 1).await;
     let before = emulator.counts().scans;
     for _ in 0..100 {
         let scans = [take(&mut one, 1).await, take(&mut two, 1).await, take(&mut three, 1).await];
