@@ -164,10 +164,16 @@ impl Schedules {
         }
     }
 
-    /// What is polled, and how fast, if that has changed.
-    pub(crate) fn news(&mut self) -> Option<Vec<ScheduleStats>> {
+    /// Whether [`stats`](Self::stats) says something new since this was asked
+    /// last.
+    pub(crate) fn has_news(&mut self) -> bool {
+        std::mem::take(&mut self.changed)
+    }
+
+    /// What is polled, and how fast.
+    pub(crate) fn stats(&self) -> impl Iterator<Item = ScheduleStats> {
         let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
-        std::mem::take(&mut self.changed).then(|| self.all.iter().map(stats).collect())
+        self.all.iter().map(stats)
     }
 
     /// Scans that consumers were too slow for.
@@ -317,12 +323,15 @@ mod tests {
     async fn equal_schedules_are_one_and_one_without_readers_ends() {
         let same = (Window::FULL, Rate::MAX);
         let (mut schedules, readers) = schedules(&[same, same]);
-        assert_eq!(schedules.news().map(|stats| stats.len()), Some(1));
+        assert!(schedules.has_news());
+        assert_eq!(schedules.stats().count(), 1);
         assert!(schedules.take_due(Instant::now()).is_some());
         drop(readers);
         assert!(schedules.take_due(Instant::now()).is_none());
         assert!(schedules.is_empty());
-        assert_eq!(schedules.news(), Some(Vec::new()));
+        assert!(schedules.has_news());
+        assert_eq!(schedules.stats().count(), 0);
+        assert!(!schedules.has_news());
     }
 
     #[tokio::test(start_paused = true)]

@@ -219,8 +219,11 @@ impl Service<'_> {
     }
 
     fn note_schedules(&mut self) {
-        if let Some(schedules) = self.schedules.news() {
-            self.telemetry.stats().schedules = schedules;
+        if self.schedules.has_news() {
+            // In place: a scan costs no allocation beyond its values.
+            let noted = &mut self.telemetry.stats().schedules;
+            noted.clear();
+            noted.extend(self.schedules.stats());
         }
     }
 }
