@@ -1,6 +1,7 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
 
+mod alarm;
 mod line;
 mod opener;
 mod request;

@@ -20,10 +20,11 @@ use std::time::{Duration, SystemTime};
 use bytes::{BufMut, BytesMut};
 use futures::{SinkExt, StreamExt};
 use tokio::io::{AsyncRead, ReadBuf};
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
+use super::alarm::Alarm;
 use super::line::Line;
 use super::single_steps::SingleSteps;
 use crate::codec::{Frame, ScipCodec};
@@ -75,6 +76,7 @@ struct Exchanged<T> {
 
 pub(crate) struct Session {
     framed: Framed<Line, ScipCodec>,
+    alarm: Alarm,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
@@ -103,6 +105,7 @@ impl Session {
     ) -> Self {
         Self {
             framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
+            alarm: Alarm::default(),
             latency,
             // Whatever the last user of the port left behind.
             dirty: true,
@@ -410,9 +413,9 @@ impl Session {
         self.framed.get_mut().expect();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        match timeout_at(deadline, self.framed.send(command)).await {
-            Ok(outcome) => outcome?,
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.send(command)).await {
+            Some(outcome) => outcome?,
+            None => {
                 self.framed.write_buffer_mut().clear();
                 self.dirty = true;
                 return Ok(false);
@@ -425,10 +428,10 @@ impl Session {
     /// The next frame, or `None` at the deadline.
     async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
         // Looks at the line before it looks at the clock.
-        match timeout_at(deadline, self.framed.next()).await {
-            Ok(Some(frame)) => Ok(Some(frame?)),
-            Ok(None) => Err(Failure::Line(Error::disconnected(None))),
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.next()).await {
+            Some(Some(frame)) => Ok(Some(frame?)),
+            Some(None) => Err(Failure::Line(Error::disconnected(None))),
+            None => {
                 self.dirty = true;
                 Ok(None)
             }
@@ -469,6 +472,9 @@ impl Session {
             self.dirty = true;
             self.reset_input();
         }
+        // In front of the room that is left lies what earlier replies took: this
+        // makes it usable again, so that a reply is not read in two pieces.
+        self.framed.read_buffer_mut().reserve(READ_BUFFER);
         Ok(())
     }
 
