@@ -86,7 +86,9 @@ impl Cost {
 fn poll(way: &str, path: &Path, scans: usize) -> Cost {
     match way {
         "floor" => floor(path, scans),
-        "current" => driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans),
+        "current" => {
+            driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans)
+        }
         "multi" => driver(Builder::new_multi_thread().enable_all().build().unwrap(), path, scans),
         _ => panic!("{way}: use floor, current or multi"),
     }
