@@ -18,7 +18,7 @@
 //! link.write_all(b"G38438401\n").await?;
 //! let mut reply = [0; 16];
 //! link.read_exact(&mut reply).await?;
-//! assert_eq!(&reply, b"G38438401\n0\nCD\n\n");
+//! assert_eq!(&reply, b"G38438401\n0\nCB\n\n");
 //! # Ok(())
 //! # }
 //! ```
