@@ -132,6 +132,13 @@ async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
     emulator.unplug();
     emulator.plug_in();
     assert_eq!(listen(&mut emulator.link()).await, "");
+    // Also what the sensor says while it is off.
+    let emulator = Emulator::default();
+    emulator.link().write_all(b"V\n").await.unwrap();
+    emulator.unplug();
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    emulator.plug_in();
+    assert_eq!(listen(&mut emulator.link()).await, "");
 }
 
 #[tokio::test(start_paused = true)]

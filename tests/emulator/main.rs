@@ -6,6 +6,7 @@
 mod faults;
 mod faulty_link;
 mod handle;
+mod lines;
 mod replies;
 mod served;
 mod speed;

@@ -39,6 +39,18 @@ async fn unplugging_hangs_up_a_served_stream() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn unplugging_ends_a_client_that_does_not_read() {
+    let emulator = prompt().build();
+    let (mut client, server) = duplex(8);
+    client.write_all(b"V\n").await.unwrap();
+    let (served, ()) = tokio::join!(emulator.serve(server), async {
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        emulator.unplug();
+    });
+    served.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
 async fn behind_a_bridge_at_another_speed_nothing_is_understood() {
     let emulator = prompt().line_speed(BaudRate::B115200).build();
     let (mut client, server) = duplex(64);

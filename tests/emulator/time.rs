@@ -25,6 +25,14 @@ async fn times(link: &mut Link, command: &str, start: Instant) -> (Duration, Dur
     (first, start.elapsed())
 }
 
+/// A scan of the whole window, in as few reads as it takes.
+async fn scan(link: &mut Link) {
+    link.write_all(b"G04472501\n").await.unwrap();
+    let mut reply = [0; 1399];
+    link.read_exact(&mut reply).await.unwrap();
+    assert!(reply.starts_with(b"G04472501\n0\n") && reply.ends_with(b"\n\n"));
+}
+
 fn about(time: Duration, expected: Duration) -> bool {
     // Timers have a resolution of one millisecond, and only ever are late.
     time >= expected && time <= expected + 2 * MS
@@ -52,7 +60,7 @@ async fn polling_back_to_back_gives_one_scan_a_revolution() {
         let mut link = emulator.link();
         let start = Instant::now();
         for _ in 0..1000 {
-            ask(&mut link, "G04472501").await;
+            scan(&mut link).await;
         }
         let (taken, expected) = (start.elapsed(), 1000 * revolution);
         assert!(taken >= expected && taken < expected + 10 * MS, "{taken:?}");
@@ -180,7 +188,7 @@ async fn five_thousand_sensors_run_on_one_thread() {
     for seed in 0..5000 {
         let mut link = Emulator::builder().seed(seed).build().link();
         tasks.spawn(async move {
-            assert_eq!(ask(&mut link, "G04472501").await.len(), 1399);
+            scan(&mut link).await;
         });
     }
     assert_eq!(tasks.join_all().await.len(), 5000);
