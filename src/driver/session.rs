@@ -42,6 +42,8 @@ const MAX_BYTES: u64 = 64 * 1024;
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
 const READ_BUFFER: usize = 4096;
+/// Room for any command, and the LF before it. `Framed` would take 8 KiB.
+const WRITE_BUFFER: usize = 32;
 
 /// Why a command got no answer.
 #[derive(Debug)]
@@ -103,8 +105,10 @@ impl Session {
         latency: Option<Duration>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
+        let mut framed = Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER);
+        *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
         Self {
-            framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
+            framed,
             alarm: Alarm::default(),
             latency,
             // Whatever the last user of the port left behind.
