@@ -158,8 +158,8 @@ pub struct ScheduleStats {
     pub window: Window,
     /// How often, or `None` for [`Rate::MAX`], in scans a second.
     pub asked: Option<f64>,
-    /// Scans a second that came, over the last three seconds or so; 0 before
-    /// that.
+    /// Scans a second that came, over the last three seconds or so that they
+    /// were polled; 0 before that.
     pub reached: f64,
 }
 
