@@ -71,7 +71,8 @@ pub struct Stats {
     pub bytes_skipped: u64,
     /// Scans that streams did not get to see because their consumers were slow.
     pub missed: u64,
-    /// Polls that were dropped because the line was busy when they were due.
+    /// Polls that were dropped because the line was busy when they were due and
+    /// still was when the next one was.
     pub polls_skipped: u64,
     /// From a `G` sent to the last byte of its reply.
     pub reply_latency: Latency,
