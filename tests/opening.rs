@@ -294,3 +294,26 @@ async fn where_there_are_several_ports_each_one_gets_its_turn() {
         assert!(emulator.is_connected());
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
+    struct Plugged(Emulator, usize);
+    impl tokio_scip::Connect for Plugged {
+        type Port = tokio_scip::emulator::Link;
+        async fn connect(&mut self) -> Result<Self::Port, Error> {
+            let port = || "/dev/ttyACM0".to_owned();
+            self.1 += 1;
+            match self.1 {
+                1..=3 => Err(Error::NoSuchPort { port: port() }),
+                4 => Err(Error::PermissionDenied { port: port(), group: None }),
+                _ => Ok(self.0.link()),
+            }
+        }
+    }
+    let emulator = truthful().build();
+    let plugged = |tries| Plugged(emulator.clone(), tries);
+    builder().wait_for_sensor().connect(plugged(0)).await.unwrap();
+    // Who does not wait wants to know at once.
+    let error = builder().connect(plugged(3)).await.unwrap_err();
+    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+}

@@ -101,7 +101,7 @@ impl<C: Connect> Opener<C> {
 
     async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), Error> {
         let outcome = async {
-            session.find(&self.speeds(session), Instant::now() + limit).await?;
+            session.find(&self.speeds(), Instant::now() + limit).await?;
             let version = self.identify(session).await?;
             self.restore(session).await?;
             Ok(version)
@@ -117,21 +117,14 @@ impl<C: Connect> Opener<C> {
     }
 
     /// All six, the likeliest first.
-    fn speeds(&self, session: &Session) -> Vec<BaudRate> {
-        let mut speeds = Vec::with_capacity(9);
-        speeds.extend(self.found);
-        speeds.extend(self.wanted.speed);
-        speeds.push(BaudRate::B19200);
-        speeds.extend(BaudRate::ALL);
-        // Where the port's speed is fixed there is but one.
-        speeds.extend(session.line_speed());
-        let mut seen = Vec::with_capacity(speeds.len());
-        speeds.retain(|speed| {
-            !seen.contains(speed) && {
-                seen.push(*speed);
-                true
+    fn speeds(&self) -> Vec<BaudRate> {
+        let likely = self.found.into_iter().chain(self.wanted.speed).chain([BaudRate::B19200]);
+        let mut speeds = Vec::with_capacity(BaudRate::ALL.len());
+        for speed in likely.chain(BaudRate::ALL) {
+            if !speeds.contains(&speed) {
+                speeds.push(speed);
             }
-        });
+        }
         speeds
     }
 
@@ -139,13 +132,9 @@ impl<C: Connect> Opener<C> {
     async fn identify(&mut self, session: &mut Session) -> Result<Version, Failure> {
         let version = self.introduce(session).await?;
         let found = &version.serial_number;
-        match &self.identity {
-            Some(expected) if expected != found => {
-                let (expected, found) = (expected.clone(), found.clone());
-                return Err(Failure::Line(Error::AnotherSensor { expected, found }));
-            }
-            None if !found.is_empty() => self.identity = Some(found.clone()),
-            _ => {}
+        if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
+            let (expected, found) = (expected.clone(), found.clone());
+            return Err(Failure::Line(Error::AnotherSensor { expected, found }));
         }
         let speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);
@@ -169,6 +158,9 @@ impl<C: Connect> Opener<C> {
             // None at all where one is expected is damage, even twice.
             let counts = self.identity.is_none() || !before.is_empty();
             if counts && version.serial_number == before {
+                if !before.is_empty() {
+                    self.identity.get_or_insert(before);
+                }
                 break;
             }
         }

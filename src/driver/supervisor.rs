@@ -3,6 +3,7 @@
 
 use std::future::Future;
 use std::hash::{BuildHasher, RandomState};
+use std::mem::discriminant;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -114,12 +115,16 @@ impl<C: Connect> Supervisor<C> {
     }
 
     async fn open_first(&mut self) -> Result<Session, End> {
+        let mut latest = None;
         loop {
             let error = match self.desk.attend(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(error) => error,
             };
-            if !self.config.wait_for_sensor || !error.is_transient() {
+            // A port that has just appeared may be nobody's for a moment, until
+            // the system has set its owner: only twice is for good.
+            let again = latest.replace(discriminant(&error)) == Some(discriminant(&error));
+            if !self.config.wait_for_sensor || again && !error.is_transient() {
                 return Err(End::Failed(error));
             }
             tracing::debug!(%error, "waiting for the sensor");
@@ -168,12 +173,10 @@ impl<C: Connect> Supervisor<C> {
                 }
                 Err(error) => error,
             };
-            // What does not get better by itself is told, once.
-            let news = std::mem::discriminant(&error) != std::mem::discriminant(&latest);
-            if news {
+            if discriminant(&error) != discriminant(&latest) {
                 self.telemetry.enter(State::Disconnected { since, error: error.clone() });
-            }
-            if news && !error.is_transient() {
+            } else if !error.is_transient() {
+                // What does not get better by itself is told.
                 self.desk.schedules.fail_all(&error);
             }
             latest = error;
