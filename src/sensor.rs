@@ -116,7 +116,7 @@ impl Sensor {
     /// it, also if this call fails or is dropped after it was written, and
     /// restores it whenever the sensor was away. A sensor that resets itself
     /// switches its laser on; on USB, and while nothing is asked of it, that
-    /// cannot be seen.
+    /// shows only if bytes come that nobody asked for.
     pub async fn laser_off(&self) -> Result<(), Error> {
         self.client.ask(|promise| Request::Laser { on: false, promise }).await
     }

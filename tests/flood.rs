@@ -4,9 +4,10 @@
 
 mod common;
 
+use std::collections::VecDeque;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Poll};
 
 use common::{builder, ms, truthful};
@@ -105,15 +106,72 @@ async fn a_flood_under_a_stream_ends_it() {
     }
 }
 
+/// A sensor whose every reply is there as soon as its command is written.
+#[derive(Default)]
+struct Oracle {
+    replies: VecDeque<u8>,
+    polls: Arc<AtomicUsize>,
+}
+
+impl AsyncRead for Oracle {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        if self.replies.is_empty() {
+            return Poll::Pending;
+        }
+        let count = self.replies.len().min(buffer.remaining());
+        self.replies.drain(..count).for_each(|byte| buffer.put_slice(&[byte]));
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Oracle {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        for command in bytes.split(|&byte| byte == b'\n').filter(|line| !line.is_empty()) {
+            self.replies.extend(command);
+            self.replies.extend(b"\n0\n");
+            if command[0] == b'G' {
+                self.polls.fetch_add(1, Ordering::Relaxed);
+                let step =
+                    |at| std::str::from_utf8(&command[at]).unwrap().parse::<usize>().unwrap();
+                let points = step(4..7) - step(1..4) + 1;
+                self.replies.extend(std::iter::repeat_n(b'5', points * 2));
+            } else {
+                self.replies.extend(b"SERI:H0000001");
+            }
+            self.replies.extend(b"\n\n");
+        }
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_sensor_that_answers_at_once_leaves_time_for_others() {
-    let emulator = truthful().pace(tokio_scip::emulator::Pace::AtOnce).build();
-    let sensor = builder().connect(emulator.clone()).await.unwrap();
-    let mut stream = sensor.scans(Window::new(384..=384).unwrap(), Rate::MAX).await.unwrap();
+    let polls = Arc::new(AtomicUsize::new(0));
+    let oracle = Oracle { polls: Arc::clone(&polls), ..Oracle::default() };
+    let sensor = builder().attach(oracle).await.unwrap();
+    let mut stream = sensor.scans(Window::new(384..=390).unwrap(), Rate::MAX).await.unwrap();
     stream.next().await.unwrap().unwrap();
-    for _ in 0..100 {
-        let before = emulator.counts().scans;
+    let start = polls.load(Ordering::Relaxed);
+    for turns in 1..1000 {
         tokio::task::yield_now().await;
-        assert!(emulator.counts().scans - before < 100);
+        let polled = polls.load(Ordering::Relaxed) - start;
+        assert!(polled <= turns + 1, "{polled} polls while others had {turns} turns");
     }
+    assert!(polls.load(Ordering::Relaxed) > start + 100);
 }

@@ -335,3 +335,20 @@ async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
     emulator.plug_in();
     sensor.scan(Window::FULL).await.unwrap();
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let _stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    let scans = emulator.counts().scans;
+    emulator.power_cycle();
+    assert!(emulator.laser());
+    // Powering up leaves a break on the line; nothing is asked of the sensor.
+    emulator.inject(b"\0".as_slice());
+    tokio::time::sleep(ms(1000)).await;
+    assert!(!emulator.laser());
+    // Fences count as scans there: one for the break, those that confirm.
+    assert!(emulator.counts().scans - scans <= 2);
+}

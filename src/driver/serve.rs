@@ -73,7 +73,7 @@ impl Service<'_> {
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
         // A doubt is best cleared up while there is time.
         if session.is_dirty() {
-            survive(session.settle().await)?;
+            survive(self.clear_up(session).await)?;
         }
         let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
         self.telemetry.set_streaming(polling);
@@ -94,6 +94,16 @@ impl Service<'_> {
             outcome = session.idle() => survive(outcome)?,
             outcome = self.mailbox.ready() => outcome?,
             () = sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => {}
+        }
+        Ok(())
+    }
+
+    /// Raises a fence. If it is answered with a distance while the laser should
+    /// be off, the sensor was reset: it is told again.
+    async fn clear_up(&mut self, session: &mut Session) -> Result<(), Failure> {
+        let status = session.settle().await?;
+        if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
+            session.set_laser(false).await?;
         }
         Ok(())
     }

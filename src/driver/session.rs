@@ -139,13 +139,13 @@ impl Session {
         Ok(())
     }
 
-    /// Raises a fence if one is needed.
-    pub(crate) async fn settle(&mut self) -> Result<(), Failure> {
+    /// Raises a fence if one is needed, and gives the status of its answer.
+    pub(crate) async fn settle(&mut self) -> Result<Option<Status>, Failure> {
         self.discard_pending().await?;
-        if self.dirty {
-            self.fence().await?;
+        if !self.dirty {
+            return Ok(None);
         }
-        Ok(())
+        self.fence().await.map(Some)
     }
 
     /// Sends `command` and reads its reply with `read`.
