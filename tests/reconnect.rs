@@ -266,6 +266,8 @@ async fn a_serial_number_that_is_damaged_differently_each_time_is_asked_for_agai
         errors.push(error);
     }
     assert_eq!(emulator.fault_counts().flipped, 3);
+    // One for each time that the port was opened.
+    assert_eq!(sensor.stats().fences, 2);
     assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
 }
 
