@@ -344,7 +344,7 @@ impl Sensor {
     /// Why the driver ended, if it did.
     pub async fn opened(&self) -> Result<(), Error> {
         let mut state = self.state();
-        let open = |state: &State| !matches!(state, State::Connecting);
+        let open = |state: &State| !matches!(state, State::Connecting { .. });
         match state.wait_for(open).await.as_deref() {
             Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
             Ok(_) => Ok(()),

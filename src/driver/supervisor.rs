@@ -127,7 +127,7 @@ impl<C: Connect> Supervisor<C> {
             if !self.config.wait_for_sensor || again && !error.is_transient() {
                 return Err(End::Failed(error));
             }
-            tracing::debug!(%error, "waiting for the sensor");
+            self.telemetry.enter(State::Connecting { error: Some(error) });
             self.desk.attend(None, sleep(self.backoff.next())).await?;
         }
     }
