@@ -9,8 +9,22 @@ use tokio_scip::emulator::{EmptyCommand, Emulator, Firmware, Fixed, Pace};
 use crate::script::Script;
 
 const PARTS: [&[u8]; 16] = [
-    b"V", b"L0", b"L1", b"S0576000000000", b"S115200abcdefg", b"S0384000000000", b"G00000801",
-    b"G10010902", b"G38438400", b"G38438301", b"G70076803", b"G", b"000", b"SCIP2.0", b"QT", b"L",
+    b"V",
+    b"L0",
+    b"L1",
+    b"S0576000000000",
+    b"S115200abcdefg",
+    b"S0384000000000",
+    b"G00000801",
+    b"G10010902",
+    b"G38438400",
+    b"G38438301",
+    b"G70076803",
+    b"G",
+    b"000",
+    b"SCIP2.0",
+    b"QT",
+    b"L",
 ];
 
 /// What a sensor on USB that sees 1234 mm everywhere answers.
@@ -38,12 +52,16 @@ impl Model {
         let real = self.firmware == Firmware::V3;
         match line {
             b"V" => match real {
-                true => reply("0\nVEND:Hokuyo Automatic Co.,Ltd.\nPROD:SOKUIKI Sensor URG-04LX\nFIRM:3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])\nPROT:00003,(SCIP 1.0)\nSERI:H1\nSTAT:FW Normal[FinalDist with shadow  ]"),
-                false => reply("0\nVEND: Hokuyo Automatic Co., Ltd.\nPROD: SOKUIKI Sensor URG-X002\nFIRM: 0.01.22a,(2004/12/27)\nPROT: 00001,(SCIP 1.0)\nSERI: H1"),
+                true => reply(
+                    "0\nVEND:Hokuyo Automatic Co.,Ltd.\nPROD:SOKUIKI Sensor URG-04LX\nFIRM:3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])\nPROT:00003,(SCIP 1.0)\nSERI:H1\nSTAT:FW Normal[FinalDist with shadow  ]",
+                ),
+                false => reply(
+                    "0\nVEND: Hokuyo Automatic Co., Ltd.\nPROD: SOKUIKI Sensor URG-X002\nFIRM: 0.01.22a,(2004/12/27)\nPROT: 00001,(SCIP 1.0)\nSERI: H1",
+                ),
             },
-            b"SCIP2.0" if real => {
-                self.scip2 = true;
-                reply("0")
+            b"SCIP2.0" => {
+                self.scip2 = real;
+                reply(if real { "0" } else { "C" })
             }
             b"L0" | b"L1" => {
                 let on = line == b"L1";

@@ -17,7 +17,10 @@ fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u16>)> {
     let values = match (command, status) {
         (Command::Distances(window), b'0') => values(data, window.points())?,
         (Command::Version, b'0') => {
-            return data.iter().any(|line| !line.is_empty()).then_some((status, vec![]))
+            return data
+                .iter()
+                .any(|line| !line.is_empty())
+                .then_some((status, vec![]))
                 .or((data.len() > 1).then_some((status, vec![])));
         }
         _ => data.is_empty().then(Vec::new)?,

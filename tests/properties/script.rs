@@ -1,6 +1,8 @@
 //! [`Script`]: any bytes at all, read as the decisions that make up a case. A
 //! fuzzer changes the bytes, a property test draws them.
 
+#![allow(dead_code, reason = "each fuzz target uses a part of it")]
+
 /// Decisions, one after the other. Behind the end every decision is 0.
 pub(crate) struct Script<'a>(&'a [u8]);
 

@@ -6,8 +6,22 @@ use tokio_scip::protocol::{Command, Reply, Text, Version};
 use crate::script::Script;
 
 const PARTS: [&[u8]; 16] = [
-    b"VEND:", b"PROD:", b"FIRM:", b"PROT:", b"SERI:", b"STAT:", b": ", b"\n", b"(", b")", b",",
-    b"44-725[step]", b"600[rpm]", b"20-4095[mm]", b"240[deg]", b"-",
+    b"VEND:",
+    b"PROD:",
+    b"FIRM:",
+    b"PROT:",
+    b"SERI:",
+    b"STAT:",
+    b": ",
+    b"\n",
+    b"(",
+    b")",
+    b",",
+    b"44-725[step]",
+    b"600[rpm]",
+    b"20-4095[mm]",
+    b"240[deg]",
+    b"-",
 ];
 
 /// Every line of a reply to `V` is in the field of its name, the last one of
@@ -45,9 +59,11 @@ pub(crate) fn every_line_of_a_version_is_kept(script: &[u8]) {
     }
     assert_eq!(version.status, value(b"STAT"));
     let known = |line: &&[u8]| {
-        named(line) && fields.iter().any(|(name, _)| *name == &line[..4]) || line.starts_with(b"STAT:")
+        named(line) && fields.iter().any(|(name, _)| *name == &line[..4])
+            || line.starts_with(b"STAT:")
     };
-    let others = frame[4..].split(|&byte| byte == b'\n').filter(|line| !line.is_empty() && !known(line));
+    let others =
+        frame[4..].split(|&byte| byte == b'\n').filter(|line| !line.is_empty() && !known(line));
     assert!(others.map(Text::from).eq(version.other.iter().cloned()));
 
     if let Some(found) = &version.specification {
