@@ -44,7 +44,7 @@ pub(crate) fn chunks_make_no_difference(script: &[u8]) {
             while let Some(frame) = codec.decode(&mut buffer).unwrap() {
                 frames.push(frame);
             }
-            assert!(buffer.len() <= MAX_FRAME);
+            assert!(buffer.len() <= MAX_FRAME + 1);
         }
         bytes.extend_from_slice(&piece);
     }
