@@ -170,6 +170,19 @@ async fn a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_flipped_bit_in_the_first_serial_number_does_not_turn_the_sensor_away_later() {
+    // After a fence the first V, with its serial number on the fifth line.
+    let faults = Faults::none().at(1, Fault::Flip(160, 1));
+    let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+    assert_eq!(emulator.fault_counts().flipped, 1);
+}
+
+#[tokio::test(start_paused = true)]
 async fn without_reconnecting_a_lost_link_is_the_end() {
     let emulator = truthful().build();
     let sensor = builder().reconnect(false).connect(emulator.clone()).await.unwrap();

@@ -148,8 +148,17 @@ impl<C: Connect> Opener<C> {
                 let (expected, found) = (expected.clone(), version.serial_number);
                 return Err(Failure::Line(Error::AnotherSensor { expected, found }));
             }
-        } else if !version.serial_number.is_empty() {
-            self.identity = Some(version.serial_number.clone());
+        } else {
+            // Nor must one turn this very sensor away after the next replug:
+            // nothing protects a `V`, so that two have to say the same.
+            for _ in 0..4 {
+                let before = std::mem::replace(&mut version, ask_version(session).await?);
+                if before.serial_number == version.serial_number {
+                    let known = !version.serial_number.is_empty();
+                    self.identity = known.then(|| version.serial_number.clone());
+                    break;
+                }
+            }
         }
         let speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);
