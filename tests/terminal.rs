@@ -1,0 +1,179 @@
+//! The driver on a pseudo-terminal, in real time: what only a real terminal
+//! does.
+#![cfg(all(unix, feature = "emulator", feature = "serial"))]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use common::{Truth, builder, truthful};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::task::JoinHandle;
+use tokio_scip::emulator::{Emulator, Pty};
+use tokio_scip::{BaudRate, Connect, Error, Port, Rate, State, Window};
+
+/// Serves the emulated sensor on a terminal with a stable name.
+fn serve(emulator: &Emulator, name: &str) -> (PathBuf, JoinHandle<std::io::Result<()>>) {
+    let path = std::env::temp_dir().join(format!("tokio-scip-{name}-{}", std::process::id()));
+    let terminal = Pty::open(emulator, Some(&path)).unwrap();
+    (path, tokio::spawn(terminal.serve()))
+}
+
+/// Opens a serial port by its path, and counts what is done to it.
+struct Counting {
+    path: String,
+    counts: Arc<Counts>,
+}
+
+#[derive(Default)]
+struct Counts {
+    opened: AtomicU64,
+    refused: AtomicU64,
+    /// Reads that told that the port is gone.
+    dead_reads: AtomicU64,
+    flushes: AtomicU64,
+}
+
+struct Counted {
+    port: tokio_scip::port::SerialPort,
+    counts: Arc<Counts>,
+}
+
+impl Connect for Counting {
+    type Port = Counted;
+
+    async fn connect(&mut self) -> Result<Counted, Error> {
+        let port = tokio_scip::port::SerialPort::open(&self.path).await;
+        let counter = if port.is_ok() { &self.counts.opened } else { &self.counts.refused };
+        counter.fetch_add(1, Relaxed);
+        Ok(Counted { port: port?, counts: Arc::clone(&self.counts) })
+    }
+}
+
+impl Port for Counted {
+    fn line_speed(&self) -> Option<BaudRate> {
+        self.port.line_speed()
+    }
+
+    fn set_line_speed(&mut self, speed: BaudRate) -> std::io::Result<()> {
+        self.port.set_line_speed(speed)
+    }
+
+    fn discard_output(&mut self) {
+        self.port.discard_output();
+    }
+}
+
+impl AsyncRead for Counted {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        let before = buffer.filled().len();
+        let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
+        if matches!(&outcome, Poll::Ready(outcome) if outcome.is_err() || buffer.filled().len() == before)
+        {
+            self.counts.dead_reads.fetch_add(1, Relaxed);
+        }
+        outcome
+    }
+}
+
+impl AsyncWrite for Counted {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        Pin::new(&mut self.port).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        self.counts.flushes.fetch_add(1, Relaxed);
+        Pin::new(&mut self.port).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Pin::new(&mut self.port).poll_shutdown(cx)
+    }
+}
+
+#[tokio::test]
+async fn a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
+    let emulator = truthful().build();
+    let (path, _serving) = serve(&emulator, "replug");
+    let counts = Arc::new(Counts::default());
+    let connect = Counting { path: path.to_str().unwrap().into(), counts: Arc::clone(&counts) };
+    let sensor = builder().connect(connect).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut state = sensor.state();
+    for round in 1..=2 {
+        stream.next().await.unwrap().unwrap();
+        emulator.unplug();
+        let start = Instant::now();
+        let error = loop {
+            if let Err(error) = stream.next().await.unwrap() {
+                break error;
+            }
+        };
+        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+        // The driver has looked for the port in vain a few times.
+        let refused = counts.refused.load(Relaxed);
+        while counts.refused.load(Relaxed) < refused + 4 {
+            tokio::task::yield_now().await;
+        }
+        // The waits between are 75 ms, 150 ms, 300 ms at the least.
+        assert!(start.elapsed() >= Duration::from_millis(75 + 150 + 300));
+        // The dead port was dropped at the first sign.
+        assert_eq!(counts.dead_reads.load(Relaxed), round);
+        emulator.plug_in();
+        let scan = stream.next().await.unwrap().unwrap();
+        Truth::of(&emulator.log()).check(&scan).unwrap();
+        assert!(matches!(*state.borrow_and_update(), State::Connected { .. }));
+        assert_eq!(counts.opened.load(Relaxed), round + 1);
+    }
+    assert_eq!(counts.flushes.load(Relaxed), 0, "a flush drains, and blocks the runtime");
+}
+
+#[tokio::test]
+async fn a_sensor_at_another_speed_is_found_and_moved_on_a_real_terminal() {
+    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let (path, _serving) = serve(&emulator, "speed");
+    let sensor = builder().baud_rate(BaudRate::B250000).open(path.to_str().unwrap()).await.unwrap();
+    assert_eq!(emulator.line_speed(), Some(BaudRate::B250000));
+    assert!(emulator.counts().garbled > 0, "the wrong speed was not garbled");
+    let scan = sensor.scan(Window::DETECTION).await.unwrap();
+    Truth::of(&emulator.log()).check(&scan).unwrap();
+    // Somebody else gets the port when the driver is gone, at its old speed.
+    sensor.close().await;
+    let sensor = builder().open(path.to_str().unwrap()).await.unwrap();
+    sensor.scan(Window::FULL).await.unwrap();
+    let busy = builder().open(path.to_str().unwrap()).await.unwrap_err();
+    assert!(matches!(busy, Error::Busy { .. }), "{busy:?}");
+}
+
+#[tokio::test]
+async fn scans_through_a_tcp_bridge_are_right() {
+    let emulator = truthful().build();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let server = emulator.clone();
+    let _serving = tokio::spawn(async move { server.serve_tcp(listener).await });
+    let sensor = builder().open(format!("tcp://{address}")).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut scans = Vec::new();
+    while scans.len() < 5 {
+        scans.push(stream.next().await.unwrap().unwrap());
+    }
+    let mut truth = Truth::of(&emulator.log());
+    assert!(scans.iter().all(|scan| truth.check(scan).is_ok()));
+    let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
+    assert!(matches!(error, Error::UnsupportedSpeed { .. }), "{error:?}");
+}
