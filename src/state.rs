@@ -71,7 +71,8 @@ pub struct Stats {
     pub bytes_skipped: u64,
     /// Scans that streams did not get to see because their consumers were slow.
     pub missed: u64,
-    /// Polls that were dropped because the line was busy when they were due.
+    /// Polls that were dropped because the line was busy when they were due and
+    /// still was when the next one was.
     pub polls_skipped: u64,
     /// From a `G` sent to the last byte of its reply.
     pub reply_latency: Latency,
@@ -158,8 +159,8 @@ pub struct ScheduleStats {
     pub window: Window,
     /// How often, or `None` for [`Rate::MAX`], in scans a second.
     pub asked: Option<f64>,
-    /// Scans a second that came, over the last three seconds or so; 0 before
-    /// that.
+    /// Scans a second that came, over the last three seconds or so that they
+    /// were polled; 0 before that.
     pub reached: f64,
 }
 

@@ -1,6 +1,8 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
 
+mod echoes;
+mod fence;
 mod line;
 mod opener;
 mod request;
@@ -8,7 +10,6 @@ mod schedule;
 mod serve;
 mod session;
 mod settings;
-mod single_steps;
 mod supervisor;
 
 use std::fmt;

@@ -4,7 +4,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod commands;
+mod driver;
 mod framing;
+mod peer;
 mod replies;
 mod script;
 mod versions;
@@ -20,6 +22,11 @@ proptest! {
     #[test]
     fn chunks_make_no_difference(script in prop::collection::vec(any::<u8>(), 0..500)) {
         framing::chunks_make_no_difference(&script);
+    }
+
+    #[test]
+    fn the_driver_stands_any_port_and_any_user(script in prop::collection::vec(any::<u8>(), 0..120)) {
+        driver::the_driver_stands_any_port_and_any_user(&script);
     }
 
     #[test]
