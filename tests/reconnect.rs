@@ -365,3 +365,24 @@ async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
     // Fences count as scans there: one for the break, those that confirm.
     assert!(emulator.counts().scans - scans <= 2);
 }
+
+#[tokio::test(start_paused = true)]
+async fn t12_no_fence_is_sent_again_after_a_reconnect() {
+    // The system keeps what arrives while a port is closed: an answer to the
+    // last session's fence must not be one to the next session's.
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    for _ in 0..3 {
+        emulator.set_faults(Faults::none().every(Fault::Lost).at(0, Fault::HangUp(9)));
+        let _ = sensor.scan(Window::FULL).await;
+        emulator.set_faults(Faults::none());
+        sensor.scan(Window::FULL).await.unwrap();
+    }
+    assert!(sensor.stats().disconnects >= 3, "{:?}", sensor.stats());
+    let fences: Vec<Vec<u8>> = emulator.log().into_iter().map(|line| line.line).collect();
+    let fences: Vec<_> =
+        fences.iter().filter(|line| line.len() == 9 && line[1..4] == line[4..7]).collect();
+    let different: std::collections::HashSet<_> = fences.iter().collect();
+    assert!(fences.len() >= 4, "{fences:?}");
+    assert_eq!(different.len(), fences.len());
+}

@@ -38,7 +38,7 @@ pub(crate) fn chunks_make_no_difference(script: &[u8]) {
             4 => vec![b'x'; MAX_FRAME - 2 + script.below(5)],
             length => script.take(usize::from(length) % 64).to_vec(),
         };
-        let chunk = 1 + script.below(piece.len() + 1);
+        let chunk = 1 + script.below(piece.len() + 1).max(piece.len() / 8);
         for chunk in piece.chunks(chunk) {
             buffer.extend_from_slice(chunk);
             while let Some(frame) = codec.decode(&mut buffer).unwrap() {

@@ -331,13 +331,14 @@ impl AsyncWrite for Wire {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
         if let Some(until) = state.stalled {
-            // Whoever gives up now leaves half a command behind.
             state.torn = true;
             ready!(wait(&mut self.timers[1], until, context));
             state.stalled = None;
         }
         let count = state.size().min(bytes.len());
         if count == 0 {
+            // Whoever gives up now leaves half a command behind.
+            state.torn = true;
             context.waker().wake_by_ref();
             return Poll::Pending;
         }
