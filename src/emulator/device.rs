@@ -130,8 +130,7 @@ impl Device {
             Request::Refused(Refusal::Length) => refused(line, b'1'),
             Request::Refused(Refusal::Parameter) => refused(line, b'4'),
             Request::Refused(Refusal::Order) => refused(line, b'5'),
-            Request::Scip2 => refused(line, b'C'),
-            Request::Undefined | Request::Empty => refused(line, b'E'),
+            Request::Scip2 | Request::Undefined | Request::Empty => refused(line, b'E'),
         }
     }
 

@@ -42,12 +42,11 @@
 //! | `S` for the line speed that is set already, or on USB ([`Firmware::V3`]) | `3` |
 //! | `G` while the laser is off | `6` |
 //! | undefined ([`Firmware::V3`]; no answer from [`Firmware::Text`]) | `E` |
-//! | `SCIP2.0` to a sensor that lacks it ([`Firmware::Text`]) | `C` |
 //! | a wrong number of bytes | `1` |
 //! | a control code, line speed, step or cluster that does not exist | `4` |
 //! | starting point bigger than end point | `5` |
 //!
-//! The first five are what real sensors are known to answer; the other three
+//! The first four are what real sensors are known to answer; the other three
 //! are this emulator's own choice, since only "an error status" is known. A
 //! cluster count of `00` works like `01`. Lines of more than 64 bytes are cut
 //! and refused.

@@ -59,10 +59,11 @@ impl Model {
                     "0\nVEND: Hokuyo Automatic Co., Ltd.\nPROD: SOKUIKI Sensor URG-X002\nFIRM: 0.01.22a,(2004/12/27)\nPROT: 00001,(SCIP 1.0)\nSERI: H1",
                 ),
             },
-            b"SCIP2.0" => {
-                self.scip2 = real;
-                reply(if real { "0" } else { "C" })
+            b"SCIP2.0" if real => {
+                self.scip2 = true;
+                reply("0")
             }
+            b"SCIP2.0" => Vec::new(),
             b"L0" | b"L1" => {
                 let on = line == b"L1";
                 reply(if std::mem::replace(&mut self.laser, on) == on { "2" } else { "0" })
