@@ -31,6 +31,9 @@ async fn use_sensor(script: Script<'_>, peer: Peer) {
     let builder = Sensor::builder()
         .jitter_seed(0)
         .wait_for_sensor()
+        // Damage that comes twice alike makes another sensor of this one, and
+        // the first one that comes is the one that is expected.
+        .serial_number("H1")
         .reply_latency(Duration::from_millis(200));
     let (sensor, driver) = builder.build(peer.clone());
     let driver = tokio::spawn(driver);
