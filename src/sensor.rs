@@ -242,7 +242,8 @@ impl SensorBuilder {
         self
     }
 
-    /// Makes the random part of the back-off repeatable, for simulations.
+    /// Makes what is random repeatable, for simulations: the back-off, and the
+    /// step of the first fence.
     pub fn jitter_seed(mut self, seed: u64) -> Self {
         self.config.jitter_seed = Some(seed);
         self

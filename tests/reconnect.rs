@@ -172,6 +172,19 @@ async fn a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_flipped_bit_in_the_first_serial_number_does_not_turn_the_sensor_away_later() {
+    // After a fence the first V, with its serial number on the fifth line.
+    let faults = Faults::none().at(1, Fault::Flip(160, 1));
+    let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+    assert_eq!(emulator.fault_counts().flipped, 1);
+}
+
+#[tokio::test(start_paused = true)]
 async fn without_reconnecting_a_lost_link_is_the_end() {
     let emulator = truthful().build();
     let sensor = builder().reconnect(false).connect(emulator.clone()).await.unwrap();
@@ -356,4 +369,25 @@ async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
     assert!(!emulator.laser());
     // Fences count as scans there: one for the break, those that confirm.
     assert!(emulator.counts().scans - scans <= 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn t12_no_fence_is_sent_again_after_a_reconnect() {
+    // The system keeps what arrives while a port is closed: an answer to the
+    // last session's fence must not be one to the next session's.
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    for _ in 0..3 {
+        emulator.set_faults(Faults::none().every(Fault::Lost).at(0, Fault::HangUp(9)));
+        let _ = sensor.scan(Window::FULL).await;
+        emulator.set_faults(Faults::none());
+        sensor.scan(Window::FULL).await.unwrap();
+    }
+    assert!(sensor.stats().disconnects >= 3, "{:?}", sensor.stats());
+    let fences: Vec<Vec<u8>> = emulator.log().into_iter().map(|line| line.line).collect();
+    let fences: Vec<_> =
+        fences.iter().filter(|line| line.len() == 9 && line[1..4] == line[4..7]).collect();
+    let different: std::collections::HashSet<_> = fences.iter().collect();
+    assert!(fences.len() >= 4, "{fences:?}");
+    assert_eq!(different.len(), fences.len());
 }

@@ -19,6 +19,12 @@ pub(crate) struct Echoes {
 }
 
 impl Echoes {
+    /// Begins anywhere: what a program that has ended asked for may still be
+    /// answered, and must not be answered to the first fence of the next one.
+    pub(crate) fn starting(seed: u64) -> Self {
+        Self { fence: (seed % u64::from(STEPS)) as u16, ..Self::default() }
+    }
+
     /// What to ask for in order to get `window`: that, or more points; and how
     /// many of those to skip in front.
     ///

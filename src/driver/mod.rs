@@ -14,6 +14,7 @@ mod supervisor;
 
 use std::fmt;
 use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -45,6 +46,14 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+}
+
+impl Config {
+    /// What is random begins here.
+    fn seed(&self) -> u64 {
+        let random = || RandomState::new().hash_one(Instant::now().into_std());
+        self.jitter_seed.unwrap_or_else(random)
+    }
 }
 
 impl Default for Config {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 
 use super::Config;
+use super::echoes::Echoes;
 use super::session::{Failure, Session};
 use crate::port::Connect;
 use crate::protocol::{Command, Text, Version};
@@ -29,6 +30,9 @@ pub(crate) struct Opener<C> {
     found: Option<BaudRate>,
     /// The sensor that is expected: the one asked for, or the first one found.
     identity: Option<Text>,
+    /// What earlier sessions asked for: the system keeps what arrives while a
+    /// port is closed, so that the next session may get answers to it.
+    echoes: Echoes,
     /// Whether a sensor was ever opened.
     opened: bool,
     scan_time: Duration,
@@ -49,6 +53,7 @@ impl<C: Connect> Opener<C> {
             wanted: Wanted { laser: None, speed: config.baud_rate },
             found: None,
             identity: config.serial_number.clone().or(asked),
+            echoes: Echoes::starting(config.seed()),
             opened: false,
             scan_time: TURN,
             connect,
@@ -88,9 +93,20 @@ impl<C: Connect> Opener<C> {
 
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
         let (latency, telemetry) = (self.config.reply_latency, Arc::clone(&self.telemetry));
-        let mut session = Session::new(Box::new(port), latency, telemetry);
-        self.find(&mut session, self.config.open_timeout).await?;
-        Ok(session)
+        let echoes = std::mem::take(&mut self.echoes);
+        let mut session = Session::new(Box::new(port), latency, echoes, telemetry);
+        match self.find(&mut session, self.config.open_timeout).await {
+            Ok(()) => Ok(session),
+            Err(error) => {
+                self.close(session);
+                Err(error)
+            }
+        }
+    }
+
+    /// Closes the port of a session that is of no use any more.
+    pub(crate) fn close(&mut self, session: Session) {
+        self.echoes = session.close();
     }
 
     /// Finds the sensor again on a port that is still open.

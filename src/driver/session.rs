@@ -85,6 +85,7 @@ impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
         latency: Option<Duration>,
+        echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
@@ -94,11 +95,16 @@ impl Session {
             dirty: true,
             interrupted: true,
             adjustable: false,
-            echoes: Echoes::default(),
+            echoes,
             values: Vec::new(),
             polled: 0..0,
             telemetry,
         }
+    }
+
+    /// Closes the port, and gives what the next session has to know.
+    pub(crate) fn close(self) -> Echoes {
+        self.echoes
     }
 
     pub(crate) fn line_speed(&self) -> Option<BaudRate> {

@@ -2,7 +2,6 @@
 //! reconnects, with what the service had asked for restored.
 
 use std::future::Future;
-use std::hash::{BuildHasher, RandomState};
 use std::mem::discriminant;
 use std::sync::Arc;
 use std::time::Duration;
@@ -151,7 +150,7 @@ impl<C: Connect> Supervisor<C> {
 
     async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, End> {
         // First, or the system could not give the port the same name again.
-        drop(session);
+        self.opener.close(session);
         let error = match cause {
             Error::Disconnected { .. } => cause,
             _ => Error::disconnected(None),
@@ -232,9 +231,7 @@ struct Backoff {
 impl Backoff {
     fn new(config: &Config) -> Self {
         let (shortest, longest) = config.backoff;
-        let seed = config.jitter_seed;
-        let seed = seed.unwrap_or_else(|| RandomState::new().hash_one(Instant::now().into_std()));
-        Self { shortest, longest, next: shortest, seed }
+        Self { shortest, longest, next: shortest, seed: config.seed() }
     }
 
     /// A link was there for so long. One that comes and goes is not reopened
