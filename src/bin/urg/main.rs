@@ -4,6 +4,7 @@
 mod args;
 mod commands;
 mod failure;
+mod feed;
 mod format;
 mod interrupt;
 mod notice;
