@@ -11,6 +11,8 @@ mod notice;
 mod output;
 mod pace;
 mod port;
+#[cfg(feature = "web")]
+mod web;
 
 use std::io;
 use std::process::ExitCode;
