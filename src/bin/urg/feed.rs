@@ -28,7 +28,8 @@ impl Entry {
             Self::Error(error) => {
                 let lost = matches!(error, Error::Disconnected { .. });
                 let error = chain(error);
-                let event = if lost { Event::Disconnected { error } } else { Event::Error { error } };
+                let event =
+                    if lost { Event::Disconnected { error } } else { Event::Error { error } };
                 json::event(&event)
             }
             Self::Reconnected => json::event(&Event::Reconnected),

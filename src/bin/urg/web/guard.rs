@@ -59,7 +59,9 @@ mod tests {
 
     #[test]
     fn only_names_of_this_machine_pass() {
-        for host in ["localhost", "LOCALHOST:9", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080", "[::1]"] {
+        for host in
+            ["localhost", "LOCALHOST:9", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080", "[::1]"]
+        {
             assert!(is_this_machine(host), "{host}");
         }
         for host in [

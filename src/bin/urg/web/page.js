@@ -12,23 +12,25 @@ function say(id, text) {
 // ---- how it goes -------------------------------------------------------
 
 let report = null; // the latest /state, or null while the server is away
-let scanned = 0; // when the latest scan came, on this page's own clock
+let scanned = 0; // when the latest scan came, or was first asked for, on this page's clock
 let refused = false; // whether the server has no place for another viewer
 let paused = false;
 let newest = null; // the latest scan, also while the picture is paused
 
-const period = () => report?.asked ? 1000 / report.asked : 1000;
-const seconds = (text) => `${text.toFixed(text < 10 ? 1 : 0)} s`;
+// Whether scans should have come in here by now.
+const overdue = () => performance.now() - scanned > 3000 / (report?.asked ?? 1) + 3000;
+
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 // One word for the pill, and what to say on the radar, if anything.
 function condition() {
   if (!report) return ["bad", "Server away", "The server does not answer. Trying again…"];
   if (report.link === "waiting") return ["wait", "No sensor yet", "Waiting for a sensor…"];
   if (report.link === "recovering") return ["bad", "Sensor silent", "The sensor is silent. Looking for it…"];
-  if (report.why && report.link !== "connected") return ["bad", "Sensor away", `Sensor away: ${report.why}. Waiting for it…`];
-  if (report.why) return ["bad", "No scans", report.why];
+  if (report.why && report.link !== "connected") return ["bad", "Sensor away", `${sentence(report.why)}. Waiting for it…`];
+  if (report.why) return ["bad", "No scans", sentence(report.why)];
   if (refused) return ["wait", "No place", "Too many viewers are watching. Trying again…"];
-  if (performance.now() - scanned > 3 * period() + 2000) return ["wait", "No scans", "No scans come in here. Trying again…"];
+  if (overdue()) return ["wait", "No scans", "No scans come in here. Trying again…"];
   return paused ? ["wait", "Paused", ""] : ["good", "Live", ""];
 }
 
@@ -64,11 +66,11 @@ function tell() {
     document.title = `${sensor.product} – urg`;
   }
   say("identity", [sensor?.serial_number, report.port, report.line_speed ? `${report.line_speed} baud` : null].filter(Boolean).join(" · "));
-  figure("rate", report.reached.toFixed(1), report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
-  if (latency) figure("latency", (latency.last * 1000).toFixed(0), `ms, mean ${(latency.mean * 1000).toFixed(0)}`);
+  figure("rate", report.reached ? report.reached.toFixed(1) : "–", report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
+  if (latency) figure("latency", (latency.last * 1000).toFixed(0), "ms");
   const damaged = Object.values(stats.malformed).reduce((sum, count) => sum + count, 0);
   const lost = damaged + stats.timeouts + stats.refused;
-  figure("lost", String(lost), `of ${stats.polls} scans`);
+  figure("lost", String(lost), lost === 1 ? "reply" : "replies");
   rows([
     ["Link", report.link],
     ["Line", report.line_speed ? `${report.line_speed} baud` : report.link === "connected" ? "no line speed (USB)" : null],
@@ -77,9 +79,10 @@ function tell() {
     ["Not answered", stats.timeouts],
     ["Damaged", damaged],
     ["Refused", stats.refused],
-    ["Polls left out, line busy", stats.polls_skipped],
+    ["Polls skipped", stats.polls_skipped],
     ["Link lost", `${stats.disconnects}×`],
-    ["Longest reply", latency ? `${(latency.max * 1000).toFixed(0)} ms` : null],
+    ["Latency, mean", latency ? `${(latency.mean * 1000).toFixed(0)} ms` : null],
+    ["Latency, longest", latency ? `${(latency.max * 1000).toFixed(0)} ms` : null],
     ["Viewers", report.viewers],
     ["Vendor", sensor?.vendor], ["Firmware", sensor?.firmware], ["Protocol", sensor?.protocol], ["Status", sensor?.status],
     ["urg", report.urg],
@@ -104,6 +107,7 @@ let source = null;
 function listen() {
   source?.close();
   source = new EventSource("/scans");
+  scanned = performance.now();
   source.onopen = () => { refused = false; ask(); };
   source.onmessage = (message) => {
     const data = JSON.parse(message.data);
@@ -113,8 +117,10 @@ function listen() {
     if (!paused) take(data);
   };
   source.onerror = () => {
-    // It tries again by itself, but for a server that refuses.
-    if (source.readyState === EventSource.CLOSED) { source = null; refused = true; }
+    // Closed by itself: the server refused. Else the server is away.
+    refused = source.readyState === EventSource.CLOSED;
+    source.close();
+    source = null;
     ask();
   };
 }
@@ -130,13 +136,13 @@ function take(scan) {
     else if (distance < near) [near, at] = [distance, index];
   });
   for (const kind in counts) say(kind, String(counts[kind]));
-  if (near < Infinity) figure("nearest", near.toFixed(2), `m at ${direction(radar.angle(at))}`);
+  if (near < Infinity) figure("nearest", near.toFixed(2), `m at ${direction(radar.angle(at), 0)}`);
   else say("nearest", "–");
   describe();
   show();
 }
 
-const direction = (radians) => `${degrees(radians).toFixed(1)}°`.replace("-", "−");
+const direction = (radians, digits = 1) => `${degrees(radians).toFixed(digits)}°`.replace("-", "−");
 
 // The point that is pointed at, if one is.
 function describe() {
@@ -149,7 +155,8 @@ function describe() {
 // A hidden page takes no scans, and one that lost its stream gets another.
 function tend() {
   if (document.hidden) { source?.close(); source = null; return; }
-  if (!source) listen();
+  // A network that went away does not always say so.
+  if (!source || (report && !report.why && overdue())) listen();
   ask();
 }
 document.addEventListener("visibilitychange", tend);

@@ -23,10 +23,8 @@ pub(super) async fn page() -> Response {
          frame-ancestors 'none'; require-trusted-types-for 'script'"
     );
     let script = format!("\"use strict\";\nconst CODES = {};\n{}", codes(), SCRIPTS.concat());
-    let page = HTML
-        .replace("{nonce}", &nonce)
-        .replace("{style}", STYLE)
-        .replace("{script}", &script);
+    let page =
+        HTML.replace("{nonce}", &nonce).replace("{style}", STYLE).replace("{script}", &script);
     let headers = [
         (header::CONTENT_TYPE, "text/html; charset=utf-8".to_owned()),
         (header::CONTENT_SECURITY_POLICY, policy),

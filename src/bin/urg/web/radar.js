@@ -171,7 +171,7 @@ class Radar {
       context.moveTo(...this.place(angle, 0.15, view)); context.lineTo(...this.place(angle, REACH, view));
     }
     context.stroke();
-    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 34) ?? 4;
+    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 44) ?? 4;
     const rings = Array.from({ length: Math.round(REACH / step) }, (_, n) => (n + 1) * step);
     for (const ring of rings) { context.beginPath(); this.arc(view, ring, from, to); context.stroke(); }
 
@@ -179,10 +179,9 @@ class Radar {
     context.textAlign = "center"; context.textBaseline = "middle";
     for (const d of marks) this.label(`${d > 0 ? "+" : ""}${d}°`.replace("-", "−"), ...this.place(d * Math.PI / 180, LABELS, view));
     const along = Math.min(Math.max(0, from), to);
-    const digits = step < 0.1 ? 2 : step < 1 ? 1 : 0;
     for (const ring of rings) {
       const [x, y] = this.place(along, ring, view);
-      this.label(`${ring.toFixed(digits)} m`, x, y);
+      this.label(`${Number(ring.toFixed(2))} m`, x, y);
     }
   }
 

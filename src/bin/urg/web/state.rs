@@ -74,9 +74,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
             }),
             viewers: MAX_VIEWERS - app.viewers.available_permits(),
             // Known already, or not to be had now.
-            sensor: sensor
-                .and_then(|sensor| sensor.version().now_or_never())
-                .and_then(Result::ok),
+            sensor: sensor.and_then(|sensor| sensor.version().now_or_never()).and_then(Result::ok),
             stats,
         },
     )
