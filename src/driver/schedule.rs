@@ -157,11 +157,14 @@ impl Schedules {
         }
     }
 
-    /// Reports an error to everyone.
+    /// The link is lost: reports why to everyone, and has rates begin anew with
+    /// the next scan.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
+            schedule.speed.interrupt();
         }
+        self.changed = true;
     }
 
     /// What is polled, and how fast, if that has changed.
@@ -232,17 +235,29 @@ struct Speedometer {
     since: Instant,
     scans: u32,
     reached: f64,
+    /// Whether the time since then is none of a line that works.
+    interrupted: bool,
     /// Whether it was said that the rate is not reached.
     told: bool,
 }
 
 impl Speedometer {
     fn new(now: Instant) -> Self {
-        Self { since: now, scans: 0, reached: 0.0, told: false }
+        Self { since: now, scans: 0, reached: 0.0, interrupted: false, told: false }
+    }
+
+    /// No scans come for some time, which says nothing of the line's rate.
+    fn interrupt(&mut self) {
+        self.reached = 0.0;
+        self.interrupted = true;
     }
 
     /// Counts a scan; gives the rate at the end of each span.
     fn count(&mut self, now: Instant) -> Option<f64> {
+        if std::mem::take(&mut self.interrupted) {
+            (self.since, self.scans) = (now, 0);
+            return None;
+        }
         self.scans += 1;
         let span = now.saturating_duration_since(self.since);
         if span < RATE_SPAN {
@@ -286,6 +301,24 @@ mod tests {
         assert_eq!(take(260), Some((0, 300)));
         assert_eq!(take(650), Some((3, 700)));
         assert_eq!(take(700), Some((0, 800)));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_time_without_a_link_is_no_part_of_the_rate() {
+        let mut now = Instant::now();
+        let mut speed = Speedometer::new(now);
+        let mut after = |pause: Duration, speed: &mut Speedometer| {
+            now += pause;
+            let counted = (0..31).filter_map(|_| {
+                now += HUNDRED_MS;
+                speed.count(now)
+            });
+            counted.last()
+        };
+        assert_eq!(after(Duration::ZERO, &mut speed), Some(10.0));
+        speed.interrupt();
+        assert_eq!(speed.reached, 0.0);
+        assert_eq!(after(Duration::from_secs(60), &mut speed), Some(10.0));
     }
 
     #[tokio::test(start_paused = true)]
