@@ -121,13 +121,13 @@ fn scans_come_as_server_sent_events_where_those_are_asked_for() {
 fn two_viewers_get_the_same_scans_and_cost_one() {
     let served = Served::start("emulated");
     let mut viewers = [served.get("/scans?max=20"), served.get("/scans?max=20")];
-    let seen = viewers.each_mut().map(|viewer| {
-        let lines = std::iter::from_fn(|| viewer.line());
-        let scans = lines.map(|line| scan(&line));
-        scans
-            .map(|scan| (scan["sequence"].as_u64().unwrap(), values(&scan)))
-            .collect::<HashMap<_, _>>()
-    });
+    let mut seen = [HashMap::new(), HashMap::new()];
+    for _ in 0..20 {
+        for (viewer, seen) in viewers.iter_mut().zip(&mut seen) {
+            let scan = scan(&viewer.line().unwrap());
+            seen.insert(scan["sequence"].as_u64().unwrap(), values(&scan));
+        }
+    }
     let [one, other] = seen;
     let both: Vec<_> = one.keys().filter(|sequence| other.contains_key(sequence)).collect();
     assert!(both.len() > 10, "only {both:?} reached both");
