@@ -284,3 +284,14 @@ fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
     let (status, _) = served.running.end();
     assert_eq!(status.code(), Some(0));
 }
+
+#[test]
+fn a_page_for_the_network_says_that_everybody_can_look_and_takes_any_name() {
+    let mut running = Running::start("serve emulated --listen 0.0.0.0:0");
+    let notice = running.notice();
+    let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
+    let address = format!("127.0.0.1:{}", port.split('/').next().unwrap());
+    assert!(running.notice().contains("there is no password"));
+    let client = Client { address: &address, host: "robot.local", accept: "*/*" };
+    assert_eq!(client.get("/state").status, 200);
+}

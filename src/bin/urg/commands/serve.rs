@@ -74,7 +74,13 @@ impl Serve {
         let bound = listener.local_addr().map_err(failed)?;
 
         let hub = Hub::new(port, window, self.rate);
-        let announce = || notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
+        let loopback = bound.ip().to_canonical().is_loopback();
+        let announce = || {
+            notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
+            if !loopback {
+                notice("anybody who can reach this address can look: there is no password");
+            }
+        };
         if self.link.wait {
             announce();
         } else {
@@ -86,7 +92,7 @@ impl Serve {
         }
         tokio::select! {
             outcome = hub.run(&self.link) => outcome,
-            () = web::serve(listener, &hub, bound.ip(), interrupt) => Ok(()),
+            () = web::serve(listener, &hub, loopback, interrupt) => Ok(()),
         }
     }
 }

@@ -7,7 +7,6 @@ mod scans;
 mod server;
 mod state;
 
-use std::net::IpAddr;
 use std::sync::Arc;
 
 use axum::Router;
@@ -30,12 +29,12 @@ struct App {
     interrupt: Interrupt,
 }
 
-/// Serves `hub` on `listener`, which has the address `ip`, until the user stops
-/// the program and all connections have ended.
+/// Serves `hub` on `listener`, an address of this machine only if `loopback`,
+/// until the user stops the program and all connections have ended.
 pub(crate) async fn serve(
     listener: TcpListener,
     hub: &Arc<Hub>,
-    ip: IpAddr,
+    loopback: bool,
     interrupt: &Interrupt,
 ) {
     let app = App {
@@ -49,6 +48,6 @@ pub(crate) async fn serve(
         .route("/state", get(state::state))
         .route("/health", get(state::health))
         .with_state(app)
-        .layer(from_fn_with_state(ip.is_loopback(), guard::guard));
+        .layer(from_fn_with_state(loopback, guard::guard));
     server::serve(listener, router, interrupt).await;
 }

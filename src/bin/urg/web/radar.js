@@ -171,7 +171,7 @@ class Radar {
       context.moveTo(...this.place(angle, 0.15, view)); context.lineTo(...this.place(angle, REACH, view));
     }
     context.stroke();
-    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 44) ?? 4;
+    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 36) ?? 4;
     const rings = Array.from({ length: Math.round(REACH / step) }, (_, n) => (n + 1) * step);
     for (const ring of rings) { context.beginPath(); this.arc(view, ring, from, to); context.stroke(); }
 
