@@ -2,6 +2,8 @@
 //! each; streams read the rings that it fills.
 
 mod alarm;
+mod echoes;
+mod fence;
 mod line;
 mod opener;
 mod request;
@@ -9,11 +11,12 @@ mod schedule;
 mod serve;
 mod session;
 mod settings;
-mod single_steps;
+mod speedometer;
 mod supervisor;
 
 use std::fmt;
 use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -45,6 +48,14 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+}
+
+impl Config {
+    /// What is random begins here.
+    fn seed(&self) -> u64 {
+        let random = || RandomState::new().hash_one(Instant::now().into_std());
+        self.jitter_seed.unwrap_or_else(random)
+    }
 }
 
 impl Default for Config {

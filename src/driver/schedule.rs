@@ -6,13 +6,11 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::speedometer::Speedometer;
 use crate::ring::{Cursor, Ring};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::ScheduleStats;
 use crate::{Error, Rate, Window};
-
-/// How long the rate that is reached is averaged.
-const RATE_SPAN: Duration = Duration::from_secs(3);
 
 /// Everything that is polled.
 #[derive(Debug)]
@@ -63,34 +61,31 @@ impl Schedules {
     }
 
     /// A reader of what `window` shows at `rate`, from the next scan on. Equal
-    /// ones share a schedule.
+    /// ones share a schedule. While there is `trouble` it is told of that first.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
         rate: Rate,
         trouble: Option<&Error>,
     ) -> Cursor {
+        self.drop_unread();
         if let Some(schedule) = self.find(window, rate) {
-            return schedule.ring.reader();
+            return schedule.reader(trouble);
         }
-        let ring = Ring::new(self.ring_depth);
-        let reader = ring.reader();
-        let mut schedule = Schedule {
-            window,
-            rate,
-            ring,
-            due: Instant::now(),
-            sequence: 0,
-            previous: None,
-            condition: None,
-            speed: Speedometer::new(Instant::now()),
-        };
-        if let Some(error) = trouble {
-            schedule.report(error);
-        }
+        let mut schedule = Schedule::new(window, rate, self.ring_depth);
+        let reader = schedule.reader(trouble);
         self.all.push(schedule);
         self.changed = true;
         reader
+    }
+
+    /// After a rest, when no polls were wanted or none were possible: the places
+    /// on the grid that went by were not missed, and rates are measured anew.
+    pub(crate) fn resume(&mut self, now: Instant) {
+        for schedule in &mut self.all {
+            schedule.catch_up(now);
+            schedule.speed.restart(now);
+        }
     }
 
     /// When the next poll is due.
@@ -106,22 +101,13 @@ impl Schedules {
     /// Takes the poll that has been due for longest, and how many places on its
     /// grid went by unused. Schedules without readers end here.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<(Poll, u64)> {
-        loop {
-            let (index, schedule) =
-                self.all.iter_mut().enumerate().min_by_key(|(_, schedule)| schedule.due)?;
-            if schedule.due > now {
-                return None;
-            }
-            if schedule.ring.readers() == 0 {
-                self.missed += schedule.ring.missed();
-                self.all.swap_remove(index);
-                self.changed = true;
-                continue;
-            }
-            let skipped = schedule.advance(now);
-            let (window, rate) = (schedule.window, schedule.rate);
-            return Some((Poll { window, rate }, skipped));
+        self.drop_unread();
+        let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
+        if schedule.due > now {
+            return None;
         }
+        let skipped = schedule.advance(now);
+        Some((Poll { window: schedule.window, rate: schedule.rate }, skipped))
     }
 
     /// Delivers the values that `poll` brought.
@@ -138,7 +124,7 @@ impl Schedules {
         if schedule.rate.period().is_none() {
             schedule.due = now;
         }
-        let reached = schedule.speed.count(now);
+        let reached = schedule.speed.count(1, now);
         let slow = reached
             .filter(|reached| schedule.is_slow(*reached))
             .filter(|_| !std::mem::replace(&mut schedule.speed.told, true))
@@ -149,31 +135,33 @@ impl Schedules {
 
     /// Reports the error of one poll.
     pub(crate) fn fail(&mut self, poll: Poll, error: &Error) {
-        if let Some(schedule) = self.find(poll.window, poll.rate) {
-            schedule.report(error);
-            if schedule.rate.period().is_none() {
-                schedule.due = Instant::now();
-            }
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return };
+        let now = Instant::now();
+        schedule.report(error);
+        if schedule.rate.period().is_none() {
+            schedule.due = now;
         }
+        let reached = schedule.speed.count(0, now);
+        self.changed |= reached.is_some();
     }
 
-    /// Reports an error to everyone.
+    /// The link is lost: tells everyone why, and no rate is reached.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
+            schedule.speed.reached = 0.0;
+            self.changed = true;
         }
     }
 
-    /// Whether [`stats`](Self::stats) says something new since this was asked
-    /// last.
-    pub(crate) fn has_news(&mut self) -> bool {
-        std::mem::take(&mut self.changed)
-    }
-
-    /// What is polled, and how fast.
-    pub(crate) fn stats(&self) -> impl Iterator<Item = ScheduleStats> {
+    /// Notes what is polled, and how fast, if that has changed.
+    pub(crate) fn note(&mut self, noted: &mut Vec<ScheduleStats>) {
         let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
-        self.all.iter().map(stats)
+        if std::mem::take(&mut self.changed) {
+            // In place: a scan costs no allocation beyond its values.
+            noted.clear();
+            noted.extend(self.all.iter().map(stats));
+        }
     }
 
     /// Scans that consumers were too slow for.
@@ -186,6 +174,19 @@ impl Schedules {
         for schedule in self.all.drain(..) {
             schedule.ring.end(cause.cloned());
         }
+    }
+
+    /// Ends the schedules that nobody reads any more.
+    fn drop_unread(&mut self) {
+        let Self { all, missed, changed, .. } = self;
+        all.retain(|schedule| {
+            let read = schedule.ring.readers() > 0;
+            if !read {
+                *missed += schedule.ring.missed();
+                *changed = true;
+            }
+            read
+        });
     }
 
     fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
@@ -201,11 +202,40 @@ impl Drop for Schedules {
 }
 
 impl Schedule {
+    fn new(window: Window, rate: Rate, ring_depth: usize) -> Self {
+        let now = Instant::now();
+        Self {
+            window,
+            rate,
+            ring: Ring::new(ring_depth),
+            due: now,
+            sequence: 0,
+            previous: None,
+            condition: None,
+            speed: Speedometer::new(now),
+        }
+    }
+
+    fn reader(&mut self, trouble: Option<&Error>) -> Cursor {
+        if let Some(error) = trouble {
+            self.report(error);
+        }
+        self.ring.reader(self.condition.is_some())
+    }
+
     /// Moves on to the first place on the grid behind `now`, so that a poll is
     /// late at most once for being late; returns how many places that skips.
     fn advance(&mut self, now: Instant) -> u64 {
+        let skipped = self.catch_up(now);
+        self.due += self.rate.period().unwrap_or_default();
+        skipped
+    }
+
+    /// Moves on to the last place on the grid that is due, if any is; returns
+    /// how many places that skips.
+    fn catch_up(&mut self, now: Instant) -> u64 {
         let Some(period) = self.rate.period() else {
-            self.due = now;
+            self.due = self.due.max(now);
             return 0;
         };
         let late = now.saturating_duration_since(self.due).as_nanos();
@@ -213,8 +243,7 @@ impl Schedule {
         // A grid lasts as long as the stream: counted in u64 it would end after
         // 584 years.
         let skipped = (late / period) as u64;
-        let step = Duration::from_nanos((period * (u128::from(skipped) + 1)) as u64);
-        self.due += step;
+        self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);
         skipped
     }
 
@@ -229,34 +258,6 @@ impl Schedule {
 
     fn is_slow(&self, reached: f64) -> bool {
         self.rate.period().is_some_and(|period| reached * period.as_secs_f64() < 0.95)
-    }
-}
-
-/// Measures the rate that is reached.
-#[derive(Debug)]
-struct Speedometer {
-    since: Instant,
-    scans: u32,
-    reached: f64,
-    /// Whether it was said that the rate is not reached.
-    told: bool,
-}
-
-impl Speedometer {
-    fn new(now: Instant) -> Self {
-        Self { since: now, scans: 0, reached: 0.0, told: false }
-    }
-
-    /// Counts a scan; gives the rate at the end of each span.
-    fn count(&mut self, now: Instant) -> Option<f64> {
-        self.scans += 1;
-        let span = now.saturating_duration_since(self.since);
-        if span < RATE_SPAN {
-            return None;
-        }
-        self.reached = f64::from(self.scans) / span.as_secs_f64();
-        (self.since, self.scans) = (now, 0);
-        Some(self.reached)
     }
 }
 
@@ -323,15 +324,15 @@ mod tests {
     async fn equal_schedules_are_one_and_one_without_readers_ends() {
         let same = (Window::FULL, Rate::MAX);
         let (mut schedules, readers) = schedules(&[same, same]);
-        assert!(schedules.has_news());
-        assert_eq!(schedules.stats().count(), 1);
+        let mut noted = Vec::new();
+        schedules.note(&mut noted);
+        assert_eq!(noted.len(), 1);
         assert!(schedules.take_due(Instant::now()).is_some());
         drop(readers);
         assert!(schedules.take_due(Instant::now()).is_none());
         assert!(schedules.is_empty());
-        assert!(schedules.has_news());
-        assert_eq!(schedules.stats().count(), 0);
-        assert!(!schedules.has_news());
+        schedules.note(&mut noted);
+        assert_eq!(noted, []);
     }
 
     #[tokio::test(start_paused = true)]
