@@ -9,6 +9,7 @@ mod interrupt;
 mod notice;
 mod output;
 mod pace;
+mod plot;
 mod port;
 
 use std::io;
