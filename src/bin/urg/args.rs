@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use tokio_scip::{BaudRate, Rate, Window};
 
-use crate::commands::{baud, emulate, info, laser, list, scan, stream};
+use crate::commands::{baud, emulate, info, laser, list, scan, stream, view};
 use crate::failure::Failure;
 
 /// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
@@ -29,6 +29,7 @@ PORT is one of
 Examples:
   urg list                                  which ports are there?
   urg info /dev/ttyACM0                     who is it, and how is it set?
+  urg view emulated                         a live radar, without any hardware
   urg stream emulated --count 20            20 scans as NDJSON, without any hardware
   urg emulate --link /tmp/urg               an emulated sensor for other programs"
 )]
@@ -43,9 +44,17 @@ pub(crate) enum Command {
     Info(info::Info),
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
+    View(view::View),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
+}
+
+impl Command {
+    /// Whether it takes the terminal for itself.
+    pub(crate) fn draws(&self) -> bool {
+        matches!(self, Self::View(_))
+    }
 }
 
 /// How to get to the sensor.

@@ -7,6 +7,7 @@ pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod scan;
 pub(crate) mod stream;
+pub(crate) mod view;
 
 use crate::args::Command;
 use crate::failure::Failure;
@@ -19,6 +20,7 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
     match command {
         // Ends by itself, with what has come by then written to its end.
         Command::Stream(stream) => stream.run(&interrupt).await,
+        Command::View(view) => view.run(&interrupt).await,
         Command::List(list) => or_interrupt(&interrupt, list.run()).await,
         Command::Info(info) => or_interrupt(&interrupt, info.run()).await,
         Command::Scan(scan) => or_interrupt(&interrupt, scan.run()).await,

@@ -173,6 +173,7 @@ impl Run {
     async fn scan(&mut self, scan: &Scan) -> Result<(), Failure> {
         if std::mem::take(&mut self.disconnected) {
             notice(format_args!("{}: the sensor is back", self.port));
+            self.watch.interrupted();
             self.event(&Event::Reconnected).await?;
         }
         let missed = self.scans.missed();
@@ -186,7 +187,9 @@ impl Run {
             Format::Csv => csv::rows(scan),
         };
         self.output.write(&text).await?;
-        self.watch.look(&self.sensor);
+        if let Some(text) = self.watch.look(&self.sensor) {
+            notice(text);
+        }
         Ok(())
     }
 
