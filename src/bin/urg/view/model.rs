@@ -148,10 +148,9 @@ fn next_window(window: Window) -> Window {
     let degrees = |most: f64| Window::degrees(-most..=most).unwrap_or(Window::DETECTION);
     let windows = [Window::DETECTION, degrees(90.0), degrees(45.0), Window::FULL];
     let same = |other: &Window| (other.start(), other.end()) == (window.start(), window.end());
-    let next = windows.iter().cycle().skip_while(|other| !same(other)).nth(1);
-    // Not one of them: back to the first.
-    let next = if windows.iter().any(same) { next.copied() } else { None };
-    let next = next.unwrap_or(Window::DETECTION);
+    // From any other window, and from the last of them, to the first.
+    let next = windows.iter().skip_while(|other| !same(other)).nth(1);
+    let next = next.copied().unwrap_or(Window::DETECTION);
     next.with_cluster_count(window.cluster_count()).unwrap_or(next)
 }
 
