@@ -6,7 +6,9 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use tokio_scip::{BaudRate, Rate, Window};
 
-use crate::commands::{baud, emulate, info, laser, list, scan, stream, view};
+use crate::commands::{
+    baud, check, completions, emulate, info, laser, list, man, scan, stream, view,
+};
 use crate::failure::Failure;
 
 /// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
@@ -45,9 +47,13 @@ pub(crate) enum Command {
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
     View(view::View),
+    Check(check::Check),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
+    Completions(completions::Completions),
+    #[command(hide = true)]
+    Man(man::Manual),
 }
 
 impl Command {

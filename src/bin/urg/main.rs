@@ -11,6 +11,7 @@ mod output;
 mod pace;
 mod plot;
 mod port;
+mod selftest;
 mod view;
 
 use std::io::{self, IsTerminal};
