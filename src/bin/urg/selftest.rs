@@ -58,7 +58,7 @@ impl fmt::Display for Step {
 pub(crate) fn link(sensor: &Sensor, after: Duration) -> Step {
     let place = match line_speed(sensor) {
         Some(speed) => format!("at {speed} baud"),
-        None => "on USB or a line without a speed".to_owned(),
+        None => "on USB".to_owned(),
     };
     Step::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
 }
@@ -223,8 +223,8 @@ impl Measured {
         let took = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
         let longest = self.scans.iter().map(took).max().unwrap_or_default();
         let mean = self.scans.iter().map(took).sum::<Duration>() / self.scans.len().max(1) as u32;
-        let text =
-            format!("{} ms, {} ms at most, to a whole scan", mean.as_millis(), longest.as_millis());
+        let (mean, most) = (mean.as_millis(), longest.as_millis());
+        let text = format!("a whole scan comes in {mean} ms, {most} ms at most");
         let wire = self.line_speed.map(|speed| Window::DETECTION.wire_time(speed));
         let good = Duration::from_secs_f64(TURNS / self.asked) + wire.unwrap_or_default();
         if longest <= good {

@@ -51,6 +51,7 @@ pub(crate) enum Action {
 }
 
 impl Model {
+    /// Nothing has been seen yet.
     pub(crate) fn new(port: String, version: Version, window: Window, rate: Rate) -> Self {
         Self {
             port,
@@ -61,7 +62,7 @@ impl Model {
             paused: false,
             help: false,
             laser: true,
-            state: State::Connecting,
+            state: State::Closed { error: None },
             stats: Stats::default(),
             now: Instant::now(),
             message: None,

@@ -42,7 +42,7 @@ impl Panel<'_> {
     fn link(&self) -> Vec<Line<'static>> {
         let (model, palette) = (self.model, self.palette);
         let (link, style) = match &model.state {
-            State::Connecting => ("looking for it".to_owned(), palette.poor()),
+            State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
             State::Connected { .. } => ("connected".to_owned(), palette.good()),
             State::Recovering => ("silent".to_owned(), palette.poor()),
             State::Disconnected { since, .. } => {
@@ -190,7 +190,7 @@ pub(crate) fn trouble(state: &State) -> Option<String> {
         State::Recovering => {
             Some("the sensor is silent: looking for it at every line speed".to_owned())
         }
-        State::Connecting => Some("looking for the sensor".to_owned()),
+        State::Connecting { .. } => Some("looking for the sensor".to_owned()),
         _ => None,
     }
 }

@@ -37,3 +37,32 @@ fn save_in(directory: &Path, scan: &Scan, version: &Version) -> Result<String, S
 fn cannot(name: &str, error: &io::Error) -> String {
     format!("cannot save {name}: {error}")
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio_scip::emulator::Emulator;
+    use tokio_scip::{Sensor, Window};
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn each_picture_is_a_file_of_its_own() {
+        let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
+        let scan = sensor.scan(Window::DETECTION).await.unwrap();
+        let version = sensor.version().await.unwrap();
+        let directory = std::env::temp_dir().join(format!("urg-save-{}", std::process::id()));
+        std::fs::create_dir(&directory).unwrap();
+        let mut names: Vec<_> =
+            (0..3).map(|_| save_in(&directory, &scan, &version).unwrap()).collect();
+        for name in &names {
+            let text = std::fs::read_to_string(directory.join(name)).unwrap();
+            assert!(text.ends_with("</svg>\n"), "{name}");
+            assert!(!name.contains("H0713090"), "nothing of the sensor's in a name");
+        }
+        names.dedup();
+        assert_eq!(names.len(), 3, "{names:?}");
+        std::fs::remove_dir_all(&directory).unwrap();
+        let error = save_in(&directory, &scan, &version).unwrap_err();
+        assert!(error.starts_with("cannot save urg-"), "{error}");
+    }
+}
