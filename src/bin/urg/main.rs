@@ -4,6 +4,7 @@
 mod args;
 mod commands;
 mod failure;
+mod feed;
 mod format;
 mod interrupt;
 mod notice;
@@ -13,6 +14,8 @@ mod plot;
 mod port;
 mod selftest;
 mod view;
+#[cfg(feature = "web")]
+mod web;
 
 use std::io::{self, IsTerminal};
 use std::process::ExitCode;

@@ -9,6 +9,8 @@ pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod man;
 pub(crate) mod scan;
+#[cfg(feature = "web")]
+pub(crate) mod serve;
 pub(crate) mod stream;
 pub(crate) mod view;
 
@@ -25,6 +27,9 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
         Command::Stream(stream) => stream.run(&interrupt).await,
         Command::Check(check) => check.run(&interrupt).await,
         Command::View(view) => view.run(&interrupt).await,
+        // Ends its connections first.
+        #[cfg(feature = "web")]
+        Command::Serve(serve) => serve.run(&interrupt).await,
         Command::List(list) => or_interrupt(&interrupt, list.run()).await,
         Command::Info(info) => or_interrupt(&interrupt, info.run()).await,
         Command::Scan(scan) => or_interrupt(&interrupt, scan.run()).await,

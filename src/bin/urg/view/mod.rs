@@ -24,6 +24,7 @@ pub(crate) use self::screen::Screen;
 use self::model::{Action, Model};
 use self::palette::Palette;
 use crate::failure::{Failure, chain};
+use crate::feed::cause;
 use crate::pace::PaceWatch;
 use crate::port::PortName;
 
@@ -109,7 +110,7 @@ impl Viewer {
                 item = self.scans.next() => match item {
                     Some(Ok(scan)) => self.scanned(scan),
                     Some(Err(error)) => self.trouble(&error),
-                    None => return Err(self.cause()),
+                    None => return Err(cause(&self.port, &self.sensor)),
                 },
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
@@ -209,14 +210,5 @@ impl Viewer {
             Done::Saved(Ok(path)) => self.say(format!("saved as {path}")),
             Done::Saved(Err(error)) => self.say(error),
         }
-    }
-
-    /// Why there are no more scans.
-    fn cause(&self) -> Failure {
-        let error = match &*self.sensor.state().borrow() {
-            State::Closed { error: Some(error) } => error.clone(),
-            _ => Error::Closed,
-        };
-        Failure::at(&self.port.to_string(), &error)
     }
 }
