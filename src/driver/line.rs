@@ -1,4 +1,5 @@
-//! The port as a session sees it: it notes what arrives, and never flushes.
+//! The port as a session sees it: it notes what arrives, gives up under a
+//! flood, and never flushes.
 
 use std::io;
 use std::pin::Pin;
@@ -10,17 +11,30 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use crate::BaudRate;
 use crate::port::Port;
 
+/// How many bytes may arrive between two commands. A sensor answers each with
+/// 1,576 at most; a line that always has more to read would never let anybody
+/// look at the clock.
+const FLOOD: u64 = 64 * 1024;
+
 /// Wraps a port for `Framed`.
 pub(crate) struct Line {
     port: Box<dyn Port>,
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
     received: u64,
+    /// How many of these came before the latest command.
+    before: u64,
 }
 
 impl Line {
     pub(crate) fn new(port: Box<dyn Port>) -> Self {
-        Self { port, arrival: None, received: 0 }
+        Self { port, arrival: None, received: 0, before: 0 }
+    }
+
+    /// A command is written: what comes from now on counts anew.
+    pub(crate) fn command(&mut self) {
+        self.before = self.received;
+        self.expect();
     }
 
     /// Expects a reply: the next byte counts as its first.
@@ -66,8 +80,16 @@ impl AsyncRead for Line {
             self.received += read as u64;
             self.arrival.get_or_insert_with(SystemTime::now);
         }
+        if self.received - self.before > FLOOD {
+            return Poll::Ready(Err(flood()));
+        }
         outcome
     }
+}
+
+/// Far more comes than any sensor sends.
+pub(crate) fn flood() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
 }
 
 impl AsyncWrite for Line {

@@ -121,7 +121,7 @@ impl Hub {
                 let period = self.rate.period().unwrap_or_default().max(wire);
                 ("connected", live.overdue(3 * period + GRACE))
             }
-            State::Connecting => ("waiting", Some("looking for the sensor".to_owned())),
+            State::Connecting { .. } => ("waiting", Some("looking for the sensor".to_owned())),
             State::Recovering => ("recovering", Some("the sensor is silent".to_owned())),
             State::Disconnected { error, .. } => ("disconnected", Some(chain(error))),
             State::Closed { error } => {
