@@ -121,7 +121,12 @@ impl Hub {
                 let period = self.rate.period().unwrap_or_default().max(wire);
                 ("connected", live.overdue(3 * period + GRACE))
             }
-            State::Connecting { .. } => ("waiting", Some("looking for the sensor".to_owned())),
+            State::Connecting { error } => {
+                let why = error
+                    .as_ref()
+                    .map_or_else(|| "looking for the sensor".to_owned(), |error| chain(error));
+                ("waiting", Some(why))
+            }
             State::Recovering => ("recovering", Some("the sensor is silent".to_owned())),
             State::Disconnected { error, .. } => ("disconnected", Some(chain(error))),
             State::Closed { error } => {
