@@ -106,7 +106,7 @@ impl AsyncWrite for Counted {
 }
 
 #[tokio::test]
-async fn a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
+async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
     let emulator = truthful().build();
     let (path, _serving) = serve(&emulator, "replug");
     let counts = Arc::new(Counts::default());

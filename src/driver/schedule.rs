@@ -289,7 +289,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
+    async fn o21_a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
         let start = Instant::now();
         let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
         assert!(schedules.take_due(start).is_some());
