@@ -72,6 +72,7 @@ impl<C: Connect> Opener<C> {
                 Err(
                     Error::AnotherSensor { .. }
                     | Error::NoAnswer { .. }
+                    | Error::Malformed { .. }
                     | Error::WrongProtocol { .. }
                     | Error::Loopback
                     | Error::Disconnected { .. },

@@ -20,11 +20,12 @@ use std::time::{Duration, SystemTime};
 use bytes::{BufMut, BytesMut};
 use futures::{SinkExt, StreamExt};
 use tokio::io::{AsyncRead, ReadBuf};
+use tokio::task::coop::unconstrained;
 use tokio::time::{Instant, timeout_at};
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
-use super::line::Line;
+use super::line::{Line, flooded};
 use super::single_steps::SingleSteps;
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
@@ -34,10 +35,9 @@ use crate::{BaudRate, Error, Window};
 
 /// Fences sent before a line counts as lost.
 const FENCES: usize = 6;
-/// Frames and bytes that may come in answer to one command before the line
-/// counts as flooded.
+/// Frames that may come in answer to one command before the line counts as
+/// flooded.
 const MAX_FRAMES: usize = 64;
-const MAX_BYTES: u64 = 64 * 1024;
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
 const READ_BUFFER: usize = 4096;
@@ -295,7 +295,7 @@ impl Session {
             self.asked.insert(*window);
         }
         let (requested, after) = (Instant::now(), deadline - Instant::now());
-        let mut flood = Flood::new(self.framed.get_ref());
+        let mut strays = 0;
         if !self.send(command, deadline).await? {
             self.telemetry.stats().timeouts += 1;
             return Err(Failure::Command(Error::Timeout { command: *command, after }));
@@ -310,7 +310,7 @@ impl Session {
                 Frame::Overlong { .. } => {
                     self.skip(&frame);
                     self.dirty = true;
-                    flood.check(self.framed.get_ref())?;
+                    self.bear(&mut strays).await?;
                     continue;
                 }
             };
@@ -335,7 +335,7 @@ impl Session {
                         }
                         ReplyError::Foreign { .. } => {
                             self.skip(&frame);
-                            flood.check(self.framed.get_ref())?;
+                            self.bear(&mut strays).await?;
                         }
                     }
                 }
@@ -350,7 +350,7 @@ impl Session {
         deadline: Instant,
     ) -> Result<Status, Failure> {
         let after = deadline - Instant::now();
-        let mut flood = Flood::new(self.framed.get_ref());
+        let mut strays = 0;
         let mut sent = BytesMut::with_capacity(16);
         if self.interrupted {
             // Ends a command that the sensor may have in part.
@@ -358,13 +358,13 @@ impl Session {
         }
         sent.extend_from_slice(&command.bytes());
         sent.put_u8(b'\n');
-        let timeout = Failure::Command(Error::Timeout { command: *command, after });
+        let mut failure = Failure::Command(Error::Timeout { command: *command, after });
         if !self.send(command, deadline).await? {
-            return Err(timeout);
+            return Err(failure);
         }
         loop {
             let Some(frame) = self.receive(deadline).await? else {
-                return Err(self.explain_silence(&sent, command).unwrap_or(timeout));
+                return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
             if let Frame::Reply(bytes) = &frame {
                 match Reply::parse_end(command, bytes) {
@@ -375,11 +375,17 @@ impl Session {
                     Err(ReplyError::Scip2 { status }) => {
                         return Err(Failure::Command(Error::WrongProtocol { status }));
                     }
-                    Err(error) => self.telemetry.stats().malformed.count(&error),
+                    Err(error) => {
+                        self.telemetry.stats().malformed.count(&error);
+                        if let ReplyError::Malformed(source) = error {
+                            let command = *command;
+                            failure = Failure::Command(Error::Malformed { command, source });
+                        }
+                    }
                 }
             }
             self.skip(&frame);
-            flood.check(self.framed.get_ref())?;
+            self.bear(&mut strays).await?;
         }
     }
 
@@ -443,21 +449,22 @@ impl Session {
         let line = self.framed.get_mut();
         let before = line.received();
         let mut scratch = [0; 512];
-        let closed = poll_fn(|cx| {
+        // With the runtime's budget used up, a port that has bytes would look
+        // like one that has none.
+        let closed = unconstrained(poll_fn(|cx| {
             loop {
                 let mut buffer = ReadBuf::new(&mut scratch);
                 match Pin::new(&mut *line).poll_read(cx, &mut buffer) {
                     Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
                         return Poll::Ready(Ok(true));
                     }
-                    Poll::Ready(Ok(())) if line.received() - before > MAX_BYTES => break,
                     Poll::Ready(Ok(())) => {}
                     Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
                     Poll::Pending => break,
                 }
             }
             Poll::Ready(Ok(false))
-        })
+        }))
         .await?;
         if closed {
             return Err(Failure::Line(Error::disconnected(None)));
@@ -470,6 +477,18 @@ impl Session {
             self.reset_input();
         }
         Ok(())
+    }
+
+    /// Counts the frames that came before the one that is waited for, and gives
+    /// the line up when they are far too many; of bytes the line takes care.
+    async fn bear(&mut self, strays: &mut usize) -> Result<(), Failure> {
+        *strays += 1;
+        if *strays <= MAX_FRAMES {
+            return Ok(());
+        }
+        // What is there already must not flood the next link, too.
+        self.discard_pending().await?;
+        Err(flooded().into())
     }
 
     /// Counts a frame that nobody asked for.
@@ -524,26 +543,4 @@ impl Session {
 /// Whether `frame` is what was sent, and then a reply to it.
 fn is_echoed(sent: &[u8], command: &Command, frame: &[u8]) -> bool {
     frame.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
-}
-
-/// Notices when far more comes than any sensor sends.
-struct Flood {
-    frames: usize,
-    bytes: u64,
-}
-
-impl Flood {
-    fn new(line: &Line) -> Self {
-        Self { frames: 0, bytes: line.received() }
-    }
-
-    /// To be called for each frame that was not asked for.
-    fn check(&mut self, line: &Line) -> Result<(), Failure> {
-        self.frames += 1;
-        if self.frames > MAX_FRAMES || line.received() - self.bytes > MAX_BYTES {
-            let text = "far more comes than any sensor sends";
-            return Err(io::Error::new(io::ErrorKind::InvalidData, text).into());
-        }
-        Ok(())
-    }
 }
