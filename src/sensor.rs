@@ -225,7 +225,7 @@ impl SensorBuilder {
     }
 
     /// How long to wait before a port is opened again: `shortest` at first,
-    /// twice as long each time, up to `longest`, each shortened at random by up
+    /// twice as long each time, up to `longest`, each lengthened at random by up
     /// to a quarter. 0.1 s and 1 s unless set; `longest` is at least `shortest`.
     pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
         self.config.backoff = (shortest, longest.max(shortest));

@@ -214,7 +214,8 @@ impl Drop for Closing {
 }
 
 /// Ever longer waits, each a little off, so that many drivers that lost a bus
-/// together do not come back together.
+/// together do not come back together. Never shorter than said: an attempt
+/// wakes the task twice, and two wake-ups a second are enough.
 struct Backoff {
     next: Duration,
     longest: Duration,
@@ -225,7 +226,7 @@ impl Backoff {
     fn next(&mut self) -> Duration {
         // A step of a linear congruential generator; its upper bits are good.
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        let jitter = 0.75 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
+        let jitter = 1.0 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
         let wait = self.next.min(self.longest);
         self.next = wait * 2;
         wait.mul_f64(jitter)
