@@ -140,11 +140,11 @@ async fn w03_w04_w08_w11_w13_each_bit_flipped() {
         values.iter().flat_map(|v| [b'0' + (v >> 6) as u8, b'0' + (v & 63) as u8]).collect();
     let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
     let reply = [&b"G29934001\n0\n"[..], &lines, b"\n\n"].concat();
-    for at in 0..reply.len() {
+    for (at, &byte) in reply.iter().enumerate() {
         for bit in 0..8 {
             let found = flip(at, bit).await;
-            let flipped = reply[at] ^ (1 << bit);
-            let in_data = at >= DATA && reply[at] != b'\n';
+            let flipped = byte ^ (1 << bit);
+            let in_data = at >= DATA && byte != b'\n';
             // In the surplus point in front no one would see it.
             let surplus = (DATA..DATA + 2).contains(&at);
             let expected = (in_data && (0x30..=0x6f).contains(&flipped)).then_some(if surplus {

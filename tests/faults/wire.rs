@@ -36,6 +36,18 @@ async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_taken() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_seen() {
+    // The second poll asks for one step more: 64 points, two lines of 64 bytes.
+    let window = Window::new(301..=363).unwrap();
+    for line in [12..77, 77..142] {
+        for fault in [Fault::Drop(line.clone()), Fault::Repeat(line.clone())] {
+            let outcome = second_poll(window, std::slice::from_ref(&fault)).await;
+            assert!(!outcome.accepted && outcome.errors.len() == 1, "{fault:?}: {outcome:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn w14_a_reply_that_runs_into_the_next_one_costs_one_scan() {
     let outcome = second_poll(WINDOW, &[Fault::Merged]).await;
     assert!(!outcome.accepted && outcome.errors.len() == 1);
