@@ -35,7 +35,8 @@ pub enum Frame {
 /// which a line that changes its speed or breaks leaves behind, are skipped.
 ///
 /// Looks at each byte a constant number of times, however the bytes are cut up
-/// by reading, and holds at most [`MAX_FRAME`] of them back.
+/// by reading, and holds at most [`MAX_FRAME`] of them and half a terminator
+/// back.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -78,7 +79,9 @@ impl Decoder for ScipCodec {
         let found = buffer.get(from..).and_then(find_terminator);
         let Some(length) = found.map(|at| from + at) else {
             self.searched = buffer.len();
-            if buffer.len() > MAX_FRAME || self.skipped.is_some() && buffer.len() > 1 {
+            // Half a terminator is no part of the frame.
+            let half = usize::from(buffer.ends_with(b"\n"));
+            if buffer.len() - half > MAX_FRAME || self.skipped.is_some() && buffer.len() > 1 {
                 let useless = buffer.len() - 1;
                 buffer.advance(useless);
                 *self.skipped.get_or_insert(0) += useless;

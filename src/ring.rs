@@ -43,7 +43,7 @@ impl Ring {
     pub(crate) fn new(depth: usize) -> Arc<Self> {
         let depth = depth.max(1);
         let inner = Inner {
-            scans: VecDeque::with_capacity(depth),
+            scans: VecDeque::new(),
             depth,
             next: 0,
             error: None,
@@ -83,12 +83,14 @@ impl Ring {
         if inner.ended {
             return;
         }
+        // With its cause: a reader on another thread must not see the end alone.
         inner.ended = true;
-        drop(inner);
-        match cause {
-            Some(cause) => self.report(cause),
-            None => self.wake(),
+        if cause.is_some() {
+            inner.error = cause;
+            inner.errors += 1;
         }
+        drop(inner);
+        self.wake();
     }
 
     /// How many readers there are.
@@ -101,10 +103,11 @@ impl Ring {
         self.lock().missed
     }
 
-    /// A reader that gets what comes from now on.
-    pub(crate) fn reader(self: &Arc<Self>) -> Cursor {
+    /// A reader that gets what comes from now on, and before that, if it is to
+    /// be `told`, the latest error.
+    pub(crate) fn reader(self: &Arc<Self>, told: bool) -> Cursor {
         let mut inner = self.lock();
-        let (next, errors) = (inner.next, inner.errors);
+        let (next, errors) = (inner.next, inner.errors.saturating_sub(told.into()));
         let place = inner.enter();
         drop(inner);
         Cursor { ring: Arc::clone(self), place, next, errors, missed: 0, finished: false }
@@ -189,12 +192,14 @@ impl Cursor {
             self.finished = true;
             return Poll::Ready(None);
         }
-        if let Some(reader) = inner.readers.get_mut(self.place) {
-            match reader {
-                Reader::Waiting(waker) => waker.clone_from(cx.waker()),
-                other => *other = Reader::Waiting(cx.waker().clone()),
-            }
-        }
+        let before = match inner.readers.get_mut(self.place) {
+            Some(Reader::Waiting(waker)) if waker.will_wake(cx.waker()) => None,
+            Some(reader) => Some(std::mem::replace(reader, Reader::Waiting(cx.waker().clone()))),
+            None => None,
+        };
+        // With the lock released, as a waker that is dropped may run anything.
+        drop(inner);
+        drop(before);
         Poll::Pending
     }
 
@@ -218,9 +223,12 @@ impl Clone for Cursor {
 
 impl Drop for Cursor {
     fn drop(&mut self) {
-        if let Some(reader) = self.ring.lock().readers.get_mut(self.place) {
-            *reader = Reader::Gone;
-        }
+        let mut inner = self.ring.lock();
+        let place = inner.readers.get_mut(self.place);
+        let before = place.map(|reader| std::mem::replace(reader, Reader::Gone));
+        // With the lock released, as a waker that is dropped may run anything.
+        drop(inner);
+        drop(before);
     }
 }
 
@@ -257,7 +265,7 @@ mod tests {
     #[test]
     fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
         let ring = Ring::new(2);
-        let mut reader = ring.reader();
+        let mut reader = ring.reader(false);
         (0..5).for_each(|sequence| ring.push(scan(sequence)));
         assert_eq!(take(&mut reader), Some(Some(Ok(3))));
         assert_eq!(take(&mut reader), Some(Some(Ok(4))));
@@ -268,7 +276,7 @@ mod tests {
     #[test]
     fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
         let ring = Ring::new(1);
-        let mut reader = ring.reader();
+        let mut reader = ring.reader(false);
         ring.report(Error::LaserOff);
         (0..5).for_each(|sequence| ring.push(scan(sequence)));
         assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
@@ -279,7 +287,7 @@ mod tests {
     #[test]
     fn the_end_comes_after_what_is_left_and_its_cause() {
         let ring = Ring::new(1);
-        let (mut reader, mut other) = (ring.reader(), ring.reader());
+        let (mut reader, mut other) = (ring.reader(false), ring.reader(false));
         ring.push(scan(0));
         ring.end(Some(Error::Loopback));
         ring.end(Some(Error::Closed));
@@ -294,13 +302,36 @@ mod tests {
     }
 
     #[test]
+    fn a_reader_that_comes_while_there_is_trouble_is_told_of_it() {
+        let ring = Ring::new(1);
+        assert_eq!(take(&mut ring.reader(true)), None, "there was no error");
+        ring.report(Error::Loopback);
+        let (mut told, mut other) = (ring.reader(true), ring.reader(false));
+        assert_eq!(take(&mut told), Some(Some(Err(Error::Loopback.to_string()))));
+        assert_eq!((take(&mut told), take(&mut other)), (None, None));
+    }
+
+    #[test]
+    fn no_reader_ever_sees_the_end_without_its_cause() {
+        for _ in 0..1000 {
+            let ring = Ring::new(1);
+            let mut reader = ring.reader(false);
+            let ending = std::thread::spawn(move || ring.end(Some(Error::Loopback)));
+            let mut items = std::iter::repeat_with(|| take(&mut reader)).flatten();
+            assert_eq!(items.next(), Some(Some(Err(Error::Loopback.to_string()))));
+            assert_eq!(items.next(), Some(None));
+            assert!(ending.join().is_ok());
+        }
+    }
+
+    #[test]
     fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
         let ring = Ring::new(8);
-        let mut reader = ring.reader();
+        let mut reader = ring.reader(false);
         ring.push(scan(0));
         ring.push(scan(1));
         assert_eq!(take(&mut reader), Some(Some(Ok(0))));
-        let (mut clone, mut late) = (reader.clone(), ring.reader());
+        let (mut clone, mut late) = (reader.clone(), ring.reader(false));
         assert_eq!(take(&mut late), None);
         for reader in [&mut reader, &mut clone] {
             assert_eq!(take(reader), Some(Some(Ok(1))));
@@ -313,7 +344,7 @@ mod tests {
     #[tokio::test]
     async fn every_waiting_reader_is_woken() {
         let ring = Ring::new(1);
-        let readers: Vec<_> = (0..3).map(|_| ring.reader()).collect();
+        let readers: Vec<_> = (0..3).map(|_| ring.reader(false)).collect();
         let waiting = readers.into_iter().map(|mut reader| {
             tokio::spawn(async move { poll_fn(|cx| reader.poll_next(cx)).await })
         });

@@ -116,7 +116,7 @@ impl Sensor {
     /// it, also if this call fails or is dropped after it was written, and
     /// restores it whenever the sensor was away. A sensor that resets itself
     /// switches its laser on; on USB, and while nothing is asked of it, that
-    /// cannot be seen.
+    /// shows only if bytes come that nobody asked for.
     pub async fn laser_off(&self) -> Result<(), Error> {
         self.client.ask(|promise| Request::Laser { on: false, promise }).await
     }
@@ -177,14 +177,20 @@ impl Sensor {
         self.client.telemetry().watch()
     }
 
-    /// Ends the driver and closes the port, after the exchange that is under
-    /// way. Streams end, and requests that are still queued fail with
-    /// [`Error::Closed`]. No error if it has ended already.
+    /// Ends the driver and closes the port. Requests that were made before are
+    /// answered first, if there is a link; later ones fail with
+    /// [`Error::Closed`], and streams end. No error if it has ended already.
     pub async fn close(&self) {
         // The only answer is that the driver has ended, one way or the other.
         let _ = self.client.ask(Request::Close).await;
     }
 }
+
+/// The longest time that can be set: long enough to mean for ever, and no
+/// instant overflows.
+const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
+/// A shorter wait would be a busy loop.
+const SHORTEST_BACKOFF: Duration = Duration::from_millis(10);
 
 /// Says how a [`Sensor`] is opened and kept.
 #[derive(Debug, Clone, Default)]
@@ -204,8 +210,10 @@ impl SensorBuilder {
 
     /// How long to look for a sensor on a port, and how long a request waits
     /// for a link. 5 s unless set: two passes over the six line speeds.
+    ///
+    /// At most a day.
     pub fn open_timeout(mut self, timeout: Duration) -> Self {
-        self.config.open_timeout = timeout;
+        self.config.open_timeout = timeout.min(LONGEST);
         self
     }
 
@@ -226,13 +234,16 @@ impl SensorBuilder {
 
     /// How long to wait before a port is opened again: `shortest` at first,
     /// twice as long each time, up to `longest`, each lengthened at random by up
-    /// to a quarter. 0.1 s and 1 s unless set; `longest` is at least `shortest`.
+    /// to a quarter. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
+    /// at least `shortest`. A link that lasted begins with `shortest` again.
     pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
-        self.config.backoff = (shortest, longest.max(shortest));
+        let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);
+        self.config.backoff = (shortest, longest.clamp(shortest, LONGEST));
         self
     }
 
-    /// Makes the random part of the back-off repeatable, for simulations.
+    /// Makes what is random repeatable, for simulations: the back-off, and the
+    /// step of the first fence.
     pub fn jitter_seed(mut self, seed: u64) -> Self {
         self.config.jitter_seed = Some(seed);
         self
@@ -254,9 +265,10 @@ impl SensorBuilder {
     }
 
     /// How long the sensor may take to answer, the time on the line not
-    /// counted. Unless set, 500 ms for `G` and 1 s for the other commands.
+    /// counted, at most a day. Unless set, 500 ms for `G` and 1 s for the other
+    /// commands.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
-        self.config.reply_latency = Some(latency);
+        self.config.reply_latency = Some(latency.min(LONGEST));
         self
     }
 
@@ -333,7 +345,7 @@ impl Sensor {
     /// Why the driver ended, if it did.
     pub async fn opened(&self) -> Result<(), Error> {
         let mut state = self.state();
-        let open = |state: &State| !matches!(state, State::Connecting);
+        let open = |state: &State| !matches!(state, State::Connecting { .. });
         match state.wait_for(open).await.as_deref() {
             Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
             Ok(_) => Ok(()),

@@ -15,7 +15,11 @@ use crate::{BaudRate, Error, Rate, Window};
 #[non_exhaustive]
 pub enum State {
     /// The port is being opened for the first time, or the sensor looked for.
-    Connecting,
+    Connecting {
+        /// Why it has not worked yet, where the driver was told to
+        /// [wait for the sensor](crate::SensorBuilder::wait_for_sensor).
+        error: Option<Error>,
+    },
     /// The sensor answers.
     Connected {
         /// The speed of the line to it, or `None` where none matters (USB).
@@ -71,7 +75,8 @@ pub struct Stats {
     pub bytes_skipped: u64,
     /// Scans that streams did not get to see because their consumers were slow.
     pub missed: u64,
-    /// Polls that were dropped because the line was busy when they were due.
+    /// Polls that were dropped because the line was busy when they were due and
+    /// still was when the next one was.
     pub polls_skipped: u64,
     /// From a `G` sent to the last byte of its reply.
     pub reply_latency: Latency,
@@ -158,8 +163,8 @@ pub struct ScheduleStats {
     pub window: Window,
     /// How often, or `None` for [`Rate::MAX`], in scans a second.
     pub asked: Option<f64>,
-    /// Scans a second that came, over the last three seconds or so; 0 before
-    /// that.
+    /// Scans a second that came, over the last three seconds or so that they
+    /// were polled; 0 before that.
     pub reached: f64,
 }
 
@@ -182,7 +187,7 @@ pub(crate) struct Telemetry {
 impl Telemetry {
     pub(crate) fn new() -> Self {
         Self {
-            state: watch::Sender::new(State::Connecting),
+            state: watch::Sender::new(State::Connecting { error: None }),
             stats: Mutex::default(),
             version: Mutex::default(),
         }
@@ -195,7 +200,10 @@ impl Telemetry {
     /// Enters a state; one line of log for each.
     pub(crate) fn enter(&self, state: State) {
         match &state {
-            State::Connecting => tracing::debug!("looking for the sensor"),
+            State::Connecting { error: Some(error) } => {
+                tracing::debug!(%error, "waiting for the sensor");
+            }
+            State::Connecting { error: None } => tracing::debug!("looking for the sensor"),
             State::Connected { line_speed, streaming } => {
                 let line_speed = line_speed.map(u32::from);
                 tracing::info!(line_speed, streaming, "connected");

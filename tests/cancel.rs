@@ -169,3 +169,23 @@ async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
         assert!(!emulator.is_connected());
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_driver_that_never_ran_leaves_nobody_waiting() {
+    let (sensor, driver) = builder().build(truthful().build());
+    let asked = tokio::spawn({
+        let sensor = sensor.clone();
+        async move { sensor.scan(Window::FULL).await.map(drop) }
+    });
+    let opened = tokio::spawn({
+        let sensor = sensor.clone();
+        async move { sensor.opened().await }
+    });
+    tokio::task::yield_now().await;
+    drop(driver);
+    for answer in [asked, opened] {
+        let answer = tokio::time::timeout(common::ms(60_000), answer).await;
+        assert!(matches!(answer.unwrap().unwrap(), Err(tokio_scip::Error::Closed)));
+    }
+    sensor.close().await;
+}

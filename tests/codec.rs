@@ -1,8 +1,8 @@
-//! The framing: where replies end, however their bytes are cut up.
+//! The framing: where replies end, however their bytes are cut up. That any
+//! bytes in any chunks are framed alike is in `properties`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 use bytes::BytesMut;
-use proptest::prelude::*;
 use tokio_scip::Window;
 use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command};
@@ -68,8 +68,11 @@ fn w19_a15_an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
 fn a_reply_of_the_greatest_length_is_a_reply() {
     let mut bytes = vec![b'x'; MAX_FRAME];
     bytes.extend_from_slice(b"\n\n");
-    let (frames, _) = decode(bytes.chunks(100));
-    assert_eq!(frames, [reply(&bytes[..MAX_FRAME])]);
+    // Also where a read ends between the two line feeds.
+    for chunk in [100, MAX_FRAME, MAX_FRAME + 1, bytes.len()] {
+        let (frames, _) = decode(bytes.chunks(chunk));
+        assert_eq!(frames, [reply(&bytes[..MAX_FRAME])], "in chunks of {chunk}");
+    }
 }
 
 #[test]
@@ -109,53 +112,4 @@ fn a_command_ends_with_one_line_feed() {
         ScipCodec::default().encode(&command, &mut buffer).unwrap();
     }
     assert_eq!(&*buffer, b"V\nL0\nS1152000000000\nG04472501\n");
-}
-
-/// The framing as one would write it without any thought of speed or memory.
-fn reference(mut bytes: &[u8]) -> Vec<Frame> {
-    let mut frames = Vec::new();
-    loop {
-        while let [0, rest @ ..] = bytes {
-            bytes = rest;
-        }
-        let Some(end) = bytes.windows(2).position(|pair| pair == b"\n\n") else { return frames };
-        let frame = &bytes[..end];
-        frames.push(match frame.len() {
-            0..=MAX_FRAME => reply(frame),
-            bytes => Frame::Overlong { bytes },
-        });
-        bytes = &bytes[end + 2..];
-    }
-}
-
-proptest! {
-    #[test]
-    fn any_bytes_in_any_chunks_give_the_frames_of_the_reference(
-        parts in prop::collection::vec(
-            prop_oneof![
-                Just(b"\n".to_vec()),
-                Just(b"\n\n".to_vec()),
-                Just(vec![0]),
-                Just(vec![b'x'; 5000]),
-                prop::collection::vec(any::<u8>(), 0..100),
-            ],
-            0..30,
-        ),
-        cuts in prop::collection::vec(1usize..2000, 1..50),
-    ) {
-        let bytes = parts.concat();
-        let mut chunks = Vec::new();
-        let mut rest = &bytes[..];
-        for &cut in cuts.iter().cycle() {
-            if rest.is_empty() {
-                break;
-            }
-            let (chunk, more) = rest.split_at(cut.min(rest.len()));
-            chunks.push(chunk);
-            rest = more;
-        }
-        let (frames, buffer) = decode(chunks);
-        prop_assert_eq!(frames, reference(&bytes));
-        prop_assert!(buffer.len() <= MAX_FRAME);
-    }
 }

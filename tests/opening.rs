@@ -156,9 +156,16 @@ async fn an_unplugged_sensor_is_no_such_port_unless_it_is_waited_for() {
     emulator.unplug();
     assert!(matches!(fails(&emulator).await, Error::NoSuchPort { .. }));
 
-    let waiting = tokio::spawn(builder().wait_for_sensor().connect(emulator.clone()));
+    let (sensor, driver) = builder().wait_for_sensor().build(emulator.clone());
+    let state = sensor.state();
+    tokio::spawn(driver);
+    let waiting = tokio::spawn(async move { sensor.opened().await });
     tokio::time::sleep(Duration::from_secs(3600)).await;
     assert!(!waiting.is_finished());
+    assert!(matches!(
+        &*state.borrow(),
+        State::Connecting { error: Some(Error::NoSuchPort { .. }) }
+    ));
     emulator.plug_in();
     let start = Instant::now();
     waiting.await.unwrap().unwrap();
@@ -232,4 +239,88 @@ async fn o11_a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
     assert!(matches!(error, Error::UnsupportedSpeed { source: None, .. }), "{error:?}");
     assert_eq!(emulator.line_speed(), Some(BaudRate::B57600));
     sensor.scan(Window::FULL).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_wildest_settings_are_taken_as_the_nearest_sensible_ones() {
+    let emulator = truthful().build();
+    let longest = Duration::MAX;
+    let wild = builder().ring_depth(usize::MAX).open_timeout(longest).reply_latency(longest);
+    let sensor = wild.backoff(longest, longest).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, tokio_scip::Rate::MAX).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    sensor.close().await;
+
+    // No wait at all would be a busy loop.
+    let none = Duration::ZERO;
+    let eager = builder().backoff(none, none).connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let error = eager.scan(Window::FULL).await.unwrap_err();
+    assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+}
+
+/// Ports that are tried one after another: the first `useless` of them open
+/// and stay silent, or do not even open.
+struct Several {
+    emulator: Emulator,
+    left: usize,
+    opens: bool,
+}
+
+impl tokio_scip::Connect for Several {
+    type Port = Box<dyn tokio_scip::Port>;
+
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        if self.left == 0 {
+            return Ok(Box::new(self.emulator.link()));
+        }
+        self.left -= 1;
+        if !self.opens {
+            std::future::pending::<()>().await;
+        }
+        // Its fences are answered, its V never.
+        let mut faults = Faults::none();
+        for reply in 0..100 {
+            faults = faults.at(reply, if reply == 0 { Fault::Late(ms(0)) } else { Fault::Lost });
+        }
+        Ok(Box::new(Emulator::builder().faults(faults).build().link()))
+    }
+
+    fn has_more(&self) -> bool {
+        true
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn where_there_are_several_ports_each_one_gets_its_turn() {
+    for opens in [true, false] {
+        let emulator = truthful().build();
+        let several = Several { emulator: emulator.clone(), left: 2, opens };
+        let sensor = builder().connect(several).await.unwrap();
+        sensor.scan(Window::FULL).await.unwrap();
+        assert!(emulator.is_connected());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
+    struct Plugged(Emulator, usize);
+    impl tokio_scip::Connect for Plugged {
+        type Port = tokio_scip::emulator::Link;
+        async fn connect(&mut self) -> Result<Self::Port, Error> {
+            let port = || "/dev/ttyACM0".to_owned();
+            self.1 += 1;
+            match self.1 {
+                1..=3 => Err(Error::NoSuchPort { port: port() }),
+                4 => Err(Error::PermissionDenied { port: port(), group: None }),
+                _ => Ok(self.0.link()),
+            }
+        }
+    }
+    let emulator = truthful().build();
+    let plugged = |tries| Plugged(emulator.clone(), tries);
+    builder().wait_for_sensor().connect(plugged(0)).await.unwrap();
+    // Who does not wait wants to know at once.
+    let error = builder().connect(plugged(3)).await.unwrap_err();
+    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
 }

@@ -294,3 +294,50 @@ async fn a09_polls_rest_while_the_laser_is_off_by_request() {
     sensor.laser_on().await.unwrap();
     take(&mut stream, 3).await;
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_is_opened_again_begins_anew_and_at_once() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let rate = Rate::every(Duration::from_secs(3600));
+    let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+    take(&mut stream, 1).await;
+    drop(stream);
+    let start = Instant::now();
+    let mut again = sensor.scans(Window::DETECTION, rate).await.unwrap();
+    assert_eq!(take(&mut again, 1).await[0].sequence(), 0);
+    assert!(start.elapsed() < ms(1000), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_rest_is_neither_missed_polls_nor_a_low_rate() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 35).await;
+    sensor.laser_off().await.unwrap();
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    sensor.laser_on().await.unwrap();
+    take(&mut stream, 1).await;
+    let skipped = sensor.stats().polls_skipped;
+    assert!(skipped < 3, "{skipped}");
+    take(&mut stream, 40).await;
+    let reached = sensor.stats().schedules[0].reached;
+    assert!(reached > 9.5, "{reached}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_rate_that_is_reached_falls_when_no_scans_come() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 40).await;
+    let mut faults = Faults::none();
+    for reply in (1..2000).step_by(2) {
+        faults = faults.at(reply, Fault::Drop(100..101));
+    }
+    emulator.set_faults(faults.at(0, Fault::Drop(100..101)));
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    let stats = sensor.stats();
+    assert!(stats.schedules[0].reached < 6.0, "{stats:?}");
+}

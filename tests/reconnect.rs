@@ -42,7 +42,9 @@ async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
     Truth::of(&emulator.log()).check(&scan).unwrap();
     assert!(scan.sequence() >= 1);
     late.next().await.unwrap().unwrap();
-    assert_eq!((sensor.stats().disconnects, sensor.stats().reconnects), (1, 1));
+    let stats = sensor.stats();
+    assert_eq!((stats.disconnects, stats.reconnects), (1, 1));
+    assert!(stats.polls_skipped < 10, "a minute without a link counts as missed: {stats:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -170,6 +172,19 @@ async fn d09_a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() 
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_flipped_bit_in_the_first_serial_number_does_not_turn_the_sensor_away_later() {
+    // After a fence the first V, with its serial number on the fifth line.
+    let faults = Faults::none().at(1, Fault::Flip(160, 1));
+    let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+    assert_eq!(emulator.fault_counts().flipped, 1);
+}
+
+#[tokio::test(start_paused = true)]
 async fn without_reconnecting_a_lost_link_is_the_end() {
     let emulator = truthful().build();
     let sensor = builder().reconnect(false).connect(emulator.clone()).await.unwrap();
@@ -216,4 +231,163 @@ async fn a_sensor_that_is_silent_for_a_while_is_found_again_on_the_same_port() {
         let limit = if speed.is_some() { 5 } else { 2 };
         assert!(start.elapsed() < Duration::from_secs(limit), "{speed:?}: {:?}", start.elapsed());
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_joins_another_while_there_is_no_link_is_told_so() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut first = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    first.next().await.unwrap().unwrap();
+    emulator.unplug();
+    while first.next().await.unwrap().is_ok() {}
+    let mut second = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let told = tokio::time::timeout(ms(100), second.next()).await;
+    assert!(matches!(told, Ok(Some(Err(Error::Disconnected { .. })))), "{told:?}");
+    // The first one was told already.
+    assert!(tokio::time::timeout(Duration::from_secs(60), first.next()).await.is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_damaged_first_serial_number_does_not_lock_the_sensor_out() {
+    // After a fence the first V, with its serial number on the fifth line.
+    let faults = Faults::none().at(1, Fault::Flip(160, 1));
+    let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(emulator.fault_counts().flipped, 1);
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_serial_number_that_is_damaged_differently_each_time_is_asked_for_again() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    emulator.unplug();
+    // Another digit, and then twice another name of the field: no serial number
+    // at all.
+    let digit = Fault::Flip(160, 1);
+    let name = || Fault::Flip(152, 1);
+    emulator.set_faults(Faults::none().at(1, digit).at(2, name()).at(3, name()));
+    emulator.plug_in();
+    let mut errors = Vec::new();
+    while let Err(error) = stream.next().await.unwrap() {
+        errors.push(error);
+    }
+    assert_eq!(emulator.fault_counts().flipped, 3);
+    // One for each time that the port was opened.
+    assert_eq!(sensor.stats().fences, 2);
+    assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn nobody_is_told_who_the_sensor_was_while_there_is_none() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    sensor.laser_off().await.unwrap();
+    emulator.unplug();
+    let mut state = sensor.state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    // It answers the fence, says who it is, and then refuses to switch off.
+    let refused = (2..1000).step_by(3);
+    let faults = refused.fold(Faults::none(), |all, n| all.at(n, Fault::Status(b'1')));
+    emulator.set_faults(faults);
+    emulator.plug_in();
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    assert!(matches!(*state.borrow(), State::Disconnected { .. }));
+    assert!(sensor.version().await.is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_link_that_comes_and_goes_is_not_reopened_without_a_pause() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut state = sensor.state();
+    let (end, mut times) = (Instant::now() + Duration::from_secs(60), 0);
+    let connected = |state: &State| matches!(state, State::Connected { .. });
+    while tokio::time::timeout_at(end, state.wait_for(connected)).await.is_ok() {
+        times += 1;
+        emulator.unplug();
+        emulator.plug_in();
+        let _ = tokio::time::timeout_at(end, state.wait_for(|state| !connected(state))).await;
+    }
+    assert!((50..=100).contains(&times), "{times} times a minute");
+    // Once it has lasted for a while, there is no need to wait.
+    emulator.plug_in();
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    let start = Instant::now();
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+    assert!(start.elapsed() < ms(400), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn closing_and_subscribing_need_no_link_and_never_expire() {
+    let emulator = truthful().build();
+    let sensor = builder().open_timeout(Duration::ZERO).connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let error = sensor.scan(Window::FULL).await.unwrap_err();
+    assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+    let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
+    assert!(matches!(stream.next().await, Some(Err(Error::Disconnected { .. }))));
+    sensor.close().await;
+    assert!(matches!(*sensor.state().borrow(), State::Closed { error: None }));
+    assert!(stream.next().await.is_none());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    emulator.unplug();
+    let mut state = sensor.state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    // Dropped after it was queued, and before the driver looked.
+    assert!(futures::FutureExt::now_or_never(sensor.close()).is_none());
+    tokio::time::sleep(ms(5000)).await;
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let _stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    let scans = emulator.counts().scans;
+    emulator.power_cycle();
+    assert!(emulator.laser());
+    // Powering up leaves a break on the line; nothing is asked of the sensor.
+    emulator.inject(b"\0".as_slice());
+    tokio::time::sleep(ms(1000)).await;
+    assert!(!emulator.laser());
+    // Fences count as scans there: one for the break, those that confirm.
+    assert!(emulator.counts().scans - scans <= 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn t12_no_fence_is_sent_again_after_a_reconnect() {
+    // The system keeps what arrives while a port is closed: an answer to the
+    // last session's fence must not be one to the next session's.
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    for _ in 0..3 {
+        emulator.set_faults(Faults::none().every(Fault::Lost).at(0, Fault::HangUp(9)));
+        let _ = sensor.scan(Window::FULL).await;
+        emulator.set_faults(Faults::none());
+        sensor.scan(Window::FULL).await.unwrap();
+    }
+    assert!(sensor.stats().disconnects >= 3, "{:?}", sensor.stats());
+    let fences: Vec<Vec<u8>> = emulator.log().into_iter().map(|line| line.line).collect();
+    let fences: Vec<_> =
+        fences.iter().filter(|line| line.len() == 9 && line[1..4] == line[4..7]).collect();
+    let different: std::collections::HashSet<_> = fences.iter().collect();
+    assert!(fences.len() >= 4, "{fences:?}");
+    assert_eq!(different.len(), fences.len());
 }

@@ -96,3 +96,37 @@ async fn the_state_tells_when_scans_are_polled() {
     drop(stream);
     state.wait_for(|state| !streaming(state)).await.unwrap();
 }
+
+#[tokio::test(start_paused = true)]
+async fn successive_polls_differ_wherever_the_window_leaves_any_room() {
+    for (steps, echoes) in [(0..=765, 4), (0..=766, 3), (0..=767, 2), (1..=768, 2), (2..=768, 3)] {
+        let emulator = truthful().pace(Pace::AtOnce).build();
+        stream(&emulator, Window::new(steps.clone()).unwrap(), Rate::MAX, 40).await;
+        let log = emulator.log();
+        let polls: Vec<_> = log.iter().filter(|line| line.line.starts_with(b"G")).skip(1).collect();
+        assert!(polls.len() >= 30);
+        for some in polls.windows(echoes) {
+            let mut lines: Vec<_> = some.iter().map(|poll| &poll.line).collect();
+            lines.sort();
+            lines.dedup();
+            assert_eq!(lines.len(), echoes, "{steps:?}: {some:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_reply_to_a_fence_that_comes_twice_is_not_taken_for_that_of_a_single_step() {
+    // The first fence is that of step 0, and the second copy of its reply is
+    // late enough to arrive after the next command.
+    for step in 0..4 {
+        let fence = Faults::none().at(0, Fault::Doubled).rate(0.3, Fault::Late(ms(400))).seed(5);
+        let emulator = truthful().pace(Pace::AtOnce).faults(fence).build();
+        let sensor = builder().connect(emulator.clone()).await.unwrap();
+        let fences = sensor.stats().fences;
+        assert!(fences >= 1);
+        sensor.scan(Window::new(step..=step).unwrap()).await.unwrap();
+        let log = emulator.log();
+        let echo = |n: usize| log.iter().rev().filter(|line| line.line.starts_with(b"G")).nth(n);
+        assert_ne!(echo(0).map(|g| &g.line), echo(1).map(|g| &g.line));
+    }
+}

@@ -1,9 +1,9 @@
-//! The port as a session sees it: it notes what arrives, takes no more than a
-//! sensor can have meant, and never flushes.
+//! The port as a session sees it: it notes what arrives, gives up under a
+//! flood, and never flushes.
 
 use std::io;
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -11,9 +11,10 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use crate::BaudRate;
 use crate::port::Port;
 
-/// Bytes that may come after one command before the line counts as flooded; the
-/// longest reply has 1,576.
-const MAX_BYTES: u64 = 64 * 1024;
+/// How many bytes may arrive between two commands. A sensor answers each with
+/// 1,576 at most; a line that always has more to read would never let anybody
+/// look at the clock.
+const FLOOD: u64 = 64 * 1024;
 
 /// Wraps a port for `Framed`.
 pub(crate) struct Line {
@@ -21,19 +22,24 @@ pub(crate) struct Line {
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
     received: u64,
-    /// How many bytes had arrived when a reply was last expected.
-    expected_at: u64,
+    /// How many of these came before the latest command.
+    before: u64,
 }
 
 impl Line {
     pub(crate) fn new(port: Box<dyn Port>) -> Self {
-        Self { port, arrival: None, received: 0, expected_at: 0 }
+        Self { port, arrival: None, received: 0, before: 0 }
+    }
+
+    /// A command is written: what comes from now on counts anew.
+    pub(crate) fn command(&mut self) {
+        self.before = self.received;
+        self.expect();
     }
 
     /// Expects a reply: the next byte counts as its first.
     pub(crate) fn expect(&mut self) {
         self.arrival = None;
-        self.expected_at = self.received;
     }
 
     /// When the first byte since then arrived.
@@ -67,20 +73,39 @@ impl AsyncRead for Line {
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        // A port that always has bytes must let other tasks run, too.
-        let budget = ready!(tokio::task::coop::poll_proceed(cx));
-        if self.received - self.expected_at > MAX_BYTES {
-            return Poll::Ready(Err(flooded()));
-        }
         let before = buffer.filled().len();
-        let outcome = ready!(retried(cx, |cx| Pin::new(&mut self.port).poll_read(cx, buffer)));
-        budget.made_progress();
+        let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
+        let outcome = again_if_interrupted(outcome, cx);
         let read = buffer.filled().len() - before;
         if read > 0 {
             self.received += read as u64;
             self.arrival.get_or_insert_with(SystemTime::now);
         }
-        Poll::Ready(outcome)
+        if self.received - self.before > FLOOD {
+            return Poll::Ready(Err(flood()));
+        }
+        outcome
+    }
+}
+
+/// Far more comes than any sensor sends.
+pub(crate) fn flood() -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
+}
+
+/// A call that a signal interrupted, or that a port refuses for the moment
+/// without saying when to come back, is to be made again.
+fn again_if_interrupted<T>(
+    outcome: Poll<io::Result<T>>,
+    cx: &mut Context<'_>,
+) -> Poll<io::Result<T>> {
+    use io::ErrorKind::{Interrupted, WouldBlock};
+    match outcome {
+        Poll::Ready(Err(error)) if matches!(error.kind(), Interrupted | WouldBlock) => {
+            cx.waker().wake_by_ref();
+            Poll::Pending
+        }
+        outcome => outcome,
     }
 }
 
@@ -90,7 +115,8 @@ impl AsyncWrite for Line {
         cx: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        retried(cx, |cx| Pin::new(&mut self.port).poll_write(cx, bytes))
+        let outcome = Pin::new(&mut self.port).poll_write(cx, bytes);
+        again_if_interrupted(outcome, cx)
     }
 
     /// Does nothing. What was written leaves by itself, the reply proves that it
@@ -101,27 +127,5 @@ impl AsyncWrite for Line {
 
     fn poll_shutdown(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         self.poll_flush(cx)
-    }
-}
-
-/// What a line is lost with on which far more comes than any sensor sends.
-pub(crate) fn flooded() -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
-}
-
-/// A call that a signal interrupted, or that a port refuses for the moment
-/// without saying when to come back, is made again a little later.
-fn retried<T>(
-    cx: &mut Context<'_>,
-    call: impl FnOnce(&mut Context<'_>) -> Poll<io::Result<T>>,
-) -> Poll<io::Result<T>> {
-    match call(cx) {
-        Poll::Ready(Err(error))
-            if matches!(error.kind(), io::ErrorKind::Interrupted | io::ErrorKind::WouldBlock) =>
-        {
-            cx.waker().wake_by_ref();
-            Poll::Pending
-        }
-        outcome => outcome,
     }
 }

@@ -1,6 +1,8 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
 
+mod echoes;
+mod fence;
 mod line;
 mod opener;
 mod request;
@@ -8,11 +10,11 @@ mod schedule;
 mod serve;
 mod session;
 mod settings;
-mod single_steps;
 mod supervisor;
 
 use std::fmt;
 use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -44,6 +46,14 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+}
+
+impl Config {
+    /// What is random begins here.
+    fn seed(&self) -> u64 {
+        let random = || RandomState::new().hash_one(Instant::now().into_std());
+        self.jitter_seed.unwrap_or_else(random)
+    }
 }
 
 impl Default for Config {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 
 use super::Config;
+use super::echoes::Echoes;
 use super::session::{Failure, Session};
 use crate::port::Connect;
 use crate::protocol::{Command, Text, Version};
@@ -15,6 +16,9 @@ use crate::{BaudRate, Error};
 
 /// A turn of a URG's motor at 600 rpm.
 const TURN: Duration = Duration::from_millis(100);
+/// How often a sensor is asked for its serial number before the last answer
+/// counts.
+const INTRODUCTIONS: usize = 4;
 
 /// Opens the port, and brings the sensor behind it to where it was.
 pub(crate) struct Opener<C> {
@@ -26,6 +30,9 @@ pub(crate) struct Opener<C> {
     found: Option<BaudRate>,
     /// The sensor that is expected: the one asked for, or the first one found.
     identity: Option<Text>,
+    /// What earlier sessions asked for: the system keeps what arrives while a
+    /// port is closed, so that the next session may get answers to it.
+    echoes: Echoes,
     /// Whether a sensor was ever opened.
     opened: bool,
     scan_time: Duration,
@@ -46,6 +53,7 @@ impl<C: Connect> Opener<C> {
             wanted: Wanted { laser: None, speed: config.baud_rate },
             found: None,
             identity: config.serial_number.clone().or(asked),
+            echoes: Echoes::starting(config.seed()),
             opened: false,
             scan_time: TURN,
             connect,
@@ -67,34 +75,38 @@ impl<C: Connect> Opener<C> {
     /// there are several.
     pub(crate) async fn open(&mut self) -> Result<Session, Error> {
         loop {
-            let outcome = self.open_one().await;
+            let outcome = match timeout(self.config.open_timeout, self.connect.connect()).await {
+                Ok(port) => self.open_on(port?).await,
+                Err(_) => {
+                    let source = Arc::new(io::ErrorKind::TimedOut.into());
+                    Err(Error::Open { port: "the port".to_owned(), source })
+                }
+            };
             match outcome {
-                Err(
-                    Error::AnotherSensor { .. }
-                    | Error::NoAnswer { .. }
-                    | Error::Malformed { .. }
-                    | Error::WrongProtocol { .. }
-                    | Error::Loopback
-                    | Error::Disconnected { .. },
-                ) if self.connect.has_more() => {}
+                Err(error) if self.connect.has_more() => {
+                    tracing::debug!(%error, "not this port");
+                }
                 outcome => return outcome,
             }
         }
     }
 
-    async fn open_one(&mut self) -> Result<Session, Error> {
-        let limit = self.config.open_timeout;
-        let port = match timeout(limit, self.connect.connect()).await {
-            Ok(port) => port?,
-            Err(_) => {
-                let source = Arc::new(io::ErrorKind::TimedOut.into());
-                return Err(Error::Open { port: "the port".to_owned(), source });
-            }
-        };
+    async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
         let (latency, telemetry) = (self.config.reply_latency, Arc::clone(&self.telemetry));
-        let mut session = Session::new(Box::new(port), latency, telemetry);
-        self.find(&mut session, limit).await?;
-        Ok(session)
+        let echoes = std::mem::take(&mut self.echoes);
+        let mut session = Session::new(Box::new(port), latency, echoes, telemetry);
+        match self.find(&mut session, self.config.open_timeout).await {
+            Ok(()) => Ok(session),
+            Err(error) => {
+                self.close(session);
+                Err(error)
+            }
+        }
+    }
+
+    /// Closes the port of a session that is of no use any more.
+    pub(crate) fn close(&mut self, session: Session) {
+        self.echoes = session.close();
     }
 
     /// Finds the sensor again on a port that is still open.
@@ -105,13 +117,15 @@ impl<C: Connect> Opener<C> {
 
     async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), Error> {
         let outcome = async {
-            session.find(&self.speeds(session), Instant::now() + limit).await?;
-            self.identify(session).await?;
-            self.restore(session).await
+            session.find(&self.speeds(), Instant::now() + limit).await?;
+            let version = self.identify(session).await?;
+            self.restore(session).await?;
+            Ok(version)
         };
-        outcome.await.map_err(|failure| match failure {
+        let version = outcome.await.map_err(|failure| match failure {
             Failure::Command(error) | Failure::Silent(error) | Failure::Line(error) => error,
         })?;
+        self.telemetry.set_version(version);
         self.connect.found();
         self.found = session.line_speed();
         self.opened = true;
@@ -119,46 +133,54 @@ impl<C: Connect> Opener<C> {
     }
 
     /// All six, the likeliest first.
-    fn speeds(&self, session: &Session) -> Vec<BaudRate> {
-        let mut speeds = Vec::with_capacity(9);
-        speeds.extend(self.found);
-        speeds.extend(self.wanted.speed);
-        speeds.push(BaudRate::B19200);
-        speeds.extend(BaudRate::ALL);
-        // Where the port's speed is fixed there is but one.
-        speeds.extend(session.line_speed());
-        let mut seen = Vec::with_capacity(speeds.len());
-        speeds.retain(|speed| {
-            !seen.contains(speed) && {
-                seen.push(*speed);
-                true
+    fn speeds(&self) -> Vec<BaudRate> {
+        let likely = self.found.into_iter().chain(self.wanted.speed).chain([BaudRate::B19200]);
+        let mut speeds = Vec::with_capacity(BaudRate::ALL.len());
+        for speed in likely.chain(BaudRate::ALL) {
+            if !speeds.contains(&speed) {
+                speeds.push(speed);
             }
-        });
+        }
         speeds
     }
 
-    /// Asks who the sensor is.
-    async fn identify(&mut self, session: &mut Session) -> Result<(), Failure> {
-        let mut version = ask_version(session).await?;
-        if let Some(expected) = &self.identity {
-            // A flipped bit must not turn a sensor away.
-            if version.serial_number != *expected {
-                version = ask_version(session).await?;
-            }
-            if version.serial_number != *expected {
-                let (expected, found) = (expected.clone(), version.serial_number);
-                return Err(Failure::Line(Error::AnotherSensor { expected, found }));
-            }
-        } else if !version.serial_number.is_empty() {
-            self.identity = Some(version.serial_number.clone());
+    /// Asks who the sensor is, and makes sure that it is the right one.
+    async fn identify(&mut self, session: &mut Session) -> Result<Version, Failure> {
+        let version = self.introduce(session).await?;
+        let found = &version.serial_number;
+        if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
+            let (expected, found) = (expected.clone(), found.clone());
+            return Err(Failure::Line(Error::AnotherSensor { expected, found }));
         }
         let speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);
         if let Some(turns_a_minute) = speed {
             self.scan_time = Duration::from_secs(60) / u32::from(turns_a_minute.max(1));
         }
-        self.telemetry.set_version(version);
-        Ok(())
+        Ok(version)
+    }
+
+    /// Asks until the serial number can be believed, for a while: it is the
+    /// expected one, or comes twice in a row. Nothing else protects it, and one
+    /// flipped bit must neither turn a sensor away nor be expected ever after.
+    async fn introduce(&mut self, session: &mut Session) -> Result<Version, Failure> {
+        let mut version = ask_version(session).await?;
+        for _ in 1..INTRODUCTIONS {
+            if self.identity.as_ref() == Some(&version.serial_number) {
+                break;
+            }
+            let before = version.serial_number;
+            version = ask_version(session).await?;
+            // None at all where one is expected is damage, even twice.
+            let counts = self.identity.is_none() || !before.is_empty();
+            if counts && version.serial_number == before {
+                if !before.is_empty() {
+                    self.identity.get_or_insert(before);
+                }
+                break;
+            }
+        }
+        Ok(version)
     }
 
     /// Sets the sensor as the service has asked for.

@@ -112,6 +112,7 @@ impl Mailbox {
     /// the others wait until they expire with `Disconnected`. Cancel-safe.
     pub(crate) async fn next_unlinked(&mut self) -> Result<Unlinked, Abandoned> {
         loop {
+            self.waiting.retain(|letter| !letter.request.is_abandoned());
             let unlinked = |letter: &Letter| {
                 matches!(letter.request, Request::Subscribe { .. } | Request::Close(_))
             };
@@ -123,11 +124,12 @@ impl Mailbox {
                 Some(Request::Close(promise)) => return Ok(Unlinked::Close(promise)),
                 _ => {}
             }
+            self.expire();
             let first = self.waiting.iter().map(|letter| letter.expires).min();
             tokio::select! {
                 biased;
                 letter = self.receiver.recv() => self.waiting.push_back(letter.ok_or(Abandoned)?),
-                () = sleep_until(first.unwrap_or_else(Instant::now)), if first.is_some() => self.expire(),
+                () = sleep_until(first.unwrap_or_else(Instant::now)), if first.is_some() => {}
             }
         }
     }

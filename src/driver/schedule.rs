@@ -63,34 +63,31 @@ impl Schedules {
     }
 
     /// A reader of what `window` shows at `rate`, from the next scan on. Equal
-    /// ones share a schedule.
+    /// ones share a schedule. While there is `trouble` it is told of that first.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
         rate: Rate,
         trouble: Option<&Error>,
     ) -> Cursor {
+        self.drop_unread();
         if let Some(schedule) = self.find(window, rate) {
-            return schedule.ring.reader();
+            return schedule.reader(trouble);
         }
-        let ring = Ring::new(self.ring_depth);
-        let reader = ring.reader();
-        let mut schedule = Schedule {
-            window,
-            rate,
-            ring,
-            due: Instant::now(),
-            sequence: 0,
-            previous: None,
-            condition: None,
-            speed: Speedometer::new(Instant::now()),
-        };
-        if let Some(error) = trouble {
-            schedule.report(error);
-        }
+        let mut schedule = Schedule::new(window, rate, self.ring_depth);
+        let reader = schedule.reader(trouble);
         self.all.push(schedule);
         self.changed = true;
         reader
+    }
+
+    /// After a rest, when no polls were wanted or none were possible: the places
+    /// on the grid that went by were not missed, and rates are measured anew.
+    pub(crate) fn resume(&mut self, now: Instant) {
+        for schedule in &mut self.all {
+            schedule.catch_up(now);
+            schedule.speed.restart(now);
+        }
     }
 
     /// When the next poll is due.
@@ -106,22 +103,13 @@ impl Schedules {
     /// Takes the poll that has been due for longest, and how many places on its
     /// grid went by unused. Schedules without readers end here.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<(Poll, u64)> {
-        loop {
-            let (index, schedule) =
-                self.all.iter_mut().enumerate().min_by_key(|(_, schedule)| schedule.due)?;
-            if schedule.due > now {
-                return None;
-            }
-            if schedule.ring.readers() == 0 {
-                self.missed += schedule.ring.missed();
-                self.all.swap_remove(index);
-                self.changed = true;
-                continue;
-            }
-            let skipped = schedule.advance(now);
-            let (window, rate) = (schedule.window, schedule.rate);
-            return Some((Poll { window, rate }, skipped));
+        self.drop_unread();
+        let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
+        if schedule.due > now {
+            return None;
         }
+        let skipped = schedule.advance(now);
+        Some((Poll { window: schedule.window, rate: schedule.rate }, skipped))
     }
 
     /// Delivers the values that `poll` brought.
@@ -138,7 +126,7 @@ impl Schedules {
         if schedule.rate.period().is_none() {
             schedule.due = now;
         }
-        let reached = schedule.speed.count(now);
+        let reached = schedule.speed.count(1, now);
         let slow = reached
             .filter(|reached| schedule.is_slow(*reached))
             .filter(|_| !std::mem::replace(&mut schedule.speed.told, true))
@@ -149,12 +137,14 @@ impl Schedules {
 
     /// Reports the error of one poll.
     pub(crate) fn fail(&mut self, poll: Poll, error: &Error) {
-        if let Some(schedule) = self.find(poll.window, poll.rate) {
-            schedule.report(error);
-            if schedule.rate.period().is_none() {
-                schedule.due = Instant::now();
-            }
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return };
+        let now = Instant::now();
+        schedule.report(error);
+        if schedule.rate.period().is_none() {
+            schedule.due = now;
         }
+        let reached = schedule.speed.count(0, now);
+        self.changed |= reached.is_some();
     }
 
     /// Reports an error to everyone.
@@ -182,6 +172,19 @@ impl Schedules {
         }
     }
 
+    /// Ends the schedules that nobody reads any more.
+    fn drop_unread(&mut self) {
+        let Self { all, missed, changed, .. } = self;
+        all.retain(|schedule| {
+            let read = schedule.ring.readers() > 0;
+            if !read {
+                *missed += schedule.ring.missed();
+                *changed = true;
+            }
+            read
+        });
+    }
+
     fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
         self.all.iter_mut().find(|schedule| schedule.window == window && schedule.rate == rate)
     }
@@ -195,11 +198,40 @@ impl Drop for Schedules {
 }
 
 impl Schedule {
+    fn new(window: Window, rate: Rate, ring_depth: usize) -> Self {
+        let now = Instant::now();
+        Self {
+            window,
+            rate,
+            ring: Ring::new(ring_depth),
+            due: now,
+            sequence: 0,
+            previous: None,
+            condition: None,
+            speed: Speedometer::new(now),
+        }
+    }
+
+    fn reader(&mut self, trouble: Option<&Error>) -> Cursor {
+        if let Some(error) = trouble {
+            self.report(error);
+        }
+        self.ring.reader(self.condition.is_some())
+    }
+
     /// Moves on to the first place on the grid behind `now`, so that a poll is
     /// late at most once for being late; returns how many places that skips.
     fn advance(&mut self, now: Instant) -> u64 {
+        let skipped = self.catch_up(now);
+        self.due += self.rate.period().unwrap_or_default();
+        skipped
+    }
+
+    /// Moves on to the last place on the grid that is due, if any is; returns
+    /// how many places that skips.
+    fn catch_up(&mut self, now: Instant) -> u64 {
         let Some(period) = self.rate.period() else {
-            self.due = now;
+            self.due = self.due.max(now);
             return 0;
         };
         let late = now.saturating_duration_since(self.due).as_nanos();
@@ -207,8 +239,7 @@ impl Schedule {
         // A grid lasts as long as the stream: counted in u64 it would end after
         // 584 years.
         let skipped = (late / period) as u64;
-        let step = Duration::from_nanos((period * (u128::from(skipped) + 1)) as u64);
-        self.due += step;
+        self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);
         skipped
     }
 
@@ -241,16 +272,21 @@ impl Speedometer {
         Self { since: now, scans: 0, reached: 0.0, told: false }
     }
 
-    /// Counts a scan; gives the rate at the end of each span.
-    fn count(&mut self, now: Instant) -> Option<f64> {
-        self.scans += 1;
+    /// Counts a poll that brought so many scans; gives the rate at the end of
+    /// each span.
+    fn count(&mut self, scans: u32, now: Instant) -> Option<f64> {
+        self.scans += scans;
         let span = now.saturating_duration_since(self.since);
         if span < RATE_SPAN {
             return None;
         }
         self.reached = f64::from(self.scans) / span.as_secs_f64();
-        (self.since, self.scans) = (now, 0);
+        self.restart(now);
         Some(self.reached)
+    }
+
+    fn restart(&mut self, now: Instant) {
+        (self.since, self.scans) = (now, 0);
     }
 }
 
@@ -289,7 +325,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn o21_a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
+    async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
         let start = Instant::now();
         let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
         assert!(schedules.take_due(start).is_some());

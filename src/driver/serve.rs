@@ -7,9 +7,9 @@ use tokio::time::{Instant, sleep_until};
 
 use super::opener::Wanted;
 use super::request::{Abandoned, Mailbox, Promise, Request};
-use super::schedule::Schedules;
+use super::schedule::{Poll, Schedules};
 use super::session::{Failure, Session, Timing};
-use crate::protocol::{Command, Status, Version};
+use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::{Error, Window};
@@ -58,6 +58,7 @@ pub(crate) struct Service<'a> {
 impl Service<'_> {
     /// Serves until there is a reason to stop.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
+        self.schedules.resume(Instant::now());
         let mut request_served = false;
         loop {
             let outcome = self.turn(session, &mut request_served).await;
@@ -72,7 +73,7 @@ impl Service<'_> {
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
         // A doubt is best cleared up while there is time.
         if session.is_dirty() {
-            survive(session.settle().await)?;
+            survive(self.clear_up(session).await)?;
         }
         let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
         self.telemetry.set_streaming(polling);
@@ -97,20 +98,32 @@ impl Service<'_> {
         Ok(())
     }
 
+    /// Raises a fence. If it is answered with a distance while the laser should
+    /// be off, the sensor was reset: it is told again.
+    async fn clear_up(&mut self, session: &mut Session) -> Result<(), Failure> {
+        let status = session.settle().await?;
+        if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
+            session.set_laser(false).await?;
+        }
+        Ok(())
+    }
+
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
         match request {
             Request::Version(promise) => {
-                let outcome = session.command_twice(Command::Version, Version::from_reply).await;
-                if let Ok((version, _)) = &outcome {
-                    self.telemetry.set_version(version.clone());
-                }
-                self.keep(promise, outcome.map(|(version, _)| version))
+                // It said so when it was found.
+                let known = self.telemetry.version().ok_or(Error::Closed);
+                let _ = promise.send(known);
+                Ok(())
             }
             Request::Laser { on, promise } => {
                 // Also if it fails: what was asked for is restored whenever the
                 // sensor is found again.
                 self.wanted.laser = Some(on);
                 let outcome = session.set_laser(on).await;
+                if on {
+                    self.schedules.resume(Instant::now());
+                }
                 self.keep(promise, outcome)
             }
             Request::BaudRate { speed, promise } => {
@@ -159,32 +172,30 @@ impl Service<'_> {
             self.note_schedules();
             return Ok(());
         };
-        let scan_time = self.scan_time;
-        let outcome = self.poll_with_laser(session, poll.window).await;
-        let failure = match outcome {
+        let outcome = match self.poll_with_laser(session, poll.window).await {
             Ok(timing) => {
-                let meta = meta(timing, scan_time);
-                let delivered = self.schedules.deliver(poll, session.values(), meta);
-                self.telemetry.stats().repeats += u64::from(delivered.repeat);
-                if let Some(slow) = delivered.slow {
-                    tracing::warn!(
-                        window = %poll.window, asked = %poll.rate, reached = slow.reached,
-                        "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher line speed"
-                    );
-                }
-                None
+                self.deliver(poll, session.values(), timing);
+                Ok(())
             }
-            Err(failure) => Some(failure),
+            Err(failure) => survivable(failure).map(|error| self.schedules.fail(poll, &error)),
         };
         let mut stats = self.telemetry.stats();
         stats.polls_skipped += skipped;
         stats.missed = self.schedules.missed();
         drop(stats);
         self.note_schedules();
-        if let Some(failure) = failure {
-            self.schedules.fail(poll, &survivable(failure)?);
+        outcome
+    }
+
+    fn deliver(&mut self, poll: Poll, values: &[u16], timing: Timing) {
+        let delivered = self.schedules.deliver(poll, values, meta(timing, self.scan_time));
+        self.telemetry.stats().repeats += u64::from(delivered.repeat);
+        if let Some(slow) = delivered.slow {
+            tracing::warn!(
+                window = %poll.window, asked = %poll.rate, reached = slow.reached,
+                "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher line speed"
+            );
         }
-        Ok(())
     }
 
     /// Polls; where the laser is off and nobody here switched it off, once more
@@ -196,8 +207,8 @@ impl Service<'_> {
     ) -> Result<Timing, Failure> {
         match session.poll(window).await {
             Err(Failure::Command(Error::Refused { status: LASER_IS_OFF, .. })) => {
-                tracing::info!("the sensor's laser is off: switching it on");
                 session.set_laser(true).await?;
+                tracing::info!("the sensor's laser was off: it is switched on");
                 session.poll(window).await
             }
             outcome => outcome,

@@ -1,13 +1,10 @@
-//! One open port: the exchange of a command for its reply, and the fence that
-//! keeps replies from being taken for each other.
+//! One open port: the exchange of a command for its reply.
 //!
 //! SCIP 1.1 numbers nothing, and two polls of the same window have the same
 //! echo. What makes a reply the answer to its command is that nothing older can
 //! still be on its way. So everything that casts doubt on that (bytes that
 //! nobody asked for, a foreign or damaged reply, a deadline that passed) makes
-//! the line dirty, and a dirty line is fenced before the next command: a
-//! single-step `G`, a different one each time, is sent until it is answered.
-//! Replies come in order, so nothing older can follow that answer.
+//! the line dirty, and a dirty line is fenced before the next command.
 
 use std::future::poll_fn;
 use std::io;
@@ -17,27 +14,27 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
-use bytes::{BufMut, BytesMut};
+use bytes::BufMut;
 use futures::{SinkExt, StreamExt};
-use tokio::io::{AsyncRead, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::task::coop::unconstrained;
 use tokio::time::{Instant, timeout_at};
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
-use super::line::{Line, flooded};
-use super::single_steps::SingleSteps;
+use super::echoes::Echoes;
+use super::line::{Line, flood};
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
-use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
+use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error, Window};
 
-/// Fences sent before a line counts as lost.
-const FENCES: usize = 6;
 /// Frames that may come in answer to one command before the line counts as
 /// flooded.
-const MAX_FRAMES: usize = 64;
+pub(super) const MAX_FRAMES: usize = 64;
+/// How much is read at once of what is thrown away.
+const SCRATCH: usize = 512;
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
 const READ_BUFFER: usize = 4096;
@@ -67,38 +64,28 @@ pub(crate) struct Timing {
     pub(crate) stamp: SystemTime,
 }
 
-/// How a command may end without a fault of the line.
-struct Exchanged<T> {
-    reply: T,
-    timing: Timing,
-}
-
 pub(crate) struct Session {
-    framed: Framed<Line, ScipCodec>,
+    pub(super) framed: Framed<Line, ScipCodec>,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
-    dirty: bool,
+    pub(super) dirty: bool,
     /// A command may have been written in part.
-    interrupted: bool,
+    pub(super) interrupted: bool,
     /// Whether the port can change its speed.
     adjustable: bool,
-    /// The step of the next fence.
-    fence: u16,
-    /// Single steps that were asked for since the last answered fence.
-    asked: SingleSteps,
-    /// The windows of the last polls.
-    recent: [Option<Window>; 3],
+    pub(super) echoes: Echoes,
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
-    telemetry: Arc<Telemetry>,
+    pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
         latency: Option<Duration>,
+        echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
@@ -108,13 +95,16 @@ impl Session {
             dirty: true,
             interrupted: true,
             adjustable: false,
-            fence: 0,
-            asked: SingleSteps::default(),
-            recent: [None; 3],
+            echoes,
             values: Vec::new(),
             polled: 0..0,
             telemetry,
         }
+    }
+
+    /// Closes the port, and gives what the next session has to know.
+    pub(crate) fn close(self) -> Echoes {
+        self.echoes
     }
 
     pub(crate) fn line_speed(&self) -> Option<BaudRate> {
@@ -142,26 +132,26 @@ impl Session {
         self.framed.get_ref().received()
     }
 
-    /// Reads while nothing is asked for, until something comes. Cancel-safe.
+    /// Reads while nothing is asked for, until something comes, and throws it
+    /// away. Cancel-safe.
     pub(crate) async fn idle(&mut self) -> Result<(), Failure> {
-        match self.framed.next().await {
-            Some(Ok(frame)) => {
-                self.skip(&frame);
-                self.dirty = true;
-                Ok(())
-            }
-            Some(Err(error)) => Err(error.into()),
-            None => Err(Failure::Line(Error::disconnected(None))),
+        // Not a whole frame: nobody else would get a turn before its end.
+        let read = self.framed.get_mut().read(&mut [0; SCRATCH]).await?;
+        if read == 0 {
+            return Err(Failure::Line(Error::disconnected(None)));
         }
+        self.telemetry.stats().bytes_skipped += read as u64;
+        self.dirty = true;
+        Ok(())
     }
 
-    /// Raises a fence if one is needed.
-    pub(crate) async fn settle(&mut self) -> Result<(), Failure> {
+    /// Raises a fence if one is needed, and gives the status of its answer.
+    pub(crate) async fn settle(&mut self) -> Result<Option<Status>, Failure> {
         self.discard_pending().await?;
-        if self.dirty {
-            self.fence().await?;
+        if !self.dirty {
+            return Ok(None);
         }
-        Ok(())
+        self.fence().await.map(Some)
     }
 
     /// Sends `command` and reads its reply with `read`.
@@ -175,6 +165,15 @@ impl Session {
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<(T, Timing), Failure> {
         self.settle().await?;
+        self.ask(command, read).await
+    }
+
+    /// Sends `command` on a line that is settled.
+    async fn ask<T>(
+        &mut self,
+        command: Command,
+        read: impl FnOnce(&Reply<'_>) -> T,
+    ) -> Result<(T, Timing), Failure> {
         let deadline = self.deadline(&command, self.latency(&command));
         let span = tracing::trace_span!("exchange", %command);
         let exchange = async {
@@ -184,9 +183,9 @@ impl Session {
             }
             outcome
         };
-        let answer = exchange.instrument(span).await?;
-        match answer.reply {
-            Ok(reply) => Ok((reply, answer.timing)),
+        let (answer, timing) = exchange.instrument(span).await?;
+        match answer {
+            Ok(answer) => Ok((answer, timing)),
             Err(status) => {
                 self.telemetry.stats().refused += 1;
                 Err(Failure::Command(Error::Refused { command, status }))
@@ -210,24 +209,15 @@ impl Session {
     }
 
     /// Polls `window`; its [`values`](Self::values) are there afterwards.
-    ///
-    /// What is asked for differs from the polls before, where the window leaves
-    /// room for that, so that even a reply that a faulty line delivers twice is
-    /// never taken for the next.
     pub(crate) async fn poll(&mut self, window: Window) -> Result<Timing, Failure> {
-        let (asked, surplus) = (0..=self.recent.len() as u16)
-            .filter_map(|groups| window.widened(groups))
-            .find(|(asked, _)| !self.recent.contains(&Some(*asked)))
-            .unwrap_or((window, 0));
-        self.recent.rotate_right(1);
-        if let Some(newest) = self.recent.first_mut() {
-            *newest = Some(asked);
-        }
+        // First: what a fence clears must not be this poll.
+        self.settle().await?;
+        let (asked, surplus) = self.echoes.poll(window);
         let mut values = std::mem::take(&mut self.values);
         values.clear();
         self.telemetry.stats().polls += 1;
         let outcome =
-            self.command(Command::Distances(asked), |reply| reply.values_into(&mut values)).await;
+            self.ask(Command::Distances(asked), |reply| reply.values_into(&mut values)).await;
         self.values = values;
         let ((), timing) = outcome?;
         let mut stats = self.telemetry.stats();
@@ -248,172 +238,71 @@ impl Session {
         self.dirty
     }
 
-    /// Sends single-step `G`s until the latest of them is answered, and gives
-    /// the status of that answer.
-    pub(crate) async fn fence(&mut self) -> Result<Status, Failure> {
-        let mut failure = Failure::Silent(Error::disconnected(None));
-        for _ in 0..FENCES {
-            match self.fence_once(self.latency(&Command::Distances(Window::single(0)))).await {
-                Err(Failure::Command(error)) => failure = Failure::Silent(error),
-                outcome => return outcome,
-            }
-        }
-        Err(failure)
-    }
-
-    /// One fence, answered within `latency`.
-    pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, Failure> {
-        let command = self.next_fence();
-        self.dirty = true;
-        self.telemetry.stats().fences += 1;
-        let deadline = self.deadline(&command, latency);
-        let span = tracing::trace_span!("fence", %command);
-        let answer = self.exchange_fence(&command, deadline).instrument(span).await;
-        match &answer {
-            Ok(_) => {
-                self.dirty = false;
-                self.asked.clear();
-            }
-            Err(_) => self.telemetry.stats().fence_timeouts += 1,
-        }
-        answer
-    }
-
     /// Forgets everything that arrived, at what may have been another speed.
     fn reset_input(&mut self) {
         self.framed.read_buffer_mut().clear();
         self.framed.codec_mut().reset();
     }
 
+    /// Writes `command` and waits for its reply: what `read` makes of it, or a
+    /// status that is not success.
     async fn exchange<T>(
         &mut self,
         command: &Command,
         deadline: Instant,
         read: impl FnOnce(&Reply<'_>) -> T,
-    ) -> Result<Exchanged<Result<T, Status>>, Failure> {
-        if let Command::Distances(window) = command {
-            self.asked.insert(*window);
-        }
-        let (requested, after) = (Instant::now(), deadline - Instant::now());
-        let mut strays = 0;
-        if !self.send(command, deadline).await? {
+    ) -> Result<(Result<T, Status>, Timing), Failure> {
+        let (command, requested) = (*command, Instant::now());
+        let timeout = Failure::Command(Error::Timeout { command, after: deadline - requested });
+        if !self.send(&command, deadline).await? {
             self.telemetry.stats().timeouts += 1;
-            return Err(Failure::Command(Error::Timeout { command: *command, after }));
+            return Err(timeout);
         }
-        loop {
+        for _ in 0..MAX_FRAMES {
             let Some(frame) = self.receive(deadline).await? else {
                 self.telemetry.stats().timeouts += 1;
-                return Err(Failure::Command(Error::Timeout { command: *command, after }));
-            };
-            let bytes = match &frame {
-                Frame::Reply(bytes) => bytes,
-                Frame::Overlong { .. } => {
-                    self.skip(&frame);
-                    self.dirty = true;
-                    self.bear(&mut strays).await?;
-                    continue;
-                }
-            };
-            match Reply::parse(command, bytes) {
-                Ok(reply) => {
-                    let timing = self.timing(requested);
-                    let status = reply.status();
-                    let reply =
-                        if status.is_ok_for(command) { Ok(read(&reply)) } else { Err(status) };
-                    return Ok(Exchanged { reply, timing });
-                }
-                Err(error) => {
-                    self.dirty = true;
-                    self.telemetry.stats().malformed.count(&error);
-                    match error {
-                        ReplyError::Malformed(source) => {
-                            let command = *command;
-                            return Err(Failure::Command(Error::Malformed { command, source }));
-                        }
-                        ReplyError::Scip2 { status } => {
-                            return Err(Failure::Command(Error::WrongProtocol { status }));
-                        }
-                        ReplyError::Foreign { .. } => {
-                            self.skip(&frame);
-                            self.bear(&mut strays).await?;
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// Sends a fence and waits for its answer, whatever comes before.
-    async fn exchange_fence(
-        &mut self,
-        command: &Command,
-        deadline: Instant,
-    ) -> Result<Status, Failure> {
-        let after = deadline - Instant::now();
-        let mut strays = 0;
-        let mut sent = BytesMut::with_capacity(16);
-        if self.interrupted {
-            // Ends a command that the sensor may have in part.
-            sent.put_u8(b'\n');
-        }
-        sent.extend_from_slice(&command.bytes());
-        sent.put_u8(b'\n');
-        let mut failure = Failure::Command(Error::Timeout { command: *command, after });
-        if !self.send(command, deadline).await? {
-            return Err(failure);
-        }
-        loop {
-            let Some(frame) = self.receive(deadline).await? else {
-                return Err(self.explain_silence(&sent, command).unwrap_or(failure));
+                return Err(timeout);
             };
             if let Frame::Reply(bytes) = &frame {
-                match Reply::parse_end(command, bytes) {
-                    Ok(_) if is_echoed(&sent, command, bytes) => {
-                        return Err(Failure::Line(Error::Loopback));
+                let error = match Reply::parse(&command, bytes) {
+                    Ok(reply) => {
+                        let (timing, status) = (self.timing(requested), reply.status());
+                        let done = status.is_ok_for(&command);
+                        return Ok((if done { Ok(read(&reply)) } else { Err(status) }, timing));
                     }
-                    Ok(reply) => return Ok(reply.status()),
-                    Err(ReplyError::Scip2 { status }) => {
+                    Err(error) => error,
+                };
+                self.dirty = true;
+                self.telemetry.stats().malformed.count(&error);
+                match error {
+                    ReplyError::Malformed(source) => {
+                        return Err(Failure::Command(Error::Malformed { command, source }));
+                    }
+                    ReplyError::Scip2 { status } => {
                         return Err(Failure::Command(Error::WrongProtocol { status }));
                     }
-                    Err(error) => {
-                        self.telemetry.stats().malformed.count(&error);
-                        if let ReplyError::Malformed(source) = error {
-                            let command = *command;
-                            failure = Failure::Command(Error::Malformed { command, source });
-                        }
-                    }
+                    ReplyError::Foreign { .. } => {}
                 }
             }
+            self.dirty = true;
             self.skip(&frame);
-            self.bear(&mut strays).await?;
         }
-    }
-
-    /// What the unfinished frame tells when nothing else came in answer to
-    /// `sent`.
-    fn explain_silence(&self, sent: &[u8], command: &Command) -> Option<Failure> {
-        let pending = self.framed.read_buffer();
-        if pending.starts_with(b"\n") && *pending == sent {
-            return Some(Failure::Line(Error::Loopback));
-        }
-        // At a wrong speed any bytes may come, so only a line that cannot have
-        // one counts as telnet.
-        let telnet = !self.adjustable && matches!(**pending, [0xff, 0xfb..=0xfe, ..]);
-        let echo = [&command.bytes(), &b"\r\n"[..]].concat();
-        let translated = pending.windows(echo.len()).any(|part| part == echo);
-        (telnet || translated).then(|| {
-            let (command, source) = (*command, Malformed::NotRaw);
-            Failure::Command(Error::Malformed { command, source })
-        })
+        // What is there already must not flood the next link, too.
+        self.discard_pending().await?;
+        Err(flood().into())
     }
 
     /// Writes a command, after an LF where one is due. False if that took too
     /// long.
-    async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, Failure> {
+    pub(super) async fn send(
+        &mut self,
+        command: &Command,
+        deadline: Instant,
+    ) -> Result<bool, Failure> {
         if self.interrupted {
             self.framed.write_buffer_mut().put_u8(b'\n');
         }
-        self.framed.get_mut().expect();
+        self.framed.get_mut().command();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
         match timeout_at(deadline, self.framed.send(command)).await {
@@ -429,7 +318,7 @@ impl Session {
     }
 
     /// The next frame, or `None` at the deadline.
-    async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
+    pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
         // Looks at the line before it looks at the clock.
         match timeout_at(deadline, self.framed.next()).await {
             Ok(Some(frame)) => Ok(Some(frame?)),
@@ -443,33 +332,28 @@ impl Session {
 
     /// Throws away what came since the last reply: it is older than the next
     /// command. That something came makes the line dirty.
-    async fn discard_pending(&mut self) -> Result<(), Failure> {
+    pub(super) async fn discard_pending(&mut self) -> Result<(), Failure> {
         // Lets the runtime see what the system has.
         tokio::task::yield_now().await;
         let line = self.framed.get_mut();
         let before = line.received();
-        let mut scratch = [0; 512];
-        // With the runtime's budget used up, a port that has bytes would look
-        // like one that has none.
-        let closed = unconstrained(poll_fn(|cx| {
+        let pending = poll_fn(|cx| {
+            let mut scratch = [0; SCRATCH];
             loop {
                 let mut buffer = ReadBuf::new(&mut scratch);
                 match Pin::new(&mut *line).poll_read(cx, &mut buffer) {
                     Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
-                        return Poll::Ready(Ok(true));
+                        return Poll::Ready(Err(Failure::Line(Error::disconnected(None))));
                     }
                     Poll::Ready(Ok(())) => {}
-                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                    Poll::Pending => break,
+                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
+                    Poll::Pending => return Poll::Ready(Ok(())),
                 }
             }
-            Poll::Ready(Ok(false))
-        }))
-        .await?;
-        if closed {
-            return Err(Failure::Line(Error::disconnected(None)));
-        }
-        let fresh = line.received() - before;
+        });
+        // A task that has used up its budget must not take that for a quiet line.
+        unconstrained(pending).await?;
+        let fresh = self.framed.get_ref().received() - before;
         let skipped = fresh + self.framed.read_buffer().len() as u64;
         if skipped > 0 {
             self.telemetry.stats().bytes_skipped += skipped;
@@ -479,20 +363,9 @@ impl Session {
         Ok(())
     }
 
-    /// Counts the frames that came before the one that is waited for, and gives
-    /// the line up when they are far too many; of bytes the line takes care.
-    async fn bear(&mut self, strays: &mut usize) -> Result<(), Failure> {
-        *strays += 1;
-        if *strays <= MAX_FRAMES {
-            return Ok(());
-        }
-        // What is there already must not flood the next link, too.
-        self.discard_pending().await?;
-        Err(flooded().into())
-    }
-
-    /// Counts a frame that nobody asked for.
-    fn skip(&self, frame: &Frame) {
+    /// Counts a frame that nobody asked for, and waits for the next.
+    pub(super) fn skip(&mut self, frame: &Frame) {
+        self.framed.get_mut().expect();
         let mut stats = self.telemetry.stats();
         stats.bytes_skipped += match frame {
             Frame::Reply(bytes) => bytes.len() as u64 + 2,
@@ -503,22 +376,6 @@ impl Session {
         };
     }
 
-    fn next_fence(&mut self) -> Command {
-        for _ in 0..SingleSteps::COUNT {
-            if !self.asked.contains(self.fence) {
-                break;
-            }
-            self.advance_fence();
-        }
-        let command = Command::Distances(Window::single(self.fence));
-        self.advance_fence();
-        command
-    }
-
-    fn advance_fence(&mut self) {
-        self.fence = (self.fence + 1) % SingleSteps::COUNT;
-    }
-
     pub(crate) fn latency(&self, command: &Command) -> Duration {
         let usual = match command {
             Command::Distances(_) => Duration::from_millis(500),
@@ -527,7 +384,7 @@ impl Session {
         self.latency.unwrap_or(usual)
     }
 
-    fn deadline(&self, command: &Command, latency: Duration) -> Instant {
+    pub(super) fn deadline(&self, command: &Command, latency: Duration) -> Instant {
         let bytes = command.bytes().len() + 1 + command.reply_len();
         let wire = self.line_speed().map_or(Duration::ZERO, |speed| speed.wire_time(bytes));
         Instant::now() + wire + latency
@@ -538,9 +395,4 @@ impl Session {
         let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
         Timing { requested, received, stamp }
     }
-}
-
-/// Whether `frame` is what was sent, and then a reply to it.
-fn is_echoed(sent: &[u8], command: &Command, frame: &[u8]) -> bool {
-    frame.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
 }

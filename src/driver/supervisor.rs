@@ -2,7 +2,7 @@
 //! reconnects, with what the service had asked for restored.
 
 use std::future::Future;
-use std::hash::{BuildHasher, RandomState};
+use std::mem::discriminant;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -20,8 +20,12 @@ use crate::state::{State, Telemetry};
 
 /// The whole driver.
 pub(crate) struct Supervisor<C> {
+    /// The first to go when a driver is dropped, even one that never ran: those
+    /// who wait find out why.
+    _closing: Closing,
     opener: Opener<C>,
     desk: Desk,
+    backoff: Backoff,
     config: Config,
     telemetry: Arc<Telemetry>,
 }
@@ -47,13 +51,18 @@ impl<C: Connect> Supervisor<C> {
     ) -> Self {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
         let schedules = Schedules::new(config.ring_depth);
-        Self { opener, desk: Desk { mailbox, schedules }, config, telemetry }
+        Self {
+            _closing: Closing(Arc::clone(&telemetry)),
+            opener,
+            desk: Desk { mailbox, schedules },
+            backoff: Backoff::new(&config),
+            config,
+            telemetry,
+        }
     }
 
     /// Runs until the driver is closed, abandoned, or out of luck.
     pub(crate) async fn run(mut self) -> Result<(), Error> {
-        // Also if this future is dropped or panics.
-        let _closing = Closing(Arc::clone(&self.telemetry));
         let (error, promise) = match self.supervise().await {
             End::Closed(promise) => (None, promise),
             End::Failed(error) => (Some(error), None),
@@ -74,7 +83,9 @@ impl<C: Connect> Supervisor<C> {
             Err(end) => return end,
         };
         loop {
+            let since = Instant::now();
             let stop = self.serve(&mut session).await;
+            self.backoff.lasted(since.elapsed());
             let next = match stop {
                 Stop::Closed(promise) => return End::Closed(Some(promise)),
                 Stop::Abandoned => return End::Closed(None),
@@ -103,17 +114,20 @@ impl<C: Connect> Supervisor<C> {
     }
 
     async fn open_first(&mut self) -> Result<Session, End> {
-        let mut backoff = self.backoff();
+        let mut latest = None;
         loop {
             let error = match self.desk.attend(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(error) => error,
             };
-            if !self.config.wait_for_sensor || !error.is_transient() {
+            // A port that has just appeared may be nobody's for a moment, until
+            // the system has set its owner: only twice is for good.
+            let again = latest.replace(discriminant(&error)) == Some(discriminant(&error));
+            if !self.config.wait_for_sensor || again && !error.is_transient() {
                 return Err(End::Failed(error));
             }
-            tracing::debug!(%error, "waiting for the sensor");
-            self.desk.attend(None, sleep(backoff.next())).await?;
+            self.telemetry.enter(State::Connecting { error: Some(error) });
+            self.desk.attend(None, sleep(self.backoff.next())).await?;
         }
     }
 
@@ -136,7 +150,7 @@ impl<C: Connect> Supervisor<C> {
 
     async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, End> {
         // First, or the system could not give the port the same name again.
-        drop(session);
+        self.opener.close(session);
         let error = match cause {
             Error::Disconnected { .. } => cause,
             _ => Error::disconnected(None),
@@ -148,9 +162,9 @@ impl<C: Connect> Supervisor<C> {
         self.desk.schedules.fail_all(&error);
         let since = Instant::now().into_std();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
-        let (mut backoff, mut latest) = (self.backoff(), error);
+        let mut latest = error;
         loop {
-            self.desk.attend(Some(&latest), sleep(backoff.next())).await?;
+            self.desk.attend(Some(&latest), sleep(self.backoff.next())).await?;
             let error = match self.desk.attend(Some(&latest), self.opener.open()).await? {
                 Ok(session) => {
                     self.telemetry.stats().reconnects += 1;
@@ -158,22 +172,14 @@ impl<C: Connect> Supervisor<C> {
                 }
                 Err(error) => error,
             };
-            // What does not get better by itself is told, once.
-            let news = std::mem::discriminant(&error) != std::mem::discriminant(&latest);
-            if news {
+            if discriminant(&error) != discriminant(&latest) {
                 self.telemetry.enter(State::Disconnected { since, error: error.clone() });
-            }
-            if news && !error.is_transient() {
+            } else if !error.is_transient() {
+                // What does not get better by itself is told.
                 self.desk.schedules.fail_all(&error);
             }
             latest = error;
         }
-    }
-
-    fn backoff(&self) -> Backoff {
-        let seed = self.config.jitter_seed;
-        let seed = seed.unwrap_or_else(|| RandomState::new().hash_one(Instant::now().into_std()));
-        Backoff { next: self.config.backoff.0, longest: self.config.backoff.1, seed }
     }
 }
 
@@ -214,21 +220,34 @@ impl Drop for Closing {
 }
 
 /// Ever longer waits, each a little off, so that many drivers that lost a bus
-/// together do not come back together. Never shorter than said: an attempt
-/// wakes the task twice, and two wake-ups a second are enough.
+/// together do not come back together.
 struct Backoff {
-    next: Duration,
+    shortest: Duration,
     longest: Duration,
+    next: Duration,
     seed: u64,
 }
 
 impl Backoff {
+    fn new(config: &Config) -> Self {
+        let (shortest, longest) = config.backoff;
+        Self { shortest, longest, next: shortest, seed: config.seed() }
+    }
+
+    /// A link was there for so long. One that comes and goes is not reopened
+    /// in a hurry: only what outlasts the next wait begins anew.
+    fn lasted(&mut self, up: Duration) {
+        if up > self.next {
+            self.next = self.shortest;
+        }
+    }
+
     fn next(&mut self) -> Duration {
         // A step of a linear congruential generator; its upper bits are good.
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         let jitter = 1.0 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
-        let wait = self.next.min(self.longest);
-        self.next = wait * 2;
+        let wait = self.next;
+        self.next = (wait * 2).min(self.longest);
         wait.mul_f64(jitter)
     }
 }

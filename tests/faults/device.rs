@@ -158,15 +158,13 @@ async fn d08_only_the_four_commands_are_ever_sent_to_a_sensor_of_either_kind() {
 
 #[tokio::test(start_paused = true)]
 async fn d10_a_sensor_that_counts_its_points_differently_is_told_from_a_silent_one() {
-    // One point more: two characters too many in the answer to the first fence.
-    let error = builder().connect(prompt().miscount(1).build()).await.unwrap_err();
-    let Error::Malformed { source, .. } = error else { panic!("{error:?}") };
-    assert_eq!(source, Malformed::LineLength { line: 0, expected: 2, found: 4 });
-
-    // One point less. A fence at step 0 is answered all the same.
-    let sensor = open(&prompt().miscount(-1).build()).await;
-    let error = sensor.scan(WINDOW).await.unwrap_err();
-    assert!(matches!(error, Error::Malformed { .. }), "{error:?}");
+    // A fence asks for one point, two characters.
+    let two_points = Malformed::LineLength { line: 0, expected: 2, found: 4 };
+    for (miscount, told) in [(1, two_points), (-1, Malformed::NoData)] {
+        let error = builder().connect(prompt().miscount(miscount).build()).await.unwrap_err();
+        let Error::Malformed { source, .. } = error else { panic!("{miscount}: {error:?}") };
+        assert_eq!(source, told, "{miscount}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -91,7 +91,7 @@ async fn w18_garbage_of_any_length_in_front_costs_one_scan_and_nuls_none() {
 #[tokio::test(start_paused = true)]
 async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
     let mut fired = 0;
-    for seed in 0..300 {
+    for seed in 0..100 {
         let emulator = prompt().seed(seed).build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -101,7 +101,7 @@ async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
         assert_eq!(lies(&emulator, &delivered), [""; 0], "seed {seed}");
         fired += emulator.fault_counts().noise;
     }
-    assert!(fired > 1000, "{fired}");
+    assert!(fired > 300, "{fired}");
 }
 
 /// Streams; then `pattern` comes without an end, and the link is given up soon.

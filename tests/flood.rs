@@ -1,0 +1,177 @@
+//! A line that brings far more than any sensor sends, and always has more.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::collections::VecDeque;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::task::{Context, Poll};
+
+use common::{builder, ms, truthful};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::timeout;
+use tokio_scip::emulator::Link;
+use tokio_scip::{Error, Rate, Window};
+
+/// A link to a sensor, until it is opened: then `pattern` comes without end,
+/// and reading never has to wait.
+struct Hose {
+    link: Link,
+    open: Arc<AtomicBool>,
+    pattern: &'static [u8],
+}
+
+impl AsyncRead for Hose {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        if !self.open.load(Ordering::Relaxed) {
+            return Pin::new(&mut self.link).poll_read(cx, buffer);
+        }
+        while buffer.remaining() >= self.pattern.len() {
+            buffer.put_slice(self.pattern);
+        }
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Hose {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        Pin::new(&mut self.link).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+/// Without an end of a reply, with nothing but ends, and with replies.
+const PATTERNS: [&[u8]; 4] = [b"x", b"\0", b"\n\n", b"L1\n0\n\n"];
+
+#[tokio::test(start_paused = true)]
+async fn a_flood_from_the_beginning_is_no_sensor() {
+    for pattern in PATTERNS {
+        let emulator = truthful().build();
+        let open = Arc::new(AtomicBool::new(true));
+        let hose = Hose { link: emulator.link(), open, pattern };
+        let error = builder().attach(hose).await.unwrap_err();
+        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+        assert!(!emulator.is_connected());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
+    for pattern in PATTERNS {
+        let emulator = truthful().build();
+        let open = Arc::new(AtomicBool::new(false));
+        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let sensor = builder().attach(hose).await.unwrap();
+        open.store(true, Ordering::Relaxed);
+        // Wakes the reader.
+        emulator.inject(b"x".as_slice());
+        let answer = timeout(ms(60_000), sensor.scan(Window::FULL)).await.unwrap();
+        assert!(matches!(answer, Err(Error::Disconnected { .. })), "{answer:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flood_under_a_stream_ends_it() {
+    for pattern in PATTERNS {
+        let emulator = truthful().build();
+        let open = Arc::new(AtomicBool::new(false));
+        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let sensor = builder().attach(hose).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        stream.next().await.unwrap().unwrap();
+        open.store(true, Ordering::Relaxed);
+        let mut last = None;
+        while let Some(item) = timeout(ms(60_000), stream.next()).await.unwrap() {
+            last = item.err();
+        }
+        assert!(matches!(last, Some(Error::Disconnected { .. })), "{last:?}");
+    }
+}
+
+/// A sensor whose every reply is there as soon as its command is written.
+#[derive(Default)]
+struct Oracle {
+    replies: VecDeque<u8>,
+    polls: Arc<AtomicUsize>,
+}
+
+impl AsyncRead for Oracle {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        if self.replies.is_empty() {
+            return Poll::Pending;
+        }
+        let count = self.replies.len().min(buffer.remaining());
+        self.replies.drain(..count).for_each(|byte| buffer.put_slice(&[byte]));
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Oracle {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        for command in bytes.split(|&byte| byte == b'\n').filter(|line| !line.is_empty()) {
+            self.replies.extend(command);
+            self.replies.extend(b"\n0\n");
+            if command[0] == b'G' {
+                self.polls.fetch_add(1, Ordering::Relaxed);
+                let step =
+                    |at| std::str::from_utf8(&command[at]).unwrap().parse::<usize>().unwrap();
+                let points = step(4..7) - step(1..4) + 1;
+                self.replies.extend(std::iter::repeat_n(b'5', points * 2));
+            } else {
+                self.replies.extend(b"SERI:H0000001");
+            }
+            self.replies.extend(b"\n\n");
+        }
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_answers_at_once_leaves_time_for_others() {
+    let polls = Arc::new(AtomicUsize::new(0));
+    let oracle = Oracle { polls: Arc::clone(&polls), ..Oracle::default() };
+    let sensor = builder().attach(oracle).await.unwrap();
+    let mut stream = sensor.scans(Window::new(384..=390).unwrap(), Rate::MAX).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    let start = polls.load(Ordering::Relaxed);
+    for turns in 1..1000 {
+        tokio::task::yield_now().await;
+        let polled = polls.load(Ordering::Relaxed) - start;
+        assert!(polled <= turns + 1, "{polled} polls while others had {turns} turns");
+    }
+    assert!(polls.load(Ordering::Relaxed) > start + 100);
+}

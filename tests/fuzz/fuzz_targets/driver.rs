@@ -1,0 +1,11 @@
+//! See `tests/properties/driver.rs`.
+#![no_main]
+
+#[path = "../../properties/driver.rs"]
+mod driver;
+#[path = "../../properties/peer.rs"]
+mod peer;
+#[path = "../../properties/script.rs"]
+mod script;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| driver::the_driver_stands_any_port_and_any_user(data));

@@ -1,0 +1,9 @@
+//! See `tests/properties/commands.rs`.
+#![no_main]
+
+#[path = "../../properties/commands.rs"]
+mod commands;
+#[path = "../../properties/script.rs"]
+mod script;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| commands::every_line_is_answered_as_the_table_says(data));

@@ -1,0 +1,138 @@
+//! The driver against any behaviour of a port and any use of its handles.
+
+use std::time::Duration;
+
+use tokio::time::{sleep, timeout};
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
+
+use crate::peer::Peer;
+use crate::script::Script;
+
+/// No call takes longer: a fence may be sent six times, a command twice, the
+/// laser be switched and confirmed twice, and a lost sensor be waited for.
+const PATIENCE: Duration = Duration::from_secs(40);
+/// A second between two tries to open the port, a stall or a late reply of up
+/// to five, and a pass of fences.
+const RECOVERY: Duration = Duration::from_secs(15);
+
+/// Whatever the port does, no scan is another request's, every call ends in
+/// time, the laser stays off when it was switched off, and scans come again
+/// when the port works again.
+pub(crate) fn the_driver_stands_any_port_and_any_user(script: &[u8]) {
+    let mut header = Script::new(script);
+    let half = header.below(script.len().max(1));
+    let (user, port) = (header.take(half), header.take(usize::MAX));
+    let mut runtime = tokio::runtime::Builder::new_current_thread();
+    let runtime = runtime.enable_time().start_paused(true).build().unwrap();
+    runtime.block_on(use_sensor(Script::new(user), Peer::new(port)));
+}
+
+async fn use_sensor(script: Script<'_>, peer: Peer) {
+    let builder = Sensor::builder()
+        .jitter_seed(0)
+        .wait_for_sensor()
+        // Damage that comes twice alike makes another sensor of this one, and
+        // the first one that comes is the one that is expected.
+        .serial_number("H1")
+        .reply_latency(Duration::from_millis(200));
+    let (sensor, driver) = builder.build(peer.clone());
+    let driver = tokio::spawn(driver);
+    User { sensor: sensor.clone(), peer: peer.clone(), stream: None, off: None, last: None }
+        .follow(script)
+        .await;
+
+    peer.heal();
+    let recovered = async {
+        while !(sensor.laser_on().await.is_ok() && sensor.scan(windows(0)).await.is_ok()) {
+            sleep(Duration::from_millis(50)).await;
+        }
+    };
+    timeout(RECOVERY, recovered).await.expect("scans do not flow again");
+    timeout(PATIENCE, sensor.close()).await.unwrap();
+    timeout(PATIENCE, driver).await.expect("the driver does not end").unwrap().unwrap();
+}
+
+fn windows(choice: u8) -> Window {
+    Window::new([300..=310, 8..=10, 100..=200][usize::from(choice) % 3].clone()).unwrap()
+}
+
+struct User {
+    sensor: Sensor,
+    peer: Peer,
+    stream: Option<ScanStream>,
+    /// How many polls there were when the laser was off for certain.
+    off: Option<u64>,
+    /// The last scan of the stream.
+    last: Option<Scan>,
+}
+
+impl User {
+    async fn follow(&mut self, mut script: Script<'_>) {
+        while !script.is_over() {
+            let (decision, parameter) = (script.byte(), script.byte());
+            let patience = match decision & 0x80 {
+                0 => PATIENCE,
+                _ => Duration::from_millis(5 * u64::from(script.byte())),
+            };
+            let call = timeout(patience, self.call(decision & 0x7f, parameter)).await;
+            assert!(patience < PATIENCE || call.is_ok(), "call {decision} was never answered");
+            let state = self.peer.lock();
+            assert!(self.off.is_none_or(|polls| polls == state.polls), "a poll with the laser off");
+            drop(state);
+            let ended = matches!(&*self.sensor.state().borrow(), State::Closed { .. });
+            assert!(!ended, "the driver gave up: {:?}", self.sensor.state().borrow());
+        }
+    }
+
+    async fn call(&mut self, decision: u8, parameter: u8) {
+        let sensor = self.sensor.clone();
+        match decision % 8 {
+            0 => sleep(Duration::from_millis(10 * u64::from(parameter))).await,
+            1 => {
+                let window = windows(parameter);
+                match sensor.scan(window).await {
+                    Ok(scan) => {
+                        assert_eq!(scan.values().len(), window.points());
+                        self.peer.lock().check(&scan);
+                    }
+                    Err(error) => assert!(!matches!(error, Error::Closed)),
+                }
+            }
+            2 | 3 => self.read(parameter).await,
+            4 => {
+                if sensor.laser_off().await.is_ok() {
+                    let state = self.peer.lock();
+                    assert!(!state.laser);
+                    self.off = Some(state.polls);
+                }
+            }
+            5 => {
+                self.off = None;
+                if sensor.laser_on().await.is_ok() {
+                    assert!(self.peer.lock().laser);
+                }
+            }
+            // Nothing tells a damaged `V` from a whole one.
+            6 => drop(sensor.version().await),
+            _ => self.stream = None,
+        }
+    }
+
+    /// The stream's next item, if it comes soon.
+    async fn read(&mut self, parameter: u8) {
+        let Some(stream) = &mut self.stream else {
+            let rate = [Rate::hz(10.0), Rate::MAX, Rate::hz(1.0)][usize::from(parameter / 3) % 3];
+            self.stream = self.sensor.scans(windows(parameter), rate).await.ok();
+            self.last = None;
+            return;
+        };
+        let Ok(item) = timeout(Duration::from_millis(200), stream.next()).await else { return };
+        let Ok(scan) = item.expect("the stream ended") else { return };
+        let request = self.peer.lock().check(&scan);
+        assert_eq!(scan.values().len(), stream.window().points());
+        if let Some(last) = self.last.replace(scan.clone()) {
+            assert!(last.sequence() < scan.sequence() && last.received_at() <= scan.requested_at());
+            assert!(self.peer.lock().check(&last) < request);
+        }
+    }
+}

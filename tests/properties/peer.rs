@@ -1,0 +1,356 @@
+//! A sensor and a port that do what a script says: the driver's other end. A
+//! sensor on USB that puts the number of each `G` into its data; behind the
+//! script's end it works.
+//!
+//! What the script can do to a reply never makes another whole one of it, so
+//! that nothing wrong may ever be accepted: no bits are flipped, at most one
+//! byte is lost or added, and garbage has none of the letters of a reply.
+
+use std::collections::VecDeque;
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::{Context, Poll, Waker, ready};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Instant, Sleep, sleep_until};
+use tokio_scip::{Connect, Error, Port, Scan};
+
+use crate::script::Script;
+
+/// A handle to the sensor; opens ports to it.
+#[derive(Clone)]
+pub(crate) struct Peer(Arc<Mutex<State>>);
+
+pub(crate) struct State {
+    script: VecDeque<u8>,
+    /// Bytes a read gives and a write takes, in turn; 0 is "not yet".
+    sizes: Vec<u8>,
+    turns: usize,
+    link: u64,
+    ending: Option<Ending>,
+    refused: u8,
+    /// Until when writes wait.
+    stalled: Option<Instant>,
+    reader: Option<Waker>,
+    /// The line that is coming in, and whether it may be torn.
+    line: Vec<u8>,
+    torn: bool,
+    /// What is on its way to the host, in order.
+    sent: VecDeque<(Instant, u8)>,
+    bytes_sent: u64,
+    bytes_read: u64,
+    /// When each `G` that was answered with data arrived.
+    scans: Vec<Instant>,
+    pub(crate) laser: bool,
+    /// `G`s for more than one step, which fences are not.
+    pub(crate) polls: u64,
+    /// Where the reply to the last fence ends, if it went out whole.
+    fence: Option<u64>,
+}
+
+enum Ending {
+    Closed,
+    Failed,
+}
+
+impl Peer {
+    pub(crate) fn new(script: &[u8]) -> Self {
+        let mut header = Script::new(script);
+        let sizes = header.take(4).to_vec();
+        let script = header.take(usize::MAX).iter().copied().collect();
+        Self(Arc::new(Mutex::new(State {
+            script,
+            sizes,
+            turns: 0,
+            link: 0,
+            ending: None,
+            refused: 0,
+            stalled: None,
+            reader: None,
+            line: Vec::new(),
+            torn: true,
+            sent: VecDeque::new(),
+            bytes_sent: 0,
+            bytes_read: 0,
+            scans: Vec::new(),
+            laser: true,
+            polls: 0,
+            fence: None,
+        })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap()
+    }
+
+    /// From now on everything works.
+    pub(crate) fn heal(&self) {
+        let mut state = self.lock();
+        state.script.clear();
+        state.refused = 0;
+    }
+}
+
+/// Digits in base 4000, repeated every three steps.
+fn code(request: u64, step: u64) -> u16 {
+    20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u16
+}
+
+impl State {
+    fn next(&mut self) -> u8 {
+        self.script.pop_front().unwrap_or(0)
+    }
+
+    /// How many bytes this call may move; 0 is "not yet".
+    fn size(&mut self) -> usize {
+        self.turns += 1;
+        match self.sizes.get(self.turns % self.sizes.len().max(1)) {
+            None => usize::MAX,
+            // Not for ever: a pattern of zeros alone would never move.
+            Some(0) => self.turns % 3,
+            Some(size) => usize::from(*size),
+        }
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            if byte != b'\n' {
+                self.line.push(byte);
+                continue;
+            }
+            let line = std::mem::take(&mut self.line);
+            let torn = std::mem::take(&mut self.torn);
+            if is_command(&line) {
+                self.answer(&line);
+            } else if !line.is_empty() {
+                assert!(torn, "no command: {}", line.escape_ascii());
+                self.send(Duration::ZERO, &[&line, &b"\n1\n\n"[..]].concat());
+            }
+        }
+    }
+
+    fn answer(&mut self, line: &[u8]) {
+        let window = |range| std::str::from_utf8(&line[range]).unwrap().parse::<u64>().unwrap();
+        let mut reply = [line, b"\n0"].concat();
+        let mut is_fence = false;
+        match line {
+            b"V" => reply.extend_from_slice(b"\nVEND:x\nSERI:H1"),
+            b"L0" | b"L1" => self.laser = line == b"L1",
+            _ => {
+                let steps = window(1..4)..=window(4..7);
+                is_fence = steps.start() == steps.end();
+                self.polls += u64::from(!is_fence);
+                let proven = self.fence.is_some_and(|end| end <= self.bytes_read);
+                assert!(is_fence || proven, "a poll before the fence was answered");
+                if self.laser {
+                    let request = self.scans.len() as u64;
+                    let codes = steps.map(|step| code(request, step));
+                    let data: Vec<u8> =
+                        codes.flat_map(|c| [48 + (c >> 6) as u8, 48 + (c & 63) as u8]).collect();
+                    data.chunks(64).for_each(|line| {
+                        reply.push(b'\n');
+                        reply.extend_from_slice(line);
+                    });
+                    self.scans.push(Instant::now());
+                } else {
+                    reply[line.len() + 1] = b'6';
+                }
+            }
+        }
+        reply.extend_from_slice(b"\n\n");
+        self.deliver(&reply, is_fence);
+    }
+
+    fn deliver(&mut self, whole: &[u8], is_fence: bool) {
+        let mut reply = whole.to_vec();
+        // Not at once: polling as fast as possible would stop the paused clock.
+        let mut delay = Duration::from_millis(20);
+        let decision = self.next();
+        let mut place = || usize::from(self.script.pop_front().unwrap_or(0)) % (whole.len() + 1);
+        match decision {
+            0..0x60 => delay = Duration::from_millis(20 + u64::from(decision) % 8 * 20),
+            0x60..0x80 => delay = Duration::from_millis(20 * u64::from(self.next())),
+            0x80..0x90 => reply.clear(),
+            0x90..0xa0 => {} // It comes twice, see below.
+            0xa0..0xb0 => drop(reply.drain(place()..).next()),
+            0xb0..0xc0 => reply.insert(place(), [b'\n', 0, 0xff][usize::from(decision) % 3]),
+            0xc0..0xd0 => reply.truncate(place()),
+            0xd0..0xe0 => {
+                for _ in 0..decision % 16 {
+                    // Neither digits nor letters.
+                    let byte = self.next();
+                    let harmless = !(0x30..0x7b).contains(&byte);
+                    reply.insert(0, if harmless { byte } else { b'\n' });
+                }
+            }
+            0xe0..0xe8 => self.ending = Some(Ending::Closed),
+            0xe8..0xf0 => self.ending = Some(Ending::Failed),
+            0xf0..0xf8 => {
+                let stall = Duration::from_millis(20 * u64::from(self.next()));
+                self.stalled = Some(Instant::now() + stall);
+            }
+            0xf8.. => (self.refused, self.ending) = (decision % 4, Some(Ending::Closed)),
+        }
+        self.send(delay, &reply);
+        if is_fence {
+            // A lost last LF may come with what follows.
+            let most = &whole[..whole.len() - 1];
+            let intact = reply.windows(most.len()).any(|part| part == most);
+            self.fence = intact.then_some(self.bytes_sent);
+        }
+        if (0x90..0xa0).contains(&decision) {
+            let delay = Duration::from_millis(20 * u64::from(self.next()));
+            self.send(delay, whole);
+        }
+        if let Some(reader) = self.reader.take() {
+            reader.wake();
+        }
+    }
+
+    fn send(&mut self, delay: Duration, bytes: &[u8]) {
+        let last = self.sent.back().map(|(at, _)| *at);
+        let at = (Instant::now() + delay).max(last.unwrap_or_else(Instant::now));
+        self.bytes_sent += bytes.len() as u64;
+        self.sent.extend(bytes.iter().map(|&byte| (at, byte)));
+    }
+
+    /// Which `G` the scan answers, if it is the answer to its own.
+    pub(crate) fn check(&self, scan: &Scan) -> u64 {
+        let first = u64::from(scan.window().start().number());
+        let digits = (first..).zip(scan.values()).take(3);
+        let request = digits.fold(0, |sum, (step, &value)| {
+            sum + u64::from(value - 20) * 4000_u64.pow((step % 3) as u32)
+        });
+        let whole = (first..).zip(scan.values()).all(|(step, &value)| value == code(request, step));
+        assert!(whole, "mixed data: {:?}", scan.values());
+        let arrived = self.scans[request as usize].into_std();
+        assert!(
+            scan.requested_at() <= arrived && arrived <= scan.received_at(),
+            "the answer to {request} is attached to another request"
+        );
+        request
+    }
+}
+
+fn is_command(line: &[u8]) -> bool {
+    match line {
+        b"V" | b"L0" | b"L1" => true,
+        [b'G', steps @ .., b'0', b'1'] => {
+            steps.len() == 6
+                && steps.iter().all(u8::is_ascii_digit)
+                && steps[..3] <= steps[3..]
+                && steps[3..] <= b"768"[..]
+        }
+        _ => false,
+    }
+}
+
+impl Connect for Peer {
+    type Port = Wire;
+
+    async fn connect(&mut self) -> Result<Wire, Error> {
+        let mut state = self.lock();
+        if state.refused > 0 {
+            state.refused -= 1;
+            return Err(Error::NoSuchPort { port: "scripted".to_owned() });
+        }
+        state.link += 1;
+        (state.ending, state.stalled, state.torn) = (None, None, true);
+        let link = state.link;
+        drop(state);
+        Ok(Wire { peer: self.clone(), link, timers: [None, None] })
+    }
+}
+
+/// One open port.
+pub(crate) struct Wire {
+    peer: Peer,
+    link: u64,
+    /// For reading and for writing.
+    timers: [Option<Pin<Box<Sleep>>>; 2],
+}
+
+fn wait(
+    timer: &mut Option<Pin<Box<Sleep>>>,
+    until: Instant,
+    context: &mut Context<'_>,
+) -> Poll<()> {
+    let timer = timer.get_or_insert_with(|| Box::pin(sleep_until(until)));
+    timer.as_mut().reset(until);
+    timer.as_mut().poll(context)
+}
+
+impl Port for Wire {}
+
+impl AsyncRead for Wire {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let peer = self.peer.clone();
+        let mut state = peer.lock();
+        assert_eq!(state.link, self.link, "a port that was left is read");
+        loop {
+            let now = Instant::now();
+            let arrived = state.sent.iter().take_while(|(at, _)| *at <= now).count();
+            if arrived > 0 {
+                let count = arrived.min(state.size()).min(buffer.remaining());
+                if count == 0 {
+                    context.waker().wake_by_ref();
+                    return Poll::Pending;
+                }
+                let bytes: Vec<u8> = state.sent.drain(..count).map(|(_, byte)| byte).collect();
+                state.bytes_read += count as u64;
+                buffer.put_slice(&bytes);
+                return Poll::Ready(Ok(()));
+            }
+            match state.ending {
+                Some(Ending::Closed) => return Poll::Ready(Ok(())),
+                Some(Ending::Failed) => return Poll::Ready(Err(io::Error::from_raw_os_error(5))),
+                None => state.reader = Some(context.waker().clone()),
+            }
+            let Some((next, _)) = state.sent.front() else { return Poll::Pending };
+            ready!(wait(&mut self.timers[0], *next, context));
+        }
+    }
+}
+
+impl AsyncWrite for Wire {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let peer = self.peer.clone();
+        let mut state = peer.lock();
+        assert_eq!(state.link, self.link, "a port that was left is written to");
+        if state.ending.is_some() {
+            return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+        }
+        if let Some(until) = state.stalled {
+            state.torn = true;
+            ready!(wait(&mut self.timers[1], until, context));
+            state.stalled = None;
+        }
+        let count = state.size().min(bytes.len());
+        if count == 0 {
+            // Whoever gives up now leaves half a command behind.
+            state.torn = true;
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
+        state.receive(&bytes[..count]);
+        Poll::Ready(Ok(count))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        panic!("flushing a serial port blocks");
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}

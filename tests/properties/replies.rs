@@ -1,0 +1,137 @@
+//! Replies to all commands, whole and damaged: what is accepted is what a
+//! reference made from the text accepts, with the same values.
+
+use tokio_scip::protocol::{BaudRate, Command, Reply, Window};
+
+use crate::script::Script;
+
+/// Status and values of a reply (C-42-3320-A p. 3 to 6), or nothing if it is
+/// none.
+fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u16>)> {
+    let lines: Vec<&[u8]> = frame.split(|&byte| byte == b'\n').collect();
+    let [echo, status, data @ ..] = &lines[..] else { return None };
+    let &&[status @ b'!'..=b'~'] = status else { return None };
+    if *echo != &*command.bytes() {
+        return None;
+    }
+    let values = match (command, status) {
+        (Command::Distances(window), b'0') => values(data, window.points())?,
+        (Command::Version, b'0') => {
+            return data
+                .iter()
+                .any(|line| !line.is_empty())
+                .then_some((status, vec![]))
+                .or((data.len() > 1).then_some((status, vec![])));
+        }
+        _ => data.is_empty().then(Vec::new)?,
+    };
+    Some((status, values))
+}
+
+fn values(lines: &[&[u8]], points: usize) -> Option<Vec<u16>> {
+    let (last, full) = lines.split_last()?;
+    let shape = full.iter().all(|line| line.len() == 64) && (1..=64).contains(&last.len());
+    let data = lines.concat();
+    let alphabet = data.iter().all(|byte| (b'0'..=b'o').contains(byte));
+    let sextet = |byte: u8| u16::from(byte - b'0');
+    (shape && alphabet && data.len() == 2 * points)
+        .then(|| data.chunks(2).map(|pair| sextet(pair[0]) << 6 | sextet(pair[1])).collect())
+}
+
+fn command(script: &mut Script<'_>) -> Command {
+    match script.byte() % 8 {
+        0 => Command::Version,
+        1 => Command::LaserOn,
+        2 => Command::LaserOff,
+        3 => Command::BaudRate(BaudRate::ALL[script.below(6)]),
+        4 => Command::Distances(Window::new(44..=725).unwrap()),
+        _ => {
+            let (one, other) = (script.below(769) as u16, script.below(769) as u16);
+            let window = Window::new(one.min(other)..=one.max(other)).unwrap();
+            let cluster = 1 + script.byte() % 99;
+            Command::Distances(window.with_cluster_count(cluster).unwrap())
+        }
+    }
+}
+
+/// The reply that a sensor might send.
+fn whole(command: &Command, script: &mut Script<'_>) -> Vec<u8> {
+    let mut frame = command.bytes().to_vec();
+    let status = match script.byte() {
+        status @ b'!'..=b'~' => status,
+        _ => b'0',
+    };
+    frame.extend_from_slice(&[b'\n', status]);
+    let data = match (command, status) {
+        (Command::Distances(window), b'0') => {
+            let seed = script.byte();
+            (0..window.points() * 2).map(|at| b'0' + (at as u8 ^ seed) % 64).collect()
+        }
+        (Command::Version, b'0') => b"VEND: Hokuyo\nSERI: H0000001".to_vec(),
+        _ => vec![],
+    };
+    for line in data.chunks(64) {
+        frame.push(b'\n');
+        frame.extend_from_slice(line);
+    }
+    frame
+}
+
+fn damage(frame: &mut Vec<u8>, script: &mut Script<'_>) {
+    let at = script.below(frame.len() + 1);
+    let end = frame.len().min(at + 1 + usize::from(script.byte()) % 130);
+    match script.byte() % 8 {
+        0 => drop(frame.drain(at..frame.len().min(at + 1))),
+        1 => drop(frame.drain(at..end)),
+        2 => frame.insert(at, b'\n'),
+        3 => frame.insert(at, script.byte()),
+        4 => frame.truncate(at),
+        5 => drop(frame.splice(at..at, frame[at..end].to_vec())),
+        6 => drop(frame.splice(0..0, script.take(end - at).to_vec())),
+        _ => frame.iter_mut().skip(at).take(1).for_each(|byte| *byte ^= 1 << (end % 8)),
+    }
+}
+
+/// Whatever comes, exactly what the reference accepts is accepted, and an error
+/// reads as one line of ASCII.
+pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
+    let mut script = Script::new(script);
+    let command = command(&mut script);
+    let mut frame = whole(&command, &mut script);
+    while !script.is_over() {
+        damage(&mut frame, &mut script);
+    }
+    let expected = reference(&command, &frame);
+    compare(&command, &frame, Reply::parse(&command, &frame), expected.clone());
+
+    // The same reply at the end of whatever is before it.
+    let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
+    let tails = lengths.iter().filter_map(|length| frame.get(frame.len().checked_sub(*length)?..));
+    let tail = tails.filter_map(|tail| reference(&command, tail)).next();
+    if command != Command::Version {
+        compare(&command, &frame, Reply::parse_end(&command, &frame), tail.or(expected));
+    }
+}
+
+fn compare(
+    command: &Command,
+    frame: &[u8],
+    found: Result<Reply<'_>, tokio_scip::protocol::ReplyError>,
+    expected: Option<(u8, Vec<u16>)>,
+) {
+    let found = match found {
+        Ok(reply) => {
+            let mut values = Vec::new();
+            if matches!(command, Command::Distances(_)) {
+                reply.values_into(&mut values);
+            }
+            Some((char::from(reply.status()) as u8, values))
+        }
+        Err(error) => {
+            let shown = error.to_string();
+            assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{shown}");
+            None
+        }
+    };
+    assert_eq!(found, expected, "{command} in {}", frame.escape_ascii());
+}

@@ -1,0 +1,66 @@
+//! What a service moves between tasks and shares between threads can be moved
+//! and shared. Fails to compile if not.
+
+use std::fmt::Debug;
+
+use futures::stream::{FusedStream, Stream};
+use tokio_scip::{
+    Connect, Driver, Endpoint, Error, OnlyScans, Point, Rate, Scan, ScanStream, Sensor,
+    SensorBuilder, State, Stats, Version, Window,
+};
+
+fn shared<T: Send + Sync + Unpin + Debug + 'static>() {}
+fn sent<T: Send + 'static>(_: &T) {}
+fn stream<T: FusedStream + Stream + Clone + Unpin + Send + Sync + 'static>() {}
+
+#[test]
+fn handles_streams_and_data_are_shared_between_threads() {
+    shared::<Sensor>();
+    shared::<SensorBuilder>();
+    shared::<Endpoint>();
+    shared::<ScanStream>();
+    shared::<OnlyScans>();
+    shared::<Scan>();
+    shared::<Point>();
+    shared::<Window>();
+    shared::<Rate>();
+    shared::<Version>();
+    shared::<State>();
+    shared::<Stats>();
+    shared::<Error>();
+}
+
+#[test]
+fn streams_need_no_pinning_and_are_fused() {
+    stream::<ScanStream>();
+    stream::<OnlyScans>();
+}
+
+#[test]
+fn the_driver_is_a_future_that_can_be_spawned() {
+    fn spawned<T: Future<Output = Result<(), Error>> + Send + Unpin + Debug + 'static>() {}
+    spawned::<Driver>();
+}
+
+/// Never called: that it compiles is the test.
+#[allow(dead_code)]
+fn every_future_can_be_awaited_in_a_spawned_task(
+    sensor: &'static Sensor,
+    stream: &'static mut ScanStream,
+    scans: &'static mut OnlyScans,
+    connect: impl Connect,
+) {
+    sent(&Sensor::open("/dev/ttyACM0"));
+    sent(&Sensor::attach(tokio::io::empty()));
+    sent(&Sensor::builder().connect(connect));
+    sent(&sensor.opened());
+    sent(&sensor.version());
+    sent(&sensor.laser_on());
+    sent(&sensor.laser_off());
+    sent(&sensor.set_baud_rate(tokio_scip::BaudRate::B19200));
+    sent(&sensor.scan(Window::FULL));
+    sent(&sensor.scans(Window::FULL, Rate::MAX));
+    sent(&sensor.close());
+    sent(&stream.next());
+    sent(&scans.next());
+}

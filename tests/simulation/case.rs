@@ -1,0 +1,187 @@
+//! What a seed stands for: a sensor, a link to it, and what goes wrong.
+
+use std::time::Duration;
+
+use tokio_scip::emulator::{
+    Call, EmptyCommand, Emulator, Failure, Fault, Faults, FaultyLink, Firmware, Link, Pace,
+};
+use tokio_scip::{BaudRate, Connect, Error};
+
+use crate::random::Random;
+use crate::truth::Truth;
+
+pub(crate) const SERIAL_NUMBER: &str = "H0713090";
+
+/// A sensor and its faults, as drawn from a seed.
+pub(crate) struct Case {
+    pub(crate) emulator: Emulator,
+    /// `None` on USB.
+    pub(crate) speed: Option<BaudRate>,
+    pub(crate) boot: Duration,
+    pub(crate) faults: Faults,
+    /// Whether a fault can change a value unseen.
+    pub(crate) flips: bool,
+    /// Whether commands may reach the sensor in part.
+    pub(crate) torn: bool,
+    /// Whether the driver may have to speak before a reply has ended.
+    pub(crate) overlaps: bool,
+    /// How long an effect of these faults outlasts them.
+    pub(crate) lingers: Duration,
+    pub(crate) does: Does,
+    pub(crate) truth: Truth,
+    pub(crate) script: LinkScript,
+}
+
+/// What happens besides faults of replies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Does {
+    pub(crate) unplug: bool,
+    pub(crate) power_cycle: bool,
+    pub(crate) stranger: bool,
+    pub(crate) rival: bool,
+    pub(crate) chatter: bool,
+}
+
+impl Case {
+    pub(crate) fn draw(random: &mut Random) -> Self {
+        let speed = random.once_in(2).then(|| *random.pick(&BaudRate::ALL));
+        let boot = if random.once_in(3) { Duration::from_millis(1500) } else { Duration::ZERO };
+        let truth = Truth::default();
+        let builder = Emulator::builder().serial_number(SERIAL_NUMBER).boot_time(boot).log(256);
+        let builder = match speed {
+            Some(speed) => builder.line_speed(speed),
+            None => builder.usb(),
+        };
+        let empty = [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds];
+        let emulator = builder
+            .firmware(*random.pick(&[Firmware::Text, Firmware::V3]))
+            .empty_command(*random.pick(&empty))
+            .pace(*random.pick(&[Pace::AtOnce, Pace::PerRevolution]))
+            .latency(Duration::from_millis(20) + random.ms(30))
+            .stray_byte(random.once_in(2))
+            .world(truth.world())
+            .seed(random.next())
+            .build();
+        let mut case = Self {
+            emulator,
+            speed,
+            boot,
+            faults: Faults::none().seed(random.next()),
+            flips: false,
+            torn: false,
+            overlaps: false,
+            lingers: Duration::ZERO,
+            does: Does {
+                unplug: random.once_in(4),
+                power_cycle: random.once_in(4),
+                stranger: random.once_in(10),
+                rival: random.once_in(8),
+                chatter: random.once_in(8),
+            },
+            truth,
+            script: LinkScript::draw(random),
+        };
+        case.draw_faults(random);
+        let Does { unplug, power_cycle, stranger, rival, chatter } = case.does;
+        case.torn |= unplug || power_cycle || stranger || rival || case.script.fails;
+        case.overlaps |= case.torn || chatter;
+        case
+    }
+
+    fn draw_faults(&mut self, random: &mut Random) {
+        let long = Duration::from_secs(3);
+        // One of these: two together can shift points between them unseen.
+        let place = random.below(1500) as usize;
+        let damage = [
+            Fault::Damaged,
+            Fault::Drop(place..place + 1),
+            Fault::Insert(place, vec![*random.pick(&b"\n\r\x000\xff"[..])]),
+            Fault::Repeat(place..place + 65),
+            Fault::Cut(place),
+        ];
+        let mut faults = std::mem::take(&mut self.faults);
+        for kind in 0..17 {
+            if !random.once_in(5) {
+                continue;
+            }
+            let rate = [0.001, 0.01, 0.05][random.below(3) as usize];
+            faults = match kind {
+                0 => faults.rate(rate, Fault::CommandLost),
+                1 => faults.rate(rate, Fault::Lost),
+                2 => faults.rate(rate / 5.0, Fault::Status(*random.pick(b"1Ez"))),
+                3 => faults.late(rate, long),
+                4 => faults.paused(rate, long),
+                5 => faults.rate(rate, Fault::Doubled),
+                6 => {
+                    let damage = random.pick(&damage).clone();
+                    self.flips |= damage == Fault::Damaged;
+                    faults.rate(rate, damage)
+                }
+                7 => {
+                    self.flips = true;
+                    faults.rate(rate, Fault::Flip(place, 1 << random.below(8)))
+                }
+                8 => faults.rate(rate, Fault::Merged),
+                9 => faults.rate(rate, Fault::Garbage(b"\0\0garbage\n".to_vec())),
+                10 => faults.noise(rate, 2000),
+                11 => faults.rate(rate / 5.0, Fault::Trickle(Duration::from_millis(2))),
+                12 => faults.rate(rate, Fault::CrLf),
+                13 => faults.reset(rate / 20.0),
+                14 => faults.hung_up(rate / 5.0),
+                15 => faults.rate(rate / 50.0, Fault::Endless(b"xyz\n\n".to_vec())),
+                _ => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
+            };
+            self.overlaps |= kind > 2;
+            self.torn |= matches!(kind, 13 | 14);
+            self.lingers = self.lingers.max(match kind {
+                3 | 4 => long,
+                10 => Duration::from_millis(1100),
+                11 => Duration::from_millis(3200),
+                13 => self.boot,
+                _ => Duration::ZERO,
+            });
+        }
+        self.faults = faults;
+    }
+}
+
+/// How ports behave that are opened to the sensor.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LinkScript {
+    reads: usize,
+    writes: usize,
+    pub(crate) fails: bool,
+}
+
+impl LinkScript {
+    fn draw(random: &mut Random) -> Self {
+        let sizes = [usize::MAX, usize::MAX, 1000, 64, 1];
+        Self { reads: *random.pick(&sizes), writes: *random.pick(&sizes), fails: random.once_in(6) }
+    }
+}
+
+/// Opens ports that do as the script says.
+pub(crate) struct Opener {
+    pub(crate) emulator: Emulator,
+    pub(crate) script: LinkScript,
+    pub(crate) random: Random,
+    /// Shared with the case, which ends failures.
+    pub(crate) healthy: std::sync::Arc<std::sync::atomic::AtomicBool>,
+}
+
+impl Connect for Opener {
+    type Port = FaultyLink<Link>;
+
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        let link = self.emulator.connect().await?;
+        let LinkScript { reads, writes, fails } = self.script;
+        let mut port = FaultyLink::new(link).short_reads(reads).partial_writes(writes);
+        if fails && !self.healthy.load(std::sync::atomic::Ordering::Relaxed) {
+            let call = *self.random.pick(&[Call::Read, Call::Write, Call::SetSpeed]);
+            // EIO, ENODEV, and what is no error of its own.
+            let failures = [Failure::Errno(5), Failure::Errno(19), Failure::End, Failure::Stall];
+            port = port.fail(call, 1 + self.random.below(300), *self.random.pick(&failures));
+        }
+        Ok(port)
+    }
+}

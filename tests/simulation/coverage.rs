@@ -1,0 +1,128 @@
+//! What happened in all runs together: every fault, every recovery.
+
+use std::collections::BTreeMap;
+
+use tokio_scip::emulator::{Emulator, FaultCounts};
+use tokio_scip::{Error, State, Stats};
+
+use crate::case::Does;
+
+/// Counters by name.
+#[derive(Default)]
+pub(crate) struct Coverage {
+    /// Scans held against the truth.
+    pub(crate) checked: u64,
+    pub(crate) missed: u64,
+    counts: BTreeMap<String, u64>,
+}
+
+/// What has to happen in a run of hours.
+const EXPECTED: [&str; 28] = [
+    "error AnotherSensor",
+    "error Disconnected",
+    "error LaserOff",
+    "error Malformed",
+    "error NotConfirmed",
+    "error Refused",
+    "error Timeout",
+    "state Connected",
+    "state Disconnected",
+    "state Recovering",
+    "did unplug",
+    "did power_cycle",
+    "did stranger",
+    "did rival",
+    "did chatter",
+    "stats timeouts",
+    "stats refused",
+    "stats fences",
+    "stats fence_timeouts",
+    "stats disconnects",
+    "stats reconnects",
+    "stats bytes_skipped",
+    "stats polls_skipped",
+    "malformed echo",
+    "malformed status",
+    "malformed length",
+    "malformed character",
+    "malformed overlong",
+];
+
+impl Coverage {
+    fn count(&mut self, name: String, by: u64) {
+        *self.counts.entry(name).or_default() += by;
+    }
+
+    pub(crate) fn error(&mut self, error: &Error) {
+        self.count(format!("error {}", kind(error)), 1);
+    }
+
+    pub(crate) fn state(&mut self, state: &State) {
+        self.count(format!("state {}", kind(state)), 1);
+    }
+
+    pub(crate) fn add(&mut self, stats: &Stats, emulator: &Emulator, does: Does) {
+        let Does { unplug, power_cycle, stranger, rival, chatter } = does;
+        let malformed = stats.malformed;
+        for (name, by) in [
+            ("did unplug", u64::from(unplug)),
+            ("did power_cycle", power_cycle.into()),
+            ("did stranger", (stranger && unplug).into()),
+            ("did rival", rival.into()),
+            ("did chatter", chatter.into()),
+            ("stats polls", stats.polls),
+            ("stats scans", stats.scans),
+            ("stats timeouts", stats.timeouts),
+            ("stats refused", stats.refused),
+            ("stats fences", stats.fences),
+            ("stats fence_timeouts", stats.fence_timeouts),
+            ("stats disconnects", stats.disconnects),
+            ("stats reconnects", stats.reconnects),
+            ("stats bytes_skipped", stats.bytes_skipped),
+            ("stats polls_skipped", stats.polls_skipped),
+            ("malformed echo", malformed.echo),
+            ("malformed status", malformed.status),
+            ("malformed length", malformed.length),
+            ("malformed character", malformed.character),
+            ("malformed overlong", malformed.overlong),
+        ] {
+            self.count(name.to_owned(), by);
+        }
+        for (fault, by) in faults(&emulator.fault_counts()) {
+            self.count(format!("fault {fault}"), by);
+        }
+    }
+
+    /// Fails if anything never happened.
+    pub(crate) fn check(&self) {
+        let never = EXPECTED.iter().filter(|name| !self.counts.contains_key(**name));
+        let zero = self.counts.iter().filter(|(_, count)| **count == 0).map(|(name, _)| &**name);
+        let never: Vec<&str> = never.copied().chain(zero).collect();
+        assert!(never.is_empty(), "never happened: {never:?}\n{self}");
+        assert!(self.missed > 0 && self.checked > 0, "{self}");
+    }
+}
+
+impl std::fmt::Display for Coverage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        writeln!(f, "{:24} {:>12}", "scans checked", self.checked)?;
+        writeln!(f, "{:24} {:>12}", "scans missed", self.missed)?;
+        self.counts.iter().try_for_each(|(name, count)| writeln!(f, "{name:24} {count:>12}"))
+    }
+}
+
+/// The name of an enum's variant.
+fn kind(value: &impl std::fmt::Debug) -> String {
+    let text = format!("{value:?}");
+    text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned()
+}
+
+/// Every field of the counts, by name.
+fn faults(counts: &FaultCounts) -> Vec<(String, u64)> {
+    let text = format!("{counts:?}");
+    let fields = text.trim_start_matches("FaultCounts {").trim_end_matches('}').split(", ");
+    fields
+        .map(|field| field.trim().split_once(": ").unwrap())
+        .map(|(name, count)| (name.to_owned(), count.parse().unwrap()))
+        .collect()
+}
