@@ -46,7 +46,7 @@ impl Session {
                 self.dirty = false;
                 self.echoes.settled();
             }
-            Err(Failure::Command(Error::Timeout { .. })) => {
+            Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
                 self.telemetry.stats().fence_timeouts += 1;
             }
             Err(_) => {}
@@ -68,13 +68,13 @@ impl Session {
         }
         sent.extend_from_slice(&command.bytes());
         sent.put_u8(b'\n');
-        let timeout = Failure::Command(Error::Timeout { command: *command, after });
+        let mut failure = Failure::Command(Error::Timeout { command: *command, after });
         if !self.send(command, deadline).await? {
-            return Err(timeout);
+            return Err(failure);
         }
         for _ in 0..MAX_FRAMES {
             let Some(frame) = self.receive(deadline).await? else {
-                return Err(self.explain_silence(&sent, command).unwrap_or(timeout));
+                return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
             if let Frame::Reply(bytes) = &frame {
                 match Reply::parse_end(command, bytes) {
@@ -85,11 +85,19 @@ impl Session {
                     Err(ReplyError::Scip2 { status }) => {
                         return Err(Failure::Command(Error::WrongProtocol { status }));
                     }
-                    Err(error) => self.telemetry.stats().malformed.count(&error),
+                    Err(error) => {
+                        self.telemetry.stats().malformed.count(&error);
+                        if let ReplyError::Malformed(source) = error {
+                            let command = *command;
+                            failure = Failure::Command(Error::Malformed { command, source });
+                        }
+                    }
                 }
             }
             self.skip(&frame);
         }
+        // What is there already must not flood the next link, too.
+        self.discard_pending().await?;
         Err(flood().into())
     }
 
