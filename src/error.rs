@@ -157,7 +157,7 @@ pub enum Error {
         command: Command,
     },
     /// The port cannot be set to this line speed.
-    #[error("the port cannot be set to {speed} baud: {}", match source { Some(source) => source.to_string(), None => "its speed is fixed at the other end".to_owned() })]
+    #[error("the port cannot be set to {speed} baud{}", if source.is_some() { "" } else { ": its speed is fixed at the other end" })]
     UnsupportedSpeed {
         /// The speed that was asked for.
         speed: BaudRate,

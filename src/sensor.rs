@@ -233,7 +233,7 @@ impl SensorBuilder {
     }
 
     /// How long to wait before a port is opened again: `shortest` at first,
-    /// twice as long each time, up to `longest`, each shortened at random by up
+    /// twice as long each time, up to `longest`, each lengthened at random by up
     /// to a quarter. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
     /// at least `shortest`. A link that lasted begins with `shortest` again.
     pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
@@ -345,7 +345,7 @@ impl Sensor {
     /// Why the driver ended, if it did.
     pub async fn opened(&self) -> Result<(), Error> {
         let mut state = self.state();
-        let open = |state: &State| !matches!(state, State::Connecting);
+        let open = |state: &State| !matches!(state, State::Connecting { .. });
         match state.wait_for(open).await.as_deref() {
             Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
             Ok(_) => Ok(()),

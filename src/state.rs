@@ -15,7 +15,11 @@ use crate::{BaudRate, Error, Rate, Window};
 #[non_exhaustive]
 pub enum State {
     /// The port is being opened for the first time, or the sensor looked for.
-    Connecting,
+    Connecting {
+        /// Why it has not worked yet, where the driver was told to
+        /// [wait for the sensor](crate::SensorBuilder::wait_for_sensor).
+        error: Option<Error>,
+    },
     /// The sensor answers.
     Connected {
         /// The speed of the line to it, or `None` where none matters (USB).
@@ -160,7 +164,7 @@ pub struct ScheduleStats {
     /// How often, or `None` for [`Rate::MAX`], in scans a second.
     pub asked: Option<f64>,
     /// Scans a second that came, over the last three seconds or so that they
-    /// were polled; 0 before that.
+    /// were polled; 0 before that, and while the link is lost.
     pub reached: f64,
 }
 
@@ -183,7 +187,7 @@ pub(crate) struct Telemetry {
 impl Telemetry {
     pub(crate) fn new() -> Self {
         Self {
-            state: watch::Sender::new(State::Connecting),
+            state: watch::Sender::new(State::Connecting { error: None }),
             stats: Mutex::default(),
             version: Mutex::default(),
         }
@@ -196,7 +200,10 @@ impl Telemetry {
     /// Enters a state; one line of log for each.
     pub(crate) fn enter(&self, state: State) {
         match &state {
-            State::Connecting => tracing::debug!("looking for the sensor"),
+            State::Connecting { error: Some(error) } => {
+                tracing::debug!(%error, "waiting for the sensor");
+            }
+            State::Connecting { error: None } => tracing::debug!("looking for the sensor"),
             State::Connected { line_speed, streaming } => {
                 let line_speed = line_speed.map(u32::from);
                 tracing::info!(line_speed, streaming, "connected");

@@ -156,9 +156,16 @@ async fn an_unplugged_sensor_is_no_such_port_unless_it_is_waited_for() {
     emulator.unplug();
     assert!(matches!(fails(&emulator).await, Error::NoSuchPort { .. }));
 
-    let waiting = tokio::spawn(builder().wait_for_sensor().connect(emulator.clone()));
+    let (sensor, driver) = builder().wait_for_sensor().build(emulator.clone());
+    let state = sensor.state();
+    tokio::spawn(driver);
+    let waiting = tokio::spawn(async move { sensor.opened().await });
     tokio::time::sleep(Duration::from_secs(3600)).await;
     assert!(!waiting.is_finished());
+    assert!(matches!(
+        &*state.borrow(),
+        State::Connecting { error: Some(Error::NoSuchPort { .. }) }
+    ));
     emulator.plug_in();
     let start = Instant::now();
     waiting.await.unwrap().unwrap();

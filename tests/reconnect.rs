@@ -42,7 +42,9 @@ async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
     Truth::of(&emulator.log()).check(&scan).unwrap();
     assert!(scan.sequence() >= 1);
     late.next().await.unwrap().unwrap();
-    assert_eq!((sensor.stats().disconnects, sensor.stats().reconnects), (1, 1));
+    let stats = sensor.stats();
+    assert_eq!((stats.disconnects, stats.reconnects), (1, 1));
+    assert!(stats.polls_skipped < 10, "a minute without a link counts as missed: {stats:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -266,16 +268,19 @@ async fn a_serial_number_that_is_damaged_differently_each_time_is_asked_for_agai
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     emulator.unplug();
-    // Another digit, and then another name of the field: no serial number at all.
+    // Another digit, and then twice another name of the field: no serial number
+    // at all.
     let digit = Fault::Flip(160, 1);
-    let name = Fault::Flip(152, 1);
-    emulator.set_faults(Faults::none().at(1, digit).at(2, name));
+    let name = || Fault::Flip(152, 1);
+    emulator.set_faults(Faults::none().at(1, digit).at(2, name()).at(3, name()));
     emulator.plug_in();
     let mut errors = Vec::new();
     while let Err(error) = stream.next().await.unwrap() {
         errors.push(error);
     }
-    assert_eq!(emulator.fault_counts().flipped, 2);
+    assert_eq!(emulator.fault_counts().flipped, 3);
+    // One for each time that the port was opened.
+    assert_eq!(sensor.stats().fences, 2);
     assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
 }
 

@@ -126,7 +126,7 @@ impl<C: Connect> Supervisor<C> {
             if !self.config.wait_for_sensor || again && !error.is_transient() {
                 return Err(End::Failed(error));
             }
-            tracing::debug!(%error, "waiting for the sensor");
+            self.telemetry.enter(State::Connecting { error: Some(error) });
             self.desk.attend(None, sleep(self.backoff.next())).await?;
         }
     }
@@ -160,6 +160,9 @@ impl<C: Connect> Supervisor<C> {
             return Err(End::Failed(error));
         }
         self.desk.schedules.fail_all(&error);
+        if let Some(schedules) = self.desk.schedules.news() {
+            self.telemetry.stats().schedules = schedules;
+        }
         let since = Instant::now().into_std();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
@@ -245,7 +248,7 @@ impl Backoff {
     fn next(&mut self) -> Duration {
         // A step of a linear congruential generator; its upper bits are good.
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        let jitter = 0.75 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
+        let jitter = 1.0 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
         let wait = self.next;
         self.next = (wait * 2).min(self.longest);
         wait.mul_f64(jitter)

@@ -5,6 +5,8 @@
 
 mod ends;
 mod formats;
+mod http;
 mod program;
 mod served;
 mod usage;
+mod web;

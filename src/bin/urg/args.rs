@@ -6,6 +6,8 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use tokio_scip::{BaudRate, Rate, Window};
 
+#[cfg(feature = "web")]
+use crate::commands::serve;
 use crate::commands::{baud, emulate, info, laser, list, scan, stream};
 use crate::failure::Failure;
 
@@ -43,6 +45,8 @@ pub(crate) enum Command {
     Info(info::Info),
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
+    #[cfg(feature = "web")]
+    Serve(serve::Serve),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
@@ -126,6 +130,16 @@ pub(crate) struct PaceArgs {
 fn degrees(text: &str) -> Result<f64, &'static str> {
     let number = text.strip_suffix("deg").unwrap_or(text).trim_end();
     number.parse().ok().filter(|degrees: &f64| degrees.is_finite()).ok_or("write it as -90deg")
+}
+
+/// An address to listen on. A lone port number is one of this machine only:
+/// whoever can connect can use the sensor.
+pub(crate) fn at_home(address: &str) -> String {
+    let port = address.strip_prefix(':').unwrap_or(address);
+    match port.parse::<u16>() {
+        Ok(port) => format!("127.0.0.1:{port}"),
+        Err(_) => address.to_owned(),
+    }
 }
 
 /// `10s`, `500ms`, `5m`, `1h`.

@@ -4,12 +4,15 @@
 mod args;
 mod commands;
 mod failure;
+mod feed;
 mod format;
 mod interrupt;
 mod notice;
 mod output;
 mod pace;
 mod port;
+#[cfg(feature = "web")]
+mod web;
 
 use std::io;
 use std::process::ExitCode;

@@ -6,6 +6,8 @@ pub(crate) mod info;
 pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod scan;
+#[cfg(feature = "web")]
+pub(crate) mod serve;
 pub(crate) mod stream;
 
 use crate::args::Command;
@@ -19,6 +21,9 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
     match command {
         // Ends by itself, with what has come by then written to its end.
         Command::Stream(stream) => stream.run(&interrupt).await,
+        // Ends its connections first.
+        #[cfg(feature = "web")]
+        Command::Serve(serve) => serve.run(&interrupt).await,
         Command::List(list) => or_interrupt(&interrupt, list.run()).await,
         Command::Info(info) => or_interrupt(&interrupt, info.run()).await,
         Command::Scan(scan) => or_interrupt(&interrupt, scan.run()).await,
