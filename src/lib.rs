@@ -82,6 +82,7 @@
 //! | `serde` | scans, versions, stats and state as data |
 //! | `emulator` | a sensor in software, to test a service without hardware |
 //! | `cli` | the program `urg` |
+//! | `web` | `urg serve`: a live page for any browser, and scans over HTTP |
 //!
 //! # Cancel safety
 //!

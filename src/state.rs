@@ -164,7 +164,7 @@ pub struct ScheduleStats {
     /// How often, or `None` for [`Rate::MAX`], in scans a second.
     pub asked: Option<f64>,
     /// Scans a second that came, over the last three seconds or so that they
-    /// were polled; 0 before that.
+    /// were polled; 0 before that, and while the link is lost.
     pub reached: f64,
 }
 

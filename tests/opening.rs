@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::{builder, ms, truthful};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Mode};
+use tokio_scip::emulator::{Emulator, Fault, Faults, FaultyLink, Firmware, Mode};
 use tokio_scip::{BaudRate, Error, Sensor, State, Window};
 
 async fn fails(emulator: &Emulator) -> Error {
@@ -323,4 +323,14 @@ async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
     // Who does not wait wants to know at once.
     let error = builder().connect(plugged(3)).await.unwrap_err();
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn o07_what_the_system_kept_while_the_port_was_closed_is_no_flood() {
+    let emulator = truthful().build();
+    let link = emulator.link();
+    emulator.inject(b"xyz\n\n".repeat(2000));
+    tokio::time::sleep(ms(1000)).await;
+    let sensor = builder().attach(FaultyLink::new(link).short_reads(64)).await.unwrap();
+    sensor.scan(Window::FULL).await.unwrap();
 }

@@ -16,15 +16,18 @@ use crate::codec::Frame;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
 use crate::{Error, Window};
 
-/// Fences sent before a line counts as lost.
+/// Fences sent before a line counts as lost; and fewer where the sensor may be
+/// found at another speed, to which it goes when it restarts.
 const FENCES: usize = 6;
+const FENCES_AT_A_SPEED: usize = 3;
 
 impl Session {
     /// Sends single-step `G`s until the latest of them is answered, and gives
     /// the status of that answer.
     pub(crate) async fn fence(&mut self) -> Result<Status, Failure> {
         let mut failure = Failure::Silent(Error::disconnected(None));
-        for _ in 0..FENCES {
+        let adjustable = self.is_adjustable() && self.line_speed().is_some();
+        for _ in 0..if adjustable { FENCES_AT_A_SPEED } else { FENCES } {
             match self.fence_once(self.latency(&Command::Distances(Window::single(0)))).await {
                 Err(Failure::Command(error)) => failure = Failure::Silent(error),
                 outcome => return outcome,

@@ -147,10 +147,12 @@ impl Schedules {
         self.changed |= reached.is_some();
     }
 
-    /// Reports an error to everyone.
+    /// The link is lost: tells everyone why, and no rate is reached.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
+            schedule.speed.reached = 0.0;
+            self.changed = true;
         }
     }
 

@@ -47,6 +47,8 @@ impl Session {
                     latency = self.latency(&Command::Distances(Window::FULL));
                 }
                 usable = true;
+                // The system may have kept more than any answer is worth.
+                self.discard_pending().await?;
                 match self.fence_once(latency).await {
                     Ok(_) => return Ok(()),
                     Err(Failure::Command(Error::Timeout { .. })) => {}

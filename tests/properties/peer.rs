@@ -197,8 +197,9 @@ impl State {
         if is_fence {
             // A lost last LF may come with what follows.
             let most = &whole[..whole.len() - 1];
-            let intact = reply.windows(most.len()).any(|part| part == most);
-            self.fence = intact.then_some(self.bytes_sent);
+            let before = self.bytes_sent - reply.len() as u64;
+            let place = reply.windows(most.len()).position(|part| part == most);
+            self.fence = place.map(|place| before + (place + whole.len()) as u64);
         }
         if (0x90..0xa0).contains(&decision) {
             let delay = Duration::from_millis(20 * u64::from(self.next()));

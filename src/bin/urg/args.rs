@@ -6,7 +6,11 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use tokio_scip::{BaudRate, Rate, Window};
 
-use crate::commands::{baud, emulate, info, laser, list, scan, stream};
+#[cfg(feature = "web")]
+use crate::commands::serve;
+use crate::commands::{
+    baud, check, completions, emulate, info, laser, list, man, scan, stream, view,
+};
 use crate::failure::Failure;
 
 /// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
@@ -29,6 +33,7 @@ PORT is one of
 Examples:
   urg list                                  which ports are there?
   urg info /dev/ttyACM0                     who is it, and how is it set?
+  urg view emulated                         a live radar, without any hardware
   urg stream emulated --count 20            20 scans as NDJSON, without any hardware
   urg emulate --link /tmp/urg               an emulated sensor for other programs"
 )]
@@ -43,9 +48,23 @@ pub(crate) enum Command {
     Info(info::Info),
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
+    View(view::View),
+    Check(check::Check),
+    #[cfg(feature = "web")]
+    Serve(serve::Serve),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
+    Completions(completions::Completions),
+    #[command(hide = true)]
+    Man(man::Manual),
+}
+
+impl Command {
+    /// Whether it takes the terminal for itself.
+    pub(crate) fn draws(&self) -> bool {
+        matches!(self, Self::View(_))
+    }
 }
 
 /// How to get to the sensor.
@@ -126,6 +145,16 @@ pub(crate) struct PaceArgs {
 fn degrees(text: &str) -> Result<f64, &'static str> {
     let number = text.strip_suffix("deg").unwrap_or(text).trim_end();
     number.parse().ok().filter(|degrees: &f64| degrees.is_finite()).ok_or("write it as -90deg")
+}
+
+/// An address to listen on. A lone port number is one of this machine only:
+/// whoever can connect can use the sensor.
+pub(crate) fn at_home(address: &str) -> String {
+    let port = address.strip_prefix(':').unwrap_or(address);
+    match port.parse::<u16>() {
+        Ok(port) => format!("127.0.0.1:{port}"),
+        Err(_) => address.to_owned(),
+    }
 }
 
 /// `10s`, `500ms`, `5m`, `1h`.

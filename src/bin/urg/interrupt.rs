@@ -35,9 +35,14 @@ impl Interrupt {
     /// Waits for it, and tells when it came.
     pub(crate) async fn requested(&self) -> Instant {
         let mut since = self.since.clone();
-        match since.wait_for(Option::is_some).await.as_deref() {
-            Ok(Some(since)) => *since,
-            _ => std::future::pending().await,
+        // A guard held over an await would bind the future to one thread.
+        let came = match since.wait_for(Option::is_some).await {
+            Ok(since) => *since,
+            Err(_) => None,
+        };
+        match came {
+            Some(since) => since,
+            None => std::future::pending().await,
         }
     }
 

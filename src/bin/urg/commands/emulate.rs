@@ -11,7 +11,7 @@ use tokio_scip::BaudRate;
 use tokio_scip::emulator::Pty;
 use tokio_scip::emulator::{self, Emulator, Faults};
 
-use crate::args::duration;
+use crate::args::{at_home, duration};
 use crate::failure::Failure;
 use crate::notice::notice;
 
@@ -128,15 +128,5 @@ impl Emulate {
         };
         notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
         notice(format_args!("try `urg info {port}`; Ctrl-C ends it"));
-    }
-}
-
-/// A lone port number is one of this machine only: whoever can connect can use
-/// the sensor.
-fn at_home(address: &str) -> String {
-    let port = address.strip_prefix(':').unwrap_or(address);
-    match port.parse::<u16>() {
-        Ok(port) => format!("127.0.0.1:{port}"),
-        Err(_) => address.to_owned(),
     }
 }

@@ -3,17 +3,16 @@
 use std::time::Instant;
 
 use clap::ValueEnum;
-use tokio_scip::{Error, Scan, ScanStream, Sensor, State};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
-use crate::failure::{Failure, chain};
-use crate::format::json::Event;
-use crate::format::{csv, json};
+use crate::failure::Failure;
+use crate::feed::{Entry, Feed, Reporter};
+use crate::format::csv;
 use crate::interrupt::Interrupt;
 use crate::notice::notice;
 use crate::output::Output;
 use crate::pace::PaceWatch;
-use crate::port::{PortArg, PortName, open};
+use crate::port::{PortArg, open};
 
 /// How many scans wait for a reader that is slow: nearly two minutes.
 const DEPTH: usize = 1024;
@@ -92,14 +91,10 @@ impl Stream {
         };
         let mut run = Run {
             watch: PaceWatch::new(&port, window, self.pace.rate),
-            port,
-            sensor,
-            scans,
+            feed: Feed::new(scans),
+            reporter: Reporter::new(port, sensor),
             format: self.format,
             output: Output::new(),
-            missed: 0,
-            disconnected: false,
-            failed: false,
         };
         let end = async {
             match self.pace.duration {
@@ -119,16 +114,11 @@ impl Stream {
 
 /// A stream on its way to standard output.
 struct Run {
-    port: PortName,
-    sensor: Sensor,
-    scans: ScanStream,
+    feed: Feed,
+    reporter: Reporter,
     format: Format,
     output: Output,
     watch: PaceWatch,
-    missed: u64,
-    disconnected: bool,
-    /// Whether the user was told that a scan can fail.
-    failed: bool,
 }
 
 impl Run {
@@ -146,88 +136,46 @@ impl Run {
         let (mut ended, mut written) = (None, 0);
         while written < count {
             // A slow reader may be behind: what came in time is written.
-            let item = tokio::select! {
+            let entry = tokio::select! {
                 biased;
                 since = &mut end, if ended.is_none() => {
                     ended = Some(since);
                     continue;
                 }
-                item = self.scans.next() => item,
+                entry = self.feed.next() => entry,
                 () = std::future::ready(()), if ended.is_some() => return Ok(()),
             };
-            match item {
-                Some(Ok(scan)) if ended.is_some_and(|end| scan.received_at() > end) => {
+            match entry {
+                Some(Entry::Scan(scan)) if ended.is_some_and(|end| scan.received_at() > end) => {
                     return Ok(());
                 }
-                Some(Ok(scan)) => {
-                    self.scan(&scan).await?;
-                    written += 1;
+                Some(entry) => {
+                    self.write(&entry).await?;
+                    written += u64::from(matches!(entry, Entry::Scan(_)));
                 }
-                Some(Err(error)) => self.trouble(&error).await?,
-                None => return self.cause(),
+                None => return Err(self.reporter.cause()),
             }
         }
         Ok(())
     }
 
-    async fn scan(&mut self, scan: &Scan) -> Result<(), Failure> {
-        if std::mem::take(&mut self.disconnected) {
-            notice(format_args!("{}: the sensor is back", self.port));
-            self.event(&Event::Reconnected).await?;
+    async fn write(&mut self, entry: &Entry) -> Result<(), Failure> {
+        self.reporter.tell(entry);
+        match (self.format, entry) {
+            (Format::Ndjson, entry) => self.output.write(&entry.line()?).await?,
+            (Format::Csv, Entry::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
+            // A table has no place for anything else.
+            (Format::Csv, _) => {}
         }
-        let missed = self.scans.missed();
-        let scans = missed - std::mem::replace(&mut self.missed, missed);
-        if scans > 0 {
-            notice(format_args!("{scans} scans missed: whoever reads them is too slow"));
-            self.event(&Event::Missed { scans }).await?;
+        match entry {
+            Entry::Scan(_) => {
+                if let Some(text) = self.watch.look(&self.reporter.sensor) {
+                    notice(text);
+                }
+            }
+            Entry::Reconnected => self.watch.interrupted(),
+            Entry::Error(_) | Entry::Missed(_) => {}
         }
-        let text = match self.format {
-            Format::Ndjson => json::scan(scan)?,
-            Format::Csv => csv::rows(scan),
-        };
-        self.output.write(&text).await?;
-        self.watch.look(&self.sensor);
         Ok(())
     }
-
-    /// Tells of an error; if it ends the driver the caller's next item does.
-    async fn trouble(&mut self, error: &Error) -> Result<(), Failure> {
-        let text = chain(error);
-        if matches!(&*self.sensor.state().borrow(), State::Closed { .. }) {
-            // The last thing that is said, in a moment.
-        } else if is_of_one_scan(error) {
-            // A bad line would flood the terminal.
-            if !std::mem::replace(&mut self.failed, true) {
-                notice(format_args!("{}: {text} (told once; it goes on)", self.port));
-            }
-        } else {
-            notice(format_args!("{}: {text}", self.port));
-        }
-        let lost = matches!(error, Error::Disconnected { .. });
-        self.disconnected |= lost;
-        let error = text;
-        self.event(&if lost { Event::Disconnected { error } } else { Event::Error { error } }).await
-    }
-
-    async fn event(&mut self, event: &Event) -> Result<(), Failure> {
-        match self.format {
-            Format::Ndjson => self.output.write(&json::event(event)?).await,
-            // A table has no place for it.
-            Format::Csv => Ok(()),
-        }
-    }
-
-    /// Why there are no more scans.
-    fn cause(&self) -> Result<(), Failure> {
-        let error = match &*self.sensor.state().borrow() {
-            State::Closed { error: Some(error) } => error.clone(),
-            _ => Error::Closed,
-        };
-        Err(Failure::at(&self.port.to_string(), &error))
-    }
-}
-
-/// Whether the next poll may well bring a scan.
-fn is_of_one_scan(error: &Error) -> bool {
-    matches!(error, Error::Timeout { .. } | Error::Malformed { .. } | Error::Refused { .. })
 }

@@ -1,0 +1,122 @@
+//! `urg serve`: a live page for any browser, and scans over HTTP.
+
+use std::io;
+use std::net::SocketAddr;
+
+use tokio::net::{TcpListener, TcpSocket};
+
+use crate::args::{LinkArgs, WindowArgs, at_home};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::notice::notice;
+use crate::port::PortArg;
+use crate::web::{self, Hub};
+
+/// What the system keeps for a client that is slow to read, some ten scans:
+/// what waits there grows old, and is sent all the same.
+const SEND_BUFFER: u32 = 64 * 1024;
+
+/// Show a live page to any browser, and scans to programs
+///
+/// Goes on until Ctrl-C, also when the sensor is unplugged and comes back. All
+/// viewers together cost the sensor no more than one does.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
+pub(crate) struct Serve {
+    #[command(flatten)]
+    port: PortArg,
+    /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
+    ///
+    /// 0.0.0.0:8080 and [::]:8080 let everybody on the network look, without a
+    /// password. Where the address is of this machine only, requests that name
+    /// another host are refused, so that no page elsewhere can look by having
+    /// its own name lead here.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
+    listen: String,
+    /// Scans a second, or `max` for as fast as the sensor answers
+    #[arg(long, value_name = "HZ", default_value = "10")]
+    rate: tokio_scip::Rate,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+const HELP: &str = "\
+Addresses:
+  /        the page
+  /scans   scans and events as they come: NDJSON as `urg stream` writes it, or
+           server-sent events if asked for (Accept: text/event-stream);
+           /scans?max=N ends after N scans
+  /state   who the sensor is and how it goes, one JSON object
+  /health  200 while scans flow, 503 while they do not, and why
+
+Examples:
+  urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/
+  urg serve serial:H0713090 --wait --listen 0.0.0.0:8080
+  curl -s http://127.0.0.1:8080/scans?max=1 | jq .ranges[341]";
+
+impl Serve {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = self.serve(interrupt) => outcome,
+            // A client that does not read would have its connection kept.
+            () = interrupt.overdue() => Ok(()),
+        }
+    }
+
+    async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let window = self.window.window()?;
+        let port = self.port.required().await?;
+        let address = at_home(&self.listen);
+        let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
+        let listener = listen(&address).await.map_err(failed)?;
+        let bound = listener.local_addr().map_err(failed)?;
+
+        let hub = Hub::new(port, window, self.rate);
+        let loopback = bound.ip().to_canonical().is_loopback();
+        let announce = || {
+            notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
+            if !loopback {
+                notice("anybody who can reach this address can look: there is no password");
+            }
+        };
+        if self.link.wait {
+            announce();
+        } else {
+            tokio::select! {
+                opened = hub.open(&self.link) => opened?,
+                _ = interrupt.requested() => return Ok(()),
+            }
+            announce();
+        }
+        tokio::select! {
+            outcome = hub.run(&self.link) => outcome,
+            () = web::serve(listener, &hub, loopback, interrupt) => Ok(()),
+        }
+    }
+}
+
+async fn listen(address: &str) -> io::Result<TcpListener> {
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+    for address in tokio::net::lookup_host(address).await? {
+        match bind(address) {
+            Ok(listener) => return Ok(listener),
+            Err(error) => last = error,
+        }
+    }
+    Err(last)
+}
+
+fn bind(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = match address {
+        SocketAddr::V4(_) => TcpSocket::new_v4(),
+        SocketAddr::V6(_) => TcpSocket::new_v6(),
+    }?;
+    #[cfg(unix)]
+    socket.set_reuseaddr(true)?;
+    // Connections inherit it.
+    socket.set_send_buffer_size(SEND_BUFFER)?;
+    socket.bind(address)?;
+    socket.listen(128)
+}

@@ -1,0 +1,132 @@
+//! What a stream of scans has to tell, one thing after the other: scans, and
+//! what happened between them; and what of it the user is told.
+
+use tokio_scip::{Error, Scan, ScanStream, Sensor, State};
+
+use crate::failure::{Failure, chain};
+use crate::format::json::{self, Event};
+use crate::notice::notice;
+use crate::port::PortName;
+
+/// A scan, or something that happened between two of them.
+#[derive(Debug)]
+pub(crate) enum Entry {
+    Scan(Scan),
+    /// No scan this time, or the link is lost.
+    Error(Error),
+    /// The sensor is back: a scan comes next.
+    Reconnected,
+    /// So many scans came and were not asked for in time.
+    Missed(u64),
+}
+
+impl Entry {
+    /// As a line of NDJSON.
+    pub(crate) fn line(&self) -> Result<String, Failure> {
+        match self {
+            Self::Scan(scan) => json::scan(scan),
+            Self::Error(error) => {
+                let lost = matches!(error, Error::Disconnected { .. });
+                let error = chain(error);
+                let event =
+                    if lost { Event::Disconnected { error } } else { Event::Error { error } };
+                json::event(&event)
+            }
+            Self::Reconnected => json::event(&Event::Reconnected),
+            Self::Missed(scans) => json::event(&Event::Missed { scans: *scans }),
+        }
+    }
+}
+
+/// A stream of scans with what happens between them. A clone goes on from the
+/// same place, and costs the sensor nothing.
+#[derive(Debug, Clone)]
+pub(crate) struct Feed {
+    scans: ScanStream,
+    /// What comes after the entries that tell of the time before it.
+    held: Option<Scan>,
+    missed: u64,
+    disconnected: bool,
+}
+
+impl Feed {
+    pub(crate) fn new(scans: ScanStream) -> Self {
+        Self { missed: scans.missed(), scans, held: None, disconnected: false }
+    }
+
+    /// What comes next; `None` after the end. Cancel-safe.
+    pub(crate) async fn next(&mut self) -> Option<Entry> {
+        if self.held.is_none() {
+            match self.scans.next().await? {
+                Ok(scan) => self.held = Some(scan),
+                Err(error) => {
+                    self.disconnected |= matches!(error, Error::Disconnected { .. });
+                    return Some(Entry::Error(error));
+                }
+            }
+        }
+        if std::mem::take(&mut self.disconnected) {
+            return Some(Entry::Reconnected);
+        }
+        let missed = self.scans.missed();
+        match missed - std::mem::replace(&mut self.missed, missed) {
+            0 => self.held.take().map(Entry::Scan),
+            scans => Some(Entry::Missed(scans)),
+        }
+    }
+}
+
+/// Tells the user what happens between scans.
+#[derive(Debug)]
+pub(crate) struct Reporter {
+    pub(crate) port: PortName,
+    pub(crate) sensor: Sensor,
+    /// Whether the user was told that a scan can fail.
+    failed: bool,
+}
+
+impl Reporter {
+    pub(crate) fn new(port: PortName, sensor: Sensor) -> Self {
+        Self { port, sensor, failed: false }
+    }
+
+    /// Tells what there is to tell of `entry`.
+    pub(crate) fn tell(&mut self, entry: &Entry) {
+        match entry {
+            Entry::Scan(_) => {}
+            Entry::Reconnected => notice(format_args!("{}: the sensor is back", self.port)),
+            Entry::Missed(scans) => {
+                notice(format_args!("{scans} scans missed: whoever reads them is too slow"));
+            }
+            // The last thing that is said, in a moment: the cause of the end.
+            Entry::Error(_) if matches!(&*self.sensor.state().borrow(), State::Closed { .. }) => {}
+            Entry::Error(error) if is_of_one_scan(error) => {
+                // A bad line would flood the terminal.
+                if !std::mem::replace(&mut self.failed, true) {
+                    let text = chain(error);
+                    notice(format_args!("{}: {text} (told once; it goes on)", self.port));
+                }
+            }
+            Entry::Error(error) => notice(format_args!("{}: {}", self.port, chain(error))),
+        }
+    }
+
+    /// Why there are no more scans.
+    pub(crate) fn cause(&self) -> Failure {
+        cause(&self.port, &self.sensor)
+    }
+}
+
+/// Why a driver has ended.
+pub(crate) fn cause(port: &PortName, sensor: &Sensor) -> Failure {
+    let error = match &*sensor.state().borrow() {
+        State::Closed { error: Some(error) } => error.clone(),
+        _ => Error::Closed,
+    };
+    Failure::at(&port.to_string(), &error)
+}
+
+/// Whether the next poll may well bring a scan.
+fn is_of_one_scan(error: &Error) -> bool {
+    matches!(error, Error::Timeout { .. } | Error::Malformed { .. } | Error::Refused { .. })
+}

@@ -1,0 +1,80 @@
+//! Who may ask: keeps pages of other sites from looking, and what is served
+//! from bringing in anything from elsewhere.
+
+use std::net::IpAddr;
+
+use axum::extract::{Request, State};
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+/// On every response. The page's policy goes with the page.
+const HEADERS: [(HeaderName, HeaderValue); 6] = [
+    (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
+    (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
+    (header::X_FRAME_OPTIONS, HeaderValue::from_static("DENY")),
+    (header::REFERRER_POLICY, HeaderValue::from_static("no-referrer")),
+    (
+        HeaderName::from_static("cross-origin-resource-policy"),
+        HeaderValue::from_static("same-origin"),
+    ),
+    (
+        HeaderName::from_static("cross-origin-opener-policy"),
+        HeaderValue::from_static("same-origin"),
+    ),
+];
+
+/// Where `loopback` is served, only to those who ask for this machine: a page
+/// whose name was made to lead here (DNS rebinding) asks for that name. On other
+/// addresses anybody may look, and there is no telling by which names.
+pub(super) async fn guard(State(loopback): State<bool>, request: Request, next: Next) -> Response {
+    let host = request.headers().get(header::HOST);
+    // A browser always names it.
+    let stranger = host.is_some_and(|host| !host.to_str().is_ok_and(is_this_machine));
+    let mut response = if loopback && stranger {
+        let text = "only this machine may ask, as localhost or 127.0.0.1: \
+                    `urg serve --listen ADDR` lets others in\n";
+        (StatusCode::MISDIRECTED_REQUEST, text).into_response()
+    } else {
+        next.run(request).await
+    };
+    response.headers_mut().extend(HEADERS);
+    response
+}
+
+/// Whether a `Host` header names the machine itself, whatever the port: a
+/// tunnel has another one.
+fn is_this_machine(host: &str) -> bool {
+    let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((address, _)) => address,
+        None => host.split_once(':').map_or(host, |(name, _)| name),
+    };
+    name.eq_ignore_ascii_case("localhost")
+        || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_names_of_this_machine_pass() {
+        for host in
+            ["localhost", "LOCALHOST:9", "127.0.0.1:8080", "127.1.2.3", "[::1]:8080", "[::1]"]
+        {
+            assert!(is_this_machine(host), "{host}");
+        }
+        for host in [
+            "",
+            "example.org",
+            "localhost.example.org:8080",
+            "127.0.0.1.example.org",
+            "192.168.0.7:8080",
+            "0.0.0.0",
+            "[::2]:8080",
+            "::1.example.org",
+        ] {
+            assert!(!is_this_machine(host), "{host}");
+        }
+    }
+}

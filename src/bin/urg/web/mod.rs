@@ -1,0 +1,53 @@
+//! `urg serve` behind its command line: what is served on which address.
+
+mod guard;
+mod hub;
+mod page;
+mod scans;
+mod server;
+mod state;
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::middleware::from_fn_with_state;
+use axum::routing::get;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+
+pub(crate) use self::hub::Hub;
+use crate::interrupt::Interrupt;
+
+/// How many streams of scans may be open at a time.
+const MAX_VIEWERS: usize = 32;
+
+/// What the handlers share.
+#[derive(Debug, Clone)]
+struct App {
+    hub: Arc<Hub>,
+    viewers: Arc<Semaphore>,
+    interrupt: Interrupt,
+}
+
+/// Serves `hub` on `listener`, an address of this machine only if `loopback`,
+/// until the user stops the program and all connections have ended.
+pub(crate) async fn serve(
+    listener: TcpListener,
+    hub: &Arc<Hub>,
+    loopback: bool,
+    interrupt: &Interrupt,
+) {
+    let app = App {
+        hub: Arc::clone(hub),
+        viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
+        interrupt: interrupt.clone(),
+    };
+    let router = Router::new()
+        .route("/", get(page::page))
+        .route("/scans", get(scans::scans))
+        .route("/state", get(state::state))
+        .route("/health", get(state::health))
+        .with_state(app)
+        .layer(from_fn_with_state(loopback, guard::guard));
+    server::serve(listener, router, interrupt).await;
+}

@@ -1,0 +1,132 @@
+//! `/scans`: scans and events as they come, as NDJSON or server-sent events.
+
+use std::time::Duration;
+
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use futures::stream;
+use tokio::sync::OwnedSemaphorePermit;
+
+use super::App;
+use crate::failure::Failure;
+use crate::feed::{Entry, Feed};
+
+/// How long a stream of events stays silent before it says that it still is
+/// there.
+const SILENCE: Duration = Duration::from_secs(15);
+
+pub(super) async fn scans(State(app): State<App>, headers: HeaderMap, uri: Uri) -> Response {
+    let Some(left) = count(uri.query()) else {
+        let text = "write it as /scans?max=N, with a number of scans from 1\n";
+        return (StatusCode::BAD_REQUEST, text).into_response();
+    };
+    let Ok(place) = app.viewers.clone().try_acquire_owned() else {
+        let text = "too many viewers: try again when one has gone\n";
+        return (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], text)
+            .into_response();
+    };
+    let format = Format::accepted(&headers);
+    let viewer = Viewer { app, feed: None, left, format, _place: place };
+    // What the client is slow to take is not asked for: the newest comes next.
+    let lines = stream::unfold(viewer, async |mut viewer| {
+        let text = viewer.next().await?;
+        Some((text.map_err(|_| "cannot write JSON"), viewer))
+    });
+    let headers = [(header::CONTENT_TYPE, format.content_type()), (header::VARY, "accept")];
+    (headers, Body::from_stream(lines)).into_response()
+}
+
+/// How many scans the query asks for, if it makes sense.
+fn count(query: Option<&str>) -> Option<u64> {
+    let parts = query.unwrap_or_default().split('&').filter(|part| !part.is_empty());
+    parts.into_iter().try_fold(u64::MAX, |_, part| {
+        part.strip_prefix("max=")?.parse().ok().filter(|count| *count > 0)
+    })
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Format {
+    Ndjson,
+    Events,
+}
+
+impl Format {
+    fn accepted(headers: &HeaderMap) -> Self {
+        let events = headers
+            .get_all(header::ACCEPT)
+            .iter()
+            .filter_map(|value| value.to_str().ok())
+            .any(|value| value.contains("text/event-stream"));
+        if events { Self::Events } else { Self::Ndjson }
+    }
+
+    fn content_type(self) -> &'static str {
+        match self {
+            Self::Ndjson => "application/x-ndjson",
+            Self::Events => "text/event-stream",
+        }
+    }
+
+    /// A line of NDJSON, which ends in LF, in this format.
+    fn frame(self, line: String) -> String {
+        match self {
+            Self::Ndjson => line,
+            Self::Events => format!("data: {line}\n"),
+        }
+    }
+}
+
+/// Somebody who takes scans.
+struct Viewer {
+    app: App,
+    /// `None` until the sensor was found.
+    feed: Option<Feed>,
+    /// How many scans are still wanted.
+    left: u64,
+    format: Format,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Viewer {
+    /// The next piece of text; `None` after the end.
+    async fn next(&mut self) -> Option<Result<String, Failure>> {
+        let (interrupt, format) = (self.app.interrupt.clone(), self.format);
+        tokio::select! {
+            biased;
+            _ = interrupt.requested() => None,
+            line = self.line() => Some(line?.map(|line| format.frame(line))),
+            () = tokio::time::sleep(SILENCE), if format == Format::Events => {
+                Some(Ok(":\n\n".to_owned()))
+            }
+        }
+    }
+
+    async fn line(&mut self) -> Option<Result<String, Failure>> {
+        if self.left == 0 {
+            return None;
+        }
+        if self.feed.is_none() {
+            self.feed = Some(self.app.hub.feed().await?);
+        }
+        let entry = self.feed.as_mut()?.next().await?;
+        self.left -= u64::from(matches!(entry, Entry::Scan(_)));
+        Some(entry.line())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_query_asks_for_a_number_of_scans_or_for_all() {
+        assert_eq!(count(None), Some(u64::MAX));
+        assert_eq!(count(Some("")), Some(u64::MAX));
+        assert_eq!(count(Some("max=3")), Some(3));
+        for query in ["max=0", "max=-1", "max=", "max=many", "maximum=3", "max=1&rate=2"] {
+            assert_eq!(count(Some(query)), None, "{query}");
+        }
+    }
+}

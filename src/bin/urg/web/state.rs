@@ -1,0 +1,100 @@
+//! `/state` and `/health`: how it goes, for the page and for a supervisor.
+
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use futures::FutureExt;
+use serde::Serialize;
+use serde_json::json;
+use tokio_scip::{Stats, Version, Window};
+
+use super::{App, MAX_VIEWERS};
+use crate::format::json;
+
+/// How it goes.
+#[derive(Debug, Serialize)]
+struct Report {
+    /// The program's version.
+    urg: &'static str,
+    port: String,
+    /// One of connected, recovering, disconnected, waiting, closed.
+    link: &'static str,
+    /// Why no scans flow; null while they do.
+    why: Option<String>,
+    line_speed: Option<tokio_scip::BaudRate>,
+    window: Window,
+    /// Scans a second; null for as many as the sensor gives.
+    asked: Option<f64>,
+    /// Scans a second over the last three seconds or so.
+    reached: f64,
+    /// Seconds since the latest scan.
+    age: Option<f64>,
+    latency: Option<Latency>,
+    viewers: usize,
+    sensor: Option<Version>,
+    stats: Stats,
+}
+
+/// How long replies took, in seconds.
+#[derive(Debug, Serialize)]
+struct Latency {
+    last: f64,
+    mean: f64,
+    max: f64,
+}
+
+/// `/state`
+pub(super) async fn state(State(app): State<App>) -> Response {
+    let hub = &app.hub;
+    let health = hub.health();
+    let live = hub.live();
+    let sensor = live.as_ref().map(|live| &live.sensor);
+    let stats = sensor.map(|sensor| sensor.stats()).unwrap_or_default();
+    let line_speed = sensor.and_then(|sensor| match &*sensor.state().borrow() {
+        tokio_scip::State::Connected { line_speed, .. } => *line_speed,
+        _ => None,
+    });
+    let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
+    respond(
+        StatusCode::OK,
+        &Report {
+            urg: env!("CARGO_PKG_VERSION"),
+            port: hub.port().to_string(),
+            link: health.link,
+            why: health.why,
+            line_speed,
+            window: hub.window(),
+            asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
+            reached: stats.schedules.first().map_or(0.0, |schedule| schedule.reached),
+            age: live.as_ref().and_then(|live| live.scanned).map(|at| at.elapsed().as_secs_f64()),
+            latency: latency.map(|latency| Latency {
+                last: latency.last.as_secs_f64(),
+                mean: latency.mean().as_secs_f64(),
+                max: latency.max.as_secs_f64(),
+            }),
+            viewers: MAX_VIEWERS - app.viewers.available_permits(),
+            // Known already, or not to be had now.
+            sensor: sensor.and_then(|sensor| sensor.version().now_or_never()).and_then(Result::ok),
+            stats,
+        },
+    )
+}
+
+/// `/health`
+pub(super) async fn health(State(app): State<App>) -> Response {
+    let health = app.hub.health();
+    match health.why {
+        None => respond(StatusCode::OK, &json!({ "status": "ok" })),
+        Some(why) => {
+            let body = json!({ "status": "failing", "link": health.link, "why": why });
+            respond(StatusCode::SERVICE_UNAVAILABLE, &body)
+        }
+    }
+}
+
+fn respond(status: StatusCode, data: &impl Serialize) -> Response {
+    match json::line(data) {
+        Ok(line) => (status, [(header::CONTENT_TYPE, "application/json")], line).into_response(),
+        Err(_) => StatusCode::INTERNAL_SERVER_ERROR.into_response(),
+    }
+}

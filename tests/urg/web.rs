@@ -1,0 +1,303 @@
+//! `urg serve`: what it serves to whom, over real sockets.
+#![cfg(feature = "web")]
+
+use std::collections::HashMap;
+use std::time::Instant;
+
+use serde_json::Value;
+
+use super::formats::{check, values};
+use super::http::{Client, Response};
+use super::program::{Emulated, PATIENCE, Running, Scratch, failure};
+
+/// `urg serve` and its address.
+struct Served {
+    running: Running,
+    address: String,
+}
+
+impl Served {
+    fn start(arguments: &str) -> Self {
+        let mut running = Running::start(&format!("serve {arguments} --listen 0"));
+        let notice = running.notice();
+        let address = notice.split('/').nth(2).unwrap_or_else(|| panic!("{notice}")).to_owned();
+        assert!(address.starts_with("127.0.0.1:"), "{notice}");
+        Self { running, address }
+    }
+
+    fn client(&self) -> Client<'_> {
+        Client { address: &self.address, host: &self.address, accept: "*/*" }
+    }
+
+    fn get(&self, path: &str) -> Response {
+        self.client().get(path)
+    }
+
+    fn json(&self, path: &str) -> Value {
+        serde_json::from_str(&self.get(path).text()).unwrap()
+    }
+
+    /// Asks for `/health` until it has this status.
+    fn health(&self, status: u16) -> Value {
+        let patience = Instant::now() + PATIENCE;
+        loop {
+            let response = self.get("/health");
+            let seen = response.status;
+            let health: Value = serde_json::from_str(&response.text()).unwrap();
+            if seen == status {
+                return health;
+            }
+            assert!(Instant::now() < patience, "no {status} but {seen}: {health}");
+        }
+    }
+}
+
+fn scan(line: &str) -> Value {
+    let scan: Value = serde_json::from_str(line).unwrap();
+    check(&scan);
+    scan
+}
+
+#[test]
+fn the_page_brings_all_it_needs_and_refers_to_nothing_elsewhere() {
+    let served = Served::start("emulated");
+    let response = served.get("/");
+    assert_eq!(
+        (response.status, response.header("content-type")),
+        (200, "text/html; charset=utf-8")
+    );
+    let policy = response.header("content-security-policy").to_owned();
+    for part in ["default-src 'none'", "connect-src 'self'", "frame-ancestors 'none'"] {
+        assert!(policy.contains(part), "{policy}");
+    }
+    assert!(!policy.contains("unsafe") && !policy.contains("http") && !policy.contains('*'));
+    assert_eq!(response.header("x-content-type-options"), "nosniff");
+    assert!(!response.has("access-control-allow-origin"));
+
+    let page = response.text();
+    let (_, nonce) = policy.split_once("'nonce-").unwrap();
+    let nonce = nonce.split('\'').next().unwrap();
+    assert_eq!(page.matches(&format!("nonce=\"{nonce}\"")).count(), 2);
+    assert_eq!(page.matches("<script").count(), 1);
+    assert_eq!(page.matches("<style").count(), 1);
+    // The name of SVG, in the icon, is not an address.
+    let page = page.replace("http://www.w3.org/2000/svg", "");
+    for word in ["http:", "https:", " src=", "@import", "url(", "{nonce}", "{style}", "{script}"] {
+        assert!(!page.contains(word), "{word}");
+    }
+    assert_eq!(page.matches("href=").count(), page.matches("href=\"data:").count());
+    assert!(page.contains("Distance data on the preceding and succeeding steps have errors"));
+    assert!(!served.get("/").text().contains(nonce), "it must not be guessed");
+}
+
+#[test]
+fn scans_come_as_urg_stream_writes_them() {
+    let served = Served::start("emulated --from -90deg --to 90deg --cluster 2");
+    let mut response = served.get("/scans?max=3");
+    assert_eq!((response.status, response.header("content-type")), (200, "application/x-ndjson"));
+    let mut next = None;
+    for _ in 0..3 {
+        let scan = scan(&response.line().unwrap());
+        assert_eq!(scan["cluster"], 2);
+        let sequence = scan["sequence"].as_u64().unwrap();
+        assert_eq!(sequence, next.unwrap_or(sequence));
+        next = Some(sequence + 1);
+    }
+    assert_eq!(response.line(), None, "three were asked for");
+}
+
+#[test]
+fn scans_come_as_server_sent_events_where_those_are_asked_for() {
+    let served = Served::start("emulated");
+    let client = Client { accept: "text/event-stream", ..served.client() };
+    let mut response = client.get("/scans?max=2");
+    assert_eq!((response.status, response.header("content-type")), (200, "text/event-stream"));
+    for _ in 0..2 {
+        let line = response.line().unwrap();
+        scan(line.strip_prefix("data: ").unwrap());
+        assert_eq!(response.line().unwrap(), "");
+    }
+    assert_eq!(response.line(), None);
+}
+
+#[test]
+fn two_viewers_get_the_same_scans_and_cost_one() {
+    let served = Served::start("emulated");
+    let mut viewers = [served.get("/scans?max=20"), served.get("/scans?max=20")];
+    let mut seen = [HashMap::new(), HashMap::new()];
+    for _ in 0..20 {
+        for (viewer, seen) in viewers.iter_mut().zip(&mut seen) {
+            let scan = scan(&viewer.line().unwrap());
+            seen.insert(scan["sequence"].as_u64().unwrap(), values(&scan));
+        }
+    }
+    let [one, other] = seen;
+    let both: Vec<_> = one.keys().filter(|sequence| other.contains_key(sequence)).collect();
+    assert!(both.len() > 10, "only {both:?} reached both");
+    for sequence in both {
+        assert_eq!(one[sequence], other[sequence], "scan {sequence} was not one and the same");
+    }
+    let stats = &served.json("/state")["stats"];
+    assert_eq!(stats["schedules"].as_array().unwrap().len(), 1, "{stats}");
+    let (polls, scans) = (stats["polls"].as_u64().unwrap(), stats["scans"].as_u64().unwrap());
+    assert!(polls <= scans + 1, "{stats}");
+}
+
+#[test]
+fn health_tells_of_a_sensor_that_is_unplugged_and_comes_back_and_so_do_streams() {
+    let link = Scratch::new("health");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let served = Served::start(link.path());
+    let mut scans = served.get("/scans");
+    scan(&scans.line().unwrap());
+    assert_eq!(served.health(200), serde_json::json!({ "status": "ok" }));
+    assert_eq!(served.json("/state")["sensor"]["serial_number"], "H0713090");
+
+    drop(sensor);
+    let health = served.health(503);
+    assert_eq!(health["status"], "failing");
+    assert!(health["why"].as_str().unwrap().contains("lost"), "{health}");
+    assert_eq!(served.json("/state")["link"], "disconnected");
+    let mut event = |event: &str| {
+        loop {
+            let line: Value = serde_json::from_str(&scans.line().unwrap()).unwrap();
+            if line["event"] == event {
+                return;
+            }
+            assert!(line["event"].is_null() || line["event"] == "error", "{line}");
+        }
+    };
+    event("disconnected");
+
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    event("reconnected");
+    served.health(200);
+    assert_eq!(served.json("/state")["link"], "connected");
+}
+
+#[test]
+fn a_page_that_waits_for_its_sensor_is_there_before_it() {
+    let link = Scratch::new("serve-waits");
+    let served = Served::start(&format!("{} --wait", link.path()));
+    let health = served.health(503);
+    assert_eq!(health["link"], "waiting", "{health}");
+    assert_eq!(served.json("/state")["sensor"], Value::Null);
+    let mut scans = served.get("/scans?max=1");
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    scan(&scans.line().unwrap());
+    served.health(200);
+}
+
+#[test]
+fn a_client_that_is_slow_holds_up_nobody_and_then_gets_new_scans() {
+    let link = Scratch::new("slow");
+    let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
+    let served = Served::start(&format!("{} --rate max", sensor.port));
+    let mut slow = served.get("/scans");
+    let first = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
+    // Far more than the system keeps for it.
+    let mut quick = served.get("/scans?max=1500");
+    let mut last = 0;
+    while let Some(line) = quick.line() {
+        let line: Value = serde_json::from_str(&line).unwrap();
+        last = line["sequence"].as_u64().unwrap_or(last);
+    }
+    assert!(last >= first + 1000);
+    let mut before = first;
+    loop {
+        let line: Value = serde_json::from_str(&slow.line().unwrap()).unwrap();
+        if line["event"] == "missed" {
+            let missed = line["scans"].as_u64().unwrap();
+            let next = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
+            assert_eq!(next, before + missed + 1);
+            break;
+        }
+        before = line["sequence"].as_u64().unwrap();
+        assert!(before < last, "all of the past was kept for a slow client");
+    }
+}
+
+#[test]
+fn who_asks_for_another_host_is_refused() {
+    let served = Served::start("emulated");
+    for host in ["evil.example", "evil.example:80", "192.168.1.1"] {
+        for path in ["/", "/scans", "/state", "/health"] {
+            let response = Client { host, ..served.client() }.get(path);
+            assert_eq!(response.status, 421, "{host} {path}");
+        }
+    }
+    for host in ["localhost", "localhost:1234", "[::1]:80"] {
+        assert_eq!(Client { host, ..served.client() }.get("/state").status, 200, "{host}");
+    }
+}
+
+#[test]
+fn what_cannot_be_served_is_said_so() {
+    let served = Served::start("emulated");
+    assert_eq!(served.get("/nothing").status, 404);
+    let response = served.get("/scans?max=none");
+    assert_eq!(response.status, 400);
+    assert!(response.text().contains("/scans?max=N"));
+    let line = failure(&format!("serve emulated --listen {}", served.address));
+    assert!(line.contains(&format!("cannot listen on {}", served.address)), "{line}");
+}
+
+#[test]
+fn viewers_are_bounded_and_one_that_goes_makes_room() {
+    let served = Served::start("emulated");
+    let mut viewers: Vec<_> = (0..32).map(|_| served.get("/scans")).collect();
+    assert!(viewers.iter().all(|viewer| viewer.status == 200));
+    assert_eq!(served.json("/state")["viewers"], 32);
+    let refused = served.get("/scans");
+    assert_eq!(refused.status, 503);
+    assert!(refused.has("retry-after"));
+    viewers.pop();
+    let patience = Instant::now() + PATIENCE;
+    while served.get("/scans?max=1").status != 200 {
+        assert!(Instant::now() < patience, "nobody may come in any more");
+    }
+}
+
+#[test]
+fn an_interrupt_ends_open_connections_and_the_program() {
+    for signal in ["INT", "TERM"] {
+        let served = Served::start("emulated");
+        let mut streams = [served.get("/scans"), served.get("/scans")];
+        for stream in &mut streams {
+            scan(&stream.line().unwrap());
+        }
+        served.running.signal(signal);
+        for mut stream in streams {
+            // To its proper end, or this would fail.
+            while let Some(line) = stream.line() {
+                scan(&line);
+            }
+        }
+        let (status, notices) = served.running.end();
+        assert_eq!((status.code(), notices), (Some(0), vec![]), "{signal}");
+    }
+}
+
+#[test]
+fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
+    let link = Scratch::new("unread-http");
+    let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
+    let served = Served::start(&format!("{} --rate max", sensor.port));
+    let _stuck = served.get("/scans");
+    // By the time that this one is done, the other's buffers have long been full.
+    served.get("/scans?max=1000").text();
+    served.running.signal("INT");
+    let (status, _) = served.running.end();
+    assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn a_page_for_the_network_says_that_everybody_can_look_and_takes_any_name() {
+    let mut running = Running::start("serve emulated --listen 0.0.0.0:0");
+    let notice = running.notice();
+    let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
+    let address = format!("127.0.0.1:{}", port.split('/').next().unwrap());
+    assert!(running.notice().contains("there is no password"));
+    let client = Client { address: &address, host: "robot.local", accept: "*/*" };
+    assert_eq!(client.get("/state").status, 200);
+}
