@@ -84,7 +84,7 @@ fn check_line(emulator: &Emulator) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_scan_dropped_at_every_await() {
+async fn a01_a_scan_dropped_at_every_await() {
     let steps = dropped_at_every_step(|sensor| async move {
         sensor.scan(Window::DETECTION).await.unwrap();
     });
@@ -92,7 +92,7 @@ async fn a_scan_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_dropped_at_every_await() {
+async fn a01_a_stream_dropped_at_every_await() {
     let steps = dropped_at_every_step(|sensor| async move {
         let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
         for _ in 0..3 {
@@ -103,7 +103,7 @@ async fn a_stream_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn laser_commands_dropped_at_every_await() {
+async fn a01_laser_commands_dropped_at_every_await() {
     let steps = dropped_at_every_step(|sensor| async move {
         sensor.laser_off().await.unwrap();
         sensor.laser_on().await.unwrap();
@@ -112,7 +112,7 @@ async fn laser_commands_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_change_of_speed_dropped_at_every_await() {
+async fn a01_a_change_of_speed_dropped_at_every_await() {
     let steps = dropped_at_every_step(|sensor| async move {
         sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
     });
@@ -120,7 +120,7 @@ async fn a_change_of_speed_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_that_was_dropped_before_its_turn_is_not_written() {
+async fn a01_a_request_that_was_dropped_before_its_turn_is_not_written() {
     let emulator = truthful().build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let busy = tokio::spawn({
@@ -139,7 +139,7 @@ async fn a_request_that_was_dropped_before_its_turn_is_not_written() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
+async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
     for steps in 0..40 {
         let emulator = truthful().build();
         let (sensor, driver) = builder().build(emulator.clone());

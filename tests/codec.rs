@@ -26,14 +26,14 @@ fn reply(bytes: &[u8]) -> Frame {
 }
 
 #[test]
-fn a_reply_ends_with_two_line_feeds() {
+fn w17_a_reply_ends_with_two_line_feeds() {
     let (frames, rest) = decode([&b"L1\n0\n\nV\n0\nVEND:x\n\nG000"[..]]);
     assert_eq!(frames, [reply(b"L1\n0"), reply(b"V\n0\nVEND:x")]);
     assert_eq!(&*rest, b"G000");
 }
 
 #[test]
-fn a_reply_is_found_however_it_is_split() {
+fn w16_a_reply_is_found_however_it_is_split() {
     let bytes = b"G00076801\n0\n0123456789\n\nL0\n0\n\n";
     for split in 0..=bytes.len() {
         let (frames, rest) = decode([&bytes[..split], &bytes[split..]]);
@@ -45,13 +45,13 @@ fn a_reply_is_found_however_it_is_split() {
 }
 
 #[test]
-fn leading_nuls_are_skipped_and_inner_ones_are_not() {
+fn w18_leading_nuls_are_skipped_and_inner_ones_are_not() {
     let (frames, _) = decode([&b"\0\0"[..], b"\0V\n0\n\n\0L1\0\n0\n\n"]);
     assert_eq!(frames, [reply(b"V\n0"), reply(b"L1\0\n0")]);
 }
 
 #[test]
-fn an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
+fn w19_a15_an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
     for extra in [1, 2, 64, 3 * MAX_FRAME] {
         let mut bytes = vec![b'x'; MAX_FRAME + extra];
         bytes.extend_from_slice(b"\n\nL1\n0\n\n");
@@ -76,7 +76,7 @@ fn a_reply_of_the_greatest_length_is_a_reply() {
 }
 
 #[test]
-fn endless_garbage_is_not_kept() {
+fn w19_endless_garbage_is_not_kept() {
     let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());
     for _ in 0..1000 {
         buffer.extend_from_slice(&[b'x'; 100]);
@@ -86,14 +86,14 @@ fn endless_garbage_is_not_kept() {
 }
 
 #[test]
-fn line_feeds_alone_are_empty_replies() {
+fn w20_line_feeds_alone_are_empty_replies() {
     let (frames, rest) = decode([&b"\n\n\n\n\n"[..]]);
     assert_eq!(frames, [reply(b""), reply(b"")]);
     assert_eq!(&*rest, b"\n");
 }
 
 #[test]
-fn half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
+fn a15_half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
     let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&b"V\n0\n\nG00"[..]));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(reply(b"V\n0")));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);

@@ -10,7 +10,7 @@ use std::time::Duration;
 use common::{builder, ms, truthful};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Mode};
+use tokio_scip::emulator::{Emulator, Fault, Faults, FaultyLink, Firmware, Mode};
 use tokio_scip::{BaudRate, Error, Sensor, State, Window};
 
 async fn fails(emulator: &Emulator) -> Error {
@@ -25,7 +25,7 @@ fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_is_found_at_each_speed_and_left_there() {
+async fn o08_a_sensor_is_found_at_each_speed_and_left_there() {
     for speed in BaudRate::ALL {
         let emulator = truthful().line_speed(speed).build();
         let start = Instant::now();
@@ -94,7 +94,7 @@ async fn nobody_answers_on_usb() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
+async fn w24_d05_d06_a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         let emulator = truthful().build();
         emulator.set_mode(mode);
@@ -107,7 +107,7 @@ async fn a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_loopback_is_told_from_a_silent_sensor() {
+async fn w22_a_loopback_is_told_from_a_silent_sensor() {
     let (near, mut far) = duplex(256);
     tokio::spawn(async move {
         let (mut read, mut write) = tokio::io::split(&mut far);
@@ -118,7 +118,7 @@ async fn a_loopback_is_told_from_a_silent_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_echo_of_our_own_commands_is_a_loopback_too() {
+async fn w22_an_echo_of_our_own_commands_is_a_loopback_too() {
     // Half-duplex wiring: every command comes back, and then its reply.
     let emulator = truthful().build();
     let (near, mut far) = duplex(4096);
@@ -144,7 +144,7 @@ async fn an_echo_of_our_own_commands_is_a_loopback_too() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn translated_line_ends_are_named() {
+async fn w21_translated_line_ends_are_named() {
     let error = fails(&truthful().faults(Faults::none().every(Fault::CrLf)).build()).await;
     let source = std::error::Error::source(&error).unwrap().to_string();
     assert!(source.contains("not raw"), "{error:?}");
@@ -173,7 +173,7 @@ async fn an_unplugged_sensor_is_no_such_port_unless_it_is_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_boots_slowly_is_waited_for() {
+async fn t10_a_sensor_that_boots_slowly_is_waited_for() {
     let emulator = truthful().boot_time(Duration::from_secs(20)).build();
     emulator.power_cycle();
     assert!(matches!(fails(&emulator).await, Error::NoAnswer { .. }));
@@ -189,7 +189,7 @@ async fn what_does_not_get_better_is_not_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_in_use_says_so() {
+async fn o04_a_port_in_use_says_so() {
     let emulator = truthful().build();
     let _first = builder().connect(emulator.clone()).await.unwrap();
     assert!(matches!(fails(&emulator).await, Error::Busy { .. }));
@@ -205,7 +205,7 @@ async fn another_sensor_than_the_one_asked_for_is_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
+async fn t05_o07_half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
     use tokio_scip::emulator::EmptyCommand;
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         let emulator = truthful().empty_command(empty).build();
@@ -219,7 +219,7 @@ async fn half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
+async fn o11_a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
     use tokio_scip::emulator::Link;
     struct Bridge(Emulator, BaudRate);
     impl tokio_scip::Connect for Bridge {
@@ -323,4 +323,14 @@ async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
     // Who does not wait wants to know at once.
     let error = builder().connect(plugged(3)).await.unwrap_err();
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn o07_what_the_system_kept_while_the_port_was_closed_is_no_flood() {
+    let emulator = truthful().build();
+    let link = emulator.link();
+    emulator.inject(b"xyz\n\n".repeat(2000));
+    tokio::time::sleep(ms(1000)).await;
+    let sensor = builder().attach(FaultyLink::new(link).short_reads(64)).await.unwrap();
+    sensor.scan(Window::FULL).await.unwrap();
 }

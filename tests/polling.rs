@@ -60,7 +60,7 @@ async fn polls_lie_on_the_grid_without_drift() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
+async fn t06_a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
     let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -76,7 +76,7 @@ async fn a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
+async fn a02_a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -94,7 +94,7 @@ async fn a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn no_error_is_lost_to_a_slow_consumer() {
+async fn a02_no_error_is_lost_to_a_slow_consumer() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -147,7 +147,7 @@ async fn two_streams_of_the_same_cost_one_poll_a_period() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn polling_stops_within_a_period_of_the_last_streams_end() {
+async fn a03_polling_stops_within_a_period_of_the_last_streams_end() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -182,7 +182,7 @@ async fn streams_of_different_windows_share_the_sensor_fairly() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn requests_and_polls_take_turns_however_many_requests_there_are() {
+async fn a07_requests_and_polls_take_turns_however_many_requests_there_are() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
@@ -225,7 +225,7 @@ async fn a_stream_ends_with_none_after_close_and_stays_ended() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_driver_lives_as_long_as_the_last_handle_or_stream() {
+async fn a04_the_driver_lives_as_long_as_the_last_handle_or_stream() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut state = sensor.state();
@@ -255,7 +255,7 @@ async fn only_scans_leaves_the_errors_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_same_data_again_is_marked_as_a_repeat() {
+async fn t11_the_same_data_again_is_marked_as_a_repeat() {
     use tokio_scip::emulator::Fixed;
     let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
@@ -266,7 +266,7 @@ async fn the_same_data_again_is_marked_as_a_repeat() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn hours_of_suspend_cost_no_burst() {
+async fn o21_hours_of_suspend_cost_no_burst() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -278,7 +278,7 @@ async fn hours_of_suspend_cost_no_burst() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn polls_rest_while_the_laser_is_off_by_request() {
+async fn a09_polls_rest_while_the_laser_is_off_by_request() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

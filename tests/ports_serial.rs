@@ -101,7 +101,7 @@ fn stall(port: &mut SerialPort) -> usize {
 }
 
 #[tokio::test]
-async fn flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
+async fn o16_flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     stall(&mut port);
@@ -110,7 +110,7 @@ async fn flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
 }
 
 #[tokio::test]
-async fn a_port_that_is_dropped_takes_its_unsent_output_along() {
+async fn o17_a_port_that_is_dropped_takes_its_unsent_output_along() {
     let mut line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     let taken = stall(&mut port);
@@ -127,7 +127,7 @@ async fn a_port_that_is_dropped_takes_its_unsent_output_along() {
 }
 
 #[tokio::test]
-async fn an_open_port_is_busy_until_it_is_dropped() {
+async fn o04_an_open_port_is_busy_until_it_is_dropped() {
     let line = line();
     let scratch = Scratch::new("busy");
     let link = scratch.path("sensor");
@@ -157,7 +157,7 @@ async fn an_opening_that_is_given_up_leaves_no_port_open_behind_it() {
 }
 
 #[tokio::test]
-async fn what_had_come_before_the_port_was_opened_is_read() {
+async fn o07_what_had_come_before_the_port_was_opened_is_read() {
     let mut line = line();
     line.far.write_all(b"left").await.unwrap();
     let mut port = SerialPort::open(&line.path).await.unwrap();
@@ -167,7 +167,7 @@ async fn what_had_come_before_the_port_was_opened_is_read() {
 }
 
 #[tokio::test]
-async fn a_hung_up_line_ends_reads_and_fails_writes() {
+async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     let Line { far, near, .. } = line;
@@ -185,7 +185,7 @@ async fn a_hung_up_line_ends_reads_and_fails_writes() {
 }
 
 #[tokio::test]
-async fn what_is_no_serial_port_is_told_apart_from_what_is_not_there() {
+async fn o06_what_is_no_serial_port_is_told_apart_from_what_is_not_there() {
     let scratch = Scratch::new("files");
     let file = scratch.path("file");
     std::fs::write(&file, "no port").unwrap();

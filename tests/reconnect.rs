@@ -48,7 +48,7 @@ async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_hour_unplugged_costs_little_and_every_call_is_answered_in_time() {
+async fn d03_a10_an_hour_unplugged_costs_little_and_every_call_is_answered_in_time() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
@@ -64,7 +64,7 @@ async fn an_hour_unplugged_costs_little_and_every_call_is_answered_in_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_made_while_disconnected_is_answered_when_the_sensor_is_back_in_time() {
+async fn a10_a_request_made_while_disconnected_is_answered_when_the_sensor_is_back_in_time() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
@@ -78,7 +78,7 @@ async fn a_request_made_while_disconnected_is_answered_when_the_sensor_is_back_i
 }
 
 #[tokio::test(start_paused = true)]
-async fn line_speed_and_laser_are_restored_after_a_reset() {
+async fn d01_d02_line_speed_and_laser_are_restored_after_a_reset() {
     let emulator =
         truthful().line_speed(BaudRate::B19200).boot_time(Duration::from_secs(2)).build();
     let sensor = open(&emulator).await;
@@ -112,7 +112,7 @@ async fn line_speed_and_laser_are_restored_after_a_reset() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_laser_that_was_switched_off_stays_off_after_a_replug() {
+async fn d02_a_laser_that_was_switched_off_stays_off_after_a_replug() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -133,7 +133,7 @@ async fn a_laser_that_was_switched_off_stays_off_after_a_replug() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
+async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
     let emulator = truthful().serial_number("H0000001").build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -160,7 +160,7 @@ async fn another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
+async fn d09_a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     emulator.unplug();

@@ -28,7 +28,7 @@ async fn the_laser_is_switched_and_switching_it_twice_is_no_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
+async fn w04_a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(0, Fault::Lost));
@@ -44,7 +44,7 @@ async fn a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_only_pretends_to_obey_is_found_out() {
+async fn w04_a_sensor_that_only_pretends_to_obey_is_found_out() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut faults = Faults::none();
@@ -74,7 +74,7 @@ async fn a_laser_that_somebody_else_switched_off_is_switched_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_speed_changes_under_a_stream_and_back() {
+async fn a08_the_speed_changes_under_a_stream_and_back() {
     let emulator = truthful().line_speed(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -90,7 +90,7 @@ async fn the_speed_changes_under_a_stream_and_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_speed_that_is_there_already_is_no_error() {
+async fn o10_a_speed_that_is_there_already_is_no_error() {
     let emulator = truthful().line_speed(BaudRate::B57600).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
@@ -101,7 +101,7 @@ async fn a_speed_that_is_there_already_is_no_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_reply_to_s_does_not_lose_the_sensor() {
+async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
     for fault in [Fault::Lost, Fault::CommandLost, Fault::Drop(3..4), Fault::Late(ms(900))] {
         let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
         let sensor = open(&emulator).await;
@@ -124,4 +124,17 @@ async fn a_refused_speed_leaves_both_where_they_were() {
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
     assert!(matches!(error, Error::Refused { .. }), "{error:?}");
     sensor.scan(Window::DETECTION).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn d01_the_speed_that_was_set_is_proven_when_it_is_asked_for_again() {
+    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
+    // Nothing is polled, so that nobody notices.
+    emulator.power_cycle();
+    let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
+    assert!(outcome.is_err());
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
 }

@@ -106,7 +106,7 @@ impl AsyncWrite for Counted {
 }
 
 #[tokio::test]
-async fn a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
+async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
     let emulator = truthful().build();
     let (path, _serving) = serve(&emulator, "replug");
     let counts = Arc::new(Counts::default());
@@ -129,8 +129,8 @@ async fn a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_me
         while counts.refused.load(Relaxed) < refused + 4 {
             tokio::task::yield_now().await;
         }
-        // The waits between are 75 ms, 150 ms, 300 ms at the least.
-        assert!(start.elapsed() >= Duration::from_millis(75 + 150 + 300));
+        // The waits between are 100 ms, 200 ms, 400 ms at the least.
+        assert!(start.elapsed() >= Duration::from_millis(100 + 200 + 400));
         // The dead port was dropped at the first sign.
         assert_eq!(counts.dead_reads.load(Relaxed), round);
         emulator.plug_in();

@@ -40,7 +40,7 @@ fn doubled_late(seed: u64) -> Faults {
 }
 
 #[tokio::test(start_paused = true)]
-async fn late_and_doubled_replies_never_become_another_polls_scan_on_a_grid() {
+async fn t01_t03_late_and_doubled_replies_never_become_another_polls_scan_on_a_grid() {
     let window = Window::new(300..=310).unwrap();
     for (seed, faults) in [(1, late_and_doubled(1)), (2, doubled_late(2))] {
         let emulator = truthful().seed(seed).pace(Pace::AtOnce).faults(faults).build();
@@ -53,7 +53,7 @@ async fn late_and_doubled_replies_never_become_another_polls_scan_on_a_grid() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn late_and_doubled_replies_never_become_another_polls_scan_at_full_speed() {
+async fn t01_t03_late_and_doubled_replies_never_become_another_polls_scan_at_full_speed() {
     let window = Window::new(300..=310).unwrap();
     for (seed, faults) in [(1, late_and_doubled(1)), (2, doubled_late(2))] {
         let emulator = truthful().seed(seed).faults(faults).build();
@@ -66,7 +66,7 @@ async fn late_and_doubled_replies_never_become_another_polls_scan_at_full_speed(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_reply_is_not_taken_for_the_answer_to_the_next_poll_of_the_whole_turn() {
+async fn t01_a_late_reply_is_not_taken_for_the_answer_to_the_next_poll_of_the_whole_turn() {
     // Where successive polls cannot differ, the fence alone has to do it.
     let faults = Faults::none().late(0.02, ms(3000)).rate(0.01, Fault::Lost).seed(3);
     let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();

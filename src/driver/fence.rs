@@ -16,15 +16,18 @@ use crate::codec::Frame;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
 use crate::{Error, Window};
 
-/// Fences sent before a line counts as lost.
+/// Fences sent before a line counts as lost; and fewer where the sensor may be
+/// found at another speed, to which it goes when it restarts.
 const FENCES: usize = 6;
+const FENCES_AT_A_SPEED: usize = 3;
 
 impl Session {
     /// Sends single-step `G`s until the latest of them is answered, and gives
     /// the status of that answer.
     pub(crate) async fn fence(&mut self) -> Result<Status, Failure> {
         let mut failure = Failure::Silent(Error::disconnected(None));
-        for _ in 0..FENCES {
+        let adjustable = self.is_adjustable() && self.line_speed().is_some();
+        for _ in 0..if adjustable { FENCES_AT_A_SPEED } else { FENCES } {
             match self.fence_once(self.latency(&Command::Distances(Window::single(0)))).await {
                 Err(Failure::Command(error)) => failure = Failure::Silent(error),
                 outcome => return outcome,
@@ -46,7 +49,7 @@ impl Session {
                 self.dirty = false;
                 self.echoes.settled();
             }
-            Err(Failure::Command(Error::Timeout { .. })) => {
+            Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
                 self.telemetry.stats().fence_timeouts += 1;
             }
             Err(_) => {}
@@ -68,13 +71,13 @@ impl Session {
         }
         sent.extend_from_slice(&command.bytes());
         sent.put_u8(b'\n');
-        let timeout = Failure::Command(Error::Timeout { command: *command, after });
+        let mut failure = Failure::Command(Error::Timeout { command: *command, after });
         if !self.send(command, deadline).await? {
-            return Err(timeout);
+            return Err(failure);
         }
         for _ in 0..MAX_FRAMES {
             let Some(frame) = self.receive(deadline).await? else {
-                return Err(self.explain_silence(&sent, command).unwrap_or(timeout));
+                return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
             if let Frame::Reply(bytes) = &frame {
                 match Reply::parse_end(command, bytes) {
@@ -85,11 +88,19 @@ impl Session {
                     Err(ReplyError::Scip2 { status }) => {
                         return Err(Failure::Command(Error::WrongProtocol { status }));
                     }
-                    Err(error) => self.telemetry.stats().malformed.count(&error),
+                    Err(error) => {
+                        self.telemetry.stats().malformed.count(&error);
+                        if let ReplyError::Malformed(source) = error {
+                            let command = *command;
+                            failure = Failure::Command(Error::Malformed { command, source });
+                        }
+                    }
                 }
             }
             self.skip(&frame);
         }
+        // What is there already must not flood the next link, too.
+        self.discard_pending().await?;
         Err(flood().into())
     }
 

@@ -92,6 +92,7 @@ impl AsyncRead for Line {
     ) -> Poll<io::Result<()>> {
         let before = buffer.filled().len();
         let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
+        let outcome = again_if_interrupted(outcome, cx);
         let read = buffer.filled().len() - before;
         if read > 0 {
             self.received += read as u64;
@@ -109,13 +110,30 @@ pub(crate) fn flood() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
 }
 
+/// A call that a signal interrupted, or that a port refuses for the moment
+/// without saying when to come back, is to be made again.
+fn again_if_interrupted<T>(
+    outcome: Poll<io::Result<T>>,
+    cx: &mut Context<'_>,
+) -> Poll<io::Result<T>> {
+    use io::ErrorKind::{Interrupted, WouldBlock};
+    match outcome {
+        Poll::Ready(Err(error)) if matches!(error.kind(), Interrupted | WouldBlock) => {
+            cx.waker().wake_by_ref();
+            Poll::Pending
+        }
+        outcome => outcome,
+    }
+}
+
 impl AsyncWrite for Line {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.port).poll_write(cx, bytes)
+        let outcome = Pin::new(&mut self.port).poll_write(cx, bytes);
+        again_if_interrupted(outcome, cx)
     }
 
     /// Does nothing. What was written leaves by itself, the reply proves that it

@@ -287,6 +287,8 @@ impl Session {
             self.dirty = true;
             self.skip(&frame);
         }
+        // What is there already must not flood the next link, too.
+        self.discard_pending().await?;
         Err(flood().into())
     }
 
@@ -330,7 +332,7 @@ impl Session {
 
     /// Throws away what came since the last reply: it is older than the next
     /// command. That something came makes the line dirty.
-    async fn discard_pending(&mut self) -> Result<(), Failure> {
+    pub(super) async fn discard_pending(&mut self) -> Result<(), Failure> {
         // Lets the runtime see what the system has.
         tokio::task::yield_now().await;
         let line = self.framed.get_mut();
@@ -358,8 +360,7 @@ impl Session {
             self.dirty = true;
             self.reset_input();
         }
-        // In front of the room that is left lies what earlier replies took: this
-        // makes it usable again, so that a reply is not read in two pieces.
+        // Or replies would use up the buffer, and come in two reads each time.
         self.framed.read_buffer_mut().reserve(READ_BUFFER);
         Ok(())
     }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
 use super::session::{Failure, Session};
-use crate::protocol::Command;
+use crate::protocol::{Command, Malformed};
 use crate::{BaudRate, Error, Window};
 
 /// How long a fence may take while the speed is looked for, its bytes on the
@@ -29,6 +29,7 @@ impl Session {
         deadline: Instant,
     ) -> Result<(), Failure> {
         let before = self.received();
+        let mut damaged = None;
         loop {
             let mut usable = false;
             for &speed in speeds {
@@ -46,9 +47,17 @@ impl Session {
                     latency = self.latency(&Command::Distances(Window::FULL));
                 }
                 usable = true;
+                // The system may have kept more than any answer is worth.
+                self.discard_pending().await?;
                 match self.fence_once(latency).await {
                     Ok(_) => return Ok(()),
                     Err(Failure::Command(Error::Timeout { .. })) => {}
+                    // One damaged answer is none; always the same is a reason.
+                    Err(Failure::Command(error @ Error::Malformed { .. }))
+                        if !is_not_raw(&error) =>
+                    {
+                        damaged = Some(error);
+                    }
                     // Something answers, and it is not what it should be.
                     Err(Failure::Command(error)) => return Err(Failure::Silent(error)),
                     Err(lost) => return Err(lost),
@@ -57,7 +66,8 @@ impl Session {
                     let searched = self.is_adjustable() && self.line_speed().is_some();
                     let speed = self.line_speed().filter(|_| !searched);
                     let bytes = self.received() - before;
-                    return Err(Failure::Silent(Error::NoAnswer { speed, searched, bytes }));
+                    let silence = Error::NoAnswer { speed, searched, bytes };
+                    return Err(Failure::Silent(damaged.unwrap_or(silence)));
                 }
             }
             if !usable {
@@ -85,7 +95,8 @@ impl Session {
     pub(crate) async fn change_speed(&mut self, speed: BaudRate) -> Result<(), Failure> {
         let old = self.line_speed();
         if old == Some(speed) {
-            return Ok(());
+            // The sensor may have restarted unseen.
+            return self.fence().await.map(drop);
         }
         // The sensor must not go where the port cannot follow.
         if let Err(error) = self.set_line_speed(speed) {
@@ -129,4 +140,8 @@ impl Session {
         }
         Ok(false)
     }
+}
+
+fn is_not_raw(error: &Error) -> bool {
+    matches!(error, Error::Malformed { source: Malformed::NotRaw, .. })
 }

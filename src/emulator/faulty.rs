@@ -69,6 +69,7 @@ struct Tally {
     writes: AtomicU64,
     flushes: AtomicU64,
     speeds: AtomicU64,
+    failures: AtomicU64,
     bytes_read: AtomicU64,
     bytes_written: AtomicU64,
 }
@@ -92,6 +93,11 @@ impl CallCounter {
     /// Changes of speed, failed ones included.
     pub fn speed_changes(&self) -> u64 {
         self.0.speeds.load(Ordering::Relaxed)
+    }
+
+    /// Calls that failed because they were told to.
+    pub fn failures(&self) -> u64 {
+        self.0.failures.load(Ordering::Relaxed)
     }
 
     /// Bytes that were read.
@@ -212,6 +218,7 @@ impl<S> FaultyLink<S> {
         if failure.error().is_some() {
             self.failures.remove(place);
         }
+        self.counter.0.failures.fetch_add(1, Ordering::Relaxed);
         Some(failure)
     }
 }

@@ -32,9 +32,18 @@ impl fmt::Display for UsbId {
     }
 }
 
+/// As data: its text, such as `"15d1:0000"`.
+#[cfg(feature = "serde")]
+impl serde::Serialize for UsbId {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
 /// A serial port of this machine, as the system describes it; it was not
 /// opened to find out.
 #[derive(Debug, Clone, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct PortInfo {
     /// What to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which

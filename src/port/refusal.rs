@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn permission_denied_names_the_group_to_join() {
+    fn o05_permission_denied_names_the_group_to_join() {
         let error = explain_with(PORT, denied(), Ok(device()));
         let text = error.to_string();
         assert!(matches!(error, Error::PermissionDenied { .. }), "{text}");
@@ -178,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_locked_by_another_program_is_busy() {
+    fn o04_a_port_locked_by_another_program_is_busy() {
         let text = "Unable to acquire exclusive lock on serial port";
         let error = tokio_serial::Error::new(ErrorKind::NoDevice, text);
         assert!(matches!(explain_with(PORT, error, Ok(device())), Error::Busy { .. }));

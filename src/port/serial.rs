@@ -218,7 +218,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_speed_that_an_adapter_rounds_is_the_speed_and_another_is_not() {
+    fn o12_a_speed_that_an_adapter_rounds_is_the_speed_and_another_is_not() {
         for speed in BaudRate::ALL {
             assert!(is_close(speed, speed.bits_per_second()));
             assert!(!is_close(speed, 0));

@@ -119,7 +119,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_connection_sends_at_once_and_is_kept_alive() -> io::Result<()> {
+    async fn o22_a_connection_sends_at_once_and_is_kept_alive() -> io::Result<()> {
         let server = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await?;
         let stream = connect("127.0.0.1", server.local_addr()?.port()).await?;
         assert!(stream.nodelay()?);

@@ -7,8 +7,8 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Builder, Codes, Emulator, Look, Received};
-use tokio_scip::{Scan, Sensor, SensorBuilder};
+use tokio_scip::emulator::{Builder, Codes, Emulator, Look, Received, Verdict};
+use tokio_scip::{Connect, Error, Port, Scan, Sensor, SensorBuilder};
 
 /// The code that carries digit `place` of a request's number, in base 4000:
 /// they repeat every three steps, so that any window of three steps has all.
@@ -31,11 +31,16 @@ pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
     let start = usize::from(scan.window().start().number());
     let mut digits = [0; 3];
     for (step, &value) in (start..).zip(scan.values()).take(3) {
-        digits[step % 3] = u64::from(value) - 20;
+        digits[step % 3] = u64::from(value.checked_sub(20)?);
     }
     let request = digits[0] + digits[1] * 4000 + digits[2] * 16_000_000;
     let whole = (start..).zip(scan.values()).all(|(step, &value)| value == code(request, step));
     whole.then_some(request)
+}
+
+/// Whether the sensor answers the line with distances, its laser being on.
+fn is_poll(line: &Received) -> bool {
+    line.line.starts_with(b"G") && line.verdict == Verdict::WellFormed
 }
 
 /// Which scans are the answers to their own requests.
@@ -49,7 +54,7 @@ impl Truth {
     /// Reads the sensor's log: when the `G` with each number arrived. `answered`
     /// tells which of the well-formed `G`s got distances (not those refused).
     pub(crate) fn of(log: &[Received]) -> Self {
-        let scans = log.iter().filter(|line| line.line.starts_with(b"G"));
+        let scans = log.iter().filter(|line| is_poll(line));
         let arrivals = (0..).zip(scans.map(|line| line.at)).collect();
         Self { arrivals, seen: Default::default(), last: None }
     }
@@ -82,4 +87,19 @@ pub(crate) fn builder() -> SensorBuilder {
 
 pub(crate) const fn ms(milliseconds: u64) -> Duration {
     Duration::from_millis(milliseconds)
+}
+
+/// Opens what a closure makes.
+pub(crate) struct Rigged<F>(pub(crate) F);
+
+impl<P, F> Connect for Rigged<F>
+where
+    P: Port,
+    F: FnMut() -> Result<P, Error> + Send + 'static,
+{
+    type Port = P;
+
+    async fn connect(&mut self) -> Result<P, Error> {
+        (self.0)()
+    }
 }

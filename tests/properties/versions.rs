@@ -44,7 +44,7 @@ pub(crate) fn every_line_of_a_version_is_kept(script: &[u8]) {
     let named = |line: &&[u8]| line.len() > 4 && line[4] == b':';
     let value = |name: &[u8]| {
         let lines = frame[4..].split(|&byte| byte == b'\n');
-        let last = lines.filter(named).filter(|line| &line[..4] == name).last();
+        let last = lines.filter(named).rfind(|line| &line[..4] == name);
         last.map(|line| Text::from(line[5..].trim_ascii()))
     };
     let fields = [

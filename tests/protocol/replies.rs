@@ -119,7 +119,7 @@ fn a_full_scan_is_1576_bytes_and_the_detection_window_1399() {
 }
 
 #[test]
-fn a_partial_last_cluster_is_a_point_and_one_more_or_less_is_malformed() {
+fn d10_a_partial_last_cluster_is_a_point_and_one_more_or_less_is_malformed() {
     for (start, end, cluster_count, points) in [
         (44, 725, 2, 341),
         (44, 725, 4, 171),
@@ -147,7 +147,7 @@ fn a_partial_last_cluster_is_a_point_and_one_more_or_less_is_malformed() {
 }
 
 #[test]
-fn an_error_reply_is_echo_and_status_for_every_status() {
+fn d07_an_error_reply_is_echo_and_status_for_every_status() {
     for command in [
         Command::Version,
         Command::LaserOn,
@@ -244,7 +244,7 @@ fn a_failure_says_where_what_was_expected_and_what_came() {
 }
 
 #[test]
-fn a_status_with_its_checksum_is_scip_2() {
+fn w24_a_status_with_its_checksum_is_scip_2() {
     let scip2 = |status: &str| Err(ReplyError::Scip2 { status: status.into() });
     let parse = |frame: &'static [u8]| Reply::parse(&Command::Version, frame);
     assert_eq!(parse(b"V\n0Eu"), scip2("0Eu"));

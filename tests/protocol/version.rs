@@ -40,7 +40,7 @@ fn the_reply_of_the_text_is_read() {
 }
 
 #[test]
-fn the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
+fn d11_the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
     assert_eq!(OF_FIRMWARE_3.len(), 206);
     let firm = OF_FIRMWARE_3.split(|&byte| byte == b'\n').nth(4).unwrap();
     assert_eq!(firm.len(), 64);
@@ -61,7 +61,7 @@ fn a_real_reply_fits_in_the_length_that_deadlines_count_with() {
 }
 
 #[test]
-fn lines_may_come_in_any_order_be_missing_or_be_unknown() {
+fn d11_lines_may_come_in_any_order_be_missing_or_be_unknown() {
     let version = version(b"V\n0\nSERI:H1\nNEWS: of 2030 \nno colon\nPROD:URG");
     assert_eq!(version.serial_number, "H1");
     assert_eq!(version.product, "URG");

@@ -32,6 +32,13 @@ pub(crate) struct Case {
     pub(crate) script: LinkScript,
 }
 
+impl std::fmt::Debug for Case {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self { speed, boot, faults, does, script, .. } = self;
+        write!(f, "{speed:?}, boots {boot:?}, {faults:?}, {does:?}, {script:?}")
+    }
+}
+
 /// What happens besides faults of replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Does {

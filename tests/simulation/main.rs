@@ -25,6 +25,14 @@ fn setting(name: &str) -> Option<u64> {
 fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
     let coverage = Arc::new(Mutex::new(Coverage::default()));
     if let Some(seed) = setting("SCIP_SIMULATION_SEED") {
+        if std::env::var("LOG").is_ok() {
+            tracing_subscriber::fmt()
+                .with_max_level(tracing_subscriber::filter::LevelFilter::TRACE)
+                .without_time()
+                .with_ansi(false)
+                .with_writer(std::io::stderr)
+                .init();
+        }
         let outcome = run(seed, &coverage);
         println!("{:?}, {:?}\n{}", outcome.simulated, outcome.recovery, coverage.lock().unwrap());
         return;

@@ -107,6 +107,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         start: Instant::now(),
     };
     let case = &run.case;
+    run.note(format_args!("{case:?}"));
     let opener = Opener {
         emulator: case.emulator.clone(),
         script: case.script,
@@ -251,8 +252,9 @@ async fn check_rest(run: &Run, sensor: &Sensor) {
     assert!(!streaming && emulator.laser());
     let counts = emulator.counts();
     assert!(run.case.torn || counts.malformed == 0, "{counts:?}: {:?}", emulator.log());
-    assert!(run.case.overlaps || counts.overlapping == 0, "{counts:?}");
+    // What is garbled while the speed is looked for is answered, too.
+    assert!(run.case.overlaps || counts.overlapping <= counts.garbled, "{counts:?}");
     let scans = counts.scans;
-    sleep(Duration::from_secs(60)).await;
+    sleep(Duration::from_secs(5)).await;
     assert_eq!(emulator.counts().scans, scans, "polls without a stream");
 }

@@ -124,12 +124,15 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 if undisturbed(emulator.counts().resets) {
                     assert!(!emulator.laser(), "after laser_off");
                 }
-                sleep(random.ms(10_000)).await;
-                let polls = emulator.log().into_iter().filter(|line| {
-                    let poll = line.line.len() == 9 && line.line[1..4] != line.line[4..7];
-                    line.at >= off && line.line[0] == b'G' && poll && !line.garbled
+                sleep(random.ms(5000)).await;
+                let polls = emulator.log().into_iter().filter(|received| {
+                    let line = &received.line;
+                    let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
+                    poll && received.at >= off && !received.garbled
                 });
                 let polls: Vec<_> = polls.collect();
+                // Asking for the laser ends it, whether or not that succeeds.
+                let _ = run.call("laser on again", sensor.laser_on()).await;
                 let rival = run.case.does.rival || run.case.torn;
                 assert!(rival || polls.is_empty(), "polled with the laser off: {polls:?}");
             }

@@ -3,10 +3,14 @@
 #![cfg(all(unix, feature = "cli"))]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
+mod check;
 mod ends;
 mod formats;
+mod handed_on;
 mod http;
+mod picture;
 mod program;
+mod screen;
 mod served;
 mod usage;
 mod web;

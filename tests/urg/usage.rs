@@ -5,7 +5,19 @@ use super::program::{Emulated, Scratch, failure, run, urg};
 #[test]
 fn every_command_has_help_on_standard_output() {
     assert!(run("--help", 0).stdout.contains("emulated"));
-    for command in ["list", "info", "scan", "stream", "laser", "baud", "emulate"] {
+    for command in [
+        "list",
+        "info",
+        "scan",
+        "stream",
+        "view",
+        "check",
+        "laser",
+        "baud",
+        "emulate",
+        "completions",
+        "man",
+    ] {
         let long = run(&format!("{command} --help"), 0).stdout;
         let short = run(&format!("help {command}"), 0).stdout;
         for help in [long, short] {
@@ -35,6 +47,12 @@ fn a_command_line_that_makes_no_sense_ends_with_2() {
         "scan emulated --from 20 --to 10",
         "scan emulated --from nan",
         "scan emulated --from 10 --start 3",
+        "view emulated",
+        "view emulated --count 3",
+        "check emulated --duration 0s",
+        "completions cmd",
+        "man fly",
+        "list --format csv",
         "laser emulated",
         "laser emulated blink",
         "baud emulated",
@@ -50,7 +68,9 @@ fn a_command_line_that_makes_no_sense_ends_with_2() {
 
 #[test]
 fn a_missing_port_is_asked_for() {
-    for arguments in ["info", "scan --format csv", "stream --count 3", "laser on", "baud 115200"] {
+    for arguments in
+        ["info", "scan --format csv", "stream --count 3", "check", "laser on", "baud 115200"]
+    {
         let output = run(arguments, 2);
         assert!(output.stderr.starts_with("urg: which PORT?"), "{}", output.stderr);
     }

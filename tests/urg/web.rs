@@ -2,12 +2,13 @@
 #![cfg(feature = "web")]
 
 use std::collections::HashMap;
+use std::time::Instant;
 
 use serde_json::Value;
 
 use super::formats::{check, values};
 use super::http::{Client, Response};
-use super::program::{Emulated, Running, Scratch, failure};
+use super::program::{Emulated, PATIENCE, Running, Scratch, failure};
 
 /// `urg serve` and its address.
 struct Served {
@@ -38,6 +39,7 @@ impl Served {
 
     /// Asks for `/health` until it has this status.
     fn health(&self, status: u16) -> Value {
+        let patience = Instant::now() + PATIENCE;
         loop {
             let response = self.get("/health");
             let seen = response.status;
@@ -45,6 +47,7 @@ impl Served {
             if seen == status {
                 return health;
             }
+            assert!(Instant::now() < patience, "no {status} but {seen}: {health}");
         }
     }
 }
@@ -249,7 +252,10 @@ fn viewers_are_bounded_and_one_that_goes_makes_room() {
     assert_eq!(refused.status, 503);
     assert!(refused.has("retry-after"));
     viewers.pop();
-    while served.get("/scans?max=1").status != 200 {}
+    let patience = Instant::now() + PATIENCE;
+    while served.get("/scans?max=1").status != 200 {
+        assert!(Instant::now() < patience, "nobody may come in any more");
+    }
 }
 
 #[test]

@@ -8,7 +8,9 @@ use tokio_scip::{BaudRate, Rate, Window};
 
 #[cfg(feature = "web")]
 use crate::commands::serve;
-use crate::commands::{baud, emulate, info, laser, list, scan, stream};
+use crate::commands::{
+    baud, check, completions, emulate, info, laser, list, man, scan, stream, view,
+};
 use crate::failure::Failure;
 
 /// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
@@ -31,6 +33,7 @@ PORT is one of
 Examples:
   urg list                                  which ports are there?
   urg info /dev/ttyACM0                     who is it, and how is it set?
+  urg view emulated                         a live radar, without any hardware
   urg stream emulated --count 20            20 scans as NDJSON, without any hardware
   urg emulate --link /tmp/urg               an emulated sensor for other programs"
 )]
@@ -45,11 +48,23 @@ pub(crate) enum Command {
     Info(info::Info),
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
+    View(view::View),
+    Check(check::Check),
     #[cfg(feature = "web")]
     Serve(serve::Serve),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
+    Completions(completions::Completions),
+    #[command(hide = true)]
+    Man(man::Manual),
+}
+
+impl Command {
+    /// Whether it takes the terminal for itself.
+    pub(crate) fn draws(&self) -> bool {
+        matches!(self, Self::View(_))
+    }
 }
 
 /// How to get to the sensor.

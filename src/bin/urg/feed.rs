@@ -113,12 +113,17 @@ impl Reporter {
 
     /// Why there are no more scans.
     pub(crate) fn cause(&self) -> Failure {
-        let error = match &*self.sensor.state().borrow() {
-            State::Closed { error: Some(error) } => error.clone(),
-            _ => Error::Closed,
-        };
-        Failure::at(&self.port.to_string(), &error)
+        cause(&self.port, &self.sensor)
     }
+}
+
+/// Why a driver has ended.
+pub(crate) fn cause(port: &PortName, sensor: &Sensor) -> Failure {
+    let error = match &*sensor.state().borrow() {
+        State::Closed { error: Some(error) } => error.clone(),
+        _ => Error::Closed,
+    };
+    Failure::at(&port.to_string(), &error)
 }
 
 /// Whether the next poll may well bring a scan.

@@ -10,11 +10,14 @@ mod interrupt;
 mod notice;
 mod output;
 mod pace;
+mod plot;
 mod port;
+mod selftest;
+mod view;
 #[cfg(feature = "web")]
 mod web;
 
-use std::io;
+use std::io::{self, IsTerminal};
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -26,7 +29,14 @@ use crate::notice::notice;
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    log_to_stderr();
+    if cli.command.draws() && io::stderr().is_terminal() {
+        // Its lines would be drawn across the picture.
+        if std::env::var_os(EnvFilter::DEFAULT_ENV).is_some() {
+            notice("no log on the terminal that is drawn on: add `2> urg.log`");
+        }
+    } else {
+        log_to_stderr();
+    }
     match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
@@ -54,7 +64,7 @@ fn log_to_stderr() {
         Ok(filter) => tracing_subscriber::fmt()
             .with_env_filter(filter)
             .with_writer(io::stderr)
-            .with_ansi(io::IsTerminal::is_terminal(&io::stderr()))
+            .with_ansi(io::stderr().is_terminal())
             .init(),
         Err(error) => notice(format_args!("no log, RUST_LOG cannot be read: {error}")),
     }

@@ -1,15 +1,18 @@
-//! Whether the rate that was asked for is reached; if not, that is said once,
+//! Whether the rate that was asked for is reached; if not, that is told once,
 //! with what would help.
 
 use std::fmt::Write;
+use std::time::{Duration, Instant};
 
 use tokio_scip::{BaudRate, Endpoint, Rate, Sensor, State, Window};
 
-use crate::notice::notice;
 use crate::port::PortName;
 
 /// Below this part of the rate asked for, it counts as not reached.
-const ENOUGH: f64 = 0.95;
+pub(crate) const ENOUGH: f64 = 0.95;
+
+/// Longer than the driver's average remembers.
+const MEMORY: Duration = Duration::from_secs(5);
 
 /// Watches one stream's rate.
 #[derive(Debug)]
@@ -19,17 +22,29 @@ pub(crate) struct PaceWatch {
     /// Whether the port's own speed can be changed from here.
     settable: bool,
     said: bool,
+    /// Before that no rate is of the sensor and the line alone.
+    steady_from: Instant,
 }
 
 impl PaceWatch {
     pub(crate) fn new(port: &PortName, window: Window, rate: Rate) -> Self {
         let settable = !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. }));
-        Self { window, rate, settable, said: false }
+        Self { window, rate, settable, said: false, steady_from: Instant::now() }
     }
 
-    /// Compares what is reached with what was asked for.
-    pub(crate) fn look(&mut self, sensor: &Sensor) {
-        let Some(period) = self.rate.period().filter(|_| !self.said) else { return };
+    /// Takes notice that scans rest for a reason that is known: the link is lost,
+    /// or the laser is off.
+    pub(crate) fn interrupted(&mut self) {
+        self.steady_from = Instant::now() + MEMORY;
+    }
+
+    /// Compares what is reached with what was asked for; gives, once, what to
+    /// tell the user.
+    pub(crate) fn look(&mut self, sensor: &Sensor) -> Option<String> {
+        let period = self.rate.period().filter(|_| !self.said)?;
+        if Instant::now() < self.steady_from {
+            return None;
+        }
         let asked = 1.0 / period.as_secs_f64();
         let stats = sensor.stats();
         let reached = stats
@@ -38,14 +53,14 @@ impl PaceWatch {
             .find(|schedule| schedule.window == self.window)
             .map_or(0.0, |schedule| schedule.reached);
         // Zero until there is something to average.
-        if reached > 0.0 && reached < ENOUGH * asked {
+        (reached > 0.0 && reached < ENOUGH * asked).then(|| {
             self.said = true;
             let speed = match &*sensor.state().borrow() {
                 State::Connected { line_speed, .. } => *line_speed,
                 _ => None,
             };
-            notice(self.text(asked, reached, speed));
-        }
+            self.text(asked, reached, speed)
+        })
     }
 
     fn text(&self, asked: f64, reached: f64, speed: Option<BaudRate>) -> String {

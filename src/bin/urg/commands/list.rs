@@ -2,9 +2,12 @@
 
 use std::fmt::Write;
 
+use clap::ValueEnum;
+use serde::Serialize;
 use tokio_scip::port::{self, PortInfo};
 
 use crate::failure::{Failure, chain};
+use crate::format::json;
 use crate::notice::notice;
 use crate::output::print;
 
@@ -15,11 +18,39 @@ use crate::output::print;
 /// told from anything else: `urg info PORT` asks who is there. No port is
 /// opened.
 #[derive(Debug, clap::Args)]
-pub(crate) struct List {}
+#[command(
+    after_help = "Examples:\n  urg list\n  urg list --format json | jq -r '.[] | select(.likely_sensor).path'"
+)]
+pub(crate) struct List {
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// A line a port, and below it the names that stay the same
+    Text,
+    /// An array with an object for each port
+    Json,
+}
+
+/// A port for programs.
+#[derive(Debug, Serialize)]
+struct Entry<'a> {
+    #[serde(flatten)]
+    port: &'a PortInfo,
+    likely_sensor: bool,
+}
 
 impl List {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let ports = port::list().await.map_err(|error| Failure::Failed(chain(&error)))?;
+        if matches!(self.format, Format::Json) {
+            let entry = |port| Entry { port, likely_sensor: PortInfo::is_likely_sensor(port) };
+            let entries: Vec<_> = ports.iter().map(entry).collect();
+            return print(&json::line(&entries)?).await;
+        }
         if ports.is_empty() {
             notice("no serial ports here: plug a sensor in, or try `urg info emulated`");
         }

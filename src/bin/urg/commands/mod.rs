@@ -1,14 +1,18 @@
 //! The commands, one file each.
 
 pub(crate) mod baud;
+pub(crate) mod check;
+pub(crate) mod completions;
 pub(crate) mod emulate;
 pub(crate) mod info;
 pub(crate) mod laser;
 pub(crate) mod list;
+pub(crate) mod man;
 pub(crate) mod scan;
 #[cfg(feature = "web")]
 pub(crate) mod serve;
 pub(crate) mod stream;
+pub(crate) mod view;
 
 use crate::args::Command;
 use crate::failure::Failure;
@@ -21,6 +25,8 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
     match command {
         // Ends by itself, with what has come by then written to its end.
         Command::Stream(stream) => stream.run(&interrupt).await,
+        Command::Check(check) => check.run(&interrupt).await,
+        Command::View(view) => view.run(&interrupt).await,
         // Ends its connections first.
         #[cfg(feature = "web")]
         Command::Serve(serve) => serve.run(&interrupt).await,
@@ -30,6 +36,8 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
         Command::Laser(laser) => or_interrupt(&interrupt, laser.run()).await,
         Command::Baud(baud) => or_interrupt(&interrupt, baud.run()).await,
         Command::Emulate(emulate) => or_interrupt(&interrupt, emulate.run()).await,
+        Command::Completions(completions) => or_interrupt(&interrupt, completions.run()).await,
+        Command::Man(man) => or_interrupt(&interrupt, man.run()).await,
     }
 }
 

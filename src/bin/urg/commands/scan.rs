@@ -4,7 +4,7 @@ use clap::ValueEnum;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
-use crate::format::{csv, json, table};
+use crate::format::{csv, json, svg, table};
 use crate::output::print;
 use crate::port::{PortArg, open};
 
@@ -29,7 +29,8 @@ const EXAMPLES: &str = "\
 Examples:
   urg scan /dev/ttyACM0
   urg scan /dev/ttyACM0 --from -45deg --to 45deg
-  urg scan serial:H0713090 --format csv > scan.csv";
+  urg scan serial:H0713090 --format csv > scan.csv
+  urg scan /dev/ttyACM0 --format svg > scan.svg";
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Format {
@@ -39,6 +40,8 @@ enum Format {
     Json,
     /// A row a point
     Csv,
+    /// A picture for a report: a polar plot
+    Svg,
 }
 
 impl ScanOnce {
@@ -52,6 +55,7 @@ impl ScanOnce {
             Format::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
             Format::Json => json::scan(&scan)?,
             Format::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
+            Format::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };
         print(&text).await
     }

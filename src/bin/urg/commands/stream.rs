@@ -9,6 +9,7 @@ use crate::failure::Failure;
 use crate::feed::{Entry, Feed, Reporter};
 use crate::format::csv;
 use crate::interrupt::Interrupt;
+use crate::notice::notice;
 use crate::output::Output;
 use crate::pace::PaceWatch;
 use crate::port::{PortArg, open};
@@ -166,8 +167,14 @@ impl Run {
             // A table has no place for anything else.
             (Format::Csv, _) => {}
         }
-        if let Entry::Scan(_) = entry {
-            self.watch.look(&self.reporter.sensor);
+        match entry {
+            Entry::Scan(_) => {
+                if let Some(text) = self.watch.look(&self.reporter.sensor) {
+                    notice(text);
+                }
+            }
+            Entry::Reconnected => self.watch.interrupted(),
+            Entry::Error(_) | Entry::Missed(_) => {}
         }
         Ok(())
     }

@@ -66,7 +66,7 @@ function tell() {
     document.title = `${sensor.product} – urg`;
   }
   say("identity", [sensor?.serial_number, report.port, report.line_speed ? `${report.line_speed} baud` : null].filter(Boolean).join(" · "));
-  figure("rate", report.reached ? report.reached.toFixed(1) : "–", report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
+  figure("rate", report.reached && !report.why ? report.reached.toFixed(1) : "–", report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
   if (latency) figure("latency", (latency.last * 1000).toFixed(0), "ms");
   const damaged = Object.values(stats.malformed).reduce((sum, count) => sum + count, 0);
   const lost = damaged + stats.timeouts + stats.refused;

@@ -1,0 +1,90 @@
+//! `urg check`: a self-test of a sensor.
+
+use std::time::{Duration, Instant};
+
+use crate::args::{LinkArgs, duration};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::Output;
+use crate::port::{PortArg, open};
+use crate::selftest::{self, Step, Verdict};
+
+/// Test a sensor, with a verdict for each step
+///
+/// Finds it, asks who it is, switches its laser off and on, and streams scans
+/// for some seconds. The laser is on afterwards. A step is ok, weak (it works,
+/// and something could be better) or FAILED. The exit code is 0 unless one has
+/// failed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg check /dev/ttyACM0
+  urg check /dev/ttyUSB0 --baud 115200 --duration 60s && echo good")]
+pub(crate) struct Check {
+    #[command(flatten)]
+    port: PortArg,
+    /// How long to stream scans: 10s, 500ms, 5m, 1h
+    #[arg(long, value_name = "TIME", value_parser = duration, default_value = "5s")]
+    duration: Duration,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl Check {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = self.check() => outcome,
+            // Who asks for a verdict must not take this for a good one.
+            _ = interrupt.requested() => Err(Failure::Failed("stopped before the end".to_owned())),
+        }
+    }
+
+    async fn check(&self) -> Result<(), Failure> {
+        let port = self.port.required().await?;
+        let mut report = Report { output: Output::new(), steps: Vec::new() };
+        let begin = Instant::now();
+        match open(&port, &self.link, 1).await {
+            Ok(sensor) => {
+                report.add(selftest::link(&sensor, begin.elapsed())).await?;
+                report.add(selftest::version(&sensor).await).await?;
+                report.add(selftest::laser(&sensor).await).await?;
+                for step in selftest::scans(&sensor, self.duration).await {
+                    report.add(step).await?;
+                }
+            }
+            Err(Failure::Failed(line)) => {
+                report.add(Step::new("link", Verdict::Failed, line)).await?;
+            }
+            Err(other) => return Err(other),
+        }
+        report.end(&port.to_string()).await
+    }
+}
+
+/// What was found, written as it is found.
+struct Report {
+    output: Output,
+    steps: Vec<Step>,
+}
+
+impl Report {
+    async fn add(&mut self, step: Step) -> Result<(), Failure> {
+        self.output.write(&format!("{step}\n")).await?;
+        self.steps.push(step);
+        Ok(())
+    }
+
+    async fn end(mut self, port: &str) -> Result<(), Failure> {
+        let of = |verdict| {
+            let steps = self.steps.iter().filter(|step| step.verdict == verdict);
+            steps.map(|step| step.name).collect::<Vec<_>>().join(", ")
+        };
+        let (failed, weak) = (of(Verdict::Failed), of(Verdict::Weak));
+        let line = match (failed.as_str(), weak.as_str()) {
+            ("", "") => "all is well".to_owned(),
+            ("", weak) => format!("it works; weak: {weak}"),
+            (failed, _) => return Err(Failure::Failed(format!("{port} has FAILED: {failed}"))),
+        };
+        self.output.write(&format!("\n{line}\n")).await
+    }
+}

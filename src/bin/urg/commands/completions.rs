@@ -1,0 +1,29 @@
+//! `urg completions`: what a shell needs to complete command lines.
+
+use clap::CommandFactory;
+use clap_complete::Shell;
+
+use crate::args::Cli;
+use crate::failure::Failure;
+use crate::output::print;
+
+/// Write completions for a shell
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg completions bash > ~/.local/share/bash-completion/completions/urg
+  urg completions zsh > ~/.zfunc/_urg
+  urg completions fish > ~/.config/fish/completions/urg.fish")]
+pub(crate) struct Completions {
+    /// Which shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+impl Completions {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let mut script = Vec::new();
+        clap_complete::generate(self.shell, &mut Cli::command(), "urg", &mut script);
+        print(&String::from_utf8_lossy(&script)).await
+    }
+}

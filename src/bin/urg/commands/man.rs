@@ -1,0 +1,38 @@
+//! `urg man`: the manual pages, for packagers.
+
+use clap::CommandFactory;
+use clap_mangen::Man;
+
+use crate::args::Cli;
+use crate::failure::Failure;
+use crate::output::print;
+
+/// Write a manual page
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg man | man -l -
+  urg man scan > urg-scan.1")]
+pub(crate) struct Manual {
+    /// The command that the page is about; without one, the program
+    command: Option<String>,
+}
+
+impl Manual {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let failed = |error: std::io::Error| Failure::of("cannot write the page", &error);
+        let mut program = Cli::command();
+        // Commands get their full names and the options that all have.
+        program.build();
+        let about = match &self.command {
+            None => program,
+            Some(name) => program.find_subcommand(name).cloned().ok_or_else(|| {
+                Failure::Usage(format!("{name:?} is no command: `urg help` lists them"))
+            })?,
+        };
+        let mut page = Vec::new();
+        let title = about.get_display_name().unwrap_or("urg").to_owned();
+        Man::new(about).title(title.to_uppercase()).render(&mut page).map_err(failed)?;
+        print(&String::from_utf8_lossy(&page)).await
+    }
+}

@@ -1,0 +1,56 @@
+//! `urg view`: a live radar in the terminal.
+
+use tokio_scip::Rate;
+
+use crate::args::{LinkArgs, WindowArgs};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::port::{PortArg, open};
+use crate::view::{Screen, Viewer};
+
+/// Show a live radar in the terminal
+///
+/// Goes on by itself when the sensor is unplugged and comes back. `?` shows the
+/// keys, `q` quits. NO_COLOR=1 does without colours.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg view /dev/ttyACM0
+  urg view /dev/ttyUSB0 --baud 115200 --cluster 2
+  urg view emulated --from -90deg --to 90deg")]
+pub(crate) struct View {
+    #[command(flatten)]
+    port: PortArg,
+    /// Scans a second, or `max` for as fast as the sensor answers
+    #[arg(long, value_name = "HZ", default_value = "10")]
+    rate: Rate,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl View {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let window = self.window.window()?;
+        let port = self.port.required().await?;
+        Screen::possible()?;
+        let opening = async {
+            let sensor = open(&port, &self.link, 1).await?;
+            Viewer::new(&port, sensor, window, self.rate).await
+        };
+        // What cannot be opened is told on the terminal as it is.
+        let mut viewer = tokio::select! {
+            opened = opening => opened?,
+            _ = interrupt.requested() => return Ok(()),
+        };
+        let mut screen = Screen::take()?;
+        let outcome = tokio::select! {
+            outcome = viewer.run(&mut screen) => outcome,
+            _ = interrupt.requested() => Ok(()),
+        };
+        screen.give_back().await;
+        viewer.finish().await;
+        outcome
+    }
+}

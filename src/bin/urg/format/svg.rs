@@ -1,0 +1,305 @@
+//! A scan as a picture for a report: a polar plot in SVG, in millimetres of
+//! paper, 180 mm wide, so that it fits on a page of A4.
+
+use std::fmt::{self, Write};
+
+use tokio_scip::{Point, Scan, Version};
+
+use super::utc::Utc;
+use crate::plot::lack::{Lack, Tally};
+use crate::plot::{self, Anchor, Place, REACH, Sector};
+
+const WIDTH: f64 = 180.0;
+/// Above and below the plot, and on each side of it.
+const MARGIN: f64 = 14.0;
+const HEADER: f64 = 21.0;
+/// No plot is higher, whatever its sector.
+const MOST: f64 = 170.0;
+const LINE: f64 = 4.6;
+/// Between the tracks outside of the sector that show what has no distance.
+const TRACK: f64 = 1.7;
+/// Longer texts of the sensor are cut.
+const LONGEST: usize = 90;
+
+const STYLE: &str = "\
+text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1px; fill: #222 }
+.title { font-size: 5px; font-weight: bold }
+.small { font-size: 2.7px; fill: #555 }
+.sector { fill: #f6f7f9; stroke: #8a929c; stroke-width: 0.25 }
+.ring { fill: none; stroke: #aab2bb; stroke-width: 0.2 }
+.seen { fill: #d7e6f5; stroke: none }
+.points { fill: #0b4f8a; stroke: none }
+.track { fill: none; stroke-width: 1.1 }
+.far { stroke: #7a8794 }
+.weak { stroke: #e08a00 }
+.none { stroke: #c2185b }
+.sensor { fill: #222 }";
+
+/// The whole picture, with who measured.
+pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
+    let paper = Paper::of(Sector::of(scan.window()));
+    let mut text = String::with_capacity(64 * 1024);
+    // Writing to a string does not fail.
+    let _ = paper.picture(&mut text, scan, version);
+    text
+}
+
+/// Where the plot is on the paper.
+struct Paper {
+    sector: Sector,
+    /// Millimetres of paper for a metre.
+    scale: f64,
+    /// Where the sensor is.
+    x: f64,
+    y: f64,
+    /// Where the plot ends.
+    bottom: f64,
+}
+
+impl Paper {
+    fn of(sector: Sector) -> Self {
+        let extent = sector.extent();
+        let (width, height) = (extent.left + extent.right, extent.ahead + extent.behind);
+        let room = WIDTH - 2.0 * MARGIN;
+        let scale = (room / width).min(MOST / height) / REACH;
+        let radius = scale * REACH;
+        let top = HEADER + MARGIN;
+        Self {
+            sector,
+            scale,
+            // In the middle of the paper, also where it is narrower.
+            x: (WIDTH - radius * width) / 2.0 + radius * extent.left,
+            y: top + radius * extent.ahead,
+            bottom: top + radius * height + MARGIN,
+        }
+    }
+
+    fn picture(&self, out: &mut String, scan: &Scan, version: &Version) -> fmt::Result {
+        let height = self.bottom + 7.0 * LINE;
+        writeln!(out, r#"<?xml version="1.0" encoding="UTF-8"?>"#)?;
+        write!(out, r#"<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}mm" "#)?;
+        writeln!(out, r#"height="{height:.1}mm" viewBox="0 0 {WIDTH} {height:.1}">"#)?;
+        let who = format!("{} {}", version.product, version.serial_number);
+        let when = Utc::from(scan.stamp());
+        writeln!(out, "<title>Scan of {}, {when}</title>", xml(&who))?;
+        writeln!(out, "<style>\n{STYLE}\n</style>")?;
+        writeln!(out, r##"<rect width="100%" height="100%" fill="#fff"/>"##)?;
+        self.header(out, &who, when, scan, version)?;
+        self.seen(out, scan)?;
+        self.grid(out)?;
+        self.points(out, scan)?;
+        self.lacks(out, scan)?;
+        self.legend(out, scan)?;
+        writeln!(out, "</svg>")
+    }
+
+    /// Who, when and what.
+    fn header(
+        &self,
+        out: &mut String,
+        who: &str,
+        when: Utc,
+        scan: &Scan,
+        version: &Version,
+    ) -> fmt::Result {
+        let window = scan.window();
+        let cluster = match window.cluster_count() {
+            1 => String::new(),
+            count => format!(", {count} steps a point"),
+        };
+        let what = format!(
+            "{when}, steps {} to {} ({:.1}° to {:.1}°){cluster}",
+            window.start(),
+            window.end(),
+            window.start().degrees(),
+            window.end().degrees()
+        );
+        let firmware = format!("firmware {}", version.firmware);
+        for (class, y, text) in
+            [("title", 8.0, who), ("what", 14.0, &what), ("small", 18.5, &firmware)]
+        {
+            writeln!(out, r#"<text class="{class}" x="5" y="{y}">{}</text>"#, xml(&clip(text)))?;
+        }
+        Ok(())
+    }
+
+    /// Range rings and directions with their names.
+    fn grid(&self, out: &mut String) -> fmt::Result {
+        let (sector, radius) = (self.sector, self.scale * REACH);
+        let (x, y) = (self.x, self.y);
+        for ring in plot::rings(REACH) {
+            writeln!(out, r#"<path class="ring" d="M{}"/>"#, self.arc(sector, ring))?;
+        }
+        for degrees in sector.directions() {
+            let angle = f64::from(degrees).to_radians();
+            let (to_x, to_y) = self.at(plot::place(REACH, angle));
+            writeln!(out, r#"<path class="ring" d="M{x:.2} {y:.2}L{to_x:.2} {to_y:.2}"/>"#)?;
+            // Outside of the tracks.
+            let (x, y) = self.at(plot::place((radius + 10.5) / self.scale, angle));
+            label(out, "what", Anchor::Middle, (x, y), &format!("{degrees}°"))?;
+        }
+        for ring in plot::rings(REACH) {
+            let (place, anchor) = sector.beside(ring, 2.6 / self.scale);
+            label(out, "small", anchor, self.at(place), &format!("{ring} m"))?;
+        }
+        Ok(())
+    }
+
+    /// The sector, and in it the space between sensor and points: the laser
+    /// went through there.
+    fn seen(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+        let (x, y, rim) = (self.x, self.y, self.arc(self.sector, REACH));
+        writeln!(out, r#"<path class="sector" d="M{x:.2} {y:.2}L{rim}Z"/>"#)?;
+        let half = plot::width(scan.window().cluster_count()) / 2.0;
+        let (mut seen, mut open) = (String::new(), false);
+        for (angle, measurement) in scan.angles().map(f64::from).zip(scan.measurements()) {
+            let Some(millimetres) = measurement.distance() else {
+                open = false;
+                continue;
+            };
+            if !std::mem::replace(&mut open, true) {
+                write!(seen, "M{x:.2} {y:.2}")?;
+            }
+            let range = f64::from(millimetres) / 1000.0;
+            for angle in [angle - half, angle + half] {
+                let (x, y) = self.at(plot::place(range, angle));
+                write!(seen, "L{x:.2} {y:.2}")?;
+            }
+        }
+        writeln!(out, r#"<path class="seen" d="{seen}"/>"#)
+    }
+
+    fn points(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+        writeln!(out, r#"<g class="points">"#)?;
+        for point in scan.points() {
+            let (x, y) = self.at(plot::place(point.range.into(), point.angle.into()));
+            writeln!(out, r#"<circle cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
+        }
+        writeln!(out, "</g>")?;
+        writeln!(out, r#"<circle class="sensor" cx="{:.2}" cy="{:.2}" r="1"/>"#, self.x, self.y)
+    }
+
+    /// Outside of the sector a track for each kind of error code, so that they
+    /// differ without colours too.
+    fn lacks(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+        let half = plot::width(scan.window().cluster_count()) / 2.0;
+        for (track, lack) in (1..).zip(Lack::ALL.into_iter().rev()) {
+            let radius = REACH + f64::from(track) * TRACK / self.scale;
+            let mut arcs = String::new();
+            let mut run: Option<Sector> = None;
+            let directions = scan.angles().map(f64::from).zip(scan.measurements().map(Some));
+            // One more, which ends the last run.
+            for (angle, measurement) in directions.chain([(0.0, None)]) {
+                if measurement.and_then(Lack::of) == Some(lack) {
+                    run.get_or_insert(Sector { from: angle - half, to: angle }).to = angle + half;
+                } else if let Some(run) = run.take() {
+                    write!(arcs, "M{}", self.arc(run, radius))?;
+                }
+            }
+            if !arcs.is_empty() {
+                writeln!(out, r#"<path class="track {}" d="{arcs}"/>"#, lack.name())?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What there is to see, in figures.
+    fn legend(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+        let mut y = self.bottom + LINE;
+        let mut row = |out: &mut String, mark: &str, text: &str| {
+            writeln!(out, r#"<g transform="translate(5 {y:.2})">{mark}</g>"#)?;
+            label(out, "what", Anchor::Start, (12.0, y), text)?;
+            y += LINE;
+            Ok(())
+        };
+        let tally = Tally::of(scan);
+        let mut text = format!("{} of {} points have a distance", tally.distances, scan.len());
+        let by_range = |a: &Point, b: &Point| a.range.total_cmp(&b.range);
+        if let (Some(near), Some(far)) =
+            (scan.points().min_by(by_range), scan.points().max_by(by_range))
+        {
+            let _ = write!(text, ", nearest {}, farthest {}", whereabouts(near), whereabouts(far));
+        }
+        row(out, r#"<circle class="points" cx="2" r="0.7"/>"#, &text)?;
+        for (lack, track) in Lack::ALL.into_iter().zip(["outer", "middle", "inner"]) {
+            let mut text = format!("{} {}", tally.count(lack), lack.meaning());
+            for (n, (value, count)) in tally.values(lack).enumerate() {
+                let before = if n == 0 { " (" } else { ", " };
+                let _ = write!(text, "{before}code {value}: {count}");
+            }
+            if tally.count(lack) > 0 {
+                let _ = write!(text, "), {track} track");
+            }
+            row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, lack.name()), &text)?;
+        }
+        y += 1.0;
+        let about = concat!(
+            "Seen from above, the sensor's front up; ranges in metres, ",
+            "angles counter-clockwise from the front. Drawn by urg ",
+            env!("CARGO_PKG_VERSION"),
+            "."
+        );
+        label(out, "small", Anchor::Start, (5.0, y), about)
+    }
+
+    fn at(&self, place: Place) -> (f64, f64) {
+        (self.x + place.right * self.scale, self.y - place.ahead * self.scale)
+    }
+
+    /// A path along an arc, without its first `M`.
+    fn arc(&self, sector: Sector, range: f64) -> String {
+        let (x, y) = self.at(plot::place(range, sector.from));
+        let (to_x, to_y) = self.at(plot::place(range, sector.to));
+        let radius = range * self.scale;
+        let large = u8::from(sector.to - sector.from > std::f64::consts::PI);
+        format!("{x:.2} {y:.2}A{radius:.2} {radius:.2} 0 {large} 0 {to_x:.2} {to_y:.2}")
+    }
+}
+
+/// Text at a place, up and down its middle.
+fn label(
+    out: &mut String,
+    class: &str,
+    anchor: Anchor,
+    (x, y): (f64, f64),
+    text: &str,
+) -> fmt::Result {
+    let y = y + 1.1;
+    let anchor = match anchor {
+        Anchor::Start => "start",
+        Anchor::Middle => "middle",
+        Anchor::End => "end",
+    };
+    writeln!(
+        out,
+        r#"<text class="{class}" text-anchor="{anchor}" x="{x:.2}" y="{y:.2}">{}</text>"#,
+        xml(text)
+    )
+}
+
+fn whereabouts(point: Point) -> String {
+    format!("{:.3} m at {:.1}°", point.range, point.angle.to_degrees())
+}
+
+fn clip(text: &str) -> String {
+    match text.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", text.get(..end).unwrap_or_default()),
+        None => text.to_owned(),
+    }
+}
+
+/// Text as XML has it. Control characters, which XML lacks, are left out.
+fn xml(text: &str) -> String {
+    let mut escaped = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => escaped.push_str("&amp;"),
+            '<' => escaped.push_str("&lt;"),
+            '>' => escaped.push_str("&gt;"),
+            '"' => escaped.push_str("&quot;"),
+            c if c.is_control() => {}
+            c => escaped.push(c),
+        }
+    }
+    escaped
+}

@@ -1,0 +1,352 @@
+//! The self-test of a sensor: its steps, and what counts as good, weak and
+//! failed.
+
+use std::fmt;
+use std::time::{Duration, Instant};
+
+use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
+
+use crate::failure::chain;
+use crate::pace::ENOUGH;
+
+/// More than this part of the polls lost is a failure; less is weak.
+const MOST_LOST: f64 = 0.05;
+/// Below this part of what the line could carry, the rate is a failure.
+const HALF: f64 = 0.5;
+/// A sensor answers in a turn of its motor, and takes another one at most.
+const TURNS: f64 = 2.5;
+
+/// How a step went.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Verdict {
+    Ok,
+    Weak,
+    Failed,
+}
+
+/// A step and its verdict.
+#[derive(Debug, Clone)]
+pub(crate) struct Step {
+    pub(crate) name: &'static str,
+    pub(crate) verdict: Verdict,
+    /// What was found, and why it is not good where it is not.
+    text: String,
+}
+
+impl Step {
+    pub(crate) fn new(name: &'static str, verdict: Verdict, text: impl Into<String>) -> Self {
+        Self { name, verdict, text: text.into() }
+    }
+
+    pub(crate) fn failed(name: &'static str, error: &Error) -> Self {
+        Self::new(name, Verdict::Failed, chain(error))
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = match self.verdict {
+            Verdict::Ok => "ok",
+            Verdict::Weak => "weak",
+            Verdict::Failed => "FAILED",
+        };
+        write!(f, "{verdict:<7} {:<8} {}", self.name, self.text)
+    }
+}
+
+/// That the sensor was found, `after` so long.
+pub(crate) fn link(sensor: &Sensor, after: Duration) -> Step {
+    let place = match line_speed(sensor) {
+        Some(speed) => format!("at {speed} baud"),
+        None => "on USB".to_owned(),
+    };
+    Step::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
+}
+
+/// Who it is.
+pub(crate) async fn version(sensor: &Sensor) -> Step {
+    const NAME: &str = "version";
+    let version = match sensor.version().await {
+        Ok(version) => version,
+        Err(error) => return Step::failed(NAME, &error),
+    };
+    let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
+    let status = version.status.as_ref().map(ToString::to_string);
+    match status {
+        _ if version.product.is_empty() || version.serial_number.is_empty() => {
+            Step::new(NAME, Verdict::Weak, format!("it does not say who it is: {who}"))
+        }
+        Some(status) if !status.contains("Normal") => {
+            Step::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
+        }
+        _ => Step::new(NAME, Verdict::Ok, who),
+    }
+}
+
+/// Switches it off and on; the driver makes sure of both.
+pub(crate) async fn laser(sensor: &Sensor) -> Step {
+    const NAME: &str = "laser";
+    for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
+        if let Err(error) = switched {
+            let text = format!("cannot be switched {state}: {}", chain(&error));
+            return Step::new(NAME, Verdict::Failed, text);
+        }
+    }
+    Step::new(NAME, Verdict::Ok, "goes off and on")
+}
+
+/// Streams the detection window for a while, at the pace of its motor.
+pub(crate) async fn scans(sensor: &Sensor, duration: Duration) -> Vec<Step> {
+    match Measured::over(sensor, duration).await {
+        Ok(measured) => measured.steps(),
+        Err(error) => vec![Step::failed("polls", &error)],
+    }
+}
+
+/// What came while it was watched.
+#[derive(Debug)]
+struct Measured {
+    line_speed: Option<BaudRate>,
+    /// Turns of the motor a second.
+    asked: f64,
+    scans: Vec<Seen>,
+    /// What the driver counted before and after.
+    before: Stats,
+    after: Stats,
+}
+
+/// What is kept of a scan.
+#[derive(Debug)]
+struct Seen {
+    requested_at: Instant,
+    received_at: Instant,
+    points: usize,
+    distances: usize,
+}
+
+impl Measured {
+    async fn over(sensor: &Sensor, duration: Duration) -> Result<Self, Error> {
+        let version = sensor.version().await?;
+        let rpm = version.specification.and_then(|specification| specification.motor_speed);
+        let asked = f64::from(rpm.unwrap_or(600)) / 60.0;
+        let before = sensor.stats();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(asked)).await?;
+        let mut scans = Vec::new();
+        let watch = async {
+            // Errors are counted by the driver.
+            while let Some(item) = stream.next().await {
+                scans.extend(item.ok().as_ref().map(Seen::of));
+            }
+        };
+        let _ = tokio::time::timeout(duration, watch).await;
+        drop(stream);
+        // Behind the poll that is under way; its outcome is in the figures.
+        let _ = sensor.laser_on().await;
+        Ok(Self { line_speed: line_speed(sensor), asked, scans, before, after: sensor.stats() })
+    }
+
+    fn steps(&self) -> Vec<Step> {
+        let polls = self.polls();
+        if self.scans.is_empty() {
+            return vec![polls];
+        }
+        vec![polls, self.rate(), self.latency(), self.sight()]
+    }
+
+    fn count(&self, counter: impl Fn(&Stats) -> u64) -> u64 {
+        counter(&self.after).saturating_sub(counter(&self.before))
+    }
+
+    fn polls(&self) -> Step {
+        let polls = self.count(|stats| stats.polls);
+        let lost = polls.saturating_sub(self.count(|stats| stats.scans));
+        let reasons = [
+            (self.count(|stats| stats.timeouts), "late"),
+            (self.count(|stats| stats.malformed.total()), "damaged"),
+            (self.count(|stats| stats.refused), "refused"),
+            (self.count(|stats| stats.disconnects), "times the link was lost"),
+        ];
+        let reasons: Vec<_> = reasons
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, reason)| format!("{count} {reason}"))
+            .collect();
+        let verdict = if polls == 0
+            || self.scans.is_empty()
+            || self.count(|stats| stats.disconnects) > 0
+            || lost as f64 > MOST_LOST * polls as f64
+        {
+            Verdict::Failed
+        } else if lost > 0 || !reasons.is_empty() {
+            Verdict::Weak
+        } else {
+            Verdict::Ok
+        };
+        let mut text = format!("{} of {polls} answered with a whole scan", polls - lost);
+        if !reasons.is_empty() {
+            text.push_str(": ");
+            text.push_str(&reasons.join(", "));
+            text.push_str("; look at cable, plugs and power");
+        }
+        Step::new("polls", verdict, text)
+    }
+
+    fn rate(&self) -> Step {
+        const NAME: &str = "rate";
+        let (Some(first), Some(last)) = (self.scans.first(), self.scans.last()) else {
+            return Step::new(NAME, Verdict::Failed, "no scan came");
+        };
+        let time = last.received_at.saturating_duration_since(first.received_at).as_secs_f64();
+        if time <= 0.0 {
+            return Step::new(NAME, Verdict::Weak, "only one scan came: test for longer");
+        }
+        let reached = (self.scans.len() - 1) as f64 / time;
+        let asked = self.asked;
+        let text = format!("{reached:.1} scans a second of {asked:.1}");
+        // What the line carries, where it has a speed.
+        let carried = self
+            .line_speed
+            .map_or(f64::INFINITY, |speed| 1.0 / Window::DETECTION.wire_time(speed).as_secs_f64());
+        if reached >= ENOUGH * asked {
+            Step::new(NAME, Verdict::Ok, text)
+        } else if reached < HALF * asked.min(carried) {
+            Step::new(NAME, Verdict::Failed, format!("{text}: far less than it should be"))
+        } else if carried < asked / ENOUGH {
+            let text = format!("{text}: the line carries {carried:.1}; --baud 250000 would do");
+            Step::new(NAME, Verdict::Weak, text)
+        } else {
+            Step::new(NAME, Verdict::Weak, format!("{text}: some turns of the motor are missed"))
+        }
+    }
+
+    fn latency(&self) -> Step {
+        let took = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
+        let longest = self.scans.iter().map(took).max().unwrap_or_default();
+        let mean = self.scans.iter().map(took).sum::<Duration>() / self.scans.len().max(1) as u32;
+        let (mean, most) = (mean.as_millis(), longest.as_millis());
+        let text = format!("a whole scan comes in {mean} ms, {most} ms at most");
+        let wire = self.line_speed.map(|speed| Window::DETECTION.wire_time(speed));
+        let good = Duration::from_secs_f64(TURNS / self.asked) + wire.unwrap_or_default();
+        if longest <= good {
+            return Step::new("latency", Verdict::Ok, text);
+        }
+        let text = format!("{text}: more than {} ms is slow", good.as_millis());
+        Step::new("latency", Verdict::Weak, text)
+    }
+
+    fn sight(&self) -> Step {
+        const NAME: &str = "sight";
+        let points = self.scans.iter().map(|seen| seen.points).max().unwrap_or_default();
+        let distances = self.scans.iter().map(|seen| seen.distances).sum::<usize>();
+        let distances = distances / self.scans.len().max(1);
+        let text = format!("{distances} of {points} points have a distance");
+        let repeats = self.count(|stats| stats.repeats) as usize;
+        if distances == 0 {
+            Step::new(NAME, Verdict::Weak, format!("{text}: is it covered, or alone in a field?"))
+        } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
+            let text = format!("{text}, the same in all scans: does it measure at all?");
+            Step::new(NAME, Verdict::Weak, text)
+        } else {
+            Step::new(NAME, Verdict::Ok, text)
+        }
+    }
+}
+
+impl Seen {
+    fn of(scan: &Scan) -> Self {
+        Self {
+            requested_at: scan.requested_at(),
+            received_at: scan.received_at(),
+            points: scan.len(),
+            distances: scan.points().count(),
+        }
+    }
+}
+
+fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
+    match &*sensor.state().borrow() {
+        State::Connected { line_speed, .. } => *line_speed,
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio_scip::emulator::{Builder, Codes, Emulator, Fault, Faults, Look};
+
+    use super::*;
+
+    /// The steps that are not good, on the paused clock.
+    async fn test(builder: Builder, faults: Faults) -> (Vec<(&'static str, Verdict)>, String) {
+        let emulator = builder.build();
+        let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+        emulator.set_faults(faults);
+        let mut steps = vec![link(&sensor, Duration::ZERO), version(&sensor).await];
+        steps.push(laser(&sensor).await);
+        steps.extend(scans(&sensor, Duration::from_secs(10)).await);
+        let text = steps.iter().map(|step| format!("{step}\n")).collect();
+        let bad = steps.into_iter().filter(|step| step.verdict != Verdict::Ok);
+        (bad.map(|step| (step.name, step.verdict)).collect(), text)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_good_sensor_passes_every_step() {
+        let (bad, text) = test(Emulator::builder().usb(), Faults::none()).await;
+        assert_eq!(bad, [], "{text}");
+        assert_eq!(text.lines().count(), 7, "{text}");
+        assert!(text.contains("10.0 scans a second of 10.0"), "{text}");
+        let fast = Emulator::builder().line_speed(BaudRate::B750000);
+        let (bad, text) = test(fast, Faults::none()).await;
+        assert_eq!(bad, [], "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_line_is_weak_and_told_what_helps() {
+        let slow = Emulator::builder().line_speed(BaudRate::B19200);
+        let (bad, text) = test(slow, Faults::none()).await;
+        assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
+        assert!(text.contains("--baud 250000"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn some_loss_is_weak_and_much_is_a_failure() {
+        let one = Faults::none().at(20, Fault::Lost);
+        let (bad, text) = test(Emulator::builder().usb(), one).await;
+        assert!(bad.contains(&("polls", Verdict::Weak)), "{text}");
+        assert!(!bad.iter().any(|(_, verdict)| *verdict == Verdict::Failed), "{text}");
+        assert!(text.contains("1 late"), "{text}");
+        let much = Faults::none().rate(0.2, Fault::Damaged).seed(1);
+        let (bad, text) = test(Emulator::builder().usb(), much).await;
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+        assert!(text.contains("damaged"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_falls_silent_fails() {
+        let silent = Faults::none().every(Fault::Lost);
+        let (bad, text) = test(Emulator::builder().usb(), silent).await;
+        assert!(bad.contains(&("laser", Verdict::Failed)), "{text}");
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_sees_nothing_or_always_the_same_is_weak() {
+        let dark = |_: Look, codes: &mut Codes| codes.fill(3);
+        let (bad, text) = test(Emulator::builder().usb().world(dark), Faults::none()).await;
+        assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
+        let wall = |_: Look, codes: &mut Codes| codes.fill(1000);
+        let (bad, text) = test(Emulator::builder().usb().world(wall), Faults::none()).await;
+        assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_does_not_say_who_it_is_is_weak() {
+        let nobody = Emulator::builder().usb().version_lines(["PROT:SCIP 1.0"]);
+        let (bad, text) = test(nobody, Faults::none()).await;
+        assert_eq!(bad, [("version", Verdict::Weak)], "{text}");
+        let broken = ["PROD:URG", "SERI:H1", "STAT:FW Laser trouble"];
+        let (bad, text) =
+            test(Emulator::builder().usb().version_lines(broken), Faults::none()).await;
+        assert_eq!(bad, [("version", Verdict::Weak)], "{text}");
+    }
+}

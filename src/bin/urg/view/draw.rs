@@ -1,0 +1,150 @@
+//! The screen: a title, the radar and the figures beside it, a line for what
+//! happens, a line of keys, and the help on top.
+
+use ratatui::Frame;
+use ratatui::layout::{Alignment, Constraint, Layout, Rect};
+use ratatui::style::{Modifier, Style};
+use ratatui::text::Line;
+use ratatui::widgets::{Block, Clear, Paragraph};
+
+use super::model::Model;
+use super::palette::Palette;
+use super::{panel, radar};
+
+/// In less than this nothing can be seen.
+const LEAST: (u16, u16) = (30, 10);
+/// From this width on there is a panel.
+const WITH_PANEL: u16 = 64;
+
+const KEYS: [(&str, &str); 7] = [
+    ("?", "help"),
+    ("+ -", "zoom"),
+    ("space", "pause"),
+    ("w", "window"),
+    ("l", "laser"),
+    ("s", "save"),
+    ("q", "quit"),
+];
+
+const HELP: &str = "\
++ -      zoom in and out; 0 shows all
+space    hold the picture; the sensor goes on
+w        next window: detection, ±90°, ±45°, full
+← →      turn the window by 15°
+↑ ↓      widen and narrow it by 15° on each side
+c        steps that make a point: 1, 2, 4, 8
+l        switch the laser off and on; it stays so
+s        save the picture as SVG, here
+q        quit, as does Ctrl-C
+
+Points are coloured by distance. At the rim are
+the directions without one:
+^ far    possibly beyond the range
+~ weak   too little light came back
+x none   no distance for other reasons";
+
+/// Draws all of it.
+pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
+    let area = frame.area();
+    let (width, height) = LEAST;
+    if area.width < width || area.height < height {
+        let text = format!("too small:\n{width}x{height} is\nthe least");
+        frame.render_widget(Paragraph::new(text), area);
+        return;
+    }
+    let rows =
+        [Constraint::Length(1), Constraint::Min(0), Constraint::Length(1), Constraint::Length(1)];
+    let [title, body, news, keys] = Layout::vertical(rows).areas(area);
+    frame.render_widget(Paragraph::new(title_line(model)).style(Palette::bar()), title);
+    if let Some(held) = panel::held(model) {
+        frame.render_widget(
+            Line::raw(held).alignment(Alignment::Right).style(Palette::bar()),
+            title,
+        );
+    }
+    if body.width >= WITH_PANEL {
+        let wide = if body.width >= 120 { 36 } else { 28 };
+        let columns = [Constraint::Min(0), Constraint::Length(wide)];
+        let [plot, figures] = Layout::horizontal(columns).areas(body);
+        radar::draw(frame, plot, model, palette);
+        let figures = Rect { x: figures.x + 1, width: figures.width - 1, ..figures };
+        let lines = panel::lines(model, palette, figures.height);
+        frame.render_widget(Paragraph::new(lines), figures);
+    } else {
+        radar::draw(frame, body, model, palette);
+    }
+    tell(frame, news, model, palette);
+    frame.render_widget(key_line(), keys);
+    if model.help {
+        help(frame, body);
+    }
+}
+
+fn title_line(model: &Model) -> String {
+    format!(" urg view  {}", panel::who(model))
+}
+
+/// What happens, the most urgent first; what is long goes over the plot.
+fn tell(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
+    let (text, style) = if let Some(trouble) = panel::trouble(&model.state) {
+        (trouble, palette.bad().add_modifier(Modifier::BOLD))
+    } else if let Some(message) = model.message() {
+        (message.to_owned(), palette.poor())
+    } else if !model.laser {
+        ("the laser is off: no scans until l switches it on".to_owned(), palette.poor())
+    } else if area.width < WITH_PANEL {
+        (panel::brief(model), Style::new())
+    } else {
+        return;
+    };
+    let lines = wrapped(&text, area.width.saturating_sub(2).into());
+    // The title and the key line stay.
+    let rows = (lines.len() as u16).clamp(1, area.y.max(1));
+    let area = Rect { y: area.y + 1 - rows, height: rows, ..area };
+    frame.render_widget(Clear, area);
+    frame.render_widget(Paragraph::new(lines).style(style), area);
+}
+
+/// Lines of at most so many characters, cut between words where there are any.
+fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        for part in word.chars().collect::<Vec<_>>().chunks(width.max(1)) {
+            let part: String = part.iter().collect();
+            match lines.last_mut() {
+                Some(line) if line.is_empty() => line.push_str(&part),
+                Some(line) if line.chars().count() + 1 + part.chars().count() <= width => {
+                    line.push(' ');
+                    line.push_str(&part);
+                }
+                _ => lines.push(part),
+            }
+        }
+    }
+    lines.into_iter().map(|line| Line::raw(format!(" {line}"))).collect()
+}
+
+fn key_line() -> Line<'static> {
+    let mut line = Line::default();
+    for (key, what) in KEYS {
+        line.push_span(ratatui::text::Span::styled(format!(" {key} "), Palette::bar()));
+        line.push_span(ratatui::text::Span::styled(format!(" {what}  "), Palette::quiet()));
+    }
+    line
+}
+
+fn help(frame: &mut Frame<'_>, area: Rect) {
+    let block = Block::bordered().title(" Keys, any of which closes this ");
+    let text = Paragraph::new(HELP).style(Style::new()).block(block.border_style(Palette::quiet()));
+    let height = (HELP.lines().count() as u16 + 2).min(area.height);
+    let width = (HELP.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0) as u16 + 4)
+        .min(area.width);
+    let area = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    frame.render_widget(Clear, area);
+    frame.render_widget(text, area);
+}

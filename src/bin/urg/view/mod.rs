@@ -1,0 +1,214 @@
+//! The live radar: what comes from the sensor and from the keyboard, and when
+//! the screen is drawn anew.
+
+mod draw;
+mod model;
+mod palette;
+mod panel;
+mod radar;
+mod save;
+mod screen;
+#[cfg(test)]
+mod tests;
+
+use std::time::{Duration, Instant};
+
+use crossterm::event::{Event, EventStream};
+use futures::StreamExt;
+use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
+
+pub(crate) use self::screen::Screen;
+
+use self::model::{Action, Model};
+use self::palette::Palette;
+use crate::failure::{Failure, chain};
+use crate::feed::cause;
+use crate::pace::PaceWatch;
+use crate::port::PortName;
+
+/// At least so long from one frame to the next: 20 a second.
+const FRAME: Duration = Duration::from_millis(50);
+/// How often what is told in seconds is looked at.
+const TICK: Duration = Duration::from_secs(1);
+
+/// A sensor, and what is shown of it.
+pub(crate) struct Viewer {
+    port: PortName,
+    sensor: Sensor,
+    scans: ScanStream,
+    /// What the sensor was asked for with a key, and what is being saved.
+    jobs: JoinSet<Done>,
+    pace: PaceWatch,
+    model: Model,
+    palette: Palette,
+}
+
+/// What has become of something that a key asked for.
+#[derive(Debug)]
+enum Done {
+    Watching(Window, Result<ScanStream, Error>),
+    Laser(bool, Result<(), Error>),
+    Saved(Result<String, String>),
+}
+
+impl Viewer {
+    /// Begins to poll.
+    pub(crate) async fn new(
+        port: &PortName,
+        sensor: Sensor,
+        window: Window,
+        rate: Rate,
+    ) -> Result<Self, Failure> {
+        let failed = |error| Failure::at(&port.to_string(), &error);
+        let version = sensor.version().await.map_err(failed)?;
+        let scans = sensor.scans(window, rate).await.map_err(failed)?;
+        Ok(Self {
+            pace: PaceWatch::new(port, window, rate),
+            model: Model::new(port.to_string(), version, window, rate),
+            port: port.clone(),
+            sensor,
+            scans,
+            jobs: JoinSet::new(),
+            palette: Palette::of(|name| std::env::var_os(name)),
+        })
+    }
+
+    /// Shows it until the user has seen enough, or the sensor is lost for good.
+    pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<(), Failure> {
+        let mut keys = EventStream::new();
+        let mut state = self.sensor.state();
+        let mut tick = tokio::time::interval(TICK);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut next_frame = Instant::now();
+        let mut changed = true;
+        loop {
+            let frame = async {
+                tokio::time::sleep_until(next_frame.into()).await;
+                screen.ready().await
+            };
+            tokio::select! {
+                ready = frame, if changed => {
+                    ready?;
+                    changed = false;
+                    next_frame = Instant::now() + FRAME;
+                    self.look();
+                    screen.draw(|frame| draw::draw(frame, &self.model, self.palette))?;
+                    continue;
+                }
+                event = keys.next() => match event {
+                    Some(Ok(Event::Key(key))) => match self.model.key(key) {
+                        Some(Action::Quit) => return Ok(()),
+                        action => self.act(action),
+                    },
+                    // A resize, mostly: the next frame has the new size.
+                    Some(Ok(_)) => {}
+                    Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
+                    None => return Ok(()),
+                },
+                item = self.scans.next() => match item {
+                    Some(Ok(scan)) => self.scanned(scan),
+                    Some(Err(error)) => self.trouble(&error),
+                    None => return Err(cause(&self.port, &self.sensor)),
+                },
+                Some(done) = self.jobs.join_next() => {
+                    if let Ok(done) = done {
+                        self.done(done);
+                    }
+                }
+                _ = state.changed() => {}
+                _ = tick.tick() => {}
+            }
+            changed = true;
+        }
+    }
+
+    /// Waits, not for ever, for what keys have asked for last: nobody wants
+    /// half a picture.
+    pub(crate) async fn finish(mut self) {
+        let done = async { while self.jobs.join_next().await.is_some() {} };
+        let _ = tokio::time::timeout(TICK, done).await;
+    }
+
+    /// Sees how it is now.
+    fn look(&mut self) {
+        self.model.now = Instant::now();
+        self.model.state = self.sensor.state().borrow().clone();
+        self.model.stats = self.sensor.stats();
+    }
+
+    fn scanned(&mut self, scan: Scan) {
+        if !matches!(self.model.state, State::Connected { .. }) {
+            self.pace.interrupted();
+        }
+        self.model.scanned(scan);
+        if let Some(text) = self.pace.look(&self.sensor) {
+            self.say(text);
+        }
+    }
+
+    fn trouble(&mut self, error: &Error) {
+        // That the link is lost is the state, and told as long as it is.
+        if !matches!(error, Error::Disconnected { .. }) {
+            self.say(chain(error));
+        }
+    }
+
+    fn say(&mut self, text: impl Into<String>) {
+        self.model.now = Instant::now();
+        self.model.say(text);
+    }
+
+    /// Does what a key asks for, without waiting for it.
+    fn act(&mut self, action: Option<Action>) {
+        let sensor = self.sensor.clone();
+        match action {
+            Some(Action::Watch(window)) => {
+                let rate = self.model.rate;
+                self.jobs
+                    .spawn(async move { Done::Watching(window, sensor.scans(window, rate).await) });
+            }
+            Some(Action::Laser(on)) => {
+                self.jobs.spawn(async move {
+                    let switched =
+                        if on { sensor.laser_on().await } else { sensor.laser_off().await };
+                    Done::Laser(on, switched)
+                });
+            }
+            Some(Action::Save) => match self.model.scan.clone() {
+                Some(scan) => {
+                    let version = self.model.version.clone();
+                    self.jobs.spawn_blocking(move || Done::Saved(save::save(&scan, &version)));
+                }
+                None => self.say("there is no scan yet to save"),
+            },
+            Some(Action::Quit) | None => {}
+        }
+    }
+
+    fn done(&mut self, done: Done) {
+        match done {
+            // The window may have been changed again meanwhile.
+            Done::Watching(window, Ok(scans)) if window == self.model.window => {
+                self.scans = scans;
+                self.pace = PaceWatch::new(&self.port, window, self.model.rate);
+            }
+            Done::Watching(window, Err(error)) if window == self.model.window => {
+                self.model.window = self.scans.window();
+                self.say(format!("the window stays as it was: {}", chain(&error)));
+            }
+            Done::Watching(..) => {}
+            Done::Laser(on, Ok(())) => {
+                self.model.laser = on;
+                self.pace.interrupted();
+                self.say(if on { "the laser is on" } else { "the laser is off: l switches it on" });
+            }
+            Done::Laser(_, Err(error)) => {
+                self.say(format!("the laser was not switched: {}", chain(&error)));
+            }
+            Done::Saved(Ok(path)) => self.say(format!("saved as {path}")),
+            Done::Saved(Err(error)) => self.say(error),
+        }
+    }
+}

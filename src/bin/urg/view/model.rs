@@ -1,0 +1,189 @@
+//! What the radar shows, and what each key does to it. No terminal and no
+//! sensor is in here.
+
+use std::time::{Duration, Instant};
+
+use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+use tokio_scip::{Rate, Scan, ScheduleStats, State, Stats, Version, Window};
+
+use crate::plot::REACH;
+
+/// How far the radar reaches at each zoom, in metres.
+const ZOOMS: [f64; 5] = [REACH, 3.0, 2.0, 1.0, 0.5];
+/// What the cluster count goes round.
+const CLUSTERS: [u8; 4] = [1, 2, 4, 8];
+/// How many steps an arrow key turns or widens the window by: 15 degrees.
+const TURN: i32 = 43;
+/// A window that is narrowed keeps so many steps.
+const NARROWEST: i32 = 86;
+/// How long a message stays.
+const STAYS: Duration = Duration::from_secs(6);
+
+/// All that is on the screen.
+#[derive(Debug)]
+pub(crate) struct Model {
+    /// The port as the user named it.
+    pub(crate) port: String,
+    pub(crate) version: Version,
+    pub(crate) rate: Rate,
+    /// What is asked for. The scan shown may be of the window before.
+    pub(crate) window: Window,
+    pub(crate) scan: Option<Scan>,
+    pub(crate) paused: bool,
+    pub(crate) help: bool,
+    /// Whether the laser is on, as far as anybody can know.
+    pub(crate) laser: bool,
+    pub(crate) state: State,
+    pub(crate) stats: Stats,
+    /// What is the time, for all that is told in seconds.
+    pub(crate) now: Instant,
+    message: Option<(Instant, String)>,
+    zoom: usize,
+}
+
+/// What a key asks of the sensor or the program.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Action {
+    Quit,
+    Watch(Window),
+    Laser(bool),
+    Save,
+}
+
+impl Model {
+    /// Nothing has been seen yet.
+    pub(crate) fn new(port: String, version: Version, window: Window, rate: Rate) -> Self {
+        Self {
+            port,
+            version,
+            rate,
+            window,
+            scan: None,
+            paused: false,
+            help: false,
+            laser: true,
+            state: State::Closed { error: None },
+            stats: Stats::default(),
+            now: Instant::now(),
+            message: None,
+            zoom: 0,
+        }
+    }
+
+    /// Does what a key asks for, as far as it is about the screen.
+    pub(crate) fn key(&mut self, key: KeyEvent) -> Option<Action> {
+        if key.kind == KeyEventKind::Release {
+            return None;
+        }
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        match key.code {
+            KeyCode::Char('c') if control => return Some(Action::Quit),
+            KeyCode::Char(_) if control => {}
+            // Any key but those that quit closes the help first.
+            KeyCode::Char('q') => return Some(Action::Quit),
+            _ if self.help => self.help = false,
+            KeyCode::Char('?' | 'h') | KeyCode::F(1) => self.help = true,
+            KeyCode::Char('+' | '=') => self.zoom = (self.zoom + 1).min(ZOOMS.len() - 1),
+            KeyCode::Char('-' | '_') => self.zoom = self.zoom.saturating_sub(1),
+            KeyCode::Char('0') => self.zoom = 0,
+            KeyCode::Char(' ' | 'p') => self.paused = !self.paused,
+            KeyCode::Char('l') => return Some(Action::Laser(!self.laser)),
+            KeyCode::Char('s') => return Some(Action::Save),
+            KeyCode::Char('w') => return self.watch(next_window(self.window)),
+            KeyCode::Char('c') => return self.watch(next_cluster(self.window)),
+            KeyCode::Left => return self.watch(moved(self.window, TURN, TURN)),
+            KeyCode::Right => return self.watch(moved(self.window, -TURN, -TURN)),
+            KeyCode::Up => return self.watch(moved(self.window, -TURN, TURN)),
+            KeyCode::Down => return self.watch(moved(self.window, TURN, -TURN)),
+            _ => {}
+        }
+        None
+    }
+
+    fn watch(&mut self, window: Window) -> Option<Action> {
+        (window != self.window).then(|| {
+            self.window = window;
+            // Who changes the window wants to see it.
+            self.paused = false;
+            Action::Watch(window)
+        })
+    }
+
+    /// A new scan, shown unless the picture is held.
+    pub(crate) fn scanned(&mut self, scan: Scan) {
+        if !self.paused {
+            self.scan = Some(scan);
+        }
+    }
+
+    /// Tells the user something for some seconds.
+    pub(crate) fn say(&mut self, text: impl Into<String>) {
+        self.message = Some((self.now, text.into()));
+    }
+
+    /// What there is to tell now.
+    pub(crate) fn message(&self) -> Option<&str> {
+        let (since, text) = self.message.as_ref()?;
+        (self.now.saturating_duration_since(*since) < STAYS).then_some(text)
+    }
+
+    /// How far the radar reaches, in metres.
+    pub(crate) fn reach(&self) -> f64 {
+        ZOOMS.get(self.zoom).copied().unwrap_or(REACH)
+    }
+
+    /// What the schedule that is watched gets.
+    pub(crate) fn pace(&self) -> Option<&ScheduleStats> {
+        self.stats.schedules.iter().find(|schedule| schedule.window == self.window)
+    }
+
+    /// Whether the picture is of now.
+    pub(crate) fn is_live(&self) -> bool {
+        matches!(self.state, State::Connected { .. }) && self.laser && !self.paused
+    }
+}
+
+/// From the windows that people want most the next one, at the same cluster
+/// count.
+fn next_window(window: Window) -> Window {
+    let degrees = |most: f64| Window::degrees(-most..=most).unwrap_or(Window::DETECTION);
+    let windows = [Window::DETECTION, degrees(90.0), degrees(45.0), Window::FULL];
+    let same = |other: &Window| (other.start(), other.end()) == (window.start(), window.end());
+    // From any other window, and from the last of them, to the first.
+    let next = windows.iter().skip_while(|other| !same(other)).nth(1);
+    let next = next.copied().unwrap_or(Window::DETECTION);
+    next.with_cluster_count(window.cluster_count()).unwrap_or(next)
+}
+
+fn next_cluster(window: Window) -> Window {
+    let next = CLUSTERS.into_iter().find(|count| *count > window.cluster_count()).unwrap_or(1);
+    window.with_cluster_count(next).unwrap_or(window)
+}
+
+/// The window with its two ends moved by so many steps, as far as the sensor
+/// can look. It keeps its width when both move the same way.
+fn moved(window: Window, start: i32, end: i32) -> Window {
+    let seen = Window::DETECTION;
+    let (least, most) = (i32::from(seen.start().number()), i32::from(seen.end().number()));
+    let from = i32::from(window.start().number());
+    let to = i32::from(window.end().number());
+    let (from, to) = if start == end {
+        let by = if start > 0 {
+            start.min((most - to).max(0))
+        } else {
+            start.max((least - from).min(0))
+        };
+        (from + by, to + by)
+    } else if end > 0 {
+        ((from + start).max(least.min(from)), (to + end).min(most.max(to)))
+    } else if to - from + 1 + end - start < NARROWEST {
+        (from, to)
+    } else {
+        (from + start, to + end)
+    };
+    let steps = u16::try_from(from).ok().zip(u16::try_from(to).ok());
+    steps
+        .and_then(|(from, to)| Window::new(from..=to).ok())
+        .and_then(|moved| moved.with_cluster_count(window.cluster_count()).ok())
+        .unwrap_or(window)
+}

@@ -1,0 +1,142 @@
+//! Colours, as far as the terminal has them.
+
+use std::ffi::OsString;
+
+use ratatui::style::{Color, Modifier, Style};
+
+use crate::plot::lack::Lack;
+
+/// Near to far, a colour each half metre, none of them too bright or too dark
+/// for a terminal's background.
+const MANY: [u8; 9] = [196, 202, 208, 178, 112, 35, 37, 33, 63];
+const SIXTEEN: [Color; 9] = [
+    Color::Red,
+    Color::LightRed,
+    Color::Yellow,
+    Color::Yellow,
+    Color::Green,
+    Color::Green,
+    Color::Cyan,
+    Color::Cyan,
+    Color::LightBlue,
+];
+
+/// Metres that share a colour.
+pub(crate) const BAND: f64 = 0.5;
+
+/// What the terminal can do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Palette {
+    Plain,
+    Sixteen,
+    Many,
+}
+
+impl Palette {
+    /// What the environment says of the terminal, and of the user's wish for
+    /// none (<https://no-color.org>).
+    pub(crate) fn of(variable: impl Fn(&str) -> Option<OsString>) -> Self {
+        let text = |name| variable(name).unwrap_or_default().to_string_lossy().into_owned();
+        let term = text("TERM");
+        if !text("NO_COLOR").is_empty() || term.ends_with("-m") || term.starts_with("vt") {
+            Self::Plain
+        } else if term.contains("256color") || !text("COLORTERM").is_empty() {
+            Self::Many
+        } else {
+            Self::Sixteen
+        }
+    }
+
+    /// The colours near to far, [`BAND`] metres each.
+    pub(crate) fn distances(self) -> [Color; 9] {
+        match self {
+            Self::Plain => [Color::Reset; 9],
+            Self::Sixteen => SIXTEEN,
+            Self::Many => MANY.map(Color::Indexed),
+        }
+    }
+
+    pub(crate) fn distance(self, metres: f64) -> Color {
+        // A float becomes the nearest index there is.
+        let band = (metres / BAND) as usize;
+        let colors = self.distances();
+        colors.get(band).or(colors.last()).copied().unwrap_or_default()
+    }
+
+    pub(crate) fn lack(self, lack: Lack) -> Color {
+        match (self, lack) {
+            (Self::Plain, _) => Color::Reset,
+            (_, Lack::Far) => Color::Cyan,
+            (_, Lack::Weak) => Color::Yellow,
+            (_, Lack::Nothing) => Color::Magenta,
+        }
+    }
+
+    /// Rings, and a picture that is not of now.
+    pub(crate) fn faint(self) -> Color {
+        match self {
+            Self::Plain => Color::Reset,
+            _ => Color::DarkGray,
+        }
+    }
+
+    /// Names of things.
+    pub(crate) fn quiet() -> Style {
+        Style::new().add_modifier(Modifier::DIM)
+    }
+
+    pub(crate) fn good(self) -> Style {
+        self.strong(Color::Green)
+    }
+
+    pub(crate) fn poor(self) -> Style {
+        self.strong(Color::Yellow)
+    }
+
+    pub(crate) fn bad(self) -> Style {
+        self.strong(Color::Red)
+    }
+
+    fn strong(self, color: Color) -> Style {
+        match self {
+            Self::Plain => Style::new().add_modifier(Modifier::BOLD),
+            _ => Style::new().fg(color),
+        }
+    }
+
+    /// A line that is to be seen.
+    pub(crate) fn bar() -> Style {
+        Style::new().add_modifier(Modifier::REVERSED)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn palette(variables: &[(&str, &str)]) -> Palette {
+        Palette::of(|name| {
+            variables.iter().find(|(other, _)| *other == name).map(|(_, value)| value.into())
+        })
+    }
+
+    #[test]
+    fn the_terminal_and_the_user_decide_on_colours() {
+        assert_eq!(palette(&[("TERM", "xterm-256color")]), Palette::Many);
+        assert_eq!(palette(&[("TERM", "xterm"), ("COLORTERM", "truecolor")]), Palette::Many);
+        assert_eq!(palette(&[("TERM", "linux")]), Palette::Sixteen);
+        assert_eq!(palette(&[("TERM", "xterm-256color"), ("NO_COLOR", "")]), Palette::Many);
+        assert_eq!(palette(&[("TERM", "xterm-256color"), ("NO_COLOR", "1")]), Palette::Plain);
+        assert_eq!(palette(&[("TERM", "vt100")]), Palette::Plain);
+    }
+
+    #[test]
+    fn every_distance_has_a_colour_and_near_ones_differ_from_far_ones() {
+        for palette in [Palette::Sixteen, Palette::Many] {
+            assert_ne!(palette.distance(0.02), palette.distance(4.0));
+            assert_eq!(palette.distance(4.094), palette.distances()[8]);
+            assert_eq!(palette.distance(99.0), palette.distances()[8]);
+        }
+        assert_eq!(Palette::Plain.distance(0.1), Color::Reset);
+    }
+}

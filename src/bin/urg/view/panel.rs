@@ -1,0 +1,207 @@
+//! The figures beside the radar.
+
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use tokio_scip::{Point, Scan, State};
+
+use super::model::Model;
+use super::palette::{BAND, Palette};
+use super::radar::mark;
+use crate::pace::ENOUGH;
+use crate::plot::lack::{Lack, Tally};
+
+/// The whole panel, in at most `rows` lines where that can be.
+pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
+    let panel = Panel { model, palette };
+    let mut lines = panel.link();
+    lines.push(Line::default());
+    lines.extend(panel.scan());
+    lines.push(Line::default());
+    lines.extend(panel.colors());
+    if lines.len() > usize::from(rows) {
+        lines.retain(|line| line.width() > 0);
+    }
+    lines
+}
+
+struct Panel<'a> {
+    model: &'a Model,
+    palette: Palette,
+}
+
+impl Panel<'_> {
+    fn row(&self, name: &str, value: impl Into<String>) -> Line<'static> {
+        self.styled(name, value, Style::new())
+    }
+
+    fn styled(&self, name: &str, value: impl Into<String>, style: Style) -> Line<'static> {
+        let name = Span::styled(format!("{name:<8}"), Palette::quiet());
+        Line::from(vec![name, Span::styled(value.into(), style)])
+    }
+
+    fn link(&self) -> Vec<Line<'static>> {
+        let (model, palette) = (self.model, self.palette);
+        let (link, style) = match &model.state {
+            State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
+            State::Connected { .. } => ("connected".to_owned(), palette.good()),
+            State::Recovering => ("silent".to_owned(), palette.poor()),
+            State::Disconnected { since, .. } => {
+                let seconds = model.now.saturating_duration_since(*since).as_secs();
+                (format!("LOST for {seconds} s"), palette.bad())
+            }
+            _ => ("closed".to_owned(), palette.bad()),
+        };
+        let speed = match &model.state {
+            State::Connected { line_speed: Some(speed), .. } => format!("{speed} baud"),
+            State::Connected { line_speed: None, .. } => "USB".to_owned(),
+            _ => "-".to_owned(),
+        };
+        let laser = if model.laser {
+            self.row("laser", "on")
+        } else {
+            self.styled("laser", "OFF", palette.poor())
+        };
+        let window = model.window;
+        let cluster = match window.cluster_count() {
+            1 => String::new(),
+            count => format!(" by {count}"),
+        };
+        let steps = format!("{} to {}{cluster}", window.start(), window.end());
+        let angles = format!("{:.1}° to {:.1}°", window.start().degrees(), window.end().degrees());
+        vec![
+            self.styled("link", link, style),
+            self.row("line", speed),
+            laser,
+            self.row("steps", steps),
+            self.row("", angles),
+            self.rate(),
+            self.latency(),
+            self.row("scans", model.stats.scans.to_string()),
+            self.losses(),
+        ]
+    }
+
+    fn rate(&self) -> Line<'static> {
+        let Some(pace) = self.model.pace() else { return self.row("rate", "-") };
+        let asked = match pace.asked {
+            Some(asked) => format!("of {} Hz", (asked * 10.0).round() / 10.0),
+            None => "Hz (max)".to_owned(),
+        };
+        // Zero until there is something to average.
+        if pace.reached <= 0.0 {
+            return self.row("rate", format!("- {asked}"));
+        }
+        let enough = pace.asked.is_none_or(|asked| pace.reached >= ENOUGH * asked);
+        let style = if enough { Style::new() } else { self.palette.poor() };
+        self.styled("rate", format!("{:.1} {asked}", pace.reached), style)
+    }
+
+    fn latency(&self) -> Line<'static> {
+        let latency = self.model.stats.reply_latency;
+        let text = match latency.count {
+            0 => "-".to_owned(),
+            _ => format!(
+                "{} ms ({} to {})",
+                latency.last.as_millis(),
+                latency.min.as_millis(),
+                latency.max.as_millis()
+            ),
+        };
+        self.row("latency", text)
+    }
+
+    /// Polls that brought no scan, and why.
+    fn losses(&self) -> Line<'static> {
+        let stats = &self.model.stats;
+        let kinds = [
+            (stats.timeouts, "late"),
+            (stats.malformed.total(), "damaged"),
+            (stats.refused, "refused"),
+            (stats.disconnects, "unplugged"),
+        ];
+        let lost: u64 = kinds.iter().map(|(count, _)| count).sum();
+        if lost == 0 {
+            return self.row("lost", "0");
+        }
+        let parts: Vec<_> = kinds
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, name)| format!("{count} {name}"))
+            .collect();
+        self.styled("lost", parts.join(", "), self.palette.poor())
+    }
+
+    fn scan(&self) -> Vec<Line<'static>> {
+        let Some(scan) = &self.model.scan else { return vec![self.row("points", "none yet")] };
+        let tally = Tally::of(scan);
+        let nearest =
+            scan.points().min_by(|a: &Point, b: &Point| a.range.total_cmp(&b.range)).map_or_else(
+                || "-".to_owned(),
+                |point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees()),
+            );
+        let mut lines = vec![
+            self.row("points", format!("{} of {}", tally.distances, scan.len())),
+            self.row("nearest", nearest),
+        ];
+        let hidden = scan.points().filter(|point| f64::from(point.range) > self.model.reach());
+        match hidden.count() {
+            0 => {}
+            count => lines.push(self.row("outside", format!("{count} beyond the rim"))),
+        }
+        lines.push(Line::styled("no distance, at the rim", Palette::quiet()));
+        for lack in Lack::ALL {
+            let style = Style::new().fg(self.palette.lack(lack));
+            let text = format!("{} {:<5} {}", mark(lack), lack.name(), tally.count(lack));
+            lines.push(Line::styled(text, style));
+        }
+        lines
+    }
+
+    /// What the colours stand for, where there are any.
+    fn colors(&self) -> Vec<Line<'static>> {
+        if self.palette == Palette::Plain {
+            return Vec::new();
+        }
+        let colors = self.palette.distances();
+        let mut spans = vec![Span::styled("0 ", Palette::quiet())];
+        spans.extend(colors.map(|color| Span::styled("██", Style::new().fg(color))));
+        let most = BAND * colors.len() as f64;
+        spans.push(Span::styled(format!(" {most} m"), Palette::quiet()));
+        vec![Line::from(spans)]
+    }
+}
+
+/// The most important figures, where there is no room for a panel.
+pub(crate) fn brief(model: &Model) -> String {
+    let points = match &model.scan {
+        Some(scan) => format!("{} of {} points", scan.points().count(), scan.len()),
+        None => "no scan yet".to_owned(),
+    };
+    let rate = model.pace().map_or(0.0, |pace| pace.reached);
+    format!("{points}, {rate:.1} Hz")
+}
+
+/// What is wrong with the link, in a sentence for the line that tells it.
+pub(crate) fn trouble(state: &State) -> Option<String> {
+    match state {
+        State::Disconnected { error, .. } => {
+            Some(format!("{}; it goes on when the sensor is back", crate::failure::chain(error)))
+        }
+        State::Recovering => {
+            Some("the sensor is silent: looking for it at every line speed".to_owned())
+        }
+        State::Connecting { .. } => Some("looking for the sensor".to_owned()),
+        _ => None,
+    }
+}
+
+/// The scan that is shown, for the title.
+pub(crate) fn who(model: &Model) -> String {
+    format!("{}  {} {}", model.port, model.version.product, model.version.serial_number)
+}
+
+/// Whether the picture is held.
+pub(crate) fn held(model: &Model) -> Option<String> {
+    let number = model.scan.as_ref().map(Scan::sequence)?;
+    model.paused.then(|| format!(" PAUSED at scan {number} "))
+}

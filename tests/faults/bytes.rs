@@ -1,0 +1,251 @@
+//! Exhaustive: every single damage at every place of a reply, through the whole
+//! driver, and of a full scan through the codec.
+
+use bytes::BytesMut;
+use tokio_scip::codec::{Frame, ScipCodec};
+use tokio_scip::emulator::{Emulator, Fault, FaultyLink};
+use tokio_scip::protocol::{Command, Malformed, Reply};
+use tokio_scip::{Error, Rate, Window};
+use tokio_util::codec::Decoder;
+
+use crate::common::{builder, request_of};
+use crate::rig::{Outcome, lies, prompt, scans, second_poll};
+
+const WINDOW: Window = Window::DETECTION;
+/// Echo, LF, status, LF: where the data begin.
+const DATA: usize = 12;
+
+/// The length of the second poll's reply: it asks for one step more.
+fn length() -> usize {
+    Window::new(43..=725).unwrap().reply_len()
+}
+
+/// The poll was lost, and that was told once.
+fn assert_refused(outcome: &Outcome, what: &str) {
+    let one = matches!(outcome.errors[..], [Error::Timeout { .. } | Error::Malformed { .. }]);
+    assert!(!outcome.accepted && one, "{what}: {outcome:?}");
+    assert!(outcome.stats.fences >= 2, "{what}: no fence was raised: {outcome:?}");
+}
+
+fn assert_unharmed(outcome: &Outcome, what: &str) {
+    assert!(outcome.accepted && outcome.errors.is_empty(), "{what}: {outcome:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn w01_w05_w06_w11_each_byte_lost() {
+    for at in 0..length() {
+        let outcome = second_poll(WINDOW, &[Fault::Drop(at..at + 1)]).await;
+        assert_refused(&outcome, &format!("without byte {at}"));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w02_w07_w12_each_byte_doubled() {
+    for at in 0..length() {
+        let outcome = second_poll(WINDOW, &[Fault::Repeat(at..at + 1)]).await;
+        // One more LF behind the two that end a reply does no harm.
+        let check = if at < length() - 2 { assert_refused } else { assert_unharmed };
+        check(&outcome, &format!("byte {at} twice"));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w02_w07_w12_w18_a_byte_inserted_at_each_place() {
+    for byte in [b'\n', 0, 0xff] {
+        for at in 0..=length() {
+            let outcome = second_poll(WINDOW, &[Fault::Insert(at, vec![byte])]).await;
+            // In front of a reply a NUL is skipped; behind it anything is dropped.
+            let harmless = at == length()
+                || at == length() - 1 && byte == b'\n'
+                || at == length() - 2 && byte == b'\n'
+                || at == 0 && byte == 0;
+            let check = if harmless { assert_unharmed } else { assert_refused };
+            check(&outcome, &format!("{byte:#x} before byte {at}"));
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w15_a_reply_cut_at_each_length() {
+    for kept in 0..length() {
+        let outcome = second_poll(WINDOW, &[Fault::Cut(kept)]).await;
+        assert_refused(&outcome, &format!("{kept} bytes of it"));
+        // The fence is recognised although it is glued to what was left.
+        assert_eq!(outcome.stats.fence_timeouts, 0, "{kept} bytes of it");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w10_each_block_of_64_bytes_lost_or_doubled() {
+    for start in (DATA..length() - 1).step_by(65) {
+        let block = start..(start + 65).min(length() - 1);
+        for fault in [Fault::Drop(block.clone()), Fault::Repeat(block.clone())] {
+            let outcome = second_poll(WINDOW, std::slice::from_ref(&fault)).await;
+            assert_refused(&outcome, &format!("{fault:?}"));
+            assert!(matches!(outcome.errors[..], [Error::Malformed { .. }]), "{fault:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w16_a_reply_split_at_each_place() {
+    // How many bytes come before the reply to the poll.
+    let stream = async |places: Vec<u64>| {
+        let emulator = prompt().build();
+        let link = FaultyLink::new(emulator.link()).split_reads_at(places);
+        let counter = link.counter();
+        let sensor = builder().attach(link).await.unwrap();
+        let before = counter.bytes_read();
+        let scan = sensor.scan(WINDOW).await.unwrap();
+        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        let stats = sensor.stats();
+        assert_eq!((stats.timeouts, stats.malformed.total(), stats.fences), (0, 0, 1));
+        before
+    };
+    let before = stream(Vec::new()).await;
+    for at in 1..WINDOW.reply_len() as u64 {
+        assert_eq!(stream(vec![before + at]).await, before);
+    }
+}
+
+/// Streams with one flipped bit in the reply to the second poll: whether that
+/// reply was taken, and in how many points it differs from what was sent.
+async fn flip(at: usize, bit: u8) -> Option<usize> {
+    let emulator = prompt().build();
+    let sensor = crate::rig::open(&emulator).await;
+    let window = Window::new(300..=340).unwrap();
+    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    let sent = emulator.counts().scans;
+    emulator.set_faults(tokio_scip::emulator::Faults::none().at(0, Fault::Flip(at, 1 << bit)));
+    let next = scans(&mut stream, 2).await;
+    assert!(request_of(&next[1]).is_some(), "the one after is damaged too");
+    // The fault is in the first of the two, or in none.
+    let told = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u16;
+    let wrong = next[0].values().iter().enumerate().filter(|&(step, &v)| v != told(step)).count();
+    (request_of(&next[0]).is_none_or(|request| request == sent)).then_some(wrong)
+}
+
+#[tokio::test(start_paused = true)]
+async fn w03_w04_w08_w11_w13_each_bit_flipped() {
+    let window = Window::new(300..=340).unwrap();
+    let emulator = prompt().build();
+    let sensor = crate::rig::open(&emulator).await;
+    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    // What the second poll's reply looks like: it asks one step to the left.
+    let sent = emulator.counts().scans as u16;
+    let values: Vec<u16> = (299..=340).map(|step| 20 + [sent, 0, 0][step % 3]).collect();
+    let data: Vec<u8> =
+        values.iter().flat_map(|v| [b'0' + (v >> 6) as u8, b'0' + (v & 63) as u8]).collect();
+    let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
+    let reply = [&b"G29934001\n0\n"[..], &lines, b"\n\n"].concat();
+    for (at, &byte) in reply.iter().enumerate() {
+        for bit in 0..8 {
+            let found = flip(at, bit).await;
+            let flipped = byte ^ (1 << bit);
+            let in_data = at >= DATA && byte != b'\n';
+            // In the surplus point in front no one would see it.
+            let surplus = (DATA..DATA + 2).contains(&at);
+            let expected = (in_data && (0x30..=0x6f).contains(&flipped)).then_some(if surplus {
+                0
+            } else {
+                1
+            });
+            assert_eq!(found, expected, "bit {bit} of byte {at}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
+    use tokio_scip::emulator::{Faults, Fixed, Pace};
+    // 26 * 64 + 26: "JJ", and 'J' with one bit flipped is LF.
+    let emulator =
+        Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
+    let sensor = crate::rig::open(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    for at in DATA..length() - 2 {
+        scans(&mut stream, 1).await;
+        let before = sensor.stats().scans;
+        emulator.set_faults(Faults::none().at(0, Fault::Flip(at, b'J' ^ b'\n')));
+        let error = loop {
+            match stream.next().await.unwrap() {
+                Ok(scan) => assert!(scan.values().iter().all(|&v| v == 26 * 64 + 26), "at {at}"),
+                Err(error) => break error,
+            }
+        };
+        assert!(matches!(error, Error::Malformed { .. }), "at {at}: {error:?}");
+        assert_eq!(sensor.stats().scans, before, "at {at}");
+    }
+}
+
+/// The scans that codec and reply parser together take out of `chunks`.
+fn accepted<'a>(command: &Command, chunks: impl IntoIterator<Item = &'a [u8]>) -> usize {
+    let (mut codec, mut buffer, mut count) = (ScipCodec::default(), BytesMut::new(), 0);
+    for chunk in chunks {
+        buffer.extend_from_slice(chunk);
+        while let Some(frame) = codec.decode(&mut buffer).unwrap() {
+            if let Frame::Reply(bytes) = frame {
+                count += usize::from(Reply::parse(command, &bytes).is_ok());
+            }
+        }
+    }
+    count
+}
+
+#[test]
+fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
+    let command = Command::Distances(Window::FULL);
+    let data = vec![b'C'; 2 * 769];
+    let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
+    let one = [&b"G00076801\n0\n"[..], &lines, b"\n\n"].concat();
+    assert_eq!(one.len(), 1576);
+    let three = one.repeat(3);
+    assert_eq!(accepted(&command, [&three[..]]), 3);
+    for at in 0..=three.len() {
+        assert_eq!(accepted(&command, [&three[..at], &three[at..]]), 3, "split at {at}");
+    }
+    for size in 1..=one.len() {
+        assert_eq!(accepted(&command, three.chunks(size)), 3, "in pieces of {size}");
+    }
+    for at in 0..one.len() {
+        let damaged = [&one[..at], &one[at + 1..], &one].concat();
+        assert!(accepted(&command, damaged.chunks(7)) <= 1, "without byte {at}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between_them() {
+    // No one can see it: this says what it does, and that it does no more.
+    let emulator = prompt().build();
+    let sensor = crate::rig::open(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    let faults = tokio_scip::emulator::Faults::none();
+    // Two places in the same line, twenty bytes, ten points apart.
+    let faults = faults.at(0, Fault::Drop(20..21)).at(0, Fault::Insert(40, vec![b'0']));
+    emulator.set_faults(faults);
+    let next = scans(&mut stream, 2).await;
+    let shifted = next[0].values();
+    assert_eq!(shifted.len(), 682);
+    assert!(request_of(&next[0]).is_none());
+    // The first point of the reply is surplus; ten and a half points are between.
+    let (before, after) = (&shifted[..3], &shifted[14..]);
+    let sent = |step: usize| 20 + [emulator_number(&next[1]) - 1, 0, 0][(44 + step) % 3] as u16;
+    assert!(before.iter().enumerate().all(|(step, &value)| value == sent(step)));
+    assert!(after.iter().enumerate().all(|(step, &value)| value == sent(step + 14)));
+    assert!(request_of(&next[1]).is_some(), "the scan after it is whole");
+    assert_eq!(sensor.stats().malformed.total(), 0);
+}
+
+fn emulator_number(scan: &tokio_scip::Scan) -> u64 {
+    request_of(scan).unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_damaged_reply_says_where_it_is_damaged() {
+    let outcome = second_poll(WINDOW, &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
+    let [Error::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
+    assert_eq!(*source, Malformed::LineLength { line: 3, expected: 64, found: 63 });
+}

@@ -1,0 +1,118 @@
+//! Each row of `list.txt` has a test that is named after it, and each test that
+//! is named after a row has one there.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+const LIST: &str = include_str!("list.txt");
+
+/// A row of the list.
+struct Row<'a> {
+    id: &'a str,
+    /// Why there is no test, where there cannot be one.
+    absent: Option<&'a str>,
+}
+
+/// Reads `w06  a data byte is dropped`, or, without a test,
+/// `o23  the disk is full -- absent: there is no recorder`.
+fn rows(list: &str) -> Vec<Row<'_>> {
+    let lines = list.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
+    lines
+        .map(|line| {
+            let (id, text) = line.split_once("  ").expect(line);
+            let absent = text.split_once(" -- absent: ").map(|(_, reason)| reason.trim());
+            Row { id, absent }
+        })
+        .collect()
+}
+
+fn is_id(word: &str) -> bool {
+    let [letter, digits @ ..] = word.as_bytes() else { return false };
+    b"wtdoa".contains(letter) && digits.len() == 2 && digits.iter().all(u8::is_ascii_digit)
+}
+
+/// The ids that tests in this source are named after: those at the beginning
+/// of a function's name that stands under a test attribute.
+fn tested(source: &str) -> BTreeSet<String> {
+    let mut ids = BTreeSet::new();
+    let mut under_attribute = false;
+    for line in source.lines().map(str::trim) {
+        if line.starts_with("#[test]") || line.starts_with("#[tokio::test") {
+            under_attribute = true;
+        } else if let Some(name) = line.strip_prefix("async fn ").or(line.strip_prefix("fn ")) {
+            if std::mem::take(&mut under_attribute) {
+                let words = name.split(['_', '(']).take_while(|word| is_id(word));
+                ids.extend(words.map(str::to_owned));
+            }
+        } else if !line.starts_with("#[") && !line.is_empty() {
+            under_attribute = false;
+        }
+    }
+    ids
+}
+
+/// What is wrong, a line each.
+fn complaints(list: &str, tested: &BTreeSet<String>) -> Vec<String> {
+    let rows = rows(list);
+    let mut found = Vec::new();
+    for (n, row) in rows.iter().enumerate() {
+        let has_test = tested.contains(row.id);
+        match row.absent {
+            _ if !is_id(row.id) => found.push(format!("{} is no id", row.id)),
+            _ if rows[..n].iter().any(|other| other.id == row.id) => {
+                found.push(format!("{} is there twice", row.id));
+            }
+            None if !has_test => found.push(format!("{} has no test", row.id)),
+            Some(_) if has_test => found.push(format!("{} has a test by now", row.id)),
+            Some("") => found.push(format!("{} is absent without a reason", row.id)),
+            _ => {}
+        }
+    }
+    let unknown = tested.iter().filter(|id| rows.iter().all(|row| row.id != **id));
+    found.extend(unknown.map(|id| format!("{id} is not in the list")));
+    found
+}
+
+fn read(folder: &Path, ids: &mut BTreeSet<String>) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            read(&path, ids);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            ids.extend(tested(&std::fs::read_to_string(path).unwrap()));
+        }
+    }
+}
+
+#[test]
+fn every_row_has_a_test_or_a_reason() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let mut ids = BTreeSet::new();
+    read(&root.join("tests"), &mut ids);
+    read(&root.join("src"), &mut ids);
+    let complaints = complaints(LIST, &ids);
+    assert!(complaints.is_empty(), "\n{}\n", complaints.join("\n"));
+    // 24 of the wire, 12 of time, 12 of the device, 23 of the system, 16 of tasks.
+    assert_eq!(rows(LIST).len(), 24 + 12 + 12 + 23 + 16);
+}
+
+#[test]
+fn a_row_without_a_test_is_found_and_so_is_a_test_without_a_row() {
+    let tested = |names: &[&str]| {
+        let source: String = names.iter().map(|n| format!("#[test]\nfn {n}() {{\n}}\n")).collect();
+        tested(&source)
+    };
+    let list = "# a comment\n\nw01  one\nw02  two\nt01  three -- absent: no clock\n";
+    assert_eq!(complaints(list, &tested(&["w01_w02_both"])), [""; 0]);
+    assert_eq!(complaints(list, &tested(&["w01_one"])), ["w02 has no test"]);
+    assert_eq!(complaints(list, &tested(&["w01_one", "about_w02"])), ["w02 has no test"]);
+    assert_eq!(complaints(list, &tested(&["w01_w02_t01_x"])), ["t01 has a test by now"]);
+    assert_eq!(complaints(list, &tested(&["w01_w02_w03_x"])), ["w03 is not in the list"]);
+    assert_eq!(complaints("w01  one\nw01  two", &tested(&["w01_x"])), ["w01 is there twice"]);
+    assert_eq!(complaints("w01  x -- absent: ", &tested(&[])), ["w01 is absent without a reason"]);
+    assert_eq!(complaints("x01  x", &tested(&[])), ["x01 is no id"]);
+    // A helper is no test, and neither is a comment.
+    let source =
+        "fn w01_helper() {\n}\n// #[test] fn w02_old()\n#[test]\n#[cfg(unix)]\nfn w03_x() {";
+    assert_eq!(self::tested(source).into_iter().collect::<Vec<_>>(), ["w03"]);
+}

@@ -1,0 +1,199 @@
+//! Rows D: a sensor that restarts, refuses, or is not what it was.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
+use tokio_scip::protocol::Malformed;
+use tokio_scip::{BaudRate, Error, Measurement, Rate, Window};
+
+use crate::common::{builder, ms, request_of};
+use crate::rig::{lies, open, prompt, scans};
+
+const WINDOW: Window = Window::DETECTION;
+
+#[tokio::test(start_paused = true)]
+async fn d01_a_reset_at_each_byte_of_a_reply_is_found_and_the_line_speed_restored() {
+    let window = Window::new(300..=360).unwrap();
+    for at in 0..=window.reply_len() {
+        let emulator = prompt().line_speed(BaudRate::B19200).build();
+        let sensor =
+            builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+        let mut delivered = scans(&mut stream, 1).await;
+        emulator.set_faults(Faults::none().at(0, Fault::Reset(at)));
+        let start = Instant::now();
+        while emulator.counts().resets == 0 {
+            delivered.extend(stream.next().await.unwrap());
+        }
+        delivered.extend(scans(&mut stream, 3).await);
+        assert!(start.elapsed() < Duration::from_secs(5), "byte {at}: {:?}", start.elapsed());
+        assert_eq!(lies(&emulator, &delivered), [""; 0], "byte {at}");
+        assert_eq!(emulator.line_speed(), Some(BaudRate::B115200), "byte {at}");
+        assert_eq!(sensor.stats().reconnects, 1, "byte {at}: not told");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_goes_off_again() {
+    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    sensor.laser_off().await.unwrap();
+    for _ in 0..5 {
+        emulator.power_cycle();
+        assert!(emulator.laser());
+        // What is asked for next finds the sensor at another speed.
+        while sensor.set_baud_rate(BaudRate::B57600).await.is_err() {}
+        while sensor.set_baud_rate(BaudRate::B115200).await.is_err() {}
+        assert!(!emulator.laser());
+        tokio::time::sleep(Duration::from_secs(5)).await;
+    }
+    let polls = emulator.log().into_iter().filter(|line| line.line == b"G04472501");
+    let count = polls.count() as u64;
+    assert!(count <= sensor.stats().polls, "polled while the laser was off");
+    sensor.laser_on().await.unwrap();
+    scans(&mut stream, 2).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn d03_an_hour_without_power_costs_few_attempts() {
+    // The port stays: its adapter has power.
+    let emulator = prompt().line_speed(BaudRate::B115200).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    emulator.set_faults(Faults::none().every(Fault::CommandLost));
+    let before = (emulator.counts().commands, sensor.stats());
+    tokio::time::sleep(Duration::from_secs(3600)).await;
+    // A fence at each speed takes 400 ms.
+    let commands = emulator.counts().commands - before.0;
+    assert!(commands <= 2 * 3600 * 10 / 4 + 100, "{commands} commands");
+    assert_eq!(sensor.stats().disconnects, 1);
+    let mut errors = 0;
+    while let Ok(item) = tokio::time::timeout(ms(100), stream.next()).await {
+        errors += usize::from(item.unwrap().is_err());
+    }
+    assert!(errors <= 2, "{errors}");
+    emulator.set_faults(Faults::none());
+    let start = Instant::now();
+    scans(&mut stream, 1).await;
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
+    for period in [ms(150), ms(700), ms(1900)] {
+        let emulator = prompt().line_speed(BaudRate::B19200).boot_time(ms(100)).build();
+        let sensor =
+            builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
+        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let mut delivered = scans(&mut stream, 1).await;
+        let end = Instant::now() + Duration::from_secs(120);
+        let mut next = Instant::now();
+        let mut errors = 0;
+        while next < end {
+            emulator.power_cycle();
+            next += period;
+            while let Ok(item) = tokio::time::timeout_at(next, stream.next()).await {
+                match item.unwrap() {
+                    Ok(scan) => delivered.push(scan),
+                    Err(_) => errors += 1,
+                }
+            }
+        }
+        let start = Instant::now();
+        delivered.extend(scans(&mut stream, 3).await);
+        assert!(start.elapsed() < Duration::from_secs(6), "{period:?}: {:?}", start.elapsed());
+        // A restart takes commands along that had arrived, so that these tell
+        // only the order of the answers.
+        let numbers: Vec<_> = delivered.iter().map(|scan| request_of(scan).unwrap()).collect();
+        assert!(numbers.is_sorted_by(|a, b| a < b), "{period:?}: {numbers:?}");
+        assert!(errors <= 3 * delivered.len().max(1), "{period:?}: {errors} errors");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn d07_each_status_of_refusal_is_told_and_the_line_stays_clean() {
+    let emulator = prompt().build();
+    let sensor = open(&emulator).await;
+    let fences = sensor.stats().fences;
+    for status in (0x21..=0x7e).filter(|status| !b"06".contains(status)) {
+        emulator.set_faults(Faults::none().at(0, Fault::Status(status)));
+        let error = sensor.scan(WINDOW).await.unwrap_err();
+        let Error::Refused { status: told, .. } = error else { panic!("{error:?}") };
+        assert_eq!(char::from(told), char::from(status));
+    }
+    assert_eq!(sensor.stats().fences, fences, "a refusal is no damage");
+    // `6` means that the laser is off: it is switched on, and the poll repeated.
+    emulator.set_faults(Faults::none().at(0, Fault::Status(b'6')));
+    sensor.scan(WINDOW).await.unwrap();
+    assert_eq!(sensor.stats().refused, 0x7e - 0x20 - 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn d08_only_the_four_commands_are_ever_sent_to_a_sensor_of_either_kind() {
+    for firmware in [Firmware::Text, Firmware::V3] {
+        for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
+            let emulator = prompt()
+                .firmware(firmware)
+                .empty_command(empty)
+                .line_speed(BaudRate::B57600)
+                .build();
+            let sensor = open(&emulator).await;
+            let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+            emulator.set_faults(Faults::none().rate(0.2, Fault::Damaged).rate(0.1, Fault::Lost));
+            scans(&mut stream, 20).await;
+            let _ = sensor.laser_off().await;
+            let _ = sensor.laser_on().await;
+            let _ = sensor.set_baud_rate(BaudRate::B250000).await;
+            scans(&mut stream, 5).await;
+            let log = emulator.log();
+            let odd = log.iter().find(|line| !line.garbled && line.verdict == Verdict::Malformed);
+            assert_eq!(odd, None);
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn d10_a_sensor_that_counts_its_points_differently_is_told_from_a_silent_one() {
+    // A fence asks for one point, two characters.
+    let two_points = Malformed::LineLength { line: 0, expected: 2, found: 4 };
+    for (miscount, told) in [(1, two_points), (-1, Malformed::NoData)] {
+        let error = builder().connect(prompt().miscount(miscount).build()).await.unwrap_err();
+        let Error::Malformed { source, .. } = error else { panic!("{miscount}: {error:?}") };
+        assert_eq!(source, told, "{miscount}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn d11_a_version_with_lines_missing_or_unknown_is_no_reason_not_to_scan() {
+    let cases: [&[&str]; 5] = [
+        &["VEND:x", "PROD:y"],
+        &["WHAT: is this", "SERI: H1", "  ", "no colon at all"],
+        &["SERI:", "SERI:H2"],
+        &["STAT:only this"],
+        &["VEND: a: b: c", "FIRM:(((1000[rpm]", "SERI:H3"],
+    ];
+    for lines in cases {
+        let emulator = prompt().version_lines(lines.iter().copied()).build();
+        let sensor = open(&emulator).await;
+        sensor.scan(WINDOW).await.unwrap();
+        sensor.version().await.unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn d12_a_scan_of_error_codes_alone_is_a_scan() {
+    for code in 0..20 {
+        let emulator = Emulator::builder().world(Fixed::filled(code)).build();
+        let sensor = open(&emulator).await;
+        let scan = sensor.scan(WINDOW).await.unwrap();
+        let expected = Measurement::from_value(code);
+        assert!(matches!(expected, Measurement::Error(_)), "{code}");
+        assert!(scan.measurements().all(|found| found == expected), "{code}");
+        assert!(scan.ranges().all(|range| !range.is_finite()));
+        assert_eq!(scan.points().count(), 0);
+    }
+}

@@ -1,0 +1,313 @@
+//! Rows O: what ports and systems do.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::Instant;
+use tokio_scip::emulator::{Call, Emulator, Failure, Fault, Faults, FaultyLink, Link};
+use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
+
+use crate::common::{Rigged, builder, ms};
+use crate::rig::{lies, open, prompt, scans};
+
+const WINDOW: Window = Window::DETECTION;
+
+/// What is done to a port, and to those before it.
+#[derive(Default)]
+struct Ledger {
+    open: AtomicU64,
+    discarded: AtomicU64,
+    reads_after_end: AtomicU64,
+}
+
+/// A link that keeps a ledger.
+struct Kept {
+    link: Link,
+    ledger: Arc<Ledger>,
+    ended: bool,
+}
+
+impl Kept {
+    fn new(link: Link, ledger: &Arc<Ledger>) -> Self {
+        ledger.open.fetch_add(1, Relaxed);
+        Self { link, ledger: Arc::clone(ledger), ended: false }
+    }
+}
+
+impl Drop for Kept {
+    fn drop(&mut self) {
+        self.ledger.open.fetch_sub(1, Relaxed);
+    }
+}
+
+impl AsyncRead for Kept {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        self.ledger.reads_after_end.fetch_add(u64::from(self.ended), Relaxed);
+        let before = buffer.filled().len();
+        let outcome = Pin::new(&mut self.link).poll_read(cx, buffer);
+        self.ended |= outcome.is_ready() && buffer.filled().len() == before;
+        outcome
+    }
+}
+
+impl AsyncWrite for Kept {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.link).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        panic!("a flush drains, and blocks the runtime")
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        panic!("a shutdown flushes")
+    }
+}
+
+impl Port for Kept {
+    fn line_speed(&self) -> Option<BaudRate> {
+        self.link.line_speed()
+    }
+
+    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+        self.link.set_line_speed(speed)
+    }
+
+    fn discard_output(&mut self) {
+        self.ledger.discarded.fetch_add(1, Relaxed);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn o01_o03_o16_o17_a_hung_up_port_is_let_go_of_before_the_next_one_is_opened() {
+    let emulator = prompt().build();
+    let ledger = Arc::new(Ledger::default());
+    let (inner, kept, mut opened) = (emulator.clone(), Arc::clone(&ledger), 0);
+    let connect = Rigged(move || {
+        // The system can give a port its old name only once nobody has it open.
+        assert_eq!(kept.open.load(Relaxed), 0, "the old port is still open");
+        opened += 1;
+        // It is gone at first, and then it has another name: opener's business.
+        if opened == 2 {
+            return Err(Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() });
+        }
+        Ok(Kept::new(inner.link(), &kept))
+    });
+    let sensor = builder().ring_depth(16).connect(connect).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let mut delivered = Vec::new();
+    for rounds in 1..20 {
+        delivered.extend(scans(&mut stream, 2).await);
+        emulator.unplug();
+        emulator.plug_in();
+        assert!(matches!(stream.next().await.unwrap(), Err(Error::Disconnected { .. })));
+        tokio::task::yield_now().await;
+        assert_eq!((ledger.open.load(Relaxed), ledger.discarded.load(Relaxed)), (0, rounds));
+    }
+    sensor.laser_off().await.unwrap();
+    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(ledger.reads_after_end.load(Relaxed), 0, "a dead port was read again");
+}
+
+#[tokio::test(start_paused = true)]
+async fn o05_a_port_that_may_not_be_opened_is_no_unplugged_one() {
+    let denied = || Error::PermissionDenied {
+        port: "/dev/ttyACM0".to_owned(),
+        group: Some("dialout".to_owned()),
+    };
+    assert!(denied().to_string().contains("usermod -aG dialout"), "{}", denied());
+    // At the start it is the end, also where the sensor is waited for.
+    let refused = Rigged(move || Err::<Link, _>(denied()));
+    let error = builder().wait_for_sensor().connect(refused).await.unwrap_err();
+    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+
+    // Later it is told once, by a stream, and stays to be seen.
+    let emulator = prompt().build();
+    let (inner, mut opened) = (emulator.clone(), 0);
+    let connect = Rigged(move || {
+        opened += 1;
+        if (2..50).contains(&opened) { Err(denied()) } else { Ok(inner.link()) }
+    });
+    let sensor = builder().connect(connect).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    emulator.unplug();
+    emulator.plug_in();
+    let mut errors = Vec::new();
+    while let Ok(Some(Err(error))) = tokio::time::timeout(ms(5000), stream.next()).await {
+        errors.push(error);
+    }
+    let told = matches!(errors.last(), Some(Error::PermissionDenied { .. }));
+    assert!(told && errors.len() <= 2, "{errors:?}");
+    let state = sensor.state().borrow().clone();
+    let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
+    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+    scans(&mut stream, 1).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn o10_s_on_usb_changes_neither_side() {
+    let emulator = prompt().build();
+    let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
+    sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
+    let state = sensor.state().borrow().clone();
+    assert!(matches!(state, State::Connected { line_speed: None, .. }), "{state:?}");
+    sensor.scan(WINDOW).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
+    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let inner = emulator.clone();
+    let connect = Rigged(move || {
+        let link = FaultyLink::new(inner.link());
+        // The first change is that of opening.
+        Ok(link.fail(Call::SetSpeed, 1, Failure::Kind(io::ErrorKind::InvalidInput)))
+    });
+    let sensor = builder().connect(connect).await.unwrap();
+    let error = sensor.set_baud_rate(BaudRate::B750000).await.unwrap_err();
+    assert!(matches!(error, Error::UnsupportedSpeed { source: Some(_), .. }), "{error:?}");
+    assert!(emulator.log().iter().all(|line| !line.line.starts_with(b"S")));
+    sensor.scan(WINDOW).await.unwrap();
+    sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
+    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+}
+
+/// Opens faulty links to the emulated sensor: the first one as `rig` has it,
+/// the others good ones.
+fn first_faulty(
+    emulator: &Emulator,
+    rig: impl Fn(FaultyLink<Link>) -> FaultyLink<Link> + Send + 'static,
+) -> Rigged<impl FnMut() -> Result<FaultyLink<Link>, Error> + Send + 'static> {
+    let (emulator, mut first) = (emulator.clone(), true);
+    Rigged(move || {
+        let link = FaultyLink::new(emulator.link());
+        Ok(if std::mem::take(&mut first) { rig(link) } else { link })
+    })
+}
+
+#[tokio::test(start_paused = true)]
+async fn o13_a_write_that_stalls_is_given_up_in_time_and_the_port_reopened() {
+    let emulator = prompt().build();
+    let connect = first_faulty(&emulator, |link| link.fail(Call::Write, 5, Failure::Stall));
+    let sensor = builder().connect(connect).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let start = Instant::now();
+    let mut delivered = Vec::new();
+    loop {
+        match stream.next().await.unwrap() {
+            Ok(scan) => delivered.push(scan),
+            Err(error) => break assert!(matches!(error, Error::Timeout { .. }), "{error:?}"),
+        }
+    }
+    delivered.extend(scans(&mut stream, 3).await);
+    // A poll and six fences, one pass of 2.5 s, and a new port.
+    assert!(start.elapsed() < Duration::from_secs(8), "{:?}", start.elapsed());
+    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(sensor.stats().disconnects, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn o14_commands_arrive_whole_through_a_port_that_takes_a_few_bytes_at_a_time() {
+    for most in [1, 2, 3, 7] {
+        let emulator = prompt().line_speed(BaudRate::B19200).build();
+        let inner = emulator.clone();
+        let connect = Rigged(move || Ok(FaultyLink::new(inner.link()).partial_writes(most)));
+        let sensor = builder().baud_rate(BaudRate::B500000).connect(connect).await.unwrap();
+        let scan = sensor.scan(WINDOW).await.unwrap();
+        sensor.laser_off().await.unwrap();
+        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        assert_eq!(emulator.counts().malformed, 0);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn o15_an_interrupted_call_is_made_again_and_told_to_no_one() {
+    for kind in [io::ErrorKind::Interrupted, io::ErrorKind::WouldBlock] {
+        let emulator = prompt().line_speed(BaudRate::B115200).build();
+        let connect = first_faulty(&emulator, move |mut link| {
+            for call in 0..1000 {
+                link = link.fail(Call::Read, call, Failure::Kind(kind));
+                link = link.fail(Call::Write, call, Failure::Kind(kind));
+            }
+            link
+        });
+        let sensor = builder().connect(connect).await.unwrap();
+        let mut stream = sensor.scans(WINDOW, Rate::hz(5.0)).await.unwrap();
+        for _ in 0..20 {
+            stream.next().await.unwrap().unwrap();
+        }
+        let stats = sensor.stats();
+        assert_eq!((stats.disconnects, stats.timeouts), (0, 0), "{kind}");
+    }
+}
+
+#[test]
+fn o18_programs_that_probe_new_ports_are_named_where_they_are_met() {
+    // That they probe cannot be prevented from here, only said.
+    let busy = Error::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
+    assert!(busy.contains("ModemManager") && busy.contains("fuser /dev/ttyACM0"), "{busy}");
+    let readme = include_str!("../../README.md");
+    assert!(readme.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the udev rule is gone");
+}
+
+#[tokio::test(start_paused = true)]
+async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
+    for delay in [16, 40, 100] {
+        let emulator = prompt().line_speed(BaudRate::B115200).latency(ms(delay)).build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+        for _ in 0..10 {
+            stream.next().await.unwrap().unwrap();
+        }
+        assert_eq!(sensor.stats().timeouts, 0, "{delay} ms");
+    }
+}
+
+#[tokio::test]
+async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
+    let emulator = prompt().build();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let served = emulator.clone();
+    let (hang_up, mut hung_up) = tokio::sync::mpsc::channel::<()>(1);
+    let _server = tokio::spawn(async move {
+        loop {
+            let (stream, _) = listener.accept().await.unwrap();
+            // Closed with a reset instead of an end.
+            stream.set_zero_linger().unwrap();
+            tokio::select! {
+                _ = served.serve(stream) => {}
+                _ = hung_up.recv() => {}
+            }
+        }
+    });
+    // Short times, for this is the wall clock.
+    let builder = builder().reply_latency(ms(200)).open_timeout(ms(300));
+    let sensor = builder.backoff(ms(1), ms(10)).open(format!("tcp://{address}")).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(50.0)).await.unwrap();
+    scans(&mut stream, 2).await;
+    hang_up.send(()).await.unwrap();
+    while stream.next().await.unwrap().is_ok() {}
+    scans(&mut stream, 2).await;
+    assert_eq!(sensor.stats().disconnects, 1);
+    // Half open: the connection is there, and nothing comes any more.
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    let mut state = sensor.state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    emulator.set_faults(Faults::none());
+    scans(&mut stream, 2).await;
+}

@@ -1,0 +1,288 @@
+//! Rows A: tasks, handles, runtimes and processes.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use futures::FutureExt;
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::runtime::Builder;
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::{BaudRate, Error, Port, Rate, Sensor, State, Window};
+
+use crate::common::{Rigged, builder, ms, request_of};
+use crate::rig::{lies, open, prompt, scans};
+
+const WINDOW: Window = Window::DETECTION;
+
+#[tokio::test(start_paused = true)]
+async fn a02_a_consumer_that_takes_a_scan_a_minute_stops_nothing() {
+    let emulator = prompt().build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    for _ in 0..10 {
+        let scan = stream.next().await.unwrap().unwrap();
+        let age = tokio::time::Instant::now().into_std() - scan.received_at();
+        assert!(age <= ms(101), "a scan of {age:?} ago");
+        tokio::time::sleep(Duration::from_secs(60)).await;
+    }
+    assert!(emulator.counts().scans > 9 * 600);
+    assert!(stream.missed() > 8 * 599, "{}", stream.missed());
+}
+
+/// A runtime with a paused clock.
+fn runtime() -> tokio::runtime::Runtime {
+    Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()
+}
+
+#[test]
+fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
+    let mut working = 0;
+    for steps in 0..120 {
+        let first = runtime();
+        let emulator = first.block_on(async { prompt().line_speed(BaudRate::B115200).build() });
+        let connected = first.block_on(async {
+            let opening = tokio::spawn(builder().connect(emulator.clone()));
+            let at = tokio::time::sleep(ms(10 * steps));
+            let mut sensor = None;
+            let work = async {
+                let opened = opening.await.unwrap().unwrap();
+                let mut stream = opened.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+                sensor = Some((opened, stream.clone()));
+                loop {
+                    stream.next().await.unwrap().unwrap();
+                }
+            };
+            tokio::select! { () = at => {}, () = work => {} }
+            sensor
+        });
+        drop(first);
+        let Some((sensor, mut stream)) = connected else { continue };
+        working += 1;
+        // Handles outlive it, and work from anywhere.
+        runtime().block_on(async {
+            while stream.next().await.is_some_and(|item| item.is_ok()) {}
+            assert!(stream.next().await.is_none());
+            assert!(matches!(sensor.scan(WINDOW).await, Err(Error::Closed)));
+            assert!(matches!(sensor.laser_off().await, Err(Error::Closed)));
+            sensor.close().await;
+            assert!(!emulator.is_connected(), "after {steps} steps");
+        });
+        // Dropped outside of any.
+        drop((sensor, stream));
+    }
+    assert!(working > 30, "{working}");
+}
+
+/// A port that panics, as a bug would, when it is read for the n-th time.
+struct Panicking<P>(P, u64);
+
+impl<P: Port> AsyncRead for Panicking<P> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        assert!(self.1 > 0, "injected");
+        self.1 -= 1;
+        Pin::new(&mut self.0).poll_read(cx, buffer)
+    }
+}
+
+impl<P: Port> AsyncWrite for Panicking<P> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.0).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl<P: Port> Port for Panicking<P> {}
+
+#[tokio::test(start_paused = true)]
+async fn a06_a_driver_that_panics_leaves_nobody_waiting() {
+    std::panic::set_hook(Box::new(|_| {}));
+    let mut ended_in_work = 0;
+    for reads in 0..60 {
+        let emulator = prompt().build();
+        let (sensor, driver) =
+            builder().build(Rigged(move || Ok(Panicking(emulator.link(), reads))));
+        let driver = tokio::spawn(driver);
+        let work = async {
+            sensor.opened().await?;
+            let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await?;
+            ended_in_work += 1;
+            loop {
+                let (item, scan) = tokio::join!(stream.next(), sensor.scan(WINDOW));
+                item.transpose()?;
+                scan?;
+            }
+        };
+        let error: Error = work.map(|outcome: Result<(), Error>| outcome.unwrap_err()).await;
+        assert!(matches!(error, Error::Closed), "{error:?}");
+        assert!(driver.await.unwrap_err().is_panic());
+        assert!(matches!(sensor.scan(WINDOW).await, Err(Error::Closed)));
+        assert!(matches!(&*sensor.state().borrow(), State::Closed { .. }));
+    }
+    assert!(ended_in_work > 10);
+    let _ = std::panic::take_hook();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a08_a_change_of_speed_that_fails_under_a_stream_leaves_it_at_the_old_one() {
+    let emulator = prompt().line_speed(BaudRate::B57600).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+    let mut delivered = scans(&mut stream, 2).await;
+    // The sensor accepts, says a flipped status, and stays where it is.
+    let faults = Faults::none().at(1, Fault::Status(b'1')).at(1, Fault::Flip(15, b'1' ^ b'0'));
+    emulator.set_faults(faults);
+    let error = sensor.set_baud_rate(BaudRate::B250000).await.unwrap_err();
+    assert!(matches!(error, Error::NotConfirmed { .. }), "{error:?}");
+    delivered.extend(scans(&mut stream, 3).await);
+    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!((emulator.line_speed(), sensor.stats().disconnects), (Some(BaudRate::B57600), 0));
+}
+
+#[test]
+fn a11_the_drivers_time_is_never_the_wall_clocks() {
+    // The one use of it is the stamp of a scan, which is only handed on.
+    let mut uses = Vec::new();
+    let mut folders = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver")];
+    let mut files = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+                continue;
+            }
+            files += 1;
+            let text = std::fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]").next().unwrap();
+            let calls = code.lines().filter(|line| line.contains("SystemTime::"));
+            uses.extend(calls.filter(|line| !line.contains("use ")).map(str::to_owned));
+            assert!(!code.contains("UNIX_EPOCH"), "{path:?}");
+        }
+    }
+    assert!(files > 5, "the sources were not read");
+    assert!(uses.iter().all(|line| line.contains("SystemTime::now")), "{uses:?}");
+    assert!(!uses.is_empty());
+}
+
+#[test]
+fn a12_a_runtime_without_a_timer_panics_with_tokios_own_words() {
+    let emulator = runtime().block_on(async { prompt().build() });
+    let no_timer = Builder::new_current_thread().build().unwrap();
+    let caught = |work: &dyn Fn()| {
+        let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_err();
+        let text = caught.downcast_ref::<&str>().map(|text| (*text).to_owned());
+        text.or_else(|| caught.downcast_ref::<String>().cloned()).unwrap()
+    };
+    let text = caught(&|| {
+        let (_sensor, driver) = builder().build(emulator.clone());
+        let _ = no_timer.block_on(driver);
+    });
+    assert!(text.contains("timers are disabled") || text.contains("enable_time"), "{text}");
+    // No runtime at all: opening panics; building, asking and dropping do not.
+    let text = caught(&|| drop(Sensor::open("tcp://127.0.0.1:1").now_or_never()));
+    assert!(text.contains("runtime"), "{text}");
+    let (sensor, driver) = builder().build(emulator.clone());
+    drop(driver);
+    assert!(matches!(sensor.scan(WINDOW).now_or_never(), None | Some(Err(Error::Closed))));
+}
+
+/// A port that takes everything and always has more to say.
+struct Fountain(u8);
+
+impl AsyncRead for Fountain {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let room = buffer.remaining();
+        buffer.put_slice(&vec![self.0; room]);
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Fountain {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
+        Poll::Ready(Ok(b.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl Port for Fountain {}
+
+#[tokio::test(start_paused = true)]
+async fn a13_a_port_that_always_has_more_starves_no_other_task() {
+    for byte in [b'x', b'\n', 0] {
+        let beats = Arc::new(AtomicU64::new(0));
+        let heart = tokio::spawn({
+            let beats = Arc::clone(&beats);
+            async move {
+                loop {
+                    beats.fetch_add(1, Relaxed);
+                    tokio::time::sleep(ms(1)).await;
+                }
+            }
+        });
+        let opened = Arc::new(AtomicU64::new(0));
+        let count = Arc::clone(&opened);
+        let connect = Rigged(move || {
+            count.fetch_add(1, Relaxed);
+            Ok(Fountain(byte))
+        });
+        let (sensor, driver) = builder().wait_for_sensor().build(connect);
+        let driver = tokio::spawn(driver);
+        // The clock is paused: it goes on only when the driver has let go.
+        tokio::time::sleep(Duration::from_secs(10)).await;
+        assert!(beats.load(Relaxed) > 9_900, "{}", beats.load(Relaxed));
+        assert!((5..30).contains(&opened.load(Relaxed)), "{}", opened.load(Relaxed));
+        drop(sensor);
+        drop((driver, heart.abort()));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a16_what_a_killed_process_has_left_behind_is_found_by_the_next_one() {
+    for (left, speed) in [
+        (&b"L0\n"[..], BaudRate::B19200),
+        (b"G0447", BaudRate::B750000),
+        (b"S2500000000000\n", BaudRate::B115200),
+        (b"G04472501\nV\nL0\nG0007", BaudRate::B57600),
+    ] {
+        let emulator: Emulator = prompt().line_speed(speed).build();
+        let mut link = emulator.link();
+        link.set_line_speed(speed).unwrap();
+        link.write_all(left).await.unwrap();
+        tokio::time::sleep(ms(10)).await;
+        drop(link);
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(WINDOW, Rate::hz(1.0)).await.unwrap();
+        let scan = scans(&mut stream, 1).await.remove(0);
+        assert!(request_of(&scan).is_some(), "{}", left.escape_ascii());
+    }
+}

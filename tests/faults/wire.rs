@@ -1,0 +1,188 @@
+//! Rows W: what a bad line does to the bytes of replies. Damage at every single
+//! place is in `bytes`.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+use tokio::time::Instant;
+use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
+use tokio_scip::{Error, Rate, State, Window};
+
+use crate::common::{builder, ms};
+use crate::rig::{lies, open, prompt, scans, second_poll};
+
+const WINDOW: Window = Window::DETECTION;
+
+#[test]
+fn w03_two_fences_in_a_row_differ_in_two_bytes_at_least() {
+    for step in 0..769 {
+        let [one, next] = [step, (step + 1) % 769].map(|n| format!("G{n:03}{n:03}01"));
+        let differing = one.bytes().zip(next.bytes()).filter(|(a, b)| a != b).count();
+        assert!(differing >= 2, "{one} and {next}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_taken() {
+    // The status, the status and the LF behind it, or the one before it.
+    for lost in [10..11, 10..12, 9..11] {
+        let outcome = second_poll(WINDOW, &[Fault::Drop(lost.clone())]).await;
+        assert!(!outcome.accepted, "without {lost:?}");
+        assert!(matches!(outcome.errors[..], [Error::Malformed { .. } | Error::Timeout { .. }]));
+        if lost == (10..11) {
+            assert!(outcome.stats.bytes_skipped > 1300, "the data are not skipped");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_seen() {
+    // The second poll asks for one step more: 64 points, two lines of 64 bytes.
+    let window = Window::new(301..=363).unwrap();
+    for line in [12..77, 77..142] {
+        for fault in [Fault::Drop(line.clone()), Fault::Repeat(line.clone())] {
+            let outcome = second_poll(window, std::slice::from_ref(&fault)).await;
+            assert!(!outcome.accepted && outcome.errors.len() == 1, "{fault:?}: {outcome:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w14_a_reply_that_runs_into_the_next_one_costs_one_scan() {
+    let outcome = second_poll(WINDOW, &[Fault::Merged]).await;
+    assert!(!outcome.accepted && outcome.errors.len() == 1);
+    // One fence at opening, and one that was found behind what it is glued to.
+    assert_eq!((outcome.stats.fences, outcome.stats.fence_timeouts), (2, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn w16_w18_a_scan_comes_through_a_line_that_gives_one_byte_at_a_time() {
+    use tokio_scip::emulator::FaultyLink;
+    let emulator = prompt().build();
+    let link = FaultyLink::new(emulator.link()).short_reads(1).partial_writes(1);
+    let sensor = builder().attach(link).await.unwrap();
+    let scan = sensor.scan(Window::FULL).await.unwrap();
+    assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+    assert_eq!(sensor.stats().timeouts, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn w17_replies_that_nobody_asked_for_in_front_of_the_right_one_are_passed_over() {
+    let others = b"L1\n0\n\nV\n0\nVEND:x\n\nG00000001\n0\n00\n\n\n\nG04472501\n6\n\n";
+    let outcome = second_poll(WINDOW, &[Fault::Garbage(others.to_vec())]).await;
+    assert!(outcome.accepted && outcome.errors.is_empty(), "{outcome:?}");
+    assert_eq!(outcome.stats.malformed.echo, 5);
+    assert_eq!(outcome.stats.bytes_skipped, others.len() as u64);
+    assert!(outcome.stats.fences > 1, "that something came raises no fence");
+}
+
+#[tokio::test(start_paused = true)]
+async fn w18_garbage_of_any_length_in_front_costs_one_scan_and_nuls_none() {
+    for length in (0..70).chain((127..4096).step_by(127)).chain([4095, 4096]) {
+        let nuls = second_poll(WINDOW, &[Fault::Garbage(vec![0; length])]).await;
+        assert!(nuls.accepted && nuls.stats.fences == 1, "{length} NULs: {nuls:?}");
+        let noise = second_poll(WINDOW, &[Fault::Garbage(vec![b'x'; length])]).await;
+        assert_eq!(noise.accepted, length == 0, "{length} bytes of garbage");
+        let skipped = noise.stats.bytes_skipped >= length as u64;
+        assert!(length == 0 || skipped && noise.errors.len() == 1, "{length}: {noise:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
+    let mut fired = 0;
+    for seed in 0..100 {
+        let emulator = prompt().seed(seed).build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let mut delivered = scans(&mut stream, 1).await;
+        emulator.set_faults(Faults::none().noise(0.5, 4096).seed(seed));
+        delivered.extend(scans(&mut stream, 10).await);
+        assert_eq!(lies(&emulator, &delivered), [""; 0], "seed {seed}");
+        fired += emulator.fault_counts().noise;
+    }
+    assert!(fired > 300, "{fired}");
+}
+
+/// Streams; then `pattern` comes without an end, and the link is given up soon.
+/// When it stops scans flow again.
+async fn endless(pattern: &[u8]) -> Duration {
+    let emulator = prompt().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans(&mut stream, 1).await;
+    emulator.set_faults(Faults::none().at(0, Fault::Endless(pattern.to_vec())));
+    let start = Instant::now();
+    let mut state = sensor.state();
+    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
+    // Not kept: it is a lock on the state.
+    let lost = lost.unwrap().clone();
+    let State::Disconnected { error, .. } = lost else { unreachable!() };
+    let Error::Disconnected { source: Some(source) } = error else { panic!("{error:?}") };
+    assert_eq!(source.to_string(), "far more comes than any sensor sends");
+    let took = start.elapsed();
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    emulator.set_faults(Faults::none());
+    let start = Instant::now();
+    loop {
+        if stream.next().await.unwrap().is_ok_and(|scan| scan.requested_at() > start.into_std()) {
+            break;
+        }
+    }
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+    took
+}
+
+#[tokio::test(start_paused = true)]
+async fn w19_endless_garbage_ends_the_link_after_64_kib() {
+    // 64 KiB take 175 ms on USB; the next poll is due 100 ms after the last.
+    assert!(endless(b"x").await <= ms(100 + 175 + 20));
+    assert!(endless(b"G04472501\n0\n").await <= ms(100 + 175 + 20));
+}
+
+#[tokio::test(start_paused = true)]
+async fn w20_endless_line_feeds_end_the_link_after_64_frames() {
+    assert!(endless(b"\n").await <= ms(100 + 20));
+    assert!(endless(b"G04472501\n6\n\n\n\n").await <= ms(100 + 175 + 20));
+}
+
+#[tokio::test(start_paused = true)]
+async fn w21_a_telnet_server_is_named() {
+    let (near, mut far) = duplex(256);
+    let _server = tokio::spawn(async move {
+        let mut byte = [0];
+        // DO suppress-go-ahead, and then silence.
+        far.write_all(&[0xff, 0xfd, 0x03]).await.unwrap();
+        while far.read(&mut byte).await.is_ok_and(|read| read > 0) {}
+    });
+    let error = builder().attach(near).await.unwrap_err();
+    let source = std::error::Error::source(&error).unwrap().to_string();
+    assert!(source.contains("not raw"), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn w24_d05_d06_a_sensor_that_is_switched_to_scip_2_is_named_and_taken_back() {
+    for mode in [Mode::Scip2, Mode::Scip2Streaming] {
+        for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
+            let emulator = prompt().empty_command(empty).build();
+            let sensor = open(&emulator).await;
+            let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+            scans(&mut stream, 1).await;
+            emulator.set_mode(mode);
+            let mut errors = Vec::new();
+            let end = Instant::now() + Duration::from_secs(30);
+            while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
+                errors.extend(item.unwrap().err());
+            }
+            let named = errors.iter().filter(|e| matches!(e, Error::WrongProtocol { .. })).count();
+            assert!((1..=2).contains(&named) && errors.len() <= 4, "{mode:?}: {errors:?}");
+            let state = sensor.state().borrow().clone();
+            let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
+            assert!(matches!(error, Error::WrongProtocol { .. }), "{mode:?}: {error:?}");
+            // It is never told to leave SCIP 2: some models lock up.
+            assert_eq!(emulator.counts().malformed, 0, "{:?}", emulator.log());
+            emulator.power_cycle();
+            scans(&mut stream, 2).await;
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! What a driver takes of the heap, counted to the byte: whatever its sensor
+//! sends, and thousands of them together.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use allocation_counter::{AllocationInfo, measure};
+use common::{Rigged, builder};
+use futures::StreamExt;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::runtime::Runtime;
+use tokio_scip::emulator::{Emulator, Fixed, Pace};
+use tokio_scip::{Connect, Port, Rate, Window};
+
+/// What one sensor may take of the heap, its task and streams included.
+const LIMIT: u64 = 32 * 1024;
+
+fn runtime() -> Runtime {
+    tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()
+}
+
+fn sensor() -> Emulator {
+    Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).log(0).build()
+}
+
+/// A peer that answers nothing that was asked, and talks without an end: the
+/// same bytes over and over, as fast as they are taken.
+struct Fountain {
+    pattern: &'static [u8],
+    at: usize,
+    /// Bytes a millisecond; none for as many as are taken.
+    rest: Option<tokio::time::Interval>,
+}
+
+impl AsyncRead for Fountain {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let mut room = buffer.remaining();
+        if let Some(rest) = &mut self.rest {
+            ready!(rest.poll_tick(cx));
+            room = room.min(100);
+        }
+        for _ in 0..room {
+            buffer.put_slice(&self.pattern[self.at..=self.at]);
+            self.at = (self.at + 1) % self.pattern.len();
+        }
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Fountain {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
+        Poll::Ready(Ok(b.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl Port for Fountain {}
+
+/// The driver's use of the heap over some time, nothing else's.
+fn driving<C: Connect>(runtime: &Runtime, connect: C) -> AllocationInfo {
+    measure(|| {
+        runtime.block_on(async {
+            let (sensor, driver) = builder().wait_for_sensor().build(connect);
+            let driver = tokio::spawn(driver);
+            let stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
+            let end = tokio::time::sleep(Duration::from_secs(10));
+            stream.take_until(end).for_each(async |item| drop(item)).await;
+            sensor.close().await;
+            drop(sensor);
+            driver.await.unwrap().unwrap();
+        });
+    })
+}
+
+#[test]
+fn w19_a_driver_takes_at_most_32_kib_of_the_heap_whatever_comes() {
+    for fast in [true, false] {
+        for pattern in [
+            &b"x"[..],
+            b"\n",
+            b"\0",
+            b"x\n",
+            b"\n\nx",
+            b"V\n0\n",
+            b"V\n0\nSERI:x\n\n",
+            b"G00000001\n0\n00\n\n",
+            b"G00076801\n0\nCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCC",
+        ] {
+            let runtime = runtime();
+            let connect = Rigged(move || {
+                let rest = (!fast).then(|| tokio::time::interval(Duration::from_millis(1)));
+                Ok(Fountain { pattern, at: 0, rest })
+            });
+            let info = driving(&runtime, connect);
+            let text = pattern.escape_ascii();
+            println!("{text} for ever, fast: {fast}: {} bytes at the most", info.bytes_max);
+            assert!(info.bytes_max <= LIMIT, "{text}, fast: {fast}: {info:?}");
+        }
+    }
+}
+
+#[test]
+fn a14_hundreds_of_sensors_take_at_most_32_kib_each_and_no_thread() {
+    const SENSORS: u64 = 500;
+    let runtime = runtime();
+    let info = measure(|| {
+        runtime.block_on(async {
+            let mut streams = Vec::new();
+            for _ in 0..SENSORS {
+                let emulator = sensor();
+                let sensor = builder().connect(emulator).await.unwrap();
+                streams.push(sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap());
+            }
+            for _ in 0..5 {
+                for stream in &mut streams {
+                    stream.next().await.unwrap().unwrap();
+                }
+            }
+        });
+    });
+    let each = info.bytes_max / SENSORS;
+    println!("{each} bytes for each of {SENSORS} sensors, the emulated sensor included");
+    assert!(each <= LIMIT, "{each}");
+}

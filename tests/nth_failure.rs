@@ -1,0 +1,200 @@
+//! Every call on a port fails once, one after the other, in each way that a
+//! system has: what the service asked for is an error with a kind of its own
+//! or succeeds, in time; afterwards all is well again, and nothing is left
+//! open.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use std::io;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use common::{Rigged, builder, request_of, truthful};
+use tokio::time::{Instant, timeout};
+use tokio_scip::emulator::{Call, CallCounter, Emulator, Failure, FaultyLink, Pace};
+use tokio_scip::{BaudRate, Connect, Error, Rate, Sensor, Window};
+
+/// A short one: its reply comes in few reads.
+fn window() -> Window {
+    Window::new(300..=320).unwrap()
+}
+
+/// EIO, ENXIO, EBADF, ENODEV, ECONNRESET; the end; silence.
+const FAILURES: [Failure; 9] = [
+    Failure::Errno(5),
+    Failure::Errno(6),
+    Failure::Errno(9),
+    Failure::Errno(19),
+    Failure::Kind(io::ErrorKind::ConnectionReset),
+    Failure::Kind(io::ErrorKind::Interrupted),
+    Failure::Kind(io::ErrorKind::WouldBlock),
+    Failure::End,
+    Failure::Stall,
+];
+
+/// What a service does.
+#[derive(Clone, Copy, Debug)]
+enum Scenario {
+    Open,
+    Stream,
+    Speed,
+    Reconnect,
+}
+
+/// Runs it, and gives the first error.
+async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result<(), Error> {
+    match scenario {
+        Scenario::Open => sensor.opened().await,
+        Scenario::Stream | Scenario::Reconnect => {
+            sensor.opened().await?;
+            let mut stream = sensor.scans(window(), Rate::hz(5.0)).await?;
+            let mut first = None;
+            for round in 0..2 {
+                let mut scans = 0;
+                while scans < 2 {
+                    match stream.next().await {
+                        Some(Ok(scan)) => {
+                            assert!(request_of(&scan).is_some(), "a wrong scan");
+                            scans += 1;
+                        }
+                        Some(Err(error)) => first = first.or(Some(error)),
+                        None => return Err(first.unwrap_or(Error::Closed)),
+                    }
+                }
+                if round == 0 && matches!(scenario, Scenario::Reconnect) {
+                    emulator.unplug();
+                    emulator.plug_in();
+                }
+            }
+            first.map_or(Ok(()), Err)
+        }
+        Scenario::Speed => {
+            sensor.opened().await?;
+            sensor.set_baud_rate(BaudRate::B57600).await?;
+            sensor.set_baud_rate(BaudRate::B250000).await
+        }
+    }
+}
+
+/// Opens links to the sensor, and counts those that are open. The calls of all
+/// of them count as those of one, so that the n-th is the n-th of the scenario.
+fn connect(
+    emulator: &Emulator,
+    writes: usize,
+    failure: Option<(Call, u64, Failure)>,
+    counters: &Arc<Mutex<Vec<CallCounter>>>,
+) -> impl Connect {
+    let (emulator, counters) = (emulator.clone(), Arc::clone(counters));
+    Rigged(move || {
+        let mut counters = counters.lock().unwrap();
+        let link = FaultyLink::new(emulator.link()).partial_writes(writes);
+        let done: u64 = counters.iter().map(|counter| calls(counter, failure)).sum();
+        let failed = counters.iter().any(|counter| counter.failures() > 0);
+        counters.push(link.counter());
+        Ok(match failure {
+            Some((call, n, failure)) if n >= done && !failed => link.fail(call, n - done, failure),
+            _ => link,
+        })
+    })
+}
+
+fn calls(counter: &CallCounter, failure: Option<(Call, u64, Failure)>) -> u64 {
+    match failure.map(|(call, ..)| call) {
+        Some(Call::Read) => counter.reads(),
+        Some(Call::Write) => counter.writes(),
+        _ => counter.speed_changes(),
+    }
+}
+
+/// Runs the scenario with one failing call; whether the call was reached.
+async fn with_failure(
+    scenario: Scenario,
+    writes: usize,
+    failure: Option<(Call, u64, Failure)>,
+    reconnect: bool,
+) -> [u64; 3] {
+    let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).log(0).build();
+    let counters: Arc<Mutex<Vec<CallCounter>>> = Arc::default();
+    let builder = builder().wait_for_sensor().reconnect(reconnect);
+    let (sensor, driver) = builder.build(connect(&emulator, writes, failure, &counters));
+    let mut driver = tokio::spawn(driver);
+    let outcome = timeout(Duration::from_secs(60), run(scenario, &sensor, &emulator)).await;
+    let outcome = outcome.unwrap_or_else(|_| panic!("{scenario:?} hangs after {failure:?}"));
+    if let Err(error) = &outcome {
+        use Error::{Closed, Disconnected, NoAnswer, NotConfirmed, Timeout, UnsupportedSpeed};
+        let typed = matches!(
+            error,
+            Disconnected { .. }
+                | Timeout { .. }
+                | NoAnswer { .. }
+                | NotConfirmed { .. }
+                | UnsupportedSpeed { .. }
+        );
+        assert!(typed && !matches!(error, Closed), "{scenario:?} {failure:?}: {error:?}");
+        assert!(failure.is_some() || matches!(scenario, Scenario::Reconnect), "{error:?}");
+    }
+    if reconnect {
+        // Whatever it was, it happened once, and scans flow again.
+        let start = Instant::now();
+        while sensor.scan(window()).await.is_err() {}
+        let took = start.elapsed();
+        assert!(took < Duration::from_secs(15), "{scenario:?} {failure:?}: {took:?}");
+        assert!(!driver.is_finished());
+    }
+    if failure.is_some() {
+        let failed = counters.lock().unwrap().iter().any(|counter| counter.failures() > 0);
+        assert!(failed, "{scenario:?}: {failure:?} was not reached");
+    }
+    let totals =
+        counters.lock().unwrap().iter().fold([0; 3], |[reads, writes, speeds], counter| {
+            [reads + counter.reads(), writes + counter.writes(), speeds + counter.speed_changes()]
+        });
+    sensor.close().await;
+    let ended = timeout(Duration::from_secs(1), &mut driver).await;
+    assert!(
+        ended.is_ok_and(|driver| driver.is_ok()),
+        "{scenario:?} {failure:?}: a panic or a hang"
+    );
+    assert!(!emulator.is_connected(), "{scenario:?} {failure:?}: the port is still open");
+    totals
+}
+
+/// Every n-th call of each kind fails in every way.
+async fn every_call_fails_once(scenario: Scenario) {
+    for (reconnect, writes) in [(true, usize::MAX), (true, 3), (false, usize::MAX)] {
+        if !reconnect && matches!(scenario, Scenario::Reconnect) {
+            continue;
+        }
+        let totals = with_failure(scenario, writes, None, reconnect).await;
+        for (call, total) in [Call::Read, Call::Write, Call::SetSpeed].into_iter().zip(totals) {
+            assert!(total > 0);
+            for n in 0..total {
+                for failure in FAILURES {
+                    with_failure(scenario, writes, Some((call, n, failure)), reconnect).await;
+                }
+            }
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn o02_every_call_fails_once_while_opening() {
+    every_call_fails_once(Scenario::Open).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn o02_every_call_fails_once_under_a_stream() {
+    every_call_fails_once(Scenario::Stream).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn o02_every_call_fails_once_during_changes_of_speed() {
+    every_call_fails_once(Scenario::Speed).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn o02_every_call_fails_once_around_a_reconnect() {
+    every_call_fails_once(Scenario::Reconnect).await;
+}

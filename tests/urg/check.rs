@@ -1,0 +1,60 @@
+//! The self-test, against good and bad sensors.
+
+use super::program::{Emulated, Running, Scratch, run};
+
+/// The verdicts by step.
+fn verdicts(report: &str) -> Vec<(&str, &str)> {
+    report
+        .lines()
+        .take_while(|line| !line.is_empty())
+        .map(|line| {
+            let mut words = line.split_whitespace();
+            (words.next().unwrap(), words.next().unwrap())
+        })
+        .collect()
+}
+
+#[test]
+fn a_good_sensor_is_told_so_step_by_step() {
+    let link = Scratch::new("check-good");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let output = run(&format!("check {} --duration 2s", sensor.port), 0);
+    assert_eq!(output.stderr, "");
+    let steps: Vec<_> = verdicts(&output.stdout).into_iter().map(|(_, step)| step).collect();
+    assert_eq!(
+        steps,
+        ["link", "version", "laser", "polls", "rate", "latency", "sight"],
+        "{}",
+        output.stdout
+    );
+    assert!(!output.stdout.contains("FAILED"), "{}", output.stdout);
+    assert!(output.stdout.contains("SOKUIKI Sensor URG-04LX H0713090"), "{}", output.stdout);
+}
+
+#[test]
+fn a_sensor_that_loses_replies_has_failed() {
+    let link = Scratch::new("check-bad");
+    let sensor = Emulated::start(&format!("--link {} --faults damaged=0.5,seed=3", link.path()));
+    let output = run(&format!("check {} --duration 3s", sensor.port), 1);
+    assert!(verdicts(&output.stdout).contains(&("FAILED", "polls")), "{}", output.stdout);
+    assert!(output.stderr.contains("has FAILED: "), "{}", output.stderr);
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+}
+
+#[test]
+fn a_port_without_a_sensor_has_failed_and_says_why() {
+    let missing = Scratch::new("check-missing");
+    let output = run(&format!("check {}", missing.path()), 1);
+    assert_eq!(verdicts(&output.stdout), [("FAILED", "link")]);
+    assert!(output.stdout.contains("no port"), "{}", output.stdout);
+}
+
+#[test]
+fn a_check_that_is_interrupted_is_no_good_one() {
+    let mut check = Running::start("check emulated --duration 1h");
+    while !check.line().contains("laser") {}
+    check.signal("INT");
+    check.rest();
+    let (status, notices) = check.end();
+    assert_eq!((status.code(), notices.len()), (Some(1), 1), "{notices:?}");
+}

@@ -1,0 +1,103 @@
+//! The radar on a real terminal: that it is there, and that the terminal is as
+//! before when it is gone.
+
+use std::fs::{File, OpenOptions};
+use std::process::Stdio;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::process::{Child, Command};
+use tokio_serial::{SerialPort, SerialStream};
+
+use super::program::PATIENCE;
+
+/// A terminal, and the program that draws on it.
+struct Terminal {
+    /// The user's side.
+    user: SerialStream,
+    /// Held, so that the terminal stays when the program has ended.
+    line: SerialStream,
+    urg: Child,
+    settings: String,
+    drawn: String,
+}
+
+impl Terminal {
+    async fn start(arguments: &str) -> Self {
+        let (user, line) = SerialStream::pair().unwrap();
+        let path = line.name().unwrap();
+        stty(&path, &["rows", "24", "cols", "80"]).await;
+        let settings = stty(&path, &["-g"]).await;
+        let urg = Command::new(env!("CARGO_BIN_EXE_urg"))
+            .args(arguments.split_whitespace())
+            .env_remove("RUST_LOG")
+            .env("TERM", "xterm-256color")
+            .stdin(open(&path))
+            .stdout(open(&path))
+            .stderr(Stdio::null())
+            .kill_on_drop(true)
+            .spawn()
+            .unwrap();
+        Self { user, line, urg, settings, drawn: String::new() }
+    }
+
+    /// Waits until all of these were drawn, one behind the other.
+    async fn until(&mut self, texts: &[&str]) {
+        let read = async {
+            let mut from = 0;
+            for text in texts {
+                while !self.drawn[from..].contains(text) {
+                    let mut bytes = [0; 4096];
+                    let count = self.user.read(&mut bytes).await.unwrap();
+                    self.drawn.push_str(&String::from_utf8_lossy(&bytes[..count]));
+                }
+                from += self.drawn[from..].find(text).unwrap() + text.len();
+            }
+        };
+        let waited = tokio::time::timeout(PATIENCE, read).await;
+        waited.unwrap_or_else(|_| panic!("{texts:?} not in {:?}", self.drawn));
+    }
+
+    /// Waits for the end, after which the terminal is as it was.
+    async fn end(mut self) -> Option<i32> {
+        self.until(&["\x1b[?1049h", "\x1b[?1049l", "\x1b[?25h"]).await;
+        let status = self.urg.wait().await.unwrap();
+        let path = self.line.name().unwrap();
+        assert_eq!(stty(&path, &["-g"]).await, self.settings);
+        status.code()
+    }
+}
+
+fn open(path: &str) -> File {
+    OpenOptions::new().read(true).write(true).open(path).unwrap()
+}
+
+async fn stty(path: &str, arguments: &[&str]) -> String {
+    let output = Command::new("stty").args(arguments).stdin(open(path)).output().await.unwrap();
+    assert!(output.status.success(), "{output:?}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+#[tokio::test]
+async fn keys_work_and_the_terminal_is_given_back_when_the_user_quits() {
+    let mut terminal = Terminal::start("view emulated").await;
+    terminal.until(&["URG-04LX", "quit"]).await;
+    terminal.user.write_all(b"?").await.unwrap();
+    terminal.until(&["widen"]).await;
+    terminal.user.write_all(b"q").await.unwrap();
+    assert_eq!(terminal.end().await, Some(0));
+}
+
+#[tokio::test]
+async fn the_terminal_is_given_back_on_ctrl_c_and_on_a_signal() {
+    let mut terminal = Terminal::start("view emulated --rate max").await;
+    terminal.until(&["URG-04LX"]).await;
+    // In raw mode this is a key like others.
+    terminal.user.write_all(b"\x03").await.unwrap();
+    assert_eq!(terminal.end().await, Some(0));
+
+    let mut terminal = Terminal::start("view emulated --baud 19200").await;
+    terminal.until(&["URG-04LX"]).await;
+    let id = terminal.urg.id().unwrap().to_string();
+    assert!(Command::new("kill").args(["-s", "TERM", &id]).status().await.unwrap().success());
+    assert_eq!(terminal.end().await, Some(0));
+}
