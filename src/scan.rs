@@ -198,6 +198,33 @@ impl Scan {
     }
 }
 
+/// As data: `sequence`, `stamp` (seconds since 1970 with microseconds),
+/// `start`, `end`, `cluster`, `angle_min`, `angle_increment` (radians), the raw
+/// codes in `values`, and metres in `ranges`, with none where a range is not
+/// finite.
+#[cfg(feature = "serde")]
+impl serde::Serialize for Scan {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeStruct;
+
+        // JSON has no infinity and no NaN.
+        let finite = |range: f32| Some(range).filter(|range| range.is_finite());
+        let ranges: Vec<_> = self.ranges().map(finite).collect();
+        let since_1970 = self.stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let mut scan = serializer.serialize_struct("Scan", 9)?;
+        scan.serialize_field("sequence", &self.sequence())?;
+        scan.serialize_field("stamp", &(since_1970.as_micros() as f64 / 1e6))?;
+        scan.serialize_field("start", &self.window.start())?;
+        scan.serialize_field("end", &self.window.end())?;
+        scan.serialize_field("cluster", &self.window.cluster_count())?;
+        scan.serialize_field("angle_min", &self.angle_min())?;
+        scan.serialize_field("angle_increment", &self.angle_increment())?;
+        scan.serialize_field("values", self.values())?;
+        scan.serialize_field("ranges", &ranges)?;
+        scan.end()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
