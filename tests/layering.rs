@@ -52,7 +52,7 @@ fn violations(sources: &[(String, String)]) -> Vec<String> {
     for (path, text) in sources {
         let modules = modules(path);
         let Some(module) = modules.first() else { continue };
-        if matches!(module.as_str(), "bin" | "lib") || modules.last().unwrap() == "tests" {
+        if matches!(module.as_str(), "bin" | "guide" | "lib") || modules.last().unwrap() == "tests" {
             continue;
         }
         let code = code(text);

@@ -87,7 +87,9 @@ impl Device {
     pub(super) fn answers(&self, request: &Request) -> bool {
         match request {
             Request::Empty => self.empty != EmptyCommand::Silence,
-            Request::Undefined => self.firmware != Firmware::Text || self.mode != Mode::Scip1,
+            Request::Undefined | Request::Scip2 => {
+                self.firmware != Firmware::Text || self.mode != Mode::Scip1
+            }
             _ => true,
         }
     }

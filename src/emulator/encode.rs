@@ -79,7 +79,8 @@ mod tests {
 
     #[test]
     fn the_texts_example_of_1234_mm() {
-        assert_eq!(distances(b"G00000001", [1234].into_iter()), b"G00000001\n0\nCD\n\n");
+        // It prints ('C', 'D'), a misprint: its own 43 and 42 are 'C' and 'B'.
+        assert_eq!(distances(b"G00000001", [1234].into_iter()), b"G00000001\n0\nCB\n\n");
     }
 
     #[test]
@@ -95,8 +96,8 @@ mod tests {
     #[test]
     fn a_scip2_scan_checks_its_lines() {
         let frame = scip2_scan(&[1234; 3], 0);
-        // "0000" sums to 0xC0, whose low six bits are 0; "0CD" three times to
-        // 0x225, 0x25, which is 'U'.
-        assert_eq!(frame, b"MD0044072501000\n99b\n00000\n0CD0CD0CDU\n\n");
+        // "0000" sums to 0xC0, whose low six bits are 0; "0CB" three times to
+        // 0x21F, whose low six bits, 0x1F, are 'O'.
+        assert_eq!(frame, b"MD0044072501000\n99b\n00000\n0CB0CB0CBO\n\n");
     }
 }

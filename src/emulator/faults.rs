@@ -175,27 +175,46 @@ impl Faults {
 /// A fault counts when it meets a reply, even if there it changes nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[allow(missing_docs)] // Each field is named like its fault.
 pub struct FaultCounts {
+    /// [`Fault::CommandLost`].
     pub command_lost: u64,
+    /// [`Fault::Lost`].
     pub lost: u64,
+    /// [`Fault::Late`].
     pub late: u64,
+    /// [`Fault::Doubled`].
     pub doubled: u64,
+    /// [`Fault::Drop`].
     pub dropped: u64,
+    /// [`Fault::Insert`].
     pub inserted: u64,
+    /// [`Fault::Flip`].
     pub flipped: u64,
+    /// [`Fault::Repeat`].
     pub repeated: u64,
+    /// [`Fault::Cut`].
     pub cut: u64,
+    /// [`Fault::Damaged`].
     pub damaged: u64,
+    /// [`Fault::Merged`].
     pub merged: u64,
+    /// [`Fault::Garbage`].
     pub garbage: u64,
+    /// [`Fault::Noise`].
     pub noise: u64,
+    /// [`Fault::Pause`].
     pub paused: u64,
+    /// [`Fault::Trickle`].
     pub trickled: u64,
+    /// [`Fault::CrLf`].
     pub crlf: u64,
+    /// [`Fault::Status`].
     pub status: u64,
+    /// [`Fault::Reset`].
     pub reset: u64,
+    /// [`Fault::HangUp`].
     pub hung_up: u64,
+    /// [`Fault::Endless`].
     pub endless: u64,
 }
 

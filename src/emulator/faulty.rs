@@ -118,7 +118,6 @@ impl CallCounter {
 /// # async fn main() {
 /// let mut link = FaultyLink::new(&b"V\n0\n"[..]).short_reads(1).fail(Call::Read, 2, Failure::End);
 /// let mut read = Vec::new();
-/// # let mut link = tokio::io::join(link, tokio::io::sink());
 /// link.read_to_end(&mut read).await.unwrap();
 /// assert_eq!(read, b"V\n");
 /// # }

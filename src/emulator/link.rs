@@ -69,6 +69,12 @@ impl Link {
     pub(super) fn new(shared: Arc<Shared>, id: u64, speed: HostSpeed) -> Self {
         Self { shared, id, speed, timer: None }
     }
+
+    /// Waits until the link is no longer the sensor's, without reading it.
+    pub(super) fn replaced(&self) -> impl Future<Output = ()> + Send + 'static {
+        let (shared, id) = (self.shared.clone(), self.id);
+        async move { shared.until(|state| state.link != Some(id)).await }
+    }
 }
 
 impl AsyncRead for Link {

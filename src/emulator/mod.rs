@@ -18,7 +18,7 @@
 //! link.write_all(b"G38438401\n").await?;
 //! let mut reply = [0; 16];
 //! link.read_exact(&mut reply).await?;
-//! assert_eq!(&reply, b"G38438401\n0\nCD\n\n");
+//! assert_eq!(&reply, b"G38438401\n0\nCB\n\n");
 //! # Ok(())
 //! # }
 //! ```
@@ -110,8 +110,8 @@ pub struct Emulator {
 #[derive(Debug)]
 struct Shared {
     state: Mutex<State>,
-    /// Told when the sensor is plugged in.
-    plugged_in: Notify,
+    /// Told when a link is opened and when the cable is pulled or put back.
+    changed: Notify,
 }
 
 #[derive(Debug)]
@@ -133,6 +133,17 @@ impl Shared {
         // that a later command would stumble over.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+
+    async fn until(&self, condition: impl Fn(&State) -> bool) {
+        loop {
+            // Before the look: a notice between the two is not lost.
+            let notice = self.changed.notified();
+            if condition(&self.lock()) {
+                return;
+            }
+            notice.await;
+        }
+    }
 }
 
 impl Default for Emulator {
@@ -151,7 +162,7 @@ impl Emulator {
     fn new(sensor: Sensor) -> Self {
         let state =
             State { sensor, plugged_in: true, link: None, links: 0, host: None, reader: None };
-        Self { shared: Arc::new(Shared { state: Mutex::new(state), plugged_in: Notify::new() }) }
+        Self { shared: Arc::new(Shared { state: Mutex::new(state), changed: Notify::new() }) }
     }
 
     /// Opens a link in memory. One that is open is hung up: there is one cable.
@@ -185,6 +196,7 @@ impl Emulator {
             state.link = Some(id);
         }
         drop(state);
+        self.shared.changed.notify_waiters();
         if let Some(reader) = hung_up {
             reader.wake();
         }
@@ -223,12 +235,19 @@ impl Emulator {
             state.link = None;
             state.sensor.unplug(now);
         });
+        self.shared.changed.notify_waiters();
     }
 
     /// Puts the cable back. Links that were hung up stay so.
     pub fn plug_in(&self) {
-        self.change(|state, _| state.plugged_in = true);
-        self.shared.plugged_in.notify_waiters();
+        self.change(|state, now| {
+            if !state.plugged_in {
+                // What the sensor has said meanwhile nobody has heard.
+                state.sensor.unplug(now);
+            }
+            state.plugged_in = true;
+        });
+        self.shared.changed.notify_waiters();
     }
 
     /// Cuts the power for a moment: 19,200 baud, laser on, SCIP 1.1, and silent
@@ -286,14 +305,7 @@ impl Emulator {
 
     #[cfg(all(unix, feature = "serial"))]
     async fn wait_until_plugged_in(&self) {
-        loop {
-            // Before the look: a notice between the two is not lost.
-            let notice = self.shared.plugged_in.notified();
-            if self.inspect(|state| state.plugged_in) {
-                return;
-            }
-            notice.await;
-        }
+        self.shared.until(|state| state.plugged_in).await;
     }
 
     /// The last command lines that arrived, oldest first, as many as

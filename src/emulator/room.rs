@@ -57,7 +57,7 @@ impl Room {
             // A cupboard at the left wall, a dark cabinet at the right one, a
             // pillar in the front left corner and a bin.
             Thing::block((cupboard, left - 450.0), (cupboard + 900.0, left), 0.8),
-            Thing::block((-0.4 * back, -right), (0.1 * front, 350.0 - right), 0.035),
+            Thing::block((-0.4 * back, -right), (0.1 * front, 350.0 - right), 0.016),
             Thing::round((front - 300.0, left - 300.0), between(120.0, 180.0), 0.7),
             Thing::round((between(-0.5, -0.2) * back, 0.6 * left), 150.0, 0.5),
         ];
@@ -95,7 +95,7 @@ impl Room {
             let across = y * along_x;
             // A doorway in the front wall, with a corridor's wall behind it.
             if x > 0.0 && across > 0.1 * left && across < 0.1 * left + 800.0 {
-                return ((front + 2100.0) / x, 0.8);
+                return ((front + 2500.0) / x, 0.8);
             }
             (along_x, 0.9 * x.abs())
         } else {

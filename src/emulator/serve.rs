@@ -73,6 +73,8 @@ impl Emulator {
 
 /// Carries bytes between a client and the sensor until either hangs up.
 pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io::Result<()> {
+    // A client that does not read must not keep the link from ending.
+    let replaced = link.replaced();
     let (mut from_client, mut to_client) = tokio::io::split(stream);
     let (mut from_sensor, mut to_sensor) = tokio::io::split(link);
     // Not `copy_bidirectional`: it flushes, and flushing a terminal blocks; it
@@ -101,5 +103,6 @@ pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io
     tokio::select! {
         ended = commands => ended,
         ended = replies => ended,
+        () = replaced => Ok(()),
     }
 }

@@ -94,11 +94,12 @@ impl Transmitter {
     pub(super) fn advance(&mut self, now: Instant, speed: Option<u32>, host: Option<u32>) {
         if let Some(pattern) = self.endless.take() {
             while self.free <= now && !self.is_clogged() {
-                // What could not be sent while the host was not reading is not
-                // made up for.
-                let from = if self.unread == 0 { now } else { self.free };
                 let times = (256 / pattern.len()).max(1);
-                self.send(from, pattern.repeat(times), speed, None);
+                self.send(self.free, pattern.repeat(times), speed, None);
+            }
+            if self.is_clogged() {
+                // What could not be sent meanwhile is not made up for.
+                self.free = self.free.max(now);
             }
             self.endless = Some(pattern);
         }

@@ -1,0 +1,142 @@
+//! `urg emulate`: an emulated sensor for other programs.
+
+#[cfg(unix)]
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::ValueEnum;
+use tokio::net::TcpListener;
+use tokio_scip::BaudRate;
+#[cfg(unix)]
+use tokio_scip::emulator::Pty;
+use tokio_scip::emulator::{self, Emulator, Faults};
+
+use crate::args::duration;
+use crate::failure::Failure;
+use crate::notice::notice;
+
+/// Be a sensor for other programs, until Ctrl-C
+///
+/// It looks into a room in which people walk about. By default it is a URG-04LX
+/// on USB, on a pseudo-terminal that programs open as they would a serial port.
+/// The same seed gives the same scans at the same times.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg emulate --link /tmp/urg                   then: urg stream /tmp/urg
+  urg emulate --tcp 4001                        then: urg stream tcp://127.0.0.1:4001
+  urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01")]
+pub(crate) struct Emulate {
+    /// Symbolic link to make to the pseudo-terminal; an old link is replaced
+    #[cfg(unix)]
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    /// Serve on TCP instead: a port number on this machine only, or ADDRESS:PORT
+    /// (0.0.0.0:4001 lets everybody use the sensor)
+    #[arg(long, value_name = "ADDR")]
+    #[cfg_attr(unix, arg(conflicts_with = "link"))]
+    tcp: Option<String>,
+    /// Be on RS-232, at this line speed: 19200 after power-up on a real one
+    #[arg(long, value_name = "SPEED")]
+    baud: Option<BaudRate>,
+    /// Be on USB, which has no line speed: so it is unless --baud is given
+    #[arg(long, conflicts_with = "baud")]
+    usb: bool,
+    /// What kind of sensor to be
+    #[arg(long, value_enum, default_value_t = Firmware::V3)]
+    firmware: Firmware,
+    /// Serial number to tell
+    #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
+    serial_number: String,
+    /// Time that the motor takes for a turn, of which each gives one scan
+    #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
+    revolution: Duration,
+    /// Seed of the room and of faults
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    seed: u64,
+    /// What goes wrong, each with its probability, such as
+    /// late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
+    #[arg(long, value_name = "SPEC")]
+    faults: Option<Faults>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Firmware {
+    /// As the protocol text has it: five lines to V, no answer to what is undefined
+    Text,
+    /// As real sensors have it: six lines to V, status E for what is undefined
+    V3,
+}
+
+impl Emulate {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let emulator = self.emulator();
+        match &self.tcp {
+            Some(address) => self.serve_tcp(&emulator, &at_home(address)).await,
+            None => self.serve_pty(&emulator).await,
+        }
+    }
+
+    fn emulator(&self) -> Emulator {
+        let builder = Emulator::builder()
+            .firmware(match self.firmware {
+                Firmware::Text => emulator::Firmware::Text,
+                Firmware::V3 => emulator::Firmware::V3,
+            })
+            .serial_number(&self.serial_number)
+            .revolution(self.revolution)
+            .seed(self.seed)
+            .faults(self.faults.clone().unwrap_or_default());
+        match self.baud {
+            Some(speed) => builder.line_speed(speed),
+            None => builder.usb(),
+        }
+        .build()
+    }
+
+    async fn serve_tcp(&self, emulator: &Emulator, address: &str) -> Result<(), Failure> {
+        let failed = |error| Failure::of(&format!("cannot serve on {address}"), &error);
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let speed = self.baud.filter(|speed| *speed != BaudRate::B19200);
+        let query = speed.map(|speed| format!("?baud={speed}")).unwrap_or_default();
+        self.announce(&format!("tcp://{address}{query}"));
+        emulator.serve_tcp(listener).await.map_err(failed)
+    }
+
+    #[cfg(unix)]
+    async fn serve_pty(&self, emulator: &Emulator) -> Result<(), Failure> {
+        let failed = |error| match &self.link {
+            Some(link) => Failure::of(&format!("cannot serve on {}", link.display()), &error),
+            None => Failure::of("cannot serve on a pseudo-terminal", &error),
+        };
+        let pty = Pty::open(emulator, self.link.as_deref()).map_err(failed)?;
+        self.announce(&pty.path().display().to_string());
+        pty.serve().await.map_err(failed)
+    }
+
+    #[cfg(not(unix))]
+    async fn serve_pty(&self, _: &Emulator) -> Result<(), Failure> {
+        Err(Failure::Usage("no pseudo-terminals here: use --tcp 4001".to_owned()))
+    }
+
+    /// Tells where the sensor is, and how to get at it.
+    fn announce(&self, port: &str) {
+        let line = match self.baud {
+            Some(speed) => format!("at {speed} baud"),
+            None => "on USB".to_owned(),
+        };
+        notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
+        notice(format_args!("try `urg info {port}`; Ctrl-C ends it"));
+    }
+}
+
+/// A lone port number is one of this machine only: whoever can connect can use
+/// the sensor.
+fn at_home(address: &str) -> String {
+    let port = address.strip_prefix(':').unwrap_or(address);
+    match port.parse::<u16>() {
+        Ok(port) => format!("127.0.0.1:{port}"),
+        Err(_) => address.to_owned(),
+    }
+}

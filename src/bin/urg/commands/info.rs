@@ -1,0 +1,113 @@
+//! `urg info`: who the sensor is, and how it is set.
+
+use std::fmt::Write;
+
+use clap::ValueEnum;
+use serde_json::json;
+use tokio_scip::{BaudRate, State, Version, Window};
+
+use crate::args::LinkArgs;
+use crate::failure::Failure;
+use crate::format::json;
+use crate::output::print;
+use crate::port::{PortArg, PortName, open};
+
+/// Show who the sensor is, and how it is set
+///
+/// Finds the sensor at whatever line speed it has. SCIP 1.1 has no way to ask
+/// whether the laser is on.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  urg info /dev/ttyACM0\n  urg info serial:H0713090 --format json"
+)]
+pub(crate) struct Info {
+    #[command(flatten)]
+    port: PortArg,
+    /// How to write it
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    Text,
+    Json,
+}
+
+impl Info {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let port = self.port.required().await?;
+        let sensor = open(&port, &self.link, 1).await?;
+        let version =
+            sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        let speed = match &*sensor.state().borrow() {
+            State::Connected { line_speed, .. } => *line_speed,
+            _ => None,
+        };
+        match self.format {
+            Format::Text => print(&text(&port, &version, speed)).await,
+            Format::Json => {
+                let port = port.to_string();
+                let info = json!({ "port": port, "line_speed": speed, "version": version });
+                print(&json::line(&info)?).await
+            }
+        }
+    }
+}
+
+fn text(port: &PortName, version: &Version, speed: Option<BaudRate>) -> String {
+    let mut text = String::new();
+    let mut row = |name: &str, value: String| {
+        // Writing to a string does not fail.
+        let _ = writeln!(text, "{name:<14} {value}");
+    };
+    row("port", port.to_string());
+    row("line speed", line_speed(speed));
+    row("product", version.product.to_string());
+    row("vendor", version.vendor.to_string());
+    row("serial number", version.serial_number.to_string());
+    row("firmware", version.firmware.to_string());
+    row("protocol", version.protocol.to_string());
+    if let Some(status) = &version.status {
+        row("status", status.to_string());
+    }
+    for line in &version.other {
+        row("also says", line.to_string());
+    }
+    if let Some(specification) = &version.specification {
+        if let Some(range) = &specification.range {
+            row("measures", format!("{} to {} mm", range.start(), range.end()));
+        }
+        if let Some(steps) = &specification.steps {
+            row("window", window(*steps.start(), *steps.end()));
+        }
+        if let Some(rpm) = specification.motor_speed {
+            row("motor", format!("{rpm} rpm, {} scans a second", f64::from(rpm) / 60.0));
+        }
+    }
+    text
+}
+
+/// The steps that the sensor measures, with their directions where they have any.
+fn window(start: u16, end: u16) -> String {
+    match Window::new(start..=end) {
+        Ok(window) => format!(
+            "steps {start} to {end}, {:.2}° to {:.2}°",
+            window.start().degrees(),
+            window.end().degrees()
+        ),
+        Err(_) => format!("steps {start} to {end}"),
+    }
+}
+
+fn line_speed(speed: Option<BaudRate>) -> String {
+    match speed {
+        None => "none (USB)".to_owned(),
+        Some(speed) => {
+            let most = 1.0 / Window::DETECTION.wire_time(speed).as_secs_f64();
+            format!("{speed} baud: at most {most:.1} scans a second of the whole detection window")
+        }
+    }
+}

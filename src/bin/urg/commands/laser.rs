@@ -1,0 +1,44 @@
+//! `urg laser`: switches the laser.
+
+use clap::ValueEnum;
+
+use crate::args::LinkArgs;
+use crate::failure::Failure;
+use crate::notice::notice;
+use crate::port::{PortArg, open};
+
+/// Switch the laser on or off
+///
+/// It stays so when the program has ended, until the sensor is powered up anew
+/// or another program asks for scans.
+#[derive(Debug, clap::Args)]
+#[command(allow_missing_positional = true, after_help = "Example:\n  urg laser /dev/ttyACM0 off")]
+pub(crate) struct Laser {
+    #[command(flatten)]
+    port: PortArg,
+    /// What it is to be
+    #[arg(value_enum, value_name = "on|off", hide_possible_values = true)]
+    switch: Switch,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Switch {
+    On,
+    Off,
+}
+
+impl Laser {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let port = self.port.required().await?;
+        let sensor = open(&port, &self.link, 1).await?;
+        let (switched, state) = match self.switch {
+            Switch::On => (sensor.laser_on().await, "on"),
+            Switch::Off => (sensor.laser_off().await, "off"),
+        };
+        switched.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        notice(format_args!("{port}: the laser is {state}"));
+        Ok(())
+    }
+}

@@ -1,0 +1,58 @@
+//! `urg scan`: one scan.
+
+use clap::ValueEnum;
+
+use crate::args::{LinkArgs, WindowArgs};
+use crate::failure::Failure;
+use crate::format::{csv, json, table};
+use crate::output::print;
+use crate::port::{PortArg, open};
+
+/// Take one scan
+///
+/// A laser that is off is switched on.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "`--help` explains the formats", after_long_help = format!("{EXAMPLES}\n\n{}", csv::COLUMNS))]
+pub(crate) struct ScanOnce {
+    #[command(flatten)]
+    port: PortArg,
+    /// How to write it: for eyes, or for programs
+    #[arg(long, value_enum, default_value_t = Format::Table)]
+    format: Format,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  urg scan /dev/ttyACM0
+  urg scan /dev/ttyACM0 --from -45deg --to 45deg
+  urg scan serial:H0713090 --format csv > scan.csv";
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// A line a point with direction and distance, and a summary
+    Table,
+    /// One object, as `urg stream` writes it
+    Json,
+    /// A row a point
+    Csv,
+}
+
+impl ScanOnce {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let window = self.window.window()?;
+        let port = self.port.required().await?;
+        let sensor = open(&port, &self.link, 1).await?;
+        let at_port = |error| Failure::at(&port.to_string(), &error);
+        let scan = sensor.scan(window).await.map_err(at_port)?;
+        let text = match self.format {
+            Format::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
+            Format::Json => json::scan(&scan)?,
+            Format::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
+        };
+        print(&text).await
+    }
+}

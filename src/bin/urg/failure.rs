@@ -1,0 +1,95 @@
+//! Why the program ends without having done what it was asked for, and how it
+//! says so: one line and an exit code.
+
+use std::error::Error;
+use std::process::ExitCode;
+
+use crate::notice::notice;
+
+/// Why the program ends.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// What was asked for makes no sense; exit code 2, as for clap's own.
+    Usage(String),
+    /// It did not work; exit code 1.
+    Failed(String),
+    /// Whoever read standard output has had enough: no failure at all.
+    PipeClosed,
+}
+
+impl Failure {
+    /// A failure with its causes, in one line.
+    pub(crate) fn of(what: &str, error: &dyn Error) -> Self {
+        Self::Failed(format!("{what}: {}", chain(error)))
+    }
+
+    /// The failure of something done to `port`, which is named where the error
+    /// does not name it.
+    pub(crate) fn at(port: &str, error: &tokio_scip::Error) -> Self {
+        let line = chain(error);
+        if line.contains(port) {
+            Self::Failed(line)
+        } else {
+            Self::Failed(format!("{port}: {line}"))
+        }
+    }
+
+    /// Tells the user, and gives the exit code.
+    pub(crate) fn report(self) -> ExitCode {
+        match self {
+            Self::PipeClosed => ExitCode::SUCCESS,
+            Self::Failed(line) => {
+                notice(line);
+                ExitCode::FAILURE
+            }
+            Self::Usage(line) => {
+                notice(line);
+                ExitCode::from(2)
+            }
+        }
+    }
+}
+
+/// An error and its causes, joined by ": ".
+pub(crate) fn chain(error: &dyn Error) -> String {
+    let mut line = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let text = error.to_string();
+        // Some errors tell their cause's text as their own.
+        if !line.ends_with(&text) {
+            line.push_str(": ");
+            line.push_str(&text);
+        }
+        cause = error.source();
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+    use std::sync::Arc;
+
+    use super::*;
+
+    fn line(error: tokio_scip::Error) -> String {
+        match Failure::at("/dev/ttyACM0", &error) {
+            Failure::Failed(line) => line,
+            other => format!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_failure_names_its_port_once_and_each_cause_once() {
+        let source = || Arc::new(io::Error::other("on fire"));
+        let port = "/dev/ttyACM0".to_owned();
+        let open = tokio_scip::Error::Open { port, source: source() };
+        assert_eq!(line(open), "cannot open /dev/ttyACM0: on fire");
+        let lost = tokio_scip::Error::Disconnected { source: Some(source()) };
+        assert_eq!(line(lost), "/dev/ttyACM0: the link to the sensor is lost: on fire");
+        let speed = tokio_scip::BaudRate::B250000;
+        let fixed = tokio_scip::Error::UnsupportedSpeed { speed, source: Some(source()) };
+        assert_eq!(line(fixed), "/dev/ttyACM0: the port cannot be set to 250000 baud: on fire");
+    }
+}

@@ -1,0 +1,5 @@
+//! A scan as text: for eyes, and for programs.
+
+pub(crate) mod csv;
+pub(crate) mod json;
+pub(crate) mod table;

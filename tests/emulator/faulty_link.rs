@@ -1,0 +1,138 @@
+//! The stream whose calls fail when they are told to.
+
+use std::io::ErrorKind;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio_scip::emulator::{Call, Failure, FaultyLink};
+use tokio_scip::{BaudRate, Port};
+
+use super::{ask, prompt};
+
+async fn fed(bytes: &[u8]) -> (DuplexStream, DuplexStream) {
+    let (near, mut far) = duplex(4096);
+    far.write_all(bytes).await.unwrap();
+    (near, far)
+}
+
+async fn is_stuck<T>(future: impl Future<Output = T>) -> bool {
+    tokio::time::timeout(Duration::from_secs(3600), future).await.is_err()
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_errno_comes_once_at_its_read() {
+    let (near, _far) = fed(b"abc").await;
+    let mut link = FaultyLink::new(near).short_reads(1).fail(Call::Read, 1, Failure::Errno(5));
+    let counter = link.counter();
+    assert_eq!(link.read_u8().await.unwrap(), b'a');
+    assert_eq!(link.read_u8().await.unwrap_err().raw_os_error(), Some(5));
+    assert_eq!(link.read_u8().await.unwrap(), b'b');
+    assert_eq!((counter.reads(), counter.bytes_read()), (2, 2));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_read_fails_without_waiting_for_bytes() {
+    let (near, _far) = fed(b"").await;
+    let mut link =
+        FaultyLink::new(near).fail(Call::Read, 0, Failure::Kind(ErrorKind::ConnectionReset));
+    assert_eq!(link.read_u8().await.unwrap_err().kind(), ErrorKind::ConnectionReset);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_end_lasts_and_so_does_a_stall() {
+    let (near, _far) = fed(b"abc").await;
+    let mut link = FaultyLink::new(near).fail(Call::Read, 0, Failure::End);
+    for _ in 0..3 {
+        assert_eq!(link.read(&mut [0; 8]).await.unwrap(), 0);
+    }
+    let (near, _far) = fed(b"abc").await;
+    let mut link = FaultyLink::new(near).fail(Call::Read, 0, Failure::Stall).fail(
+        Call::Write,
+        1,
+        Failure::Stall,
+    );
+    assert!(is_stuck(link.read_u8()).await);
+    assert_eq!(link.write(b"V").await.unwrap(), 1);
+    assert!(is_stuck(link.write(b"V")).await);
+}
+
+#[tokio::test(start_paused = true)]
+async fn writes_fail_and_take_a_part() {
+    let (near, mut far) = duplex(4096);
+    let mut link = FaultyLink::new(near).partial_writes(2).fail(Call::Write, 2, Failure::Errno(28));
+    let counter = link.counter();
+    assert_eq!(link.write(b"abcde").await.unwrap(), 2);
+    assert_eq!(link.write(b"cde").await.unwrap(), 2);
+    assert_eq!(link.write(b"e").await.unwrap_err().raw_os_error(), Some(28));
+    link.write_all(b"e").await.unwrap();
+    assert_eq!((counter.writes(), counter.bytes_written()), (3, 5));
+    drop(link);
+    let mut written = Vec::new();
+    far.read_to_end(&mut written).await.unwrap();
+    assert_eq!(written, b"abcde");
+}
+
+#[tokio::test(start_paused = true)]
+async fn reads_stop_where_they_are_split() {
+    for place in 0..=6 {
+        let (near, far) = fed(b"abcdef").await;
+        drop(far);
+        let mut link = FaultyLink::new(near).split_reads_at([place]);
+        let mut parts = Vec::new();
+        loop {
+            let mut buffer = [0; 64];
+            let count = link.read(&mut buffer).await.unwrap();
+            if count == 0 {
+                break;
+            }
+            parts.push(buffer[..count].to_vec());
+        }
+        let (head, tail) = b"abcdef".split_at(place as usize);
+        let expected: Vec<&[u8]> =
+            [head, tail].into_iter().filter(|part| !part.is_empty()).collect();
+        assert_eq!(parts, expected);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_loopback_gives_back_what_is_written_and_nothing_else() {
+    let (near, _far) = fed(b"never read").await;
+    let mut link = FaultyLink::new(near).loopback();
+    assert!(is_stuck(link.read_u8()).await);
+    assert_eq!(ask(&mut link, "V\n").await, "V\n\n");
+    // A reader that waits is woken by a write.
+    let (mut read, mut write) = tokio::io::split(link);
+    let reader = tokio::spawn(async move { read.read_u8().await.unwrap() });
+    tokio::task::yield_now().await;
+    write.write_all(b"x").await.unwrap();
+    assert_eq!(reader.await.unwrap(), b'x');
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_echo_comes_before_the_reply() {
+    let mut link = FaultyLink::new(prompt().build().link()).echo();
+    assert_eq!(ask(&mut link, "L0").await, "L0\nL0\n0\n\n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn flushes_are_counted() {
+    let mut link = FaultyLink::new(prompt().build().link());
+    let counter = link.counter();
+    ask(&mut link, "V").await;
+    assert_eq!(counter.flushes(), 0);
+    link.flush().await.unwrap();
+    assert_eq!(counter.flushes(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_change_of_speed_fails_when_it_is_told_to() {
+    let emulator = prompt().line_speed(BaudRate::B57600).build();
+    let mut link =
+        FaultyLink::new(emulator.link()).fail(Call::SetSpeed, 0, Failure::Kind(ErrorKind::Other));
+    let counter = link.counter();
+    assert!(link.set_line_speed(BaudRate::B57600).is_err());
+    assert_eq!(link.line_speed(), Some(BaudRate::B19200));
+    link.set_line_speed(BaudRate::B57600).unwrap();
+    assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
+    assert_eq!(counter.speed_changes(), 2);
+}

@@ -1,0 +1,51 @@
+//! The emulated sensor against the protocol text: what it says, when, and what
+//! goes wrong on demand. Expected bytes are written by hand.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod faults;
+mod faulty_link;
+mod handle;
+mod lines;
+mod replies;
+mod served;
+mod speed;
+mod time;
+mod worlds;
+
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio_scip::emulator::{Builder, Emulator, Fixed, Pace};
+
+/// A sensor that answers at once and always sees 1,234 mm.
+fn prompt() -> Builder {
+    Emulator::builder().pace(Pace::AtOnce).world(Fixed::filled(1234))
+}
+
+/// Sends `command` with a line feed, and gives what comes within ten seconds up
+/// to the double line feed: with none, all of it.
+async fn ask(link: &mut (impl AsyncRead + AsyncWrite + Unpin), command: &str) -> String {
+    link.write_all(command.as_bytes()).await.unwrap();
+    link.write_all(b"\n").await.unwrap();
+    listen(link).await
+}
+
+/// What comes within ten seconds, up to a double line feed.
+async fn listen(link: &mut (impl AsyncRead + Unpin)) -> String {
+    String::from_utf8(listen_bytes(link).await).unwrap()
+}
+
+async fn listen_bytes(link: &mut (impl AsyncRead + Unpin)) -> Vec<u8> {
+    let mut reply = Vec::new();
+    let read = async {
+        while !reply.ends_with(b"\n\n") {
+            match link.read_u8().await {
+                Ok(byte) => reply.push(byte),
+                Err(_) => break,
+            }
+        }
+    };
+    let _ = tokio::time::timeout(Duration::from_secs(10), read).await;
+    reply
+}

@@ -1,0 +1,171 @@
+//! How the tests run the program and read what it writes.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
+
+/// More than anything here takes, and less than anybody likes to wait.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+
+const URG: &str = env!("CARGO_BIN_EXE_urg");
+
+/// The program with these arguments, to be run to its end.
+pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
+    let mut command = assert_cmd::Command::new(URG);
+    command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(PATIENCE);
+    command
+}
+
+/// What the program wrote on its way to the exit code that is expected.
+pub(crate) struct Output {
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+/// Runs the program to its end.
+pub(crate) fn run(arguments: &str, exit_code: i32) -> Output {
+    let output = urg(arguments).assert().code(exit_code).get_output().clone();
+    Output {
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// Runs the program to an error, and gives its one line.
+pub(crate) fn failure(arguments: &str) -> String {
+    let output = run(arguments, 1);
+    assert_eq!(output.stdout, "");
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+    assert!(output.stderr.starts_with("urg: "), "{}", output.stderr);
+    output.stderr
+}
+
+/// The program while it runs; it is killed if a test fails meanwhile.
+pub(crate) struct Running {
+    child: Child,
+    /// Held, so that it stays open.
+    _stdin: Option<ChildStdin>,
+    stdout: Option<Receiver<String>>,
+    stderr: Receiver<String>,
+}
+
+impl Running {
+    pub(crate) fn start(arguments: &str) -> Self {
+        let mut running = Self::start_unread(arguments);
+        running.stdout = running.child.stdout.take().map(lines);
+        running
+    }
+
+    /// Nobody reads its standard output.
+    pub(crate) fn start_unread(arguments: &str) -> Self {
+        let mut child = Command::new(URG)
+            .args(arguments.split_whitespace())
+            .env_remove("RUST_LOG")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let stderr = lines(child.stderr.take().unwrap());
+        Self { _stdin: child.stdin.take(), child, stdout: None, stderr }
+    }
+
+    /// The next line of standard output.
+    pub(crate) fn line(&mut self) -> String {
+        next(self.stdout.as_ref().expect("it is read"))
+    }
+
+    /// The next line on standard error.
+    pub(crate) fn notice(&mut self) -> String {
+        next(&self.stderr)
+    }
+
+    /// What is left of standard output, to its end.
+    pub(crate) fn rest(&mut self) -> Vec<String> {
+        self.stdout.take().map(|lines| lines.iter().collect()).unwrap_or_default()
+    }
+
+    /// Nobody reads its standard output any more.
+    pub(crate) fn close_pipe(&mut self) {
+        drop((self.child.stdout.take(), self.stdout.take()));
+    }
+
+    /// Sends a signal such as `INT`.
+    pub(crate) fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+    }
+
+    /// Waits for its end.
+    pub(crate) fn end(mut self) -> (ExitStatus, Vec<String>) {
+        // It ends its standard error by ending.
+        let notices = self.stderr.iter().collect();
+        (self.child.wait().unwrap(), notices)
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn lines(stream: impl Read + Send + 'static) -> Receiver<String> {
+    let (sender, receiver) = channel();
+    thread::spawn(move || {
+        for line in BufReader::new(stream).lines() {
+            if sender.send(line.unwrap()).is_err() {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+fn next(lines: &Receiver<String>) -> String {
+    match lines.recv_timeout(PATIENCE) {
+        Ok(line) => line,
+        Err(RecvTimeoutError::Timeout) => panic!("no line came"),
+        Err(RecvTimeoutError::Disconnected) => panic!("the program ended"),
+    }
+}
+
+/// An emulated sensor in a program of its own, and where it is.
+pub(crate) struct Emulated {
+    pub(crate) running: Running,
+    pub(crate) port: String,
+}
+
+impl Emulated {
+    /// Runs `urg emulate` and waits until it serves.
+    pub(crate) fn start(arguments: &str) -> Self {
+        let mut running = Running::start(&format!("emulate {arguments}"));
+        let notice = running.notice();
+        let (_, port) = notice.rsplit_once(", on ").unwrap_or_else(|| panic!("{notice}"));
+        let port = port.to_owned();
+        Self { running, port }
+    }
+}
+
+/// A path that nothing has, removed in the end.
+pub(crate) struct Scratch(PathBuf);
+
+impl Scratch {
+    pub(crate) fn new(name: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("urg-{name}-{}", std::process::id())))
+    }
+
+    pub(crate) fn path(&self) -> &str {
+        self.0.to_str().unwrap()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,113 @@
+//! Help, command lines that make no sense, and what cannot be opened.
+
+use super::program::{Emulated, Scratch, failure, run, urg};
+
+#[test]
+fn every_command_has_help_on_standard_output() {
+    assert!(run("--help", 0).stdout.contains("emulated"));
+    for command in ["list", "info", "scan", "stream", "laser", "baud", "emulate"] {
+        let long = run(&format!("{command} --help"), 0).stdout;
+        let short = run(&format!("help {command}"), 0).stdout;
+        for help in [long, short] {
+            assert!(help.contains(&format!("Usage: urg {command}")), "{help}");
+        }
+    }
+    assert!(run("--version", 0).stdout.starts_with("urg "));
+}
+
+#[test]
+fn a_command_line_that_makes_no_sense_ends_with_2() {
+    for arguments in [
+        "",
+        "fly",
+        "stream emulated --fast",
+        "stream tcp://bridge",
+        "stream emulated --rate 0",
+        "stream emulated --count 0",
+        "stream emulated --duration 10",
+        "stream emulated --duration 0s",
+        "stream emulated --baud 9600",
+        "stream emulated --format svg",
+        "scan emulated --cluster 0",
+        "scan emulated --end 769",
+        "scan emulated --start 700 --end 30",
+        "scan emulated --start 730",
+        "scan emulated --from 20 --to 10",
+        "scan emulated --from nan",
+        "scan emulated --from 10 --start 3",
+        "laser emulated",
+        "laser emulated blink",
+        "baud emulated",
+        "emulate --baud 19200 --usb",
+        "emulate --faults rain=0.5",
+        "emulate --tcp 4001 --link here",
+    ] {
+        let output = run(arguments, 2);
+        assert_eq!(output.stdout, "", "{arguments}");
+        assert!(!output.stderr.is_empty(), "{arguments}");
+    }
+}
+
+#[test]
+fn a_missing_port_is_asked_for() {
+    for arguments in ["info", "scan --format csv", "stream --count 3", "laser on", "baud 115200"] {
+        let output = run(arguments, 2);
+        assert!(output.stderr.starts_with("urg: which PORT?"), "{}", output.stderr);
+    }
+}
+
+#[test]
+fn each_failure_is_one_line_that_names_the_port() {
+    let missing = Scratch::new("missing");
+    let directory = std::env::temp_dir();
+    for command in ["info", "scan", "stream"] {
+        let line = failure(&format!("{command} {}", missing.path()));
+        assert!(line.contains("no port") && line.contains(missing.path()), "{line}");
+        let line = failure(&format!("{command} {}", directory.display()));
+        assert!(line.contains("is not a serial port"), "{line}");
+    }
+    // A port of this machine that is free, and then nobody's.
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let line = failure(&format!("info tcp://{free}"));
+    assert!(line.contains(&format!("tcp://{free}")) && line.contains("refused"), "{line}");
+    let line = failure("laser serial:H0000000 on");
+    assert!(line.contains("H0000000"), "{line}");
+}
+
+#[test]
+fn a_port_in_use_says_so() {
+    let link = Scratch::new("in-use");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let mut stream = super::program::Running::start(&format!("stream {}", sensor.port));
+    stream.line();
+    // Root may open it all the same.
+    let output = urg(&format!("info {}", sensor.port)).assert().get_output().clone();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() || stderr.contains("is in use"), "{stderr}");
+}
+
+#[test]
+fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let line = failure(&format!("emulate --tcp {}", taken.local_addr().unwrap()));
+    assert!(line.contains("cannot serve on 127.0.0.1"), "{line}");
+    let file = Scratch::new("file");
+    std::fs::write(file.path(), "mine").unwrap();
+    failure(&format!("emulate --link {}", file.path()));
+    assert_eq!(std::fs::read(file.path()).unwrap(), b"mine");
+}
+
+#[test]
+fn logs_come_on_standard_error_and_only_when_asked_for() {
+    let quiet = urg("info emulated").assert().success().get_output().clone();
+    assert!(quiet.stderr.is_empty());
+    let asked = urg("info emulated").env("RUST_LOG", "debug").assert().success();
+    let asked = asked.get_output().clone();
+    assert!(!asked.stderr.is_empty());
+    assert_eq!(asked.stdout, quiet.stdout);
+}
+
+#[test]
+fn the_ports_of_this_machine_can_be_listed() {
+    run("list", 0);
+}
