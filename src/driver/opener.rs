@@ -90,8 +90,8 @@ impl<C: Connect> Opener<C> {
                 return Err(Error::Open { port: "the port".to_owned(), source });
             }
         };
-        let (latency, telemetry) = (self.config.reply_latency, Arc::clone(&self.telemetry));
-        let mut session = Session::new(Box::new(port), latency, telemetry);
+        let telemetry = Arc::clone(&self.telemetry);
+        let mut session = Session::new(Box::new(port), &self.config, telemetry);
         self.find(&mut session, limit).await?;
         Ok(session)
     }

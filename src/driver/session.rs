@@ -24,12 +24,14 @@ use tokio::time::{Instant, timeout_at};
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
+use super::Config;
 use super::line::Line;
 use super::single_steps::SingleSteps;
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
 use crate::state::Telemetry;
+use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Window};
 
 /// Fences sent before a line counts as lost.
@@ -92,18 +94,15 @@ pub(crate) struct Session {
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
+    tap: Tap,
     telemetry: Arc<Telemetry>,
 }
 
 impl Session {
-    pub(crate) fn new(
-        port: Box<dyn Port>,
-        latency: Option<Duration>,
-        telemetry: Arc<Telemetry>,
-    ) -> Self {
+    pub(crate) fn new(port: Box<dyn Port>, config: &Config, telemetry: Arc<Telemetry>) -> Self {
         Self {
             framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
-            latency,
+            latency: config.reply_latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
@@ -113,6 +112,7 @@ impl Session {
             recent: [None; 3],
             values: Vec::new(),
             polled: 0..0,
+            tap: config.tap.clone(),
             telemetry,
         }
     }
@@ -146,6 +146,9 @@ impl Session {
     pub(crate) async fn idle(&mut self) -> Result<(), Failure> {
         match self.framed.next().await {
             Some(Ok(frame)) => {
+                if let Frame::Reply(bytes) = &frame {
+                    self.hear(bytes, None);
+                }
                 self.skip(&frame);
                 self.dirty = true;
                 Ok(())
@@ -314,7 +317,10 @@ impl Session {
                     continue;
                 }
             };
-            match Reply::parse(command, bytes) {
+            let outcome = Reply::parse(command, bytes);
+            let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
+            self.hear(bytes, (!foreign).then_some(*command));
+            match outcome {
                 Ok(reply) => {
                     let timing = self.timing(requested);
                     let status = reply.status();
@@ -367,6 +373,7 @@ impl Session {
                 return Err(self.explain_silence(&sent, command).unwrap_or(timeout));
             };
             if let Frame::Reply(bytes) = &frame {
+                self.hear(bytes, None);
                 match Reply::parse_end(command, bytes) {
                     Ok(_) if is_echoed(&sent, command, bytes) => {
                         return Err(Failure::Line(Error::Loopback));
@@ -470,6 +477,15 @@ impl Session {
             self.reset_input();
         }
         Ok(())
+    }
+
+    /// Lets the tap hear a frame that answers `command`, or no command that was
+    /// to bring anything.
+    fn hear(&self, bytes: &[u8], command: Option<Command>) {
+        self.tap.hear(|| {
+            let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
+            Heard { command, bytes, received_at: Instant::now().into_std(), stamp }
+        });
     }
 
     /// Counts a frame that nobody asked for.
