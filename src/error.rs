@@ -32,7 +32,9 @@ pub enum Error {
         port: String,
     },
     /// The path exists and is not a serial port.
-    #[error("{port} is not a serial port: name a device such as /dev/ttyACM0 (`urg list` shows them)")]
+    #[error(
+        "{port} is not a serial port: name a device such as /dev/ttyACM0 (`urg list` shows them)"
+    )]
     NotASerialPort {
         /// The port as it was asked for.
         port: String,
