@@ -20,9 +20,9 @@ use crate::{Error, Scan, ScanStream, Sensor, State};
 
 /// How long what was recorded may stay in memory.
 const FLUSH: Duration = Duration::from_secs(1);
-/// How many bytes wait for a disk that is slow; at 10 full scans a second that
-/// is some twenty minutes.
-const QUEUE: usize = 32 << 20;
+/// How many bytes wait for a disk that is slow; at 10 scans a second that
+/// is some four minutes.
+const QUEUE: usize = 8 << 20;
 /// What an entry costs besides what it carries.
 const OVERHEAD: usize = 128;
 
@@ -64,7 +64,7 @@ pub struct Progress {
     /// Bytes that were written.
     pub bytes: u64,
     /// Scans and replies that are not in the file, because the disk was too slow
-    /// for too long (32 MiB wait for it), or had failed.
+    /// for too long (8 MiB wait for it), or had failed.
     pub lost: u64,
 }
 

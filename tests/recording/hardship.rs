@@ -133,12 +133,12 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     // Twice as much as may wait: this would hang if it could.
-    for _ in 0..50_000 {
+    for _ in 0..12_000 {
         recorder.record(&item).unwrap();
     }
     let progress = recorder.progress();
-    assert!(progress.lost > 10_000, "{progress:?}");
-    assert_eq!(progress.scans + progress.lost, 50_000);
+    assert!(progress.lost > 4_000, "{progress:?}");
+    assert_eq!(progress.scans + progress.lost, 12_000);
     drop(go);
     recorder.finish().await.unwrap();
     assert_eq!(sink.records().len() as u64, progress.scans);
