@@ -62,11 +62,12 @@ def read_with_mcap(path):
         assert reader.get_header().profile == "ros2"
         names = [metadata.name for metadata in reader.iter_metadata()]
         assert names == ["tokio_scip"], names
-        for schema, channel, _, message in reader.iter_decoded_messages():
+        for schema, channel, record, message in reader.iter_decoded_messages():
             assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
             if channel.topic == "/scan":
                 assert schema.name == "sensor_msgs/msg/LaserScan"
                 scans.append(scan(message))
+                assert record.publish_time == scans[-1][0]
             if channel.topic == "/scip/replies" and message.layout.dim[0].label.startswith("G"):
                 replies.append((message.layout.dim[0].label, bytes(message.data)))
     return scans, replies

@@ -131,3 +131,21 @@ impl<W: Write> Writer<W> {
         self.mcap.write_to_known_channel(&header, &self.message)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn the_log_runs_steadily_from_the_wall_clock_and_knows_what_was_before() {
+        let wall = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000);
+        let steady = Instant::now();
+        let clock = LogClock { began: Times { steady, wall } };
+        let second = Duration::from_secs(1);
+        assert_eq!(clock.log_time(steady + second), 1_001_000_000_000);
+        // A scan that was received before the recorder was made.
+        assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
+    }
+}

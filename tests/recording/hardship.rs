@@ -2,6 +2,7 @@
 
 use std::io::{self, Write};
 use std::sync::mpsc;
+use std::time::Duration;
 
 use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError};
 use tokio_scip::{Rate, Sensor, Window};
@@ -152,7 +153,9 @@ async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
     let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
     recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
     let mut length = sink.length();
-    length.wait_for(|length| *length > 4_000).await.unwrap();
+    // Comes after a second, unless it never comes.
+    let written = length.wait_for(|length| *length > 4_000);
+    tokio::time::timeout(Duration::from_secs(60), written).await.unwrap().unwrap();
     let mut recording = sink.open();
     let scans =
         recording.by_ref().filter(|item| matches!(item.as_ref().unwrap().entry, Entry::Scan(_)));
