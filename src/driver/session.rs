@@ -22,12 +22,14 @@ use tokio::time::{Instant, timeout_at};
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
+use super::Config;
 use super::echoes::Echoes;
 use super::line::{Line, flood};
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
+use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Window};
 
 /// Frames that may come in answer to one command before the line counts as
@@ -78,19 +80,20 @@ pub(crate) struct Session {
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
+    tap: Tap,
     pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
-        latency: Option<Duration>,
+        config: &Config,
         echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
             framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
-            latency,
+            latency: config.reply_latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
@@ -98,6 +101,7 @@ impl Session {
             echoes,
             values: Vec::new(),
             polled: 0..0,
+            tap: config.tap.clone(),
             telemetry,
         }
     }
@@ -264,7 +268,10 @@ impl Session {
                 return Err(timeout);
             };
             if let Frame::Reply(bytes) = &frame {
-                let error = match Reply::parse(&command, bytes) {
+                let outcome = Reply::parse(&command, bytes);
+                let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
+                self.hear(bytes, (!foreign).then_some(command));
+                let error = match outcome {
                     Ok(reply) => {
                         let (timing, status) = (self.timing(requested), reply.status());
                         let done = status.is_ok_for(&command);
@@ -361,6 +368,15 @@ impl Session {
             self.reset_input();
         }
         Ok(())
+    }
+
+    /// Lets the tap hear a frame that answers `command`, or no command that was
+    /// to bring anything.
+    pub(super) fn hear(&self, bytes: &[u8], command: Option<Command>) {
+        self.tap.hear(|| {
+            let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
+            Heard { command, bytes, received_at: Instant::now().into_std(), stamp }
+        });
     }
 
     /// Counts a frame that nobody asked for, and waits for the next.
