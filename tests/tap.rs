@@ -12,7 +12,7 @@ use tokio_scip::{Sensor, Window};
 async fn the_tap_hears_good_and_damaged_replies_fences_and_what_nobody_asked_for() {
     // Replies 0 and 1 answer a fence and `V`.
     let faults =
-        Faults::none().at(2, Fault::Drop(14..15)).at(5, Fault::Insert(0, b"X\n0\n\n".to_vec()));
+        Faults::none().at(2, Fault::Drop(14..15)).at(6, Fault::Insert(0, b"X\n0\n\n".to_vec()));
     let emulator = Emulator::builder().world(Fixed::filled(1234)).faults(faults).build();
     let heard = Arc::new(Mutex::new(Vec::new()));
     let sink = Arc::clone(&heard);
@@ -43,8 +43,8 @@ async fn the_tap_hears_good_and_damaged_replies_fences_and_what_nobody_asked_for
             (None, "G00100101"),
             (Some(asked(383)), "G38338501"),
             (None, "idle"),
-            (None, "X"),
             (None, "G00200201"),
+            (None, "X"),
             (Some(Command::LaserOff), "L0"),
             (None, "G00300301"),
         ]

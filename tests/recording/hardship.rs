@@ -101,6 +101,24 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
     }
 }
 
+/// The last chunk is there, and only its index is not.
+#[tokio::test(start_paused = true)]
+async fn a_disk_that_is_full_at_the_very_end_is_told_by_finish() {
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    let run = async |room| {
+        let sink = Sink::with_room(room);
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        recorder.record(&item).unwrap();
+        (recorder.finish().await, sink)
+    };
+    let (finished, whole) = run(usize::MAX).await;
+    finished.unwrap();
+    let (finished, cut) = run(whole.bytes().len() - 1).await;
+    assert!(is_full(&finished.unwrap_err()));
+    assert_eq!((cut.records().len(), whole.records().len()), (1, 1));
+}
+
 fn is_full(error: &RecordingError) -> bool {
     matches!(error, RecordingError::Write { source } if source.kind() == io::ErrorKind::StorageFull)
 }

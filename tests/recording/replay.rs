@@ -2,9 +2,10 @@
 
 use std::time::Duration;
 
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
-use tokio_scip::recording::ReplayPace;
+use tokio_scip::recording::{Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
 use crate::sink::{Sink, polls, record, sensor, window};
@@ -141,7 +142,7 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     let emulator = sink.open().replay(ReplayPace::Max).unwrap();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     assert_eq!(sensor.version().await.unwrap().serial_number.to_string(), "42");
-    // Fences and refusals take no scan away.
+    // Fences take no scan away.
     sensor.laser_off().await.unwrap();
     assert!(!emulator.laser());
     sensor.laser_on().await.unwrap();
@@ -152,4 +153,68 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     assert!(sensor.scan(Window::DETECTION).await.is_err());
     let again = Sensor::builder().connect(emulator).await;
     assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_scan() {
+    let sink = Sink::new();
+    let recorded = record(sensor(), &sink, window(384, 385, 1), 2).await;
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let mut link = emulator.link();
+    let mut ask = async |command: &[u8], length: usize| {
+        link.write_all(command).await.unwrap();
+        let mut reply = vec![0; length];
+        link.read_exact(&mut reply).await.unwrap();
+        String::from_utf8(reply).unwrap()
+    };
+    assert_eq!(ask(b"L0\n", 6).await, "L0\n0\n\n");
+    assert_eq!(ask(b"G38438501\n", 13).await, "G38438501\n6\n\n");
+    assert_eq!(ask(b"L1\n", 6).await, "L1\n0\n\n");
+    drop(link);
+    let sensor = Sensor::builder().connect(emulator).await.unwrap();
+    for expected in values(&recorded) {
+        assert_eq!(sensor.scan(window(384, 385, 1)).await.unwrap().values(), expected);
+    }
+}
+
+/// One point of the wider window is missing, so that the rest has the length of
+/// the narrower one.
+#[tokio::test(start_paused = true)]
+async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
+    let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
+    let last_point = wide.reply_len() - 4..wide.reply_len() - 2;
+    let emulator = sensor();
+    emulator.set_faults(Faults::none().at(2, Fault::Drop(last_point)));
+    let sink = Sink::new();
+    let recorded = record(emulator, &sink, wide, 5).await;
+    let whole: Vec<_> = values(&recorded).iter().map(|all| all[1..].to_vec()).collect();
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let replayed = values(&drain(replay, narrow, Rate::hz(10.0)).await);
+    assert_eq!(replayed, whole);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_is_that_of_the_stream_that_was_described_and_knows_what_others_saw() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let original = Sensor::builder().tap(recorder.tap()).ring_depth(64).connect(sensor()).await;
+    let original = original.unwrap();
+    let rate = Rate::hz(4.0);
+    let mut scans = original.scans(window(100, 199, 1), rate).await.unwrap();
+    let mut others = original.scans(window(300, 309, 1), rate).await.unwrap();
+    recorder.describe(&original, &scans).await.unwrap();
+    let (mut expected, mut seen) = (Vec::new(), Vec::new());
+    for _ in 0..10 {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        expected.push(item.unwrap().values().to_vec());
+        seen.push(others.next().await.unwrap().unwrap().values().to_vec());
+    }
+    recorder.finish().await.unwrap();
+
+    let open = || sink.open().replay(ReplayPace::Max).unwrap();
+    assert_eq!(values(&drain(open(), window(100, 199, 1), rate).await), expected);
+    let others = values(&drain(open(), window(300, 309, 1), rate).await);
+    assert_eq!(others.len(), 10);
+    assert!(others[1..].iter().all(|values| seen.contains(values)), "{others:?}");
 }
