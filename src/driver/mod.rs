@@ -1,6 +1,7 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
 
+mod alarm;
 mod echoes;
 mod fence;
 mod line;
@@ -10,6 +11,7 @@ mod schedule;
 mod serve;
 mod session;
 mod settings;
+mod speedometer;
 mod supervisor;
 
 use std::fmt;

@@ -18,13 +18,14 @@ use bytes::BufMut;
 use futures::{SinkExt, StreamExt};
 use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::task::coop::unconstrained;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
 use super::Config;
+use super::alarm::Alarm;
 use super::echoes::Echoes;
-use super::line::{Line, flood};
+use super::line::{self, Line, READ_BUFFER, flood};
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, ReplyError, Status};
@@ -37,9 +38,6 @@ use crate::{BaudRate, Error, Window};
 pub(super) const MAX_FRAMES: usize = 64;
 /// How much is read at once of what is thrown away.
 const SCRATCH: usize = 512;
-/// Room for any reply of a sensor; the buffer grows to twice that under
-/// garbage.
-const READ_BUFFER: usize = 4096;
 
 /// Why a command got no answer.
 #[derive(Debug)]
@@ -68,6 +66,7 @@ pub(crate) struct Timing {
 
 pub(crate) struct Session {
     pub(super) framed: Framed<Line, ScipCodec>,
+    alarm: Alarm,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
@@ -92,7 +91,8 @@ impl Session {
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
-            framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
+            framed: line::framed(port),
+            alarm: Alarm::default(),
             latency: config.reply_latency,
             // Whatever the last user of the port left behind.
             dirty: true,
@@ -312,9 +312,9 @@ impl Session {
         self.framed.get_mut().command();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        match timeout_at(deadline, self.framed.send(command)).await {
-            Ok(outcome) => outcome?,
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.send(command)).await {
+            Some(outcome) => outcome?,
+            None => {
                 self.framed.write_buffer_mut().clear();
                 self.dirty = true;
                 return Ok(false);
@@ -327,10 +327,10 @@ impl Session {
     /// The next frame, or `None` at the deadline.
     pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
         // Looks at the line before it looks at the clock.
-        match timeout_at(deadline, self.framed.next()).await {
-            Ok(Some(frame)) => Ok(Some(frame?)),
-            Ok(None) => Err(Failure::Line(Error::disconnected(None))),
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.next()).await {
+            Some(Some(frame)) => Ok(Some(frame?)),
+            Some(None) => Err(Failure::Line(Error::disconnected(None))),
+            None => {
                 self.dirty = true;
                 Ok(None)
             }
@@ -367,6 +367,8 @@ impl Session {
             self.dirty = true;
             self.reset_input();
         }
+        // Or replies would use up the buffer, and come in two reads each time.
+        self.framed.read_buffer_mut().reserve(READ_BUFFER);
         Ok(())
     }
 
