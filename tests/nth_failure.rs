@@ -163,18 +163,16 @@ async fn with_failure(
 
 /// Every n-th call of each kind fails in every way.
 async fn every_call_fails_once(scenario: Scenario) {
-    for reconnect in [true, false] {
-        for writes in [usize::MAX, 3] {
-            if !reconnect && matches!(scenario, Scenario::Reconnect) {
-                continue;
-            }
-            let totals = with_failure(scenario, writes, None, reconnect).await;
-            for (call, total) in [Call::Read, Call::Write, Call::SetSpeed].into_iter().zip(totals) {
-                assert!(total > 0);
-                for n in 0..total {
-                    for failure in FAILURES {
-                        with_failure(scenario, writes, Some((call, n, failure)), reconnect).await;
-                    }
+    for (reconnect, writes) in [(true, usize::MAX), (true, 3), (false, usize::MAX)] {
+        if !reconnect && matches!(scenario, Scenario::Reconnect) {
+            continue;
+        }
+        let totals = with_failure(scenario, writes, None, reconnect).await;
+        for (call, total) in [Call::Read, Call::Write, Call::SetSpeed].into_iter().zip(totals) {
+            assert!(total > 0);
+            for n in 0..total {
+                for failure in FAILURES {
+                    with_failure(scenario, writes, Some((call, n, failure)), reconnect).await;
                 }
             }
         }

@@ -186,7 +186,7 @@ impl<C: Connect> Opener<C> {
     /// Sets the sensor as the service has asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), Failure> {
         if let Some(speed) = self.wanted.speed
-            && session.line_speed().is_some()
+            && session.line_speed().is_some_and(|now| now != speed)
         {
             match session.change_speed(speed).await {
                 // Scans at another speed are better than none.
