@@ -31,6 +31,7 @@ use self::supervisor::Supervisor;
 use crate::port::Connect;
 use crate::protocol::Text;
 use crate::state::Telemetry;
+use crate::tap::Tap;
 use crate::{BaudRate, Error};
 
 /// How many requests wait in the queue before those who ask have to.
@@ -48,6 +49,7 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+    pub(crate) tap: Tap,
 }
 
 impl Config {
@@ -70,6 +72,7 @@ impl Default for Config {
             serial_number: None,
             ring_depth: 1,
             reply_latency: None,
+            tap: Tap::default(),
         }
     }
 }

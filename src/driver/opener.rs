@@ -92,9 +92,9 @@ impl<C: Connect> Opener<C> {
     }
 
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
-        let (latency, telemetry) = (self.config.reply_latency, Arc::clone(&self.telemetry));
+        let telemetry = Arc::clone(&self.telemetry);
         let echoes = std::mem::take(&mut self.echoes);
-        let mut session = Session::new(Box::new(port), latency, echoes, telemetry);
+        let mut session = Session::new(Box::new(port), &self.config, echoes, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {

@@ -22,6 +22,7 @@ use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
+use super::Config;
 use super::alarm::Alarm;
 use super::echoes::Echoes;
 use super::line::{self, Line, READ_BUFFER, flood};
@@ -29,6 +30,7 @@ use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
+use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Window};
 
 /// Frames that may come in answer to one command before the line counts as
@@ -77,20 +79,21 @@ pub(crate) struct Session {
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
+    tap: Tap,
     pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
-        latency: Option<Duration>,
+        config: &Config,
         echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
             framed: line::framed(port),
             alarm: Alarm::default(),
-            latency,
+            latency: config.reply_latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
@@ -98,6 +101,7 @@ impl Session {
             echoes,
             values: Vec::new(),
             polled: 0..0,
+            tap: config.tap.clone(),
             telemetry,
         }
     }
@@ -264,7 +268,10 @@ impl Session {
                 return Err(timeout);
             };
             if let Frame::Reply(bytes) = &frame {
-                let error = match Reply::parse(&command, bytes) {
+                let outcome = Reply::parse(&command, bytes);
+                let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
+                self.hear(bytes, (!foreign).then_some(command));
+                let error = match outcome {
                     Ok(reply) => {
                         let (timing, status) = (self.timing(requested), reply.status());
                         let done = status.is_ok_for(&command);
@@ -363,6 +370,15 @@ impl Session {
         // Or replies would use up the buffer, and come in two reads each time.
         self.framed.read_buffer_mut().reserve(READ_BUFFER);
         Ok(())
+    }
+
+    /// Lets the tap hear a frame that answers `command`, or no command that was
+    /// to bring anything.
+    pub(super) fn hear(&self, bytes: &[u8], command: Option<Command>) {
+        self.tap.hear(|| {
+            let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
+            Heard { command, bytes, received_at: Instant::now().into_std(), stamp }
+        });
     }
 
     /// Counts a frame that nobody asked for, and waits for the next.
