@@ -235,7 +235,7 @@ impl SensorBuilder {
 
     /// How long to wait before a port is opened again: `shortest` at first,
     /// twice as long each time, up to `longest`, each lengthened at random by up
-    /// to a quarter. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
+    /// to a tenth. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
     /// at least `shortest`. A link that lasted begins with `shortest` again.
     pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
         let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);

@@ -246,7 +246,7 @@ impl Backoff {
     fn next(&mut self) -> Duration {
         // A step of a linear congruential generator; its upper bits are good.
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        let jitter = 1.0 + 0.25 * (self.seed >> 40) as f64 / f64::from(1 << 24);
+        let jitter = 1.0 + 0.1 * (self.seed >> 40) as f64 / f64::from(1 << 24);
         let wait = self.next;
         self.next = (wait * 2).min(self.longest);
         wait.mul_f64(jitter)
