@@ -6,13 +6,14 @@ use std::time::{Instant, SystemTime};
 
 use crate::protocol::Command;
 
-/// A frame that came from the sensor, as
-/// [`SensorBuilder::tap`](crate::SensorBuilder::tap) gets it.
+/// A frame that came from the sensor while something was asked of it, as
+/// [`SensorBuilder::tap`](crate::SensorBuilder::tap) gets it. What comes at other
+/// times is thrown away as it comes, before it is a frame.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
 pub struct Heard<'a> {
     /// The command that it answers, well or badly (a reply may be damaged), or
-    /// `None` for the reply to a fence and for what came instead of a reply.
+    /// `None` for the reply to a fence and for what was not asked for.
     pub command: Option<Command>,
     /// The bytes as they came, without the two LFs that end a frame and without
     /// NULs before it.
@@ -21,8 +22,7 @@ pub struct Heard<'a> {
     /// [`Scan`](crate::Scan) to within microseconds.
     pub received_at: Instant,
     /// The wall clock when its first byte arrived, the same as
-    /// [`Scan::stamp`](crate::Scan::stamp). For what nobody asked for, some time
-    /// since the last command.
+    /// [`Scan::stamp`](crate::Scan::stamp).
     pub stamp: SystemTime,
 }
 

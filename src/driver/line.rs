@@ -8,11 +8,14 @@ use std::time::SystemTime;
 
 use bytes::BytesMut;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::Instant;
 use tokio_util::codec::Framed;
 
 use crate::BaudRate;
 use crate::codec::ScipCodec;
 use crate::port::Port;
+use crate::protocol::Command;
+use crate::tap::{Heard, Tap};
 
 /// How many bytes may arrive between two commands. A sensor answers each with
 /// 1,576 at most; a line that always has more to read would never let anybody
@@ -26,8 +29,9 @@ pub(super) const READ_BUFFER: usize = 4096;
 const WRITE_BUFFER: usize = 32;
 
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
-pub(super) fn framed(port: Box<dyn Port>) -> Framed<Line, ScipCodec> {
-    let mut framed = Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER);
+pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, ScipCodec> {
+    let line = Line { port, arrival: None, received: 0, before: 0, tap };
+    let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
     framed
@@ -41,13 +45,10 @@ pub(crate) struct Line {
     received: u64,
     /// How many of these came before the latest command.
     before: u64,
+    tap: Tap,
 }
 
 impl Line {
-    pub(crate) fn new(port: Box<dyn Port>) -> Self {
-        Self { port, arrival: None, received: 0, before: 0 }
-    }
-
     /// A command is written: what comes from now on counts anew.
     pub(crate) fn command(&mut self) {
         self.before = self.received;
@@ -60,8 +61,17 @@ impl Line {
     }
 
     /// When the first byte since then arrived.
-    pub(crate) fn arrival(&self) -> Option<SystemTime> {
-        self.arrival
+    pub(crate) fn stamp(&self) -> SystemTime {
+        self.arrival.unwrap_or_else(SystemTime::now)
+    }
+
+    /// Lets the tap hear a frame that answers `command`, or no command that was
+    /// to bring anything.
+    pub(crate) fn hear(&self, command: Option<Command>, bytes: &[u8]) {
+        self.tap.hear(|| {
+            let received_at = Instant::now().into_std();
+            Heard { command, bytes, received_at, stamp: self.stamp() }
+        });
     }
 
     /// How many bytes ever arrived.

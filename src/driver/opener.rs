@@ -8,6 +8,7 @@ use tokio::time::{Instant, timeout};
 
 use super::Config;
 use super::echoes::Echoes;
+use super::line;
 use super::session::{Failure, Session};
 use crate::port::Connect;
 use crate::protocol::{Command, Text, Version};
@@ -94,7 +95,8 @@ impl<C: Connect> Opener<C> {
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
         let telemetry = Arc::clone(&self.telemetry);
         let echoes = std::mem::take(&mut self.echoes);
-        let mut session = Session::new(Box::new(port), &self.config, echoes, telemetry);
+        let framed = line::framed(Box::new(port), self.config.tap.clone());
+        let mut session = Session::new(framed, self.config.reply_latency, echoes, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {

@@ -22,15 +22,12 @@ use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
-use super::Config;
 use super::alarm::Alarm;
 use super::echoes::Echoes;
-use super::line::{self, Line, READ_BUFFER, flood};
+use super::line::{Line, READ_BUFFER, flood};
 use crate::codec::{Frame, ScipCodec};
-use crate::port::Port;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
-use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Window};
 
 /// Frames that may come in answer to one command before the line counts as
@@ -79,21 +76,20 @@ pub(crate) struct Session {
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
-    tap: Tap,
     pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
-        port: Box<dyn Port>,
-        config: &Config,
+        framed: Framed<Line, ScipCodec>,
+        latency: Option<Duration>,
         echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
-            framed: line::framed(port),
+            framed,
             alarm: Alarm::default(),
-            latency: config.reply_latency,
+            latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
@@ -101,7 +97,6 @@ impl Session {
             echoes,
             values: Vec::new(),
             polled: 0..0,
-            tap: config.tap.clone(),
             telemetry,
         }
     }
@@ -270,7 +265,7 @@ impl Session {
             if let Frame::Reply(bytes) = &frame {
                 let outcome = Reply::parse(&command, bytes);
                 let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
-                self.hear(bytes, (!foreign).then_some(command));
+                self.framed.get_ref().hear((!foreign).then_some(command), bytes);
                 let error = match outcome {
                     Ok(reply) => {
                         let (timing, status) = (self.timing(requested), reply.status());
@@ -372,15 +367,6 @@ impl Session {
         Ok(())
     }
 
-    /// Lets the tap hear a frame that answers `command`, or no command that was
-    /// to bring anything.
-    pub(super) fn hear(&self, bytes: &[u8], command: Option<Command>) {
-        self.tap.hear(|| {
-            let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
-            Heard { command, bytes, received_at: Instant::now().into_std(), stamp }
-        });
-    }
-
     /// Counts a frame that nobody asked for, and waits for the next.
     pub(super) fn skip(&mut self, frame: &Frame) {
         self.framed.get_mut().expect();
@@ -409,8 +395,6 @@ impl Session {
     }
 
     fn timing(&self, requested: Instant) -> Timing {
-        let received = Instant::now();
-        let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
-        Timing { requested, received, stamp }
+        Timing { requested, received: Instant::now(), stamp: self.framed.get_ref().stamp() }
     }
 }

@@ -95,7 +95,7 @@ async fn what_was_damaged_or_refused_is_so_again() {
         };
         items.iter().map(kind).collect::<Vec<_>>()
     };
-    // Replies 0 and 1 are those of opening; fences count, too.
+    // Replies 0 to 2 are those of opening; fences count, too.
     let faults = Faults::none()
         .at(5, Fault::Drop(700..701))
         .at(9, Fault::Status(b'7'))
@@ -184,9 +184,11 @@ async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
     let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
     let last_point = wide.reply_len() - 4..wide.reply_len() - 2;
     let emulator = sensor();
-    emulator.set_faults(Faults::none().at(2, Fault::Drop(last_point)));
+    // Behind a fence and two `V`s.
+    emulator.set_faults(Faults::none().at(3, Fault::Drop(last_point)));
     let sink = Sink::new();
     let recorded = record(emulator, &sink, wide, 5).await;
+    assert!(matches!(recorded[0], Err(Error::Malformed { .. })), "{:?}", recorded[0]);
     let whole: Vec<_> = values(&recorded).iter().map(|all| all[1..].to_vec()).collect();
     let replay = sink.open().replay(ReplayPace::Max).unwrap();
     let replayed = values(&drain(replay, narrow, Rate::hz(10.0)).await);
