@@ -124,22 +124,22 @@ impl Encoder<&Command> for ScipCodec {
 
 /// Where the first two LF in a row are.
 fn find_terminator(bytes: &[u8]) -> Option<usize> {
-    // A block at a time without a branch inside, which the compiler makes
-    // vector instructions of; most blocks hold no terminator.
-    const BLOCK: usize = 32;
-    let second = bytes.get(1..)?;
-    let mut at = 0;
-    for (first, second) in bytes.chunks(BLOCK).zip(second.chunks(BLOCK)) {
-        let pairs = first.iter().zip(second);
-        let hit = pairs.fold(false, |hit, (&a, &b)| hit | ((a == b'\n') & (b == b'\n')));
-        if hit {
-            return first
-                .iter()
-                .zip(second)
-                .position(|pair| pair == (&b'\n', &b'\n'))
-                .map(|i| at + i);
-        }
-        at += BLOCK;
-    }
-    None
+    // Large steps first, then smaller ones to where they stopped.
+    let mut at = skip::<128>(bytes, 0);
+    at = skip::<16>(bytes, at);
+    let pairs = bytes.get(at..)?.windows(2);
+    pairs.into_iter().position(|pair| pair == b"\n\n").map(|found| at + found)
+}
+
+/// Where to look on from `at` after as many whole blocks as no terminator
+/// begins in.
+fn skip<const BLOCK: usize>(bytes: &[u8], at: usize) -> usize {
+    let blocks = |from: usize| bytes.get(from..).unwrap_or_default().as_chunks::<BLOCK>().0;
+    let free = blocks(at).iter().zip(blocks(at + 1)).take_while(|(first, second)| {
+        // Zero where both are LF. No branch inside: the compiler makes vector
+        // instructions of it.
+        let pairs = first.iter().zip(second.iter());
+        pairs.fold(u8::MAX, |least, (a, b)| least.min((a ^ b'\n') | (b ^ b'\n'))) != 0
+    });
+    at + free.count() * BLOCK
 }

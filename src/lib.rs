@@ -107,11 +107,14 @@ pub mod guide;
 pub mod port;
 pub mod protocol;
 mod rate;
+#[cfg(feature = "mcap")]
+pub mod recording;
 mod ring;
 mod scan;
 mod sensor;
 mod state;
 mod stream;
+mod tap;
 
 pub use driver::Driver;
 pub use error::Error;
@@ -126,3 +129,4 @@ pub use stream::{OnlyScans, ScanStream};
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
+pub use tap::Heard;

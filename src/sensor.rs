@@ -9,6 +9,7 @@ use crate::driver::{self, Client, Config, Driver, Request};
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Version;
 use crate::state::{State, Stats};
+use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Rate, Scan, ScanStream, Window};
 
 /// A URG sensor.
@@ -269,6 +270,34 @@ impl SensorBuilder {
     /// commands.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
         self.config.reply_latency = Some(latency.min(LONGEST));
+        self
+    }
+
+    /// Hands every reply to `tap`, its bytes as the sensor sent them: to record
+    /// it, or to log it. Unless set, nobody keeps them, and nothing is paid.
+    ///
+    /// It is called in the driver's task, once for each frame, fences and damaged
+    /// replies included, and before a scan is delivered: it must not block.
+    ///
+    /// ```
+    /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// let (sender, mut replies) = tokio::sync::mpsc::unbounded_channel();
+    /// let builder = Sensor::builder().tap(move |heard| {
+    ///     // Nobody listens any more: that is fine.
+    ///     let _ = sender.send((heard.command, heard.bytes.to_vec()));
+    /// });
+    /// let sensor = builder.connect(Emulator::default()).await?;
+    /// // Whatever a sensor is opened with: a fence, and then `V`.
+    /// assert!(matches!(replies.recv().await, Some((None, _))));
+    /// let (_, version) = replies.recv().await.ok_or(tokio_scip::Error::Closed)?;
+    /// assert!(version.starts_with(b"V\n0\nVEND:Hokuyo"));
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn tap(mut self, tap: impl Fn(Heard<'_>) + Send + Sync + 'static) -> Self {
+        self.config.tap = Tap::new(tap);
         self
     }
 

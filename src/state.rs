@@ -11,13 +11,21 @@ use crate::{BaudRate, Error, Rate, Window};
 
 /// What the driver is about. [`Sensor::state`](crate::Sensor::state) gives a
 /// watch of it.
+///
+/// As data (feature `serde`) it is an object whose `state` says which one it is,
+/// in snake case, beside its fields: `line_speed` in baud, `since` as the seconds
+/// that have gone by, `error` as the text of the error and its causes. Such as
+/// `{"state":"disconnected","since":1.5,"error":"..."}`.
 #[derive(Debug, Clone)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", serde(tag = "state", rename_all = "snake_case"))]
 #[non_exhaustive]
 pub enum State {
     /// The port is being opened for the first time, or the sensor looked for.
     Connecting {
         /// Why it has not worked yet, where the driver was told to
         /// [wait for the sensor](crate::SensorBuilder::wait_for_sensor).
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
         error: Option<Error>,
     },
     /// The sensor answers.
@@ -34,15 +42,54 @@ pub enum State {
     /// The link is lost; the driver tries to get it back.
     Disconnected {
         /// Since when.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "elapsed"))]
         since: Instant,
         /// The latest reason.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain"))]
         error: Error,
     },
     /// The driver has ended for good.
     Closed {
         /// Why, or `None` if it was closed or nobody used it any more.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
         error: Option<Error>,
     },
+}
+
+/// An error and its causes, as one text.
+#[cfg(feature = "serde")]
+fn chain<S: serde::Serializer>(error: &Error, serializer: S) -> Result<S::Ok, S::Error> {
+    let mut text = error.to_string();
+    let mut cause = std::error::Error::source(error);
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    serializer.serialize_str(&text)
+}
+
+#[cfg(feature = "serde")]
+fn chain_if_any<S: serde::Serializer>(
+    error: &Option<Error>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    match error {
+        Some(error) => chain(error, serializer),
+        None => serializer.serialize_none(),
+    }
+}
+
+/// An instant means nothing elsewhere; how long ago it was does.
+#[cfg(feature = "serde")]
+fn elapsed<S: serde::Serializer>(since: &Instant, serializer: S) -> Result<S::Ok, S::Error> {
+    // tokio's clock, which a simulation may have paused.
+    let now = tokio::time::Instant::now().into_std();
+    seconds(&now.saturating_duration_since(*since), serializer)
+}
+
+#[cfg(feature = "serde")]
+fn seconds<S: serde::Serializer>(time: &Duration, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(time.as_secs_f64())
 }
 
 /// What happened since the driver began.
@@ -122,18 +169,23 @@ impl MalformedCounts {
     }
 }
 
-/// How long replies took. All zero before the first one.
+/// How long replies took. All zero before the first one. As data (feature
+/// `serde`), all times are in seconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Latency {
     /// The latest.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub last: Duration,
     /// The shortest.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub min: Duration,
     /// The longest.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub max: Duration,
     /// The sum of all, and how many they are.
+    #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub total: Duration,
     /// How many replies were timed.
     pub count: u64,

@@ -8,8 +8,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// From the top down: a module uses those behind it in this list, and no other.
-const ORDER: [&str; 11] = [
-    "sensor", "stream", "driver", "ring", "state", "port", "codec", "scan", "rate", "error",
+const ORDER: [&str; 12] = [
+    "sensor", "stream", "driver", "ring", "state", "tap", "port", "codec", "scan", "rate", "error",
     "protocol",
 ];
 

@@ -125,3 +125,16 @@ async fn a_refused_speed_leaves_both_where_they_were() {
     assert!(matches!(error, Error::Refused { .. }), "{error:?}");
     sensor.scan(Window::DETECTION).await.unwrap();
 }
+
+#[tokio::test(start_paused = true)]
+async fn d01_the_speed_that_was_set_is_proven_when_it_is_asked_for_again() {
+    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
+    // Nothing is polled, so that nobody notices.
+    emulator.power_cycle();
+    let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
+    assert!(outcome.is_err());
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+}

@@ -80,6 +80,7 @@ impl Session {
                 return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
             if let Frame::Reply(bytes) = &frame {
+                self.hear(bytes, None);
                 match Reply::parse_end(command, bytes) {
                     Ok(_) if is_echoed(&sent, command, bytes) => {
                         return Err(Failure::Line(Error::Loopback));

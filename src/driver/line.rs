@@ -6,15 +6,32 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::SystemTime;
 
+use bytes::BytesMut;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio_util::codec::Framed;
 
 use crate::BaudRate;
+use crate::codec::ScipCodec;
 use crate::port::Port;
 
 /// How many bytes may arrive between two commands. A sensor answers each with
 /// 1,576 at most; a line that always has more to read would never let anybody
 /// look at the clock.
 const FLOOD: u64 = 64 * 1024;
+
+/// Room for any reply of a sensor; the buffer grows to twice that under
+/// garbage.
+pub(super) const READ_BUFFER: usize = 4096;
+/// Room for any command, and the LF before it.
+const WRITE_BUFFER: usize = 32;
+
+/// A port, framed, with buffers no larger than SCIP 1.1 needs.
+pub(super) fn framed(port: Box<dyn Port>) -> Framed<Line, ScipCodec> {
+    let mut framed = Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER);
+    // The capacity above is that of both.
+    *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
+    framed
+}
 
 /// Wraps a port for `Framed`.
 pub(crate) struct Line {

@@ -1,6 +1,7 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
 
+mod alarm;
 mod echoes;
 mod fence;
 mod line;
@@ -10,6 +11,7 @@ mod schedule;
 mod serve;
 mod session;
 mod settings;
+mod speedometer;
 mod supervisor;
 
 use std::fmt;
@@ -29,6 +31,7 @@ use self::supervisor::Supervisor;
 use crate::port::Connect;
 use crate::protocol::Text;
 use crate::state::Telemetry;
+use crate::tap::Tap;
 use crate::{BaudRate, Error};
 
 /// How many requests wait in the queue before those who ask have to.
@@ -46,6 +49,7 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+    pub(crate) tap: Tap,
 }
 
 impl Config {
@@ -68,6 +72,7 @@ impl Default for Config {
             serial_number: None,
             ring_depth: 1,
             reply_latency: None,
+            tap: Tap::default(),
         }
     }
 }

@@ -92,9 +92,9 @@ impl<C: Connect> Opener<C> {
     }
 
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
-        let (latency, telemetry) = (self.config.reply_latency, Arc::clone(&self.telemetry));
+        let telemetry = Arc::clone(&self.telemetry);
         let echoes = std::mem::take(&mut self.echoes);
-        let mut session = Session::new(Box::new(port), latency, echoes, telemetry);
+        let mut session = Session::new(Box::new(port), &self.config, echoes, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {
@@ -186,7 +186,7 @@ impl<C: Connect> Opener<C> {
     /// Sets the sensor as the service has asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), Failure> {
         if let Some(speed) = self.wanted.speed
-            && session.line_speed().is_some()
+            && session.line_speed().is_some_and(|now| now != speed)
         {
             match session.change_speed(speed).await {
                 // Scans at another speed are better than none.

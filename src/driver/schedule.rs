@@ -6,13 +6,11 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::speedometer::Speedometer;
 use crate::ring::{Cursor, Ring};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::ScheduleStats;
 use crate::{Error, Rate, Window};
-
-/// How long the rate that is reached is averaged.
-const RATE_SPAN: Duration = Duration::from_secs(3);
 
 /// Everything that is polled.
 #[derive(Debug)]
@@ -156,10 +154,14 @@ impl Schedules {
         }
     }
 
-    /// What is polled, and how fast, if that has changed.
-    pub(crate) fn news(&mut self) -> Option<Vec<ScheduleStats>> {
+    /// Notes what is polled, and how fast, if that has changed.
+    pub(crate) fn note(&mut self, noted: &mut Vec<ScheduleStats>) {
         let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
-        std::mem::take(&mut self.changed).then(|| self.all.iter().map(stats).collect())
+        if std::mem::take(&mut self.changed) {
+            // In place: a scan costs no allocation beyond its values.
+            noted.clear();
+            noted.extend(self.all.iter().map(stats));
+        }
     }
 
     /// Scans that consumers were too slow for.
@@ -259,39 +261,6 @@ impl Schedule {
     }
 }
 
-/// Measures the rate that is reached.
-#[derive(Debug)]
-struct Speedometer {
-    since: Instant,
-    scans: u32,
-    reached: f64,
-    /// Whether it was said that the rate is not reached.
-    told: bool,
-}
-
-impl Speedometer {
-    fn new(now: Instant) -> Self {
-        Self { since: now, scans: 0, reached: 0.0, told: false }
-    }
-
-    /// Counts a poll that brought so many scans; gives the rate at the end of
-    /// each span.
-    fn count(&mut self, scans: u32, now: Instant) -> Option<f64> {
-        self.scans += scans;
-        let span = now.saturating_duration_since(self.since);
-        if span < RATE_SPAN {
-            return None;
-        }
-        self.reached = f64::from(self.scans) / span.as_secs_f64();
-        self.restart(now);
-        Some(self.reached)
-    }
-
-    fn restart(&mut self, now: Instant) {
-        (self.since, self.scans) = (now, 0);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use std::future::poll_fn;
@@ -355,12 +324,15 @@ mod tests {
     async fn equal_schedules_are_one_and_one_without_readers_ends() {
         let same = (Window::FULL, Rate::MAX);
         let (mut schedules, readers) = schedules(&[same, same]);
-        assert_eq!(schedules.news().map(|stats| stats.len()), Some(1));
+        let mut noted = Vec::new();
+        schedules.note(&mut noted);
+        assert_eq!(noted.len(), 1);
         assert!(schedules.take_due(Instant::now()).is_some());
         drop(readers);
         assert!(schedules.take_due(Instant::now()).is_none());
         assert!(schedules.is_empty());
-        assert_eq!(schedules.news(), Some(Vec::new()));
+        schedules.note(&mut noted);
+        assert_eq!(noted, []);
     }
 
     #[tokio::test(start_paused = true)]

@@ -230,9 +230,7 @@ impl Service<'_> {
     }
 
     fn note_schedules(&mut self) {
-        if let Some(schedules) = self.schedules.news() {
-            self.telemetry.stats().schedules = schedules;
-        }
+        self.schedules.note(&mut self.telemetry.stats().schedules);
     }
 }
 

@@ -18,16 +18,19 @@ use bytes::BufMut;
 use futures::{SinkExt, StreamExt};
 use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
 use tokio::task::coop::unconstrained;
-use tokio::time::{Instant, timeout_at};
+use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
+use super::Config;
+use super::alarm::Alarm;
 use super::echoes::Echoes;
-use super::line::{Line, flood};
+use super::line::{self, Line, READ_BUFFER, flood};
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
+use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error, Window};
 
 /// Frames that may come in answer to one command before the line counts as
@@ -35,9 +38,6 @@ use crate::{BaudRate, Error, Window};
 pub(super) const MAX_FRAMES: usize = 64;
 /// How much is read at once of what is thrown away.
 const SCRATCH: usize = 512;
-/// Room for any reply of a sensor; the buffer grows to twice that under
-/// garbage.
-const READ_BUFFER: usize = 4096;
 
 /// Why a command got no answer.
 #[derive(Debug)]
@@ -66,6 +66,7 @@ pub(crate) struct Timing {
 
 pub(crate) struct Session {
     pub(super) framed: Framed<Line, ScipCodec>,
+    alarm: Alarm,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
@@ -78,19 +79,21 @@ pub(crate) struct Session {
     /// What the last poll brought, and which part of it was asked for.
     values: Vec<u16>,
     polled: Range<usize>,
+    tap: Tap,
     pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
-        latency: Option<Duration>,
+        config: &Config,
         echoes: Echoes,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
-            framed: Framed::with_capacity(Line::new(port), ScipCodec::default(), READ_BUFFER),
-            latency,
+            framed: line::framed(port),
+            alarm: Alarm::default(),
+            latency: config.reply_latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
@@ -98,6 +101,7 @@ impl Session {
             echoes,
             values: Vec::new(),
             polled: 0..0,
+            tap: config.tap.clone(),
             telemetry,
         }
     }
@@ -264,7 +268,10 @@ impl Session {
                 return Err(timeout);
             };
             if let Frame::Reply(bytes) = &frame {
-                let error = match Reply::parse(&command, bytes) {
+                let outcome = Reply::parse(&command, bytes);
+                let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
+                self.hear(bytes, (!foreign).then_some(command));
+                let error = match outcome {
                     Ok(reply) => {
                         let (timing, status) = (self.timing(requested), reply.status());
                         let done = status.is_ok_for(&command);
@@ -303,9 +310,9 @@ impl Session {
         self.framed.get_mut().command();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        match timeout_at(deadline, self.framed.send(command)).await {
-            Ok(outcome) => outcome?,
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.send(command)).await {
+            Some(outcome) => outcome?,
+            None => {
                 self.framed.write_buffer_mut().clear();
                 self.dirty = true;
                 return Ok(false);
@@ -318,10 +325,10 @@ impl Session {
     /// The next frame, or `None` at the deadline.
     pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
         // Looks at the line before it looks at the clock.
-        match timeout_at(deadline, self.framed.next()).await {
-            Ok(Some(frame)) => Ok(Some(frame?)),
-            Ok(None) => Err(Failure::Line(Error::disconnected(None))),
-            Err(_) => {
+        match self.alarm.limit(deadline, self.framed.next()).await {
+            Some(Some(frame)) => Ok(Some(frame?)),
+            Some(None) => Err(Failure::Line(Error::disconnected(None))),
+            None => {
                 self.dirty = true;
                 Ok(None)
             }
@@ -358,7 +365,18 @@ impl Session {
             self.dirty = true;
             self.reset_input();
         }
+        // Or replies would use up the buffer, and come in two reads each time.
+        self.framed.read_buffer_mut().reserve(READ_BUFFER);
         Ok(())
+    }
+
+    /// Lets the tap hear a frame that answers `command`, or no command that was
+    /// to bring anything.
+    pub(super) fn hear(&self, bytes: &[u8], command: Option<Command>) {
+        self.tap.hear(|| {
+            let stamp = self.framed.get_ref().arrival().unwrap_or_else(SystemTime::now);
+            Heard { command, bytes, received_at: Instant::now().into_std(), stamp }
+        });
     }
 
     /// Counts a frame that nobody asked for, and waits for the next.

@@ -95,7 +95,8 @@ impl Session {
     pub(crate) async fn change_speed(&mut self, speed: BaudRate) -> Result<(), Failure> {
         let old = self.line_speed();
         if old == Some(speed) {
-            return Ok(());
+            // The sensor may have restarted unseen.
+            return self.fence().await.map(drop);
         }
         // The sensor must not go where the port cannot follow.
         if let Err(error) = self.set_line_speed(speed) {

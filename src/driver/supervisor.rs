@@ -160,9 +160,7 @@ impl<C: Connect> Supervisor<C> {
             return Err(End::Failed(error));
         }
         self.desk.schedules.fail_all(&error);
-        if let Some(schedules) = self.desk.schedules.news() {
-            self.telemetry.stats().schedules = schedules;
-        }
+        self.desk.schedules.note(&mut self.telemetry.stats().schedules);
         let since = Instant::now().into_std();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;

@@ -9,6 +9,9 @@ use super::Emulator;
 use super::device::{Device, EmptyCommand, Firmware, Mode};
 use super::faults::Faults;
 use super::room::Room;
+use super::script::Performance;
+#[cfg(feature = "mcap")]
+use super::script::Script;
 use super::sensor::{Pace, Sensor, Timing};
 use super::world::World;
 use crate::BaudRate;
@@ -19,6 +22,7 @@ pub struct Builder {
     device: Device,
     timing: Timing,
     world: Option<Box<dyn World>>,
+    performance: Option<Performance>,
     faults: Faults,
     seed: u64,
     log: usize,
@@ -54,8 +58,10 @@ impl Default for Builder {
                 latency: Duration::ZERO,
                 boot: Duration::ZERO,
                 stray_byte: true,
+                instant_line: false,
             },
             world: None,
+            performance: None,
             faults: Faults::none(),
             seed: 0,
             log: 32,
@@ -182,11 +188,23 @@ impl Builder {
         self
     }
 
+    /// It plays a script, each reply when it is due or as fast as it is asked
+    /// for, at once and without time on the line.
+    #[cfg(feature = "mcap")]
+    pub(crate) fn script(mut self, script: impl Script + 'static, paced: bool) -> Self {
+        self.timing.pace = Pace::AtOnce;
+        self.timing.instant_line = !paced;
+        self.performance = Some(Performance::new(Box::new(script), paced));
+        self
+    }
+
     /// Powers the sensor up, now.
     #[must_use]
     pub fn build(self) -> Emulator {
-        let Self { device, timing, world, faults, seed, log } = self;
+        let Self { device, timing, world, performance, faults, seed, log } = self;
         let world = world.unwrap_or_else(|| Box::new(Room::new(seed)));
-        Emulator::new(Sensor::new(device, world, timing, faults, seed, log, Instant::now()))
+        let mut sensor = Sensor::new(device, world, timing, faults, seed, log, Instant::now());
+        sensor.performance = performance;
+        Emulator::new(sensor)
     }
 }

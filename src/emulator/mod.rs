@@ -64,6 +64,8 @@ mod pty;
 mod random;
 mod request;
 mod room;
+#[cfg_attr(not(feature = "mcap"), allow(dead_code, reason = "only recordings have scripts"))]
+mod script;
 mod sensor;
 mod serve;
 mod spec;
@@ -90,6 +92,8 @@ pub use self::link::Link;
 #[cfg(all(unix, feature = "serial"))]
 pub use self::pty::Pty;
 pub use self::room::Room;
+#[cfg(feature = "mcap")]
+pub(crate) use self::script::Script;
 pub use self::sensor::Pace;
 pub use self::spec::InvalidFaults;
 pub use self::world::{Codes, Fixed, Look, STEPS, World};
@@ -188,7 +192,7 @@ impl Emulator {
         state.links += 1;
         let id = state.links;
         let hung_up = state.reader.take();
-        if state.plugged_in {
+        if state.plugged_in && !state.sensor.gone {
             let before = state.host;
             state.sensor.advance(Instant::now(), before);
             state.sensor.hung_up = false;
@@ -324,7 +328,8 @@ impl Connect for Emulator {
 
     async fn connect(&mut self) -> Result<Link, Error> {
         let port = || "emulated".to_owned();
-        let (plugged_in, busy) = self.inspect(|state| (state.plugged_in, state.link.is_some()));
+        let (plugged_in, busy) =
+            self.inspect(|state| (state.plugged_in && !state.sensor.gone, state.link.is_some()));
         match (plugged_in, busy) {
             (false, _) => Err(Error::NoSuchPort { port: port() }),
             (true, true) => Err(Error::Busy { port: port() }),

@@ -13,6 +13,7 @@ use super::encode;
 use super::faults::{Fault, Faults, Mishaps};
 use super::journal::Journal;
 use super::request::{Arrived, LineBuffer, Request};
+use super::script::{Cue, Performance};
 use super::transmitter::Transmitter;
 use super::wire::{byte_time, garble};
 use super::world::{FAR, Look, World};
@@ -50,6 +51,8 @@ pub(super) struct Timing {
     pub(super) latency: Duration,
     pub(super) boot: Duration,
     pub(super) stray_byte: bool,
+    /// Whether bytes take no time on the line.
+    pub(super) instant_line: bool,
 }
 
 pub(super) struct Sensor {
@@ -59,7 +62,11 @@ pub(super) struct Sensor {
     pub(super) transmitter: Transmitter,
     /// Whether a fault has hung up the link.
     pub(super) hung_up: bool,
+    /// Whether the script has ended: the sensor is gone for good.
+    pub(super) gone: bool,
     world: Box<dyn World>,
+    /// What it plays instead of looking at the world.
+    pub(super) performance: Option<Performance>,
     timing: Timing,
     seed: u64,
     powered_at: Instant,
@@ -100,7 +107,9 @@ impl Sensor {
             mishaps: Mishaps::new(faults, seed),
             transmitter: Transmitter::new(now),
             hung_up: false,
+            gone: false,
             world,
+            performance: None,
             timing,
             seed,
             powered_at: now,
@@ -118,7 +127,10 @@ impl Sensor {
     pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], host: Option<u32>) {
         let speed = host.filter(|_| self.device.speed.is_some());
         let own = self.device.speed.map(BaudRate::bits_per_second);
-        let mut byte_time = byte_time(speed.or(own));
+        let mut byte_time = match self.timing.instant_line {
+            true => Duration::ZERO,
+            false => byte_time(speed.or(own)),
+        };
         let start = self.receiving_until.max(now);
         self.receiving_until = start + byte_time * bytes.len() as u32;
         let garbled = match (speed, own) {
@@ -218,7 +230,7 @@ impl Sensor {
         let event = self.events.front().map(|(at, _)| (*at, Doing::Event));
         let (mut serve, mut stream) = (None, None);
         if !self.transmitter.is_clogged() {
-            serve = self.waiting.front().map(|arrived| (self.serve_at(arrived.at), Doing::Serve));
+            serve = self.waiting.front().map(|arrived| (self.serve_at(arrived), Doing::Serve));
             if self.device.mode == Mode::Scip2Streaming {
                 stream = Some((self.revolution_after(self.next_stream), Doing::Stream));
             }
@@ -233,13 +245,24 @@ impl Sensor {
             || self.waiting.iter().any(|waiting| waiting.request != Request::Empty)
     }
 
-    fn serve_at(&self, arrived: Instant) -> Instant {
-        let free = arrived.max(self.busy_until);
+    fn serve_at(&self, arrived: &Arrived) -> Instant {
+        let free = arrived.at.max(self.busy_until);
         let start = match self.timing.pace {
             Pace::AtOnce => free,
             Pace::PerRevolution => self.revolution_after(free),
         };
-        start + self.timing.latency
+        let start = start + self.timing.latency;
+        match self.cue(&arrived.request, start) {
+            Cue::Reply(due) => due,
+            Cue::None | Cue::Silence | Cue::End => start,
+        }
+    }
+
+    /// What the script has for `request`.
+    fn cue(&self, request: &Request, at: Instant) -> Cue {
+        // With the laser off `G` is refused, whatever is measured.
+        let performance = self.performance.as_ref().filter(|_| self.device.laser);
+        performance.map_or(Cue::None, |performance| performance.cue(request, at))
     }
 
     /// How many revolutions have begun before `at`, the first one included.
@@ -289,6 +312,14 @@ impl Sensor {
         if !self.device.answers(&command.request) {
             return;
         }
+        match self.cue(&command.request, at) {
+            Cue::None | Cue::Reply(_) => {}
+            Cue::Silence => return,
+            Cue::End => {
+                (self.hung_up, self.gone) = (true, true);
+                return;
+            }
+        }
         let (faults, mut random) = self.mishaps.draw();
         self.journal.counts.replies += 1;
         if faults.contains(&Fault::CommandLost) {
@@ -297,12 +328,15 @@ impl Sensor {
         let (reply, effect) = self.execute(at, &command, &faults);
 
         let speed = self.device.speed.map(BaudRate::bits_per_second);
-        let whole = byte_time(speed) * reply.len() as u32;
+        let mut whole = byte_time(speed) * reply.len() as u32;
         let mut at = at;
         if effect == Effect::LaserOn && self.timing.pace == Pace::PerRevolution {
             at += self.timing.revolution;
         }
         let mut delivery = Delivery::new(reply);
+        if self.timing.instant_line {
+            (whole, delivery.byte_time) = (Duration::ZERO, Some(Duration::ZERO));
+        }
         for fault in faults {
             delivery.suffer(fault, &mut random);
         }
@@ -327,9 +361,19 @@ impl Sensor {
             return (encode::status_only(&command.bytes, &[status]), Effect::None);
         }
         let look = self.look(at);
-        let world = &mut self.world;
-        let (reply, effect) =
-            self.device.serve(&command.bytes, &command.request, |codes| world.look(look, codes));
+        let cue = self.cue(&command.request, at);
+        let (reply, effect) = if let Some(performance) = &mut self.performance {
+            if matches!(cue, Cue::Reply(_))
+                && let Some(reply) = performance.advance(&command.bytes, at)
+            {
+                return (reply, Effect::None);
+            }
+            let look = |codes: &mut _| performance.look(codes);
+            self.device.serve(&command.bytes, &command.request, look)
+        } else {
+            let look = |codes: &mut _| self.world.look(look, codes);
+            self.device.serve(&command.bytes, &command.request, look)
+        };
         self.journal.counts.scans += u64::from(effect == Effect::Scan);
         (reply, effect)
     }

@@ -144,16 +144,52 @@ pub(super) const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
 }
 
+/// Tells whether many bytes are all [characters](is_character), without a
+/// branch for each: the compiler makes vector instructions of it.
+#[derive(Debug)]
+pub(super) struct Characters {
+    /// What is left of the bytes in each column, one over the other.
+    seen: [u8; 64],
+}
+
+impl Default for Characters {
+    fn default() -> Self {
+        Self { seen: [0; 64] }
+    }
+}
+
+impl Characters {
+    /// Looks at a full line.
+    pub(super) fn add(&mut self, line: &[u8; 64]) {
+        for (seen, &byte) in self.seen.iter_mut().zip(line) {
+            *seen |= byte.wrapping_sub(FIRST_CHARACTER);
+        }
+    }
+
+    /// Looks at a line of at most 64 bytes.
+    pub(super) fn add_last(&mut self, line: &[u8]) {
+        for (seen, &byte) in self.seen.iter_mut().zip(line) {
+            *seen |= byte.wrapping_sub(FIRST_CHARACTER);
+        }
+    }
+
+    /// True if all bytes that were looked at are characters.
+    pub(super) fn are_all_good(&self) -> bool {
+        self.seen.iter().fold(0, |all, seen| all | seen) < 64
+    }
+}
+
 /// Appends the values of `data`, two characters each, upper six bits first
 /// (p. 5). Bytes that carry no 6 bits make some value of 12 bits; hold the data
-/// against [`is_character`] first.
-///
-/// Bytes are taken in pairs, as one little-endian number, without a branch:
-/// the compiler makes vector instructions of it.
+/// against [`Characters`] first.
+#[inline]
 pub(super) fn decode(data: &[u8], values: &mut Vec<u16>) {
-    let (pairs, _) = data.as_chunks::<2>();
-    values.extend(pairs.iter().map(|pair| {
-        let six = u16::from_le_bytes(*pair).wrapping_sub(u16::from_le_bytes([FIRST_CHARACTER; 2]));
-        (six & 0x3f) << 6 | six >> 8
-    }));
+    values.extend(data.as_chunks::<2>().0.iter().map(value));
+}
+
+/// Takes both bytes at once, as one little-endian number, without a branch: the
+/// compiler makes vector instructions of it.
+fn value(pair: &[u8; 2]) -> u16 {
+    let six = u16::from_le_bytes(*pair).wrapping_sub(u16::from_le_bytes([FIRST_CHARACTER; 2]));
+    (six & 0x3f) << 6 | six >> 8
 }

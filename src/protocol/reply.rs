@@ -161,25 +161,47 @@ impl<'a> Reply<'a> {
     /// Appends the values of a `G` reply, 0..=4095 each, in the order of their
     /// steps.
     pub fn values_into(&self, values: &mut Vec<u16>) {
-        for block in self.data.chunks(BLOCK + 1) {
-            let block = block.strip_suffix(b"\n").unwrap_or(block);
-            measurement::decode(block, values);
+        let (lines, last) = self.data.as_chunks::<{ BLOCK + 1 }>();
+        values.reserve(self.data.len() / 2);
+        for [line @ .., _] in lines {
+            measurement::decode(line, values);
         }
+        measurement::decode(last, values);
     }
 }
 
 /// Holds the data of a `G` reply against the number of bytes that it must have.
 fn check_blocks(data: &[u8], expected: usize) -> Result<(), Malformed> {
+    if is_whole(data, expected) { Ok(()) } else { find_fault(data, expected) }
+}
+
+/// True if [`find_fault`] finds none, many times as fast: whole lines at a
+/// time, and the characters of all of them in one go.
+fn is_whole(data: &[u8], expected: usize) -> bool {
+    let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
+    let mut characters = measurement::Characters::default();
+    let mut ends = 0;
+    for [line @ .., end] in lines {
+        characters.add(line);
+        ends |= end ^ b'\n';
+    }
+    characters.add_last(last);
+    data.len() == expected + lines.len()
+        && !last.is_empty()
+        && ends == 0
+        && characters.are_all_good()
+}
+
+/// Goes through the data line by line, to say where it is not as it should be.
+fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     let mut left = expected;
     for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
         let expected = left.min(BLOCK);
         if line.len() != expected || expected == 0 {
             return Err(Malformed::LineLength { line: index, expected, found: line.len() });
         }
-        if !line.iter().fold(true, |good, &byte| good & measurement::is_character(byte)) {
-            let stray =
-                line.iter().enumerate().find(|(_, byte)| !measurement::is_character(**byte));
-            let (column, found) = stray.map_or((0, 0), |(column, &byte)| (column, byte));
+        let stray = line.iter().enumerate().find(|(_, byte)| !measurement::is_character(**byte));
+        if let Some((column, &found)) = stray {
             return Err(Malformed::Character { line: index, column, found });
         }
         left -= expected;

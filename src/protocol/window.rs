@@ -88,6 +88,9 @@ pub(crate) fn angle(step: f64) -> f64 {
 /// behind the end, and the cluster count is 1..=99. (The text allows a cluster
 /// count of 0; sensors are not known to agree on what it means.)
 ///
+/// As data (feature `serde`) it is `start`, `end` and `cluster`, of which the
+/// last may be left out for 1.
+///
 /// ```
 /// use tokio_scip::Window;
 ///
@@ -96,12 +99,37 @@ pub(crate) fn angle(step: f64) -> f64 {
 /// # Ok::<(), tokio_scip::protocol::WindowError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(try_from = "Fields"))]
 pub struct Window {
     start: Step,
     end: Step,
     #[cfg_attr(feature = "serde", serde(rename = "cluster"))]
     cluster_count: u8,
+}
+
+/// A window as data, which may be none.
+#[cfg(feature = "serde")]
+#[derive(serde::Deserialize)]
+struct Fields {
+    start: u16,
+    end: u16,
+    #[serde(default = "one")]
+    cluster: u8,
+}
+
+#[cfg(feature = "serde")]
+fn one() -> u8 {
+    1
+}
+
+#[cfg(feature = "serde")]
+impl TryFrom<Fields> for Window {
+    type Error = WindowError;
+
+    fn try_from(fields: Fields) -> Result<Self, WindowError> {
+        Self::new(fields.start..=fields.end)?.with_cluster_count(fields.cluster)
+    }
 }
 
 impl Window {

@@ -21,6 +21,8 @@ pub(crate) struct Case {
     pub(crate) faults: Faults,
     /// Whether a fault can change a value unseen.
     pub(crate) flips: bool,
+    /// Whether commands are refused.
+    pub(crate) refuses: bool,
     /// Whether commands may reach the sensor in part.
     pub(crate) torn: bool,
     /// Whether the driver may have to speak before a reply has ended.
@@ -75,6 +77,7 @@ impl Case {
             boot,
             faults: Faults::none().seed(random.next()),
             flips: false,
+            refuses: false,
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
@@ -138,6 +141,7 @@ impl Case {
                 15 => faults.rate(rate / 50.0, Fault::Endless(b"xyz\n\n".to_vec())),
                 _ => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
             };
+            self.refuses |= kind == 2;
             self.overlaps |= kind > 2;
             self.torn |= matches!(kind, 13 | 14);
             self.lingers = self.lingers.max(match kind {

@@ -6,6 +6,7 @@
 
 mod case;
 mod coverage;
+mod loss;
 mod random;
 mod run;
 mod truth;
@@ -15,7 +16,9 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use coverage::Coverage;
+use loss::poll;
 use run::run;
+use tokio_scip::{Rate, Window};
 
 fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
@@ -25,14 +28,6 @@ fn setting(name: &str) -> Option<u64> {
 fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
     let coverage = Arc::new(Mutex::new(Coverage::default()));
     if let Some(seed) = setting("SCIP_SIMULATION_SEED") {
-        if std::env::var("LOG").is_ok() {
-            tracing_subscriber::fmt()
-                .with_max_level(tracing_subscriber::filter::LevelFilter::TRACE)
-                .without_time()
-                .with_ansi(false)
-                .with_writer(std::io::stderr)
-                .init();
-        }
         let outcome = run(seed, &coverage);
         println!("{:?}, {:?}\n{}", outcome.simulated, outcome.recovery, coverage.lock().unwrap());
         return;
@@ -64,4 +59,31 @@ fn the_same_seed_gives_the_same_trace() {
     let once = traces(1000..1006);
     assert_eq!(once, traces(1000..1006));
     assert!(once.windows(2).all(|pair| pair[0] != pair[1]));
+}
+
+/// Sensor-hours for each of the loss figures.
+fn loss_hours() -> u64 {
+    setting("SCIP_LOSS_HOURS").unwrap_or(1)
+}
+
+#[test]
+fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
+    for rate in [Rate::hz(10.0), Rate::MAX] {
+        let loss = poll(Window::DETECTION, rate, loss_hours());
+        println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+        assert_eq!(loss.wrong, 0);
+        assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
+    }
+}
+
+#[test]
+fn where_polls_cannot_differ_only_doubled_replies_are_left() {
+    for rate in [Rate::hz(10.0), Rate::MAX] {
+        let loss = poll(Window::FULL, rate, loss_hours());
+        println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+        // One doubled reply in a thousand, and of these the few that a delay
+        // puts behind the next poll.
+        assert!(loss.wrong * 100_000 <= loss.polls, "{rate}: {loss:?}");
+        assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
+    }
 }

@@ -129,7 +129,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         users.push(tokio::spawn(users::asker(run.clone(), sensor.clone(), random.next())));
     }
     watch_states(&run, &sensor);
-    chaos(&run, &mut random).await;
+    chaos(&run, &sensor, &mut random).await;
     run.over.store(true, Ordering::Relaxed);
     for user in users {
         let done = timeout(PATIENCE * 2, user).await.expect("a user waits for ever");
@@ -163,8 +163,12 @@ fn watch_states(run: &Run, sensor: &Sensor) {
 }
 
 /// Faults come and go, and worse.
-async fn chaos(run: &Run, random: &mut Random) {
+async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
     let (case, emulator) = (&run.case, &run.case.emulator);
+    if case.refuses {
+        // A sensor that refuses twice to say who it is ends an opening for good.
+        sensor.opened().await.unwrap();
+    }
     let end = Instant::now() + Duration::from_secs(60) + random.ms(120_000);
     while Instant::now() < end {
         emulator.set_faults(case.faults.clone().seed(random.next()));

@@ -27,7 +27,7 @@ pub(crate) struct Serve {
     port: PortArg,
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
-    /// 0.0.0.0:8080 and [::]:8080 let everybody on the network look, without a
+    /// `0.0.0.0:8080` and `[::]:8080` let everybody on the network look, without a
     /// password. Where the address is of this machine only, requests that name
     /// another host are refused, so that no page elsewhere can look by having
     /// its own name lead here.

@@ -176,6 +176,17 @@ async fn error_codes_are_marked_at_the_rim_as_what_they_are() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_cell_at_the_rim_shows_what_most_of_its_directions_are() {
+    let mut sight = [3; STEPS];
+    sight.iter_mut().step_by(4).for_each(|code| *code = 0);
+    let rows = rows(&watched(seen(sight)).await, 80, 24);
+    // Without the title, and left of the figures.
+    let radar: String = rows[1..].iter().flat_map(|row| row.chars().take(52)).collect();
+    let (weak, far) = (radar.matches('~').count(), radar.matches('^').count());
+    assert!(weak > 20 && far == 0, "{weak} weak, {far} far\n{}", rows.join("\n"));
+}
+
+#[tokio::test(start_paused = true)]
 async fn zooming_changes_the_rings_between_its_ends() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let mut reaches = vec![model.reach()];

@@ -1,0 +1,117 @@
+//! What it costs to make values of the bytes of a full scan, beside copying the
+//! same bytes and beside a decoder that goes byte by byte.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use bytes::BytesMut;
+use divan::Bencher;
+use tokio_scip::Window;
+use tokio_scip::codec::{Frame, ScipCodec};
+use tokio_scip::protocol::{Command, Reply};
+use tokio_util::codec::Decoder;
+
+#[path = "../tests/common/prompt.rs"]
+mod prompt;
+
+fn main() {
+    divan::main();
+}
+
+fn full_scan() -> Vec<u8> {
+    let mut reply = Vec::new();
+    prompt::reply(b"G00076801", &mut reply);
+    assert_eq!(reply.len(), 1576);
+    reply
+}
+
+/// The bytes are copied into a buffer that is there and warm, no more.
+#[divan::bench(sample_size = 100)]
+fn copy(bencher: Bencher) {
+    let reply = full_scan();
+    let mut buffer = vec![0; reply.len()];
+    bencher.bench_local(|| {
+        buffer.copy_from_slice(black_box(&reply));
+        black_box(&mut buffer);
+    });
+}
+
+/// The bytes are copied into the read buffer, and from there into a block that
+/// consumers can share: a driver that delivers them as they came.
+#[divan::bench(sample_size = 100)]
+fn copy_to_consumer(bencher: Bencher) {
+    let reply = full_scan();
+    let mut buffer = Vec::with_capacity(4096);
+    bencher.bench_local(|| {
+        buffer.clear();
+        buffer.extend_from_slice(black_box(&reply));
+        Arc::<[u8]>::from(&buffer[..])
+    });
+}
+
+/// As `copy_to_consumer`, and through codec and reply check to the shared values that a `Scan` holds.
+#[divan::bench(sample_size = 100)]
+fn crate_decoder(bencher: Bencher) {
+    let reply = full_scan();
+    let command = Command::Distances(Window::FULL);
+    let mut codec = ScipCodec::default();
+    let mut buffer = BytesMut::with_capacity(4096);
+    let mut values = Vec::new();
+    bencher.bench_local(|| {
+        buffer.reserve(4096);
+        buffer.extend_from_slice(black_box(&reply));
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        values.clear();
+        Reply::parse(black_box(&command), &frame).unwrap().values_into(&mut values);
+        Arc::<[u16]>::from(&values[..])
+    });
+}
+
+/// The same checks, byte by byte, to the same shared values.
+#[divan::bench(sample_size = 100)]
+fn naive_decoder(bencher: Bencher) {
+    let reply = full_scan();
+    let mut buffer = Vec::with_capacity(4096);
+    bencher.bench_local(|| {
+        buffer.clear();
+        buffer.extend_from_slice(black_box(&reply));
+        naive(black_box(b"G00076801"), 769, &buffer).unwrap()
+    });
+}
+
+/// Takes one byte after the other, with no thought of speed.
+fn naive(command: &[u8], points: usize, bytes: &[u8]) -> Option<Arc<[u16]>> {
+    let mut lines: Vec<Vec<u8>> = vec![Vec::new()];
+    for &byte in bytes {
+        match byte {
+            b'\n' if lines.last()?.is_empty() => break,
+            b'\n' => lines.push(Vec::new()),
+            _ => lines.last_mut()?.push(byte),
+        }
+    }
+    lines.pop();
+    if lines.first()? != command || lines.get(1)? != b"0" {
+        return None;
+    }
+    let mut values = Vec::new();
+    let mut upper = None;
+    let last = lines.len() - 1;
+    for (index, line) in lines.iter().enumerate().skip(2) {
+        if line.len() > 64 || line.len() < 64 && index != last {
+            return None;
+        }
+        for &byte in line {
+            if !(0x30..0x70).contains(&byte) {
+                return None;
+            }
+            let six = u16::from(byte - 0x30);
+            match upper.take() {
+                None => upper = Some(six),
+                Some(upper) => values.push(upper << 6 | six),
+            }
+        }
+    }
+    (values.len() == points).then(|| values.into())
+}

@@ -1,0 +1,59 @@
+//! Work to be counted in instructions by `.ci/callgrind`: so many scans, full
+//! ones, decoded (`decode`) or brought from port to consumer by the driver
+//! (`driver`, on the paused clock, at 10 Hz).
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use bytes::BytesMut;
+use prompt::Prompt;
+use tokio_scip::codec::{Frame, ScipCodec};
+use tokio_scip::protocol::{Command, Reply};
+use tokio_scip::{Rate, Sensor, Window};
+use tokio_util::codec::Decoder;
+
+#[path = "../tests/common/prompt.rs"]
+mod prompt;
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let [work, scans] = &arguments[..] else {
+        println!("bash .ci/callgrind counts the instructions of this program");
+        return;
+    };
+    let scans = scans.parse().unwrap();
+    match work.as_str() {
+        "decode" => decode(scans),
+        "driver" => driver(scans),
+        _ => panic!("{work}: use decode or driver"),
+    }
+}
+
+fn decode(scans: usize) {
+    let mut reply = Vec::new();
+    prompt::reply(b"G00076801", &mut reply);
+    let command = Command::Distances(Window::FULL);
+    let (mut codec, mut buffer, mut values) = (ScipCodec::default(), BytesMut::new(), Vec::new());
+    for _ in 0..scans {
+        buffer.reserve(4096);
+        buffer.extend_from_slice(&reply);
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        values.clear();
+        Reply::parse(&command, &frame).unwrap().values_into(&mut values);
+        std::hint::black_box(&mut values);
+    }
+}
+
+fn driver(scans: usize) {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_time()
+        .start_paused(true)
+        .build()
+        .unwrap();
+    runtime.block_on(async {
+        let sensor = Sensor::attach(Prompt::new()).await.unwrap();
+        let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
+        for _ in 0..scans {
+            stream.next().await.unwrap().unwrap();
+        }
+    });
+}

@@ -1,0 +1,105 @@
+//! Many sensors at 10 Hz on one current-thread runtime: share of a core, how
+//! late polls leave, heap for each sensor. Once with emulated sensors on
+//! in-memory links, whose work counts too, and once with a peer that answers
+//! from memory, which leaves little but the driver.
+//!
+//! `cargo bench --bench many -- emulated 8000` measures one row.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use prompt::Prompt;
+use support::{cpu_time, percentile};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, sleep_until};
+use tokio_scip::emulator::{Emulator, Fixed, Pace};
+use tokio_scip::{Rate, ScanStream, Sensor, Window};
+
+#[path = "../tests/common/prompt.rs"]
+mod prompt;
+#[path = "support/mod.rs"]
+mod support;
+
+const PERIOD: Duration = Duration::from_millis(100);
+const SPAN: Duration = Duration::from_secs(10);
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    println!("sensor   sensors  scans/s  core %  us/scan  late 50 %  late 99 %  heap KiB each");
+    if let [kind, sensors] = &arguments[..] {
+        return row(kind, sensors.parse().unwrap());
+    }
+    for kind in ["emulated", "prompt"] {
+        for sensors in [10, 100, 1000, 5000] {
+            row(kind, sensors);
+        }
+    }
+}
+
+/// How late each poll left, while it is recorded.
+type Lateness = Arc<Mutex<Option<Vec<Duration>>>>;
+
+fn row(kind: &str, sensors: usize) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let late = Vec::with_capacity(sensors * 150);
+    let lateness: Lateness = Arc::default();
+    let mut time = (Duration::ZERO, Duration::ZERO);
+    let counted = allocation_counter::measure(|| {
+        runtime.block_on(open(kind, sensors, &lateness));
+        *lateness.lock().unwrap() = Some(late);
+        time = runtime.block_on(async {
+            let (start, cpu) = (Instant::now(), cpu_time());
+            sleep(SPAN).await;
+            (start.elapsed(), cpu_time() - cpu)
+        });
+    });
+    let mut late = lateness.lock().unwrap().take().unwrap();
+    let ((elapsed, cpu), scans) = (time, late.len());
+    let ms = |time: Duration| time.as_secs_f64() * 1e3;
+    println!(
+        "{kind:8} {sensors:7} {:8.0} {:7.1} {:8.1} {:7.2} ms {:7.2} ms {:14.1}",
+        scans as f64 / elapsed.as_secs_f64(),
+        100.0 * cpu.as_secs_f64() / elapsed.as_secs_f64(),
+        1e6 * cpu.as_secs_f64() / scans as f64,
+        ms(percentile(&mut late, 0.5)),
+        ms(percentile(&mut late, 0.99)),
+        counted.bytes_current as f64 / 1024.0 / sensors as f64,
+    );
+}
+
+/// Opens the sensors, spreads them over the period, and leaves each with a task
+/// that consumes its scans.
+async fn open(kind: &str, sensors: usize, lateness: &Lateness) {
+    let opening: JoinSet<Sensor> = (0..sensors).map(|_| sensor(kind.to_owned())).collect();
+    let opened = opening.join_all().await;
+    let start = tokio::time::Instant::now();
+    for (place, sensor) in (0..).zip(opened) {
+        sleep_until(start + PERIOD * place / sensors as u32).await;
+        let asked = Instant::now();
+        let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        tokio::spawn(consume(stream, asked, Arc::clone(lateness)));
+    }
+    sleep(PERIOD * 10).await;
+}
+
+async fn sensor(kind: String) -> Sensor {
+    if kind == "prompt" {
+        return Sensor::attach(Prompt::new()).await.unwrap();
+    }
+    let world = Fixed::filled(1234);
+    let emulator = Emulator::builder().world(world).pace(Pace::AtOnce).build();
+    Sensor::builder().connect(emulator).await.unwrap()
+}
+
+/// The first poll was due between `start` and a moment later.
+async fn consume(mut stream: ScanStream, start: Instant, lateness: Lateness) {
+    while let Some(scan) = stream.next().await {
+        let since = scan.unwrap().requested_at() - start;
+        let late = Duration::from_nanos((since.as_nanos() % PERIOD.as_nanos()) as u64);
+        if let Some(lateness) = &mut *lateness.lock().unwrap() {
+            lateness.push(late);
+        }
+    }
+}

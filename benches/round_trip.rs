@@ -1,0 +1,178 @@
+//! Polls as fast as a sensor answers, on a pseudo-terminal with the sensor in
+//! another process: scans a second and CPU time a scan, beside a floor that
+//! writes a command and reads until the reply has ended, no more.
+//!
+//! `cargo bench --bench round_trip` prints a table; with a way of polling
+//! (`floor`, `current` or `multi`) it polls in that way only, for `strace -cf`.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use support::{cpu_time, median, terminal, us};
+use tokio::runtime::{Builder, Runtime};
+use tokio_scip::emulator::{Emulator, Fixed, Pace, Pty};
+use tokio_scip::{Rate, Sensor, Window};
+
+#[path = "../tests/common/prompt.rs"]
+mod prompt;
+#[path = "support/mod.rs"]
+mod support;
+
+const ROUNDS: usize = 7;
+
+/// The sensors in the other process, and how often to poll them in a round.
+const SENSORS: [(&str, usize); 2] = [("prompt", 20_000), ("emulated", 500)];
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match arguments[..] {
+        ["serve", sensor] => serve(sensor),
+        [way] => {
+            let server = Server::start(SENSORS[0].0);
+            println!("{way}: {:?}", poll(way, &server.path, SENSORS[0].1));
+        }
+        _ => table(),
+    }
+}
+
+fn table() {
+    println!("sensor    way      scans/s  of floor  CPU us/scan  of floor");
+    for (sensor, polls) in SENSORS {
+        let server = Server::start(sensor);
+        let ways = ["floor", "current", "multi"];
+        // Side by side in each round: what disturbs one disturbs all.
+        let rounds: Vec<[Cost; 3]> =
+            (0..ROUNDS).map(|_| ways.map(|way| poll(way, &server.path, polls))).collect();
+        for (index, way) in ways.into_iter().enumerate() {
+            let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
+            let to_floor = |figure: fn(&Cost) -> f64| {
+                median(rounds.iter().map(|r| figure(&r[index]) / figure(&r[0])))
+            };
+            println!(
+                "{sensor:9} {way:8} {:7.0}  {:8.2}  {:11.1}  {:8.2}",
+                of(Cost::rate),
+                to_floor(Cost::rate),
+                of(Cost::cpu),
+                to_floor(Cost::cpu),
+            );
+        }
+    }
+}
+
+/// What some scans took.
+#[derive(Debug)]
+struct Cost {
+    scans: usize,
+    time: Duration,
+    cpu: Duration,
+}
+
+impl Cost {
+    fn rate(&self) -> f64 {
+        self.scans as f64 / self.time.as_secs_f64()
+    }
+
+    /// Microseconds a scan.
+    fn cpu(&self) -> f64 {
+        us(self.cpu) / self.scans as f64
+    }
+}
+
+fn poll(way: &str, path: &Path, scans: usize) -> Cost {
+    match way {
+        "floor" => floor(path, scans),
+        "current" => {
+            driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans)
+        }
+        "multi" => driver(Builder::new_multi_thread().enable_all().build().unwrap(), path, scans),
+        _ => panic!("{way}: use floor, current or multi"),
+    }
+}
+
+/// One write and as few reads as possible, no decoding.
+fn floor(path: &Path, scans: usize) -> Cost {
+    let mut port = terminal::open(path);
+    let mut buffer = [0; 4096];
+    let mut scan = || {
+        port.write_all(b"G04472501\n").unwrap();
+        let mut length = 0;
+        while !buffer[..length].ends_with(b"\n\n") {
+            length += port.read(&mut buffer[length..]).unwrap();
+        }
+        assert_eq!(length, 1399);
+    };
+    scan();
+    let (start, cpu) = (Instant::now(), cpu_time());
+    (0..scans).for_each(|_| scan());
+    Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
+}
+
+/// The driver, with its consumer in a task of its own. All scans count: a
+/// consumer on another thread may be too slow to see each of them.
+fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
+    let path = path.to_str().unwrap().to_owned();
+    let polling = runtime.spawn(async move {
+        let sensor = Sensor::open(path).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        stream.next().await.unwrap().unwrap();
+        let (before, start, cpu) = (sensor.stats().scans, Instant::now(), cpu_time());
+        let mut scans = 0;
+        while scans < polls {
+            stream.next().await.unwrap().unwrap();
+            scans = (sensor.stats().scans - before) as usize;
+        }
+        let cost = Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu };
+        sensor.close().await;
+        cost
+    });
+    runtime.block_on(polling).unwrap()
+}
+
+/// A sensor in another process.
+struct Server {
+    process: Child,
+    path: std::path::PathBuf,
+}
+
+impl Server {
+    fn start(sensor: &str) -> Self {
+        let mut process = Command::new(std::env::current_exe().unwrap())
+            .args(["serve", sensor])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { process, path: line.trim().into() }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+    }
+}
+
+/// Plays the sensor, and tells on standard output where it is.
+fn serve(sensor: &str) {
+    if sensor == "prompt" {
+        let terminal = terminal::Terminal::open();
+        println!("{}", terminal.path.display());
+        terminal::serve(terminal.master);
+        return;
+    }
+    let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let world = Fixed::filled(1234);
+        let emulator = Emulator::builder().world(world).pace(Pace::AtOnce).build();
+        let pty = Pty::open(&emulator, None).unwrap();
+        println!("{}", pty.path().display());
+        pty.serve().await.unwrap();
+    });
+}

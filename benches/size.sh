@@ -1,0 +1,72 @@
+#!/usr/bin/env bash
+# What the crate adds to a service: crates in the tree, time of a clean release
+# build, size of the program. Beside it a program that opens the same port with
+# tokio and tokio-serial alone. bash benches/size.sh
+set -euo pipefail
+crate=$(cd "$(dirname "$0")/.." && pwd)
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+# The figures are those of cargo's defaults, and of the versions in Cargo.lock.
+unset CARGO_TARGET_DIR CARGO_INCREMENTAL RUSTFLAGS
+
+package() {
+    local name=$1
+    mkdir -p "$work/$name/src"
+    { printf '[package]\nname = "%s"\nversion = "0.0.0"\nedition = "2024"\n' "$name"
+      printf '[dependencies]\n'; cat; } >"$work/$name/Cargo.toml"
+    cp "$crate/Cargo.lock" "$work/$name/"
+}
+
+package bare <<END
+tokio = { version = "1", features = ["rt", "time", "macros", "io-util"] }
+tokio-serial = { version = "5", default-features = false }
+END
+cat >"$work/bare/src/main.rs" <<'END'
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_serial::SerialPortBuilderExt;
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> std::io::Result<()> {
+    let path = std::env::args().nth(1).unwrap_or_default();
+    let mut port = tokio_serial::new(path, 19_200).open_native_async()?;
+    AsyncWriteExt::write_all(&mut port, b"G04472501\n").await?;
+    let mut reply = [0; 1399];
+    AsyncReadExt::read_exact(&mut port, &mut reply).await?;
+    println!("{} bytes", reply.len());
+    Ok(())
+}
+END
+
+package service <<END
+tokio = { version = "1", features = ["rt", "macros"] }
+tokio-scip = { path = "$crate" }
+END
+cat >"$work/service/src/main.rs" <<'END'
+use tokio_scip::{Rate, Sensor, Window};
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> Result<(), tokio_scip::Error> {
+    let path = std::env::args().nth(1).unwrap_or_default();
+    let sensor = Sensor::open(path.as_str()).await?;
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    while let Some(scan) = scans.next().await {
+        println!("{} points", scan?.points().count());
+    }
+    Ok(())
+}
+END
+
+TIMEFORMAT='%R %U'
+echo "program   crates    build     CPU        size   stripped"
+for name in bare service; do
+    cd "$work/$name"
+    cargo fetch --quiet
+    crates=$(cargo tree --edges normal --prefix none --no-dedupe | sort -u | wc -l)
+    # Seconds on the clock, and of CPU time: the second is less noisy.
+    read -r seconds cpu < <({ time cargo build --quiet --release --offline; } 2>&1)
+    program=target/release/$name
+    size=$(stat -c %s "$program")
+    strip "$program"
+    printf '%-9s %6d %7.0f s %6.0f s %7d KiB %5d KiB\n' "$name" $((crates - 1)) "$seconds" "$cpu" \
+        $((size / 1024)) $(($(stat -c %s "$program") / 1024))
+done

@@ -1,0 +1,93 @@
+//! Recordings (feature `mcap`): what a sensor measured and said, in a file that
+//! the tools of robotics open as it is, and that can be replayed.
+//!
+//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that
+//! `ros2 bag play`, Foxglove, Lichtblick, PlotJuggler and others show it.
+//! [`Recording`] reads such a file, and plays the sensor that was recorded.
+//!
+//! ```
+//! use tokio_scip::recording::{Recorder, Recording, ReplayPace};
+//! use tokio_scip::{Rate, Sensor, Window, emulator::Emulator};
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = std::env::temp_dir().join(format!("recording-{}", std::process::id()));
+//! # std::fs::create_dir_all(&folder)?;
+//! # let path = folder.join("run.mcap");
+//! // Records ten scans; instead of the emulator, `open("/dev/ttyACM0")`.
+//! let mut recorder = Recorder::create(&path)?;
+//! let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1024);
+//! let sensor = builder.connect(Emulator::default()).await?;
+//! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+//! recorder.describe(&sensor, &scans).await?;
+//! for _ in 0..10 {
+//!     let Some(item) = scans.next().await else { break };
+//!     recorder.record(&item)?;
+//! }
+//! recorder.finish().await?;
+//!
+//! // And again, from the file.
+//! let recording = Recording::open(&path)?;
+//! let (Some(window), Some(rate)) = (recording.window(), recording.rate()) else { return Ok(()) };
+//! let emulator = recording.replay(ReplayPace::Recorded)?;
+//! let sensor = Sensor::builder().reconnect(false).connect(emulator).await?;
+//! let mut replayed = sensor.scans(window, rate).await?;
+//! let mut count = 0;
+//! while let Some(Ok(_scan)) = replayed.next().await {
+//!     count += 1;
+//! }
+//! assert_eq!(count, 10);
+//! # std::fs::remove_dir_all(&folder)?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # What is in the file
+//!
+//! | topic | ROS 2 type | a message is |
+//! |---|---|---|
+//! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
+//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the bytes of a reply, as they came; the label of its dimension is the command, empty for fences and what nobody asked for |
+//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`] |
+//!
+//! All are CDR with their definitions, and of types that every ROS 2 has. The
+//! log time runs steadily from the wall clock at the beginning of the recording;
+//! the publish time is the wall clock when a reply's first byte arrived, as is
+//! a scan's stamp. Metadata of the name `tokio_scip` tells who the sensor was.
+//! It is a record each time, so a file ends as it is where writing it ends.
+//!
+//! # Replaying
+//!
+//! [`Recording::replay`] gives an [`Emulator`](crate::emulator::Emulator) on USB.
+//! It answers `V` as the recorded sensor did, and each poll with the next reply
+//! that was recorded for the stream, in the same bytes: also those that were
+//! refused or damaged, and those of scans that the recording's own consumer was
+//! too slow to see. Another window than the recorded one shows what is known of
+//! its steps, and code 19 where nothing is. Fences take no reply away.
+//!
+//! After the last reply the next poll hangs the link up, and connecting again
+//! finds no port: with [`reconnect(false)`](crate::SensorBuilder::reconnect) the
+//! driver ends there.
+//!
+//! A recording's bytes are read when they are asked for, in small pieces, on
+//! the runtime's thread.
+
+mod cdr;
+mod error;
+mod event;
+mod reader;
+mod recorder;
+mod records;
+mod replay;
+mod ros;
+mod writer;
+
+pub use self::error::RecordingError;
+pub use self::event::Event;
+pub use self::reader::{Entry, Record, Recording, Reply};
+pub use self::recorder::{Progress, Recorder, RecorderBuilder};
+pub use self::replay::ReplayPace;
+pub use self::ros::LaserScan;
+
+/// The name of the metadata record.
+const METADATA: &str = "tokio_scip";

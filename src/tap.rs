@@ -1,0 +1,52 @@
+//! [`Heard`]: what a sensor sent, byte by byte, for those who want to keep it.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::{Instant, SystemTime};
+
+use crate::protocol::Command;
+
+/// A frame that came from the sensor, as
+/// [`SensorBuilder::tap`](crate::SensorBuilder::tap) gets it.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct Heard<'a> {
+    /// The command that it answers, well or badly (a reply may be damaged), or
+    /// `None` for the reply to a fence and for what came instead of a reply.
+    pub command: Option<Command>,
+    /// The bytes as they came, without the two LFs that end a frame and without
+    /// NULs before it.
+    pub bytes: &'a [u8],
+    /// When its last byte was read; the same as that of its
+    /// [`Scan`](crate::Scan) to within microseconds.
+    pub received_at: Instant,
+    /// The wall clock when its first byte arrived, the same as
+    /// [`Scan::stamp`](crate::Scan::stamp). For what nobody asked for, some time
+    /// since the last command.
+    pub stamp: SystemTime,
+}
+
+/// Who listens, if anybody does.
+#[derive(Clone, Default)]
+pub(crate) struct Tap(Option<Arc<Listener>>);
+
+type Listener = dyn Fn(Heard<'_>) + Send + Sync;
+
+impl Tap {
+    pub(crate) fn new(tap: impl Fn(Heard<'_>) + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(tap)))
+    }
+
+    /// Tells what was heard, which is made only if somebody listens.
+    pub(crate) fn hear<'a>(&self, heard: impl FnOnce() -> Heard<'a>) {
+        if let Some(tap) = &self.0 {
+            tap(heard());
+        }
+    }
+}
+
+impl fmt::Debug for Tap {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Tap").field(&self.0.is_some()).finish()
+    }
+}

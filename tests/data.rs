@@ -1,0 +1,100 @@
+//! Scans and what belongs to them as data (feature `serde`), in the shape that
+//! the documentation promises.
+
+#![cfg(all(feature = "serde", feature = "emulator", feature = "cli"))]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::time::{Duration, UNIX_EPOCH};
+
+use serde_json::{Value, json};
+use tokio_scip::emulator::{Codes, Emulator, Look};
+use tokio_scip::{Measurement, Rate, Scan, Sensor, State, Window};
+
+/// A distance, a code for nothing in range, one for no echo, and saturation.
+async fn sensor() -> (Sensor, Emulator) {
+    let emulator = Emulator::builder()
+        .world(|_: Look, codes: &mut Codes| codes[382..=385].copy_from_slice(&[1234, 0, 7, 4095]))
+        .build();
+    (Sensor::builder().connect(emulator.clone()).await.unwrap(), emulator)
+}
+
+async fn scan() -> Scan {
+    let (sensor, _) = sensor().await;
+    sensor.scan(Window::new(382..=385).unwrap()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_is_a_line_of_ndjson_with_null_for_what_is_not_finite() {
+    let scan = scan().await;
+    let text = serde_json::to_string(&scan).unwrap();
+    let micros = scan.stamp().duration_since(UNIX_EPOCH).unwrap().as_micros();
+    let stamp = micros as f64 / 1e6;
+    let expected = format!(
+        "{{\"sequence\":0,\"stamp\":{stamp},\"start\":382,\"end\":385,\"cluster\":1,\
+         \"angle_min\":{},\"angle_increment\":{},\"values\":[1234,0,7,4095],\
+         \"ranges\":[1.234,null,null,null]}}",
+        scan.angle_min(),
+        scan.angle_increment(),
+    );
+    assert_eq!(text, expected);
+    // To the microsecond, however many digits that takes.
+    let read: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((read["stamp"].as_f64().unwrap() * 1e6).round() as u128, micros);
+}
+
+#[test]
+fn a_window_can_be_read_back_and_never_an_impossible_one() {
+    let window = Window::DETECTION.with_cluster_count(4).unwrap();
+    let data = serde_json::to_value(window).unwrap();
+    assert_eq!(data, json!({"start": 44, "end": 725, "cluster": 4}));
+    assert_eq!(serde_json::from_value::<Window>(data).unwrap(), window);
+    let read = |value: Value| serde_json::from_value::<Window>(value);
+    assert_eq!(read(json!({"start": 44, "end": 725})).unwrap(), Window::DETECTION);
+    for bad in [
+        json!({"start": 44, "end": 769}),
+        json!({"start": 45, "end": 44}),
+        json!({"start": 44, "end": 725, "cluster": 0}),
+        json!({"start": 44}),
+    ] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn measurements_version_and_stats_are_data() {
+    let all: Vec<Measurement> = scan().await.measurements().collect();
+    let data = serde_json::to_value(&all).unwrap();
+    assert_eq!(data, json!([{"distance": 1234}, {"error": 0}, {"error": 7}, "saturated"]));
+    assert_eq!(serde_json::from_value::<Vec<Measurement>>(data).unwrap(), all);
+
+    let (sensor, _) = sensor().await;
+    let version = serde_json::to_value(sensor.version().await.unwrap()).unwrap();
+    assert_eq!(version["serial_number"], "H0713090");
+    assert_eq!(version["specification"]["motor_speed"], 600);
+
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    scans.next().await.unwrap().unwrap();
+    let stats = serde_json::to_value(sensor.stats()).unwrap();
+    assert_eq!(stats["scans"], 1);
+    let last = stats["reply_latency"]["last"].as_f64().unwrap();
+    assert_eq!(last, sensor.stats().reply_latency.last.as_secs_f64());
+    assert_eq!(stats["schedules"][0]["window"]["start"], 44);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_state_is_an_object_that_needs_no_clock_to_be_read() {
+    let data = |state: &State| serde_json::to_value(state).unwrap();
+    let (sensor, emulator) = sensor().await;
+    let connected = json!({"state": "connected", "line_speed": null, "streaming": false});
+    assert_eq!(data(&sensor.state().borrow()), connected);
+    let mut state = sensor.state();
+    emulator.unplug();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    let lost = data(&state.borrow());
+    assert_eq!(lost["state"], "disconnected");
+    assert!((2.9..3.1).contains(&lost["since"].as_f64().unwrap()), "{lost}");
+    assert!(lost["error"].as_str().unwrap().contains("no port"), "{lost}");
+    sensor.close().await;
+    assert_eq!(data(&sensor.state().borrow()), json!({"state": "closed", "error": null}));
+}

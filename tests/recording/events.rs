@@ -1,0 +1,123 @@
+//! Gaps: where they were, and where they are in the file and in a replay.
+
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep};
+use tokio_scip::recording::Recorder;
+use tokio_scip::recording::{Entry, ReplayPace};
+use tokio_scip::{Error, Rate, Sensor, Window};
+
+use crate::sink::{Sink, events, sensor};
+
+#[tokio::test(start_paused = true)]
+async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
+    let sink = Sink::new();
+    let emulator = sensor();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 14).jitter_seed(7);
+    let began = (Instant::now(), std::time::SystemTime::now());
+    let sensor = builder.connect(emulator.clone()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let cable = tokio::spawn(async move {
+        for (plugged, unplugged) in [(120, 30), (200, 5)] {
+            sleep(Duration::from_secs(plugged)).await;
+            emulator.unplug();
+            sleep(Duration::from_secs(unplugged)).await;
+            emulator.plug_in();
+        }
+    });
+    let mut delivered = Vec::new();
+    while began.0.elapsed() < Duration::from_secs(600) {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        delivered.extend(item.map(|scan| scan.values().to_vec()).ok());
+    }
+    cable.await.unwrap();
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    assert!(delivered.len() > 5_600, "{} scans", delivered.len());
+
+    let records = sink.records();
+    // The log began with the recorder, a moment before.
+    let since =
+        |at: std::time::SystemTime| at.duration_since(began.1).unwrap_or_default().as_secs_f64();
+    let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
+    let times: Vec<f64> = scans.map(|record| since(record.at)).collect();
+    assert_eq!(times.len(), delivered.len());
+    let gaps: Vec<_> = times.windows(2).filter(|pair| pair[1] - pair[0] > 1.0).collect();
+    assert_eq!(gaps.len(), 2, "{gaps:?}");
+    for (gap, (from, to)) in gaps.iter().zip([(120.0, 150.0), (350.0, 355.0)]) {
+        assert!((gap[0] - from).abs() < 1.0 && (gap[1] - to).abs() < 3.0, "{gap:?}");
+    }
+    let told = events(&records);
+    let kinds: Vec<_> = told.iter().map(|json| json.split('"').nth(3).unwrap()).collect();
+    assert_eq!(kinds, ["disconnected", "reconnected", "disconnected", "reconnected"]);
+
+    // And all of it again.
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let builder = Sensor::builder().reconnect(false).ring_depth(1 << 14);
+    let sensor = builder.connect(replay).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut replayed = Vec::new();
+    while let Some(Ok(scan)) = scans.next().await {
+        replayed.push(scan.values().to_vec());
+    }
+    assert_eq!(replayed.len(), delivered.len());
+    assert!(replayed == delivered, "other values");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_at_its_own_pace_has_the_gap_where_it_was() {
+    let sink = Sink::new();
+    let emulator = sensor();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 14).jitter_seed(7);
+    let sensor = builder.connect(emulator.clone()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    for n in 0..40 {
+        if n == 20 {
+            emulator.unplug();
+            sleep(Duration::from_secs(20)).await;
+            emulator.plug_in();
+        }
+        recorder.record(&scans.next().await.unwrap()).unwrap();
+    }
+    recorder.finish().await.unwrap();
+
+    let replay = sink.open().replay(ReplayPace::Recorded).unwrap();
+    let sensor = Sensor::builder().reconnect(false).ring_depth(64).connect(replay).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let (mut times, mut errors) = (Vec::new(), Vec::new());
+    while let Some(item) = scans.next().await {
+        match item {
+            Ok(scan) => times.push(scan.received_at()),
+            Err(error) => errors.push(error),
+        }
+    }
+    let gaps: Vec<_> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    assert!(gaps[18] > Duration::from_secs(19) || gaps[19] > Duration::from_secs(19), "{gaps:?}");
+    assert_eq!(gaps.iter().filter(|gap| **gap > Duration::from_secs(1)).count(), 1);
+    // The polls in the gap timed out, which is told once.
+    assert!(
+        matches!(errors[..], [Error::Timeout { .. }, Error::Disconnected { .. }]),
+        "{errors:?}"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn scans_that_were_missed_are_told_and_their_replies_are_there() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorder.record(&scans.next().await.unwrap()).unwrap();
+    sleep(Duration::from_secs(1)).await;
+    let item = scans.next().await.unwrap();
+    recorder.record(&item).unwrap();
+    recorder.finish().await.unwrap();
+    let missed = item.unwrap().sequence() - 1;
+    let records = sink.records();
+    assert_eq!(events(&records), [format!(r#"{{"event":"missed","scans":{missed}}}"#)]);
+    assert!(crate::sink::polls(&records).len() as u64 >= missed + 2);
+}

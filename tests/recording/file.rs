@@ -1,0 +1,160 @@
+//! What stands in the file.
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+use tokio_scip::protocol::{Command, Reply as Parsed};
+use tokio_scip::recording::{Entry, LaserScan, Recorder, Recording, RecordingError};
+use tokio_scip::{Rate, Scan, Window};
+
+use crate::sink::{Sink, polls, record, sensor};
+
+/// An empty folder that goes with the test.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("scip-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // It goes with the system's temporary files otherwise.
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn assert_same(scan: &Scan, recorded: &LaserScan) {
+    let bits = |ranges: &[f32]| ranges.iter().map(|range| range.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&scan.ranges().collect::<Vec<_>>()), bits(&recorded.ranges));
+    assert_eq!(recorded.stamp, scan.stamp());
+    assert_eq!(recorded.frame_id, "laser");
+    assert_eq!(
+        [
+            recorded.angle_min,
+            recorded.angle_max,
+            recorded.angle_increment,
+            recorded.time_increment,
+            recorded.scan_time,
+            recorded.range_min,
+            recorded.range_max,
+        ],
+        [
+            scan.angle_min(),
+            scan.angle_max(),
+            scan.angle_increment(),
+            scan.time_increment(),
+            scan.scan_time(),
+            scan.range_min(),
+            scan.range_max(),
+        ]
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_the_driver_delivered_is_what_is_read() {
+    let sink = Sink::new();
+    let items = record(sensor(), &sink, Window::DETECTION, 30).await;
+    let mut recording = sink.open();
+    assert_eq!(recording.window(), Some(Window::DETECTION));
+    assert_eq!(recording.rate(), Some(Rate::hz(10.0)));
+    assert_eq!(recording.metadata()["serial_number"], "H0713090");
+    assert_eq!(recording.metadata()["line_speed"], "none");
+
+    let records: Vec<_> = recording.by_ref().collect::<Result<_, _>>().unwrap();
+    assert!(!recording.is_truncated());
+    let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
+    let mut last = None;
+    for (item, record) in items.iter().zip(scans.clone()) {
+        let Entry::Scan(recorded) = &record.entry else { panic!("no scan") };
+        let scan = item.as_ref().unwrap();
+        assert_same(scan, recorded);
+        assert_eq!(u64::from(record.sequence), scan.sequence());
+        assert!(last.replace(record.at) < Some(record.at));
+    }
+    assert_eq!((items.len(), scans.count()), (30, 30));
+
+    // The reply that each scan was made of, with all that was asked for.
+    let replies = polls(&records);
+    for (item, reply) in items.iter().zip(&replies) {
+        let scan = item.as_ref().unwrap();
+        assert_eq!(reply.stamp, scan.stamp());
+        let frame = reply.bytes.strip_suffix(b"\n\n").unwrap();
+        let command = reply.command.unwrap();
+        assert!(frame.starts_with(&command.bytes()));
+        let mut values = Vec::new();
+        Parsed::parse(&command, frame).unwrap().values_into(&mut values);
+        assert!(values.ends_with(scan.values()));
+    }
+    assert!(replies.iter().any(|reply| reply.bytes.starts_with(b"G041725")), "no surplus groups");
+    let version = records.iter().find_map(|record| match &record.entry {
+        Entry::Reply(reply) if reply.command == Some(Command::Version) => Some(&reply.bytes),
+        _ => None,
+    });
+    assert!(version.unwrap().starts_with(b"V\n0\nVEND:Hokuyo"));
+    assert!(version.unwrap().ends_with(b"STAT:FW Normal[FinalDist with shadow  ]\n\n"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_file_is_written_over_only_if_that_is_asked_for() {
+    let folder = Folder::new("exists");
+    let path = folder.0.join("run.mcap");
+    std::fs::write(&path, "precious").unwrap();
+    let refused = Recorder::create(&path);
+    assert!(matches!(refused, Err(RecordingError::Exists { .. })), "{refused:?}");
+    assert_eq!(std::fs::read(&path).unwrap(), b"precious");
+
+    let recorder = Recorder::builder().overwrite(true).create(&path).unwrap();
+    recorder.finish().await.unwrap();
+    assert_eq!(Recording::open(&path).unwrap().count(), 0);
+
+    let nowhere = Recorder::create(folder.0.join("no/such/folder.mcap"));
+    assert!(matches!(nowhere, Err(RecordingError::Open { .. })), "{nowhere:?}");
+}
+
+#[test]
+fn what_is_no_recording_is_told_as_what_it_is() {
+    let read = |bytes: &'static [u8]| Recording::read(bytes).map(drop);
+    assert!(matches!(read(b"sequence,stamp,step\n1,2,3\n"), Err(RecordingError::NotMcap)));
+    let open = Recording::open(Path::new("no/such/file.mcap"));
+    assert!(matches!(open, Err(RecordingError::Open { .. })));
+    // Nothing was recorded yet.
+    let replayed = Recording::read(&b""[..]).unwrap().replay(Default::default());
+    assert!(matches!(replayed, Err(RecordingError::NoReplies)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
+    let sink = Sink::new();
+    let mut length = sink.length();
+    let recorder = Recorder::builder().frame_id("front").write_to(sink.clone()).unwrap();
+    let tap = recorder.tap();
+    drop(recorder);
+    length
+        .wait_for(|_| sink.bytes().ends_with(b"\x89MCAP0\r\n") && sink.bytes().len() > 1000)
+        .await
+        .unwrap();
+    assert_eq!(sink.records(), []);
+    drop(tap);
+}
+
+/// Leaves a recording and what is in it, for `tests/recording_readers.py`.
+#[tokio::test(start_paused = true)]
+async fn other_readers_have_a_recording_to_read() {
+    let sink = Sink::new();
+    let items = record(sensor(), &sink, Window::DETECTION, 400).await;
+    let mut truth = String::new();
+    for scan in items.iter().map(|item| item.as_ref().unwrap()) {
+        let stamp = scan.stamp().duration_since(std::time::UNIX_EPOCH).unwrap();
+        write!(truth, "{} laser", stamp.as_nanos()).unwrap();
+        scan.ranges().for_each(|range| write!(truth, " {range}").unwrap());
+        truth.push('\n');
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    std::fs::write(folder.join("recording.mcap"), sink.bytes()).unwrap();
+    std::fs::write(folder.join("recording.txt"), truth).unwrap();
+    assert_eq!(items.len(), 400);
+}

@@ -1,0 +1,183 @@
+//! Kills, full disks and slow ones.
+
+use std::io::{self, Write};
+use std::sync::mpsc;
+use std::time::Duration;
+
+use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError};
+use tokio_scip::{Rate, Sensor, Window};
+
+use crate::sink::{Sink, polls, record, sensor, window};
+
+/// Where `part` ends in `whole`.
+fn end_of(part: &[u8], whole: &[u8]) -> usize {
+    let at = whole.windows(part.len()).position(|window| window == part);
+    at.expect("not in the file") + part.len()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_file_cut_off_at_any_byte_is_read_to_its_last_whole_message() {
+    let sink = Sink::new();
+    record(sensor(), &sink, window(300, 340, 1), 6).await;
+    let (file, records) = (sink.bytes(), sink.records());
+    let ends: Vec<usize> =
+        polls(&records).iter().map(|reply| end_of(&reply.bytes, &file)).collect();
+    assert_eq!(ends.len(), 6);
+    let (mut most, mut truncated) = (0, 0);
+    for length in 0..file.len() {
+        let recording = Recording::read(io::Cursor::new(file[..length].to_vec()));
+        let mut recording = recording.unwrap_or_else(|error| panic!("{length} bytes: {error}"));
+        let read: Vec<_> = recording.by_ref().collect::<Result<_, _>>().unwrap();
+        assert_eq!(read, records[..read.len()], "{length} bytes");
+        let whole = ends.iter().filter(|end| **end <= length).count();
+        assert_eq!(polls(&read).len(), whole, "{length} bytes");
+        assert!(read.len() >= most, "{length} bytes");
+        most = read.len();
+        truncated += usize::from(recording.is_truncated());
+    }
+    assert_eq!(most, records.len());
+    // All but those that lack only the index.
+    assert!(truncated > *ends.last().unwrap());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flipped_bit_anywhere_is_an_error_or_costs_records_and_never_changes_a_message() {
+    let sink = Sink::new();
+    record(sensor(), &sink, window(380, 384, 1), 2).await;
+    let (file, records) = (sink.bytes(), sink.records());
+    let mut errors = 0;
+    for at in 0..file.len() {
+        let mut damaged = file.clone();
+        damaged[at] ^= 1 << (at % 8);
+        let Ok(recording) = Recording::read(io::Cursor::new(damaged)) else {
+            errors += 1;
+            continue;
+        };
+        let mut items: Vec<_> = recording.collect();
+        if items.last().is_some_and(Result::is_err) {
+            errors += 1;
+            items.pop();
+        }
+        for item in items {
+            assert!(records.contains(&item.unwrap()), "byte {at}");
+        }
+    }
+    assert!(errors * 2 > file.len(), "{errors} errors in {} bytes", file.len());
+}
+
+/// What is on a disk that is full, at any byte, can be read; the stream goes on.
+#[tokio::test(start_paused = true)]
+async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
+    for room in [1_000, 10_000, 100_000, 1_200_000] {
+        let sink = Sink::with_room(room);
+        let recorder = Recorder::builder().write_to(sink.clone());
+        let Ok(mut recorder) = recorder else {
+            assert_eq!(room, 1_000, "no room for the head");
+            continue;
+        };
+        let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 16);
+        let sensor = builder.connect(sensor()).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        let item = scans.next().await.unwrap();
+        // Until a chunk is full and the disk, too.
+        let error = loop {
+            if let Err(error) = recorder.record(&item) {
+                break error;
+            }
+        };
+        assert!(is_full(&error), "{error:?}");
+        // It is told again, and the stream has not noticed.
+        assert!(recorder.record(&scans.next().await.unwrap()).is_err());
+        assert!(scans.next().await.unwrap().is_ok());
+        assert!(recorder.progress().lost > 0);
+        assert_eq!(recorder.progress().bytes, room as u64);
+        assert!(is_full(&recorder.finish().await.unwrap_err()));
+        let mut recording = sink.open();
+        let scans = recording
+            .by_ref()
+            .filter(|record| matches!(record.as_ref().unwrap().entry, Entry::Scan(_)));
+        assert!(scans.count() * 5_000 + 15_000 > room, "{room} bytes");
+        assert!(recording.is_truncated());
+    }
+}
+
+/// The last chunk is there, and only its index is not.
+#[tokio::test(start_paused = true)]
+async fn a_disk_that_is_full_at_the_very_end_is_told_by_finish() {
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    let run = async |room| {
+        let sink = Sink::with_room(room);
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        recorder.record(&item).unwrap();
+        (recorder.finish().await, sink)
+    };
+    let (finished, whole) = run(usize::MAX).await;
+    finished.unwrap();
+    let (finished, cut) = run(whole.bytes().len() - 1).await;
+    assert!(is_full(&finished.unwrap_err()));
+    assert_eq!((cut.records().len(), whole.records().len()), (1, 1));
+}
+
+fn is_full(error: &RecordingError) -> bool {
+    matches!(error, RecordingError::Write { source } if source.kind() == io::ErrorKind::StorageFull)
+}
+
+/// Holds up writing until it is told to go on.
+struct Slow {
+    sink: Sink,
+    go: mpsc::Receiver<()>,
+}
+
+impl Write for Slow {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.sink.bytes().len() > 1_000 {
+            // From the second chunk on; afterwards without end.
+            let _ = self.go.recv();
+        }
+        self.sink.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
+    let sink = Sink::new();
+    let (go, wait) = mpsc::channel();
+    let slow = Slow { sink: sink.clone(), go: wait };
+    let mut recorder = Recorder::builder().write_to(slow).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    // Twice as much as may wait: this would hang if it could.
+    for _ in 0..12_000 {
+        recorder.record(&item).unwrap();
+    }
+    let progress = recorder.progress();
+    assert!(progress.lost > 4_000, "{progress:?}");
+    assert_eq!(progress.scans + progress.lost, 12_000);
+    drop(go);
+    recorder.finish().await.unwrap();
+    assert_eq!(sink.records().len() as u64, progress.scans);
+}
+
+/// On the real clock, since a file has to be there in real time.
+#[tokio::test]
+async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
+    recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
+    let mut length = sink.length();
+    // Comes after a second, unless it never comes.
+    let written = length.wait_for(|length| *length > 4_000);
+    tokio::time::timeout(Duration::from_secs(60), written).await.unwrap().unwrap();
+    let mut recording = sink.open();
+    let scans =
+        recording.by_ref().filter(|item| matches!(item.as_ref().unwrap().entry, Entry::Scan(_)));
+    assert_eq!(scans.count(), 1);
+    assert!(recording.is_truncated());
+    drop(recorder);
+}

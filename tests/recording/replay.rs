@@ -1,0 +1,220 @@
+//! A recording as a sensor.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::time::Instant;
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::recording::{Recorder, ReplayPace};
+use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+
+use crate::sink::{Sink, polls, record, sensor, window};
+
+/// All that a sensor gives until it is over.
+async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
+    let builder = Sensor::builder().reconnect(false).ring_depth(1 << 16);
+    let sensor = builder.connect(emulator).await.unwrap();
+    let mut scans = sensor.scans(window, rate).await.unwrap();
+    let mut items = Vec::new();
+    while let Some(item) = scans.next().await {
+        items.push(item);
+    }
+    let end = items.pop().unwrap();
+    assert!(matches!(end, Err(Error::Disconnected { .. })), "{end:?}");
+    items
+}
+
+fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u16>> {
+    items.iter().flatten().map(|scan| scan.values().to_vec()).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_gives_every_scan_again_for_every_kind_of_window() {
+    for window in [
+        Window::DETECTION,
+        Window::FULL,
+        window(44, 725, 4),
+        window(0, 768, 99),
+        window(2, 2, 1),
+        window(100, 103, 3),
+    ] {
+        let sink = Sink::new();
+        let recorded = record(sensor(), &sink, window, 20).await;
+        for (pace, rate) in [
+            (ReplayPace::Recorded, Rate::hz(10.0)),
+            (ReplayPace::Recorded, Rate::MAX),
+            (ReplayPace::Max, Rate::hz(10.0)),
+            (ReplayPace::Max, Rate::MAX),
+        ] {
+            let replayed = drain(sink.open().replay(pace).unwrap(), window, rate).await;
+            assert!(replayed.iter().all(Result::is_ok), "{window} {pace:?} {rate}: {replayed:?}");
+            assert_eq!(values(&replayed), values(&recorded), "{window} {pace:?} {rate}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_of_a_replay_has_the_same_bytes() {
+    let (first, second) = (Sink::new(), Sink::new());
+    record(sensor(), &first, Window::DETECTION, 40).await;
+    record(first.open().replay(ReplayPace::Recorded).unwrap(), &second, Window::DETECTION, 40)
+        .await;
+    let bytes = |sink: &Sink| {
+        polls(&sink.records()).into_iter().map(|reply| reply.bytes).collect::<Vec<_>>()
+    };
+    assert_eq!(bytes(&first), bytes(&second));
+    assert_eq!(first.open().metadata(), second.open().metadata());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_takes_as_long_as_was_recorded_or_no_time() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 50).await;
+    let mut took = Vec::new();
+    for pace in [ReplayPace::Recorded, ReplayPace::Max] {
+        let began = Instant::now();
+        drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::MAX).await;
+        took.push(began.elapsed());
+    }
+    // 49 periods of 100 ms, and the opening.
+    assert!(
+        took[0] > Duration::from_millis(4890) && took[0] < Duration::from_millis(5100),
+        "{took:?}"
+    );
+    assert!(took[1] < Duration::from_millis(200), "{took:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_was_damaged_or_refused_is_so_again() {
+    let kinds = |items: &[Result<Scan, Error>]| {
+        let kind = |item: &Result<Scan, Error>| match item {
+            Ok(_) => "scan",
+            Err(Error::Malformed { .. }) => "malformed",
+            Err(Error::Refused { .. }) => "refused",
+            Err(_) => "other",
+        };
+        items.iter().map(kind).collect::<Vec<_>>()
+    };
+    // Replies 0 and 1 are those of opening; fences count, too.
+    let faults = Faults::none()
+        .at(5, Fault::Drop(700..701))
+        .at(9, Fault::Status(b'7'))
+        .at(14, Fault::Drop(14..16));
+    let sink = Sink::new();
+    let emulator = sensor();
+    emulator.set_faults(faults);
+    let recorded = record(emulator, &sink, Window::DETECTION, 30).await;
+    let expected = kinds(&recorded);
+    assert!(expected.contains(&"malformed") && expected.contains(&"refused"), "{expected:?}");
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let replayed = drain(replay, Window::DETECTION, Rate::hz(10.0)).await;
+    assert_eq!(kinds(&replayed), expected);
+    assert_eq!(values(&replayed), values(&recorded));
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_window_shows_what_was_recorded_of_it() {
+    let sink = Sink::new();
+    let recorded = record(sensor(), &sink, window(100, 199, 1), 10).await;
+    let open = || sink.open().replay(ReplayPace::Max).unwrap();
+
+    let part = drain(open(), window(120, 139, 1), Rate::MAX).await;
+    let expected: Vec<_> = values(&recorded).iter().map(|all| all[20..40].to_vec()).collect();
+    assert_eq!(values(&part), expected);
+
+    let groups = drain(open(), window(100, 199, 50), Rate::MAX).await;
+    let smallest =
+        |all: &Vec<u16>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
+    assert_eq!(values(&groups), values(&recorded).iter().map(smallest).collect::<Vec<Vec<_>>>());
+
+    // Nothing was ever measured on the left.
+    let wider = drain(open(), window(90, 199, 1), Rate::MAX).await;
+    for (wide, all) in values(&wider).iter().zip(values(&recorded)) {
+        assert_eq!((&wide[..7], &wide[10..]), (&[19; 7][..], &all[..]));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_polls() {
+    let sink = Sink::new();
+    let original = Emulator::builder().version_lines(["VEND:x", "FIRM:1", "SERI:42"]).build();
+    let recorded = record(original, &sink, Window::DETECTION, 5).await;
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number.to_string(), "42");
+    // Fences take no scan away.
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.laser());
+    sensor.laser_on().await.unwrap();
+    for expected in values(&recorded) {
+        assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().values(), expected);
+    }
+    // Then it is gone, and does not come back.
+    assert!(sensor.scan(Window::DETECTION).await.is_err());
+    let again = Sensor::builder().connect(emulator).await;
+    assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_scan() {
+    let sink = Sink::new();
+    let recorded = record(sensor(), &sink, window(384, 385, 1), 2).await;
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let mut link = emulator.link();
+    let mut ask = async |command: &[u8], length: usize| {
+        link.write_all(command).await.unwrap();
+        let mut reply = vec![0; length];
+        link.read_exact(&mut reply).await.unwrap();
+        String::from_utf8(reply).unwrap()
+    };
+    assert_eq!(ask(b"L0\n", 6).await, "L0\n0\n\n");
+    assert_eq!(ask(b"G38438501\n", 13).await, "G38438501\n6\n\n");
+    assert_eq!(ask(b"L1\n", 6).await, "L1\n0\n\n");
+    drop(link);
+    let sensor = Sensor::builder().connect(emulator).await.unwrap();
+    for expected in values(&recorded) {
+        assert_eq!(sensor.scan(window(384, 385, 1)).await.unwrap().values(), expected);
+    }
+}
+
+/// One point of the wider window is missing, so that the rest has the length of
+/// the narrower one.
+#[tokio::test(start_paused = true)]
+async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
+    let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
+    let last_point = wide.reply_len() - 4..wide.reply_len() - 2;
+    let emulator = sensor();
+    emulator.set_faults(Faults::none().at(2, Fault::Drop(last_point)));
+    let sink = Sink::new();
+    let recorded = record(emulator, &sink, wide, 5).await;
+    let whole: Vec<_> = values(&recorded).iter().map(|all| all[1..].to_vec()).collect();
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let replayed = values(&drain(replay, narrow, Rate::hz(10.0)).await);
+    assert_eq!(replayed, whole);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_is_that_of_the_stream_that_was_described_and_knows_what_others_saw() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let original = Sensor::builder().tap(recorder.tap()).ring_depth(64).connect(sensor()).await;
+    let original = original.unwrap();
+    let rate = Rate::hz(4.0);
+    let mut scans = original.scans(window(100, 199, 1), rate).await.unwrap();
+    let mut others = original.scans(window(300, 309, 1), rate).await.unwrap();
+    recorder.describe(&original, &scans).await.unwrap();
+    let (mut expected, mut seen) = (Vec::new(), Vec::new());
+    for _ in 0..10 {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        expected.push(item.unwrap().values().to_vec());
+        seen.push(others.next().await.unwrap().unwrap().values().to_vec());
+    }
+    recorder.finish().await.unwrap();
+
+    let open = || sink.open().replay(ReplayPace::Max).unwrap();
+    assert_eq!(values(&drain(open(), window(100, 199, 1), rate).await), expected);
+    let others = values(&drain(open(), window(300, 309, 1), rate).await);
+    assert_eq!(others.len(), 10);
+    assert!(others[1..].iter().all(|values| seen.contains(values)), "{others:?}");
+}

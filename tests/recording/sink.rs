@@ -1,0 +1,116 @@
+//! Files in memory, also bad ones, and recording into them.
+
+use std::io::{self, Write};
+use std::sync::{Arc, Mutex};
+
+use tokio::sync::watch;
+use tokio_scip::emulator::{Codes, Emulator, Look};
+use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
+use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+
+/// A file in memory. Clones are the same file.
+#[derive(Clone)]
+pub(crate) struct Sink {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    room: usize,
+    /// How many bytes there are, to be awaited.
+    length: watch::Sender<usize>,
+}
+
+impl Sink {
+    /// One on a disk with room for so many bytes.
+    pub(crate) fn with_room(room: usize) -> Self {
+        Self { bytes: Arc::default(), room, length: watch::Sender::new(0) }
+    }
+
+    pub(crate) fn new() -> Self {
+        Self::with_room(usize::MAX)
+    }
+
+    pub(crate) fn bytes(&self) -> Vec<u8> {
+        self.bytes.lock().unwrap().clone()
+    }
+
+    pub(crate) fn length(&self) -> watch::Receiver<usize> {
+        self.length.subscribe()
+    }
+
+    pub(crate) fn open(&self) -> Recording {
+        Recording::read(io::Cursor::new(self.bytes())).unwrap()
+    }
+
+    pub(crate) fn records(&self) -> Vec<Record> {
+        self.open().collect::<Result<_, _>>().unwrap()
+    }
+}
+
+impl Write for Sink {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut file = self.bytes.lock().unwrap();
+        let fits = bytes.len().min(self.room - file.len());
+        if fits == 0 {
+            return Err(io::ErrorKind::StorageFull.into());
+        }
+        file.extend_from_slice(&bytes[..fits]);
+        self.length.send_replace(file.len());
+        Ok(fits)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A sensor no two scans of which are the same.
+pub(crate) fn sensor() -> Emulator {
+    let world = |look: Look, codes: &mut Codes| {
+        for (step, slot) in codes.iter_mut().enumerate() {
+            *slot = ((look.request * 7 + step as u64 * 3) % 4096) as u16;
+        }
+    };
+    Emulator::builder().world(world).build()
+}
+
+/// Records `count` scans, and gives them.
+pub(crate) async fn record(
+    emulator: Emulator,
+    sink: &Sink,
+    window: Window,
+    count: usize,
+) -> Vec<Result<Scan, Error>> {
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 16).jitter_seed(7);
+    let sensor = builder.connect(emulator).await.unwrap();
+    let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let mut items = Vec::new();
+    while items.iter().filter(|item: &&Result<_, _>| item.is_ok()).count() < count {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        items.push(item);
+    }
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    items
+}
+
+/// The replies to `G` that were polls.
+pub(crate) fn polls(records: &[Record]) -> Vec<Reply> {
+    let replies = records.iter().filter_map(|record| match &record.entry {
+        Entry::Reply(reply) if reply.bytes.starts_with(b"G") => Some(reply.clone()),
+        _ => None,
+    });
+    replies.filter(|reply| reply.command.is_some()).collect()
+}
+
+pub(crate) fn events(records: &[Record]) -> Vec<&str> {
+    let events = records.iter().filter_map(|record| match &record.entry {
+        Entry::Event(json) => Some(json.as_str()),
+        _ => None,
+    });
+    events.collect()
+}
+
+pub(crate) fn window(from: u16, to: u16, cluster_count: u8) -> Window {
+    Window::new(from..=to).unwrap().with_cluster_count(cluster_count).unwrap()
+}

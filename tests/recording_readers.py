@@ -1,0 +1,139 @@
+"""Reads a recording with readers that others wrote, and holds what they read
+against what the driver delivered.
+
+    cargo test --features mcap --test recording
+    pip install mcap-ros2-support rosbags
+    python3 tests/recording_readers.py target/tmp/recording.mcap
+
+The test leaves `recording.mcap`, and beside it `recording.txt`: a line a scan,
+its stamp in nanoseconds, its frame, its ranges.
+"""
+
+import math
+import struct
+import sys
+from pathlib import Path
+
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+BEYOND_RANGE = {0, 6, 16, 4095}
+
+
+def single(number):
+    """The nearest number of single precision, infinity and NaN included."""
+    return struct.unpack("<f", struct.pack("<f", float(number)))[0]
+
+
+def truth(path):
+    """Stamp, frame and ranges of each scan that the driver delivered."""
+    for line in path.with_suffix(".txt").read_text().splitlines():
+        stamp, frame, *ranges = line.split(" ")
+        yield int(stamp), frame, [single(range) for range in ranges]
+
+
+def scan(message):
+    stamp = message.header.stamp
+    ranges = [float(range) for range in message.ranges]
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, message.header.frame_id, ranges
+
+
+def same(left, right):
+    equal = lambda a, b: a == b or math.isnan(a) and math.isnan(b)
+    ranges = zip(left[2], right[2], strict=True)
+    return left[:2] == right[:2] and all(equal(a, b) for a, b in ranges)
+
+
+def check(name, scans, expected):
+    assert len(scans) == len(expected), f"{name}: {len(scans)} scans of {len(expected)}"
+    for number, (found, wanted) in enumerate(zip(scans, expected)):
+        assert same(found, wanted), f"{name}: scan {number} is another"
+    print(f"{name}: {len(scans)} scans, stamps, frame and ranges are the same")
+
+
+def read_with_mcap(path):
+    scans, replies = [], []
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        names = [metadata.name for metadata in reader.iter_metadata()]
+        assert names == ["tokio_scip"], names
+        for schema, channel, record, message in reader.iter_decoded_messages():
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            if channel.topic == "/scan":
+                assert schema.name == "sensor_msgs/msg/LaserScan"
+                scans.append(scan(message))
+                assert record.publish_time == scans[-1][0]
+            if channel.topic == "/scip/replies" and message.layout.dim[0].label.startswith("G"):
+                replies.append((message.layout.dim[0].label, bytes(message.data)))
+    return scans, replies
+
+
+def read_with_rosbags(path):
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(path) as reader:
+        scans = []
+        for connection, _, data in reader.messages():
+            # The definition in the file is the one that ROS 2 has.
+            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            for name, definition in types.items():
+                assert list(definition[1]) == list(store.get_msgdef(name).fields), name
+            if connection.topic == "/scan":
+                scans.append(scan(store.deserialize_cdr(data, connection.msgtype)))
+    return scans
+
+
+def range_of(code):
+    """A 12-bit code in metres, after the protocol text and REP 117."""
+    if code in BEYOND_RANGE:
+        return math.inf
+    return math.nan if code < 20 else single(code / 1000)
+
+
+def ranges_of(reply):
+    """The ranges in a reply to `G`, read from the protocol text alone."""
+    label, data = reply
+    echo, status, *lines = data.decode("ascii").split("\n")
+    assert (echo, status, lines[-2:]) == (label, "0", ["", ""]), data[:20]
+    text = "".join(lines)
+    pairs = zip(text[::2], text[1::2])
+    return [range_of((ord(high) - 0x30) << 6 | ord(low) - 0x30) for high, low in pairs]
+
+
+def read_cut_off(path, cut):
+    """How many scans are found in a file that was cut off, within its last chunk."""
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 3 // 4])
+    channels, scans = {}, 0
+    with cut.open("rb") as file:
+        try:
+            for record in StreamReader(file).records:
+                if type(record).__name__ == "Channel":
+                    channels[record.id] = record.topic
+                scans += isinstance(record, Message) and channels[record.channel_id] == "/scan"
+        except Exception as error:
+            print(f"a file cut off: {scans} scans, then {type(error).__name__}")
+    cut.unlink()
+    return scans
+
+
+def main():
+    path = Path(sys.argv[1])
+    expected = list(truth(path))
+    assert expected, "no scans at all"
+    scans, replies = read_with_mcap(path)
+    check("mcap-ros2-support", scans, expected)
+    check("rosbags", read_with_rosbags(path), expected)
+    # Polls ask for some groups more than the stream wants.
+    from_replies = [
+        (stamp, frame, ranges_of(reply)[-len(ranges) :])
+        for reply, (stamp, frame, ranges) in zip(replies, expected)
+    ]
+    check("the raw replies", from_replies, expected)
+    assert 0 < read_cut_off(path, path.with_suffix(".cut.mcap")) < len(expected)
+
+
+main()

@@ -1,0 +1,54 @@
+//! At every line speed the driver gets what the line can carry: on the paused
+//! clock, against a sensor that sends at line speed and answers at once.
+#![cfg(feature = "emulator")]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod common;
+
+use common::builder;
+use tokio::time::Instant;
+use tokio_scip::emulator::{Emulator, Fixed, Pace};
+use tokio_scip::{BaudRate, Rate, Window};
+
+const SCANS: u32 = 200;
+
+/// Scans a second of `window`, polled as fast as it goes.
+async fn rate(window: Window, speed: BaudRate) -> f64 {
+    let world = Fixed::filled(1234);
+    let emulator = Emulator::builder().world(world).line_speed(speed).pace(Pace::AtOnce).build();
+    let sensor = builder().connect(emulator).await.unwrap();
+    let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    let start = Instant::now();
+    for _ in 0..SCANS {
+        stream.next().await.unwrap().unwrap();
+    }
+    f64::from(SCANS) / start.elapsed().as_secs_f64()
+}
+
+/// The time that a `G` and its reply take on the line, in seconds.
+fn exchange(window: Window, speed: BaudRate) -> f64 {
+    let bytes = "G04472501\n".len() + window.reply_len();
+    bytes as f64 * 10.0 / f64::from(speed.bits_per_second())
+}
+
+#[tokio::test(start_paused = true)]
+async fn at_least_99_percent_of_what_the_line_can_carry_is_reached() {
+    for speed in BaudRate::ALL {
+        for window in [Window::DETECTION, Window::FULL] {
+            let exact = exchange(window, speed);
+            // The timer's resolution is 1 ms, which only fast lines feel.
+            let carried =
+                if speed <= BaudRate::B115200 { exact } else { (exact * 1e3).ceil() / 1e3 };
+            let reached = rate(window, speed).await;
+            let share = reached * carried;
+            println!(
+                "{speed} {window}: {reached:.3} of {:.3} scans/s, {:.2} %",
+                1.0 / exact,
+                share * 100.0
+            );
+            assert!(share >= 0.99, "{reached} scans a second of {window} at {speed} baud");
+            assert!(reached * exact <= 1.0, "faster than the line: {reached} at {speed} baud");
+        }
+    }
+}
