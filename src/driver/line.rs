@@ -39,13 +39,15 @@ pub(crate) struct Line {
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
     received: u64,
+    /// The first two bytes of these.
+    first: [u8; 2],
     /// How many of these came before the latest command.
     before: u64,
 }
 
 impl Line {
     pub(crate) fn new(port: Box<dyn Port>) -> Self {
-        Self { port, arrival: None, received: 0, before: 0 }
+        Self { port, arrival: None, received: 0, first: [0; 2], before: 0 }
     }
 
     /// A command is written: what comes from now on counts anew.
@@ -67,6 +69,12 @@ impl Line {
     /// How many bytes ever arrived.
     pub(crate) fn received(&self) -> u64 {
         self.received
+    }
+
+    /// Whether the first thing that ever came was a telnet command, as from a
+    /// server that begins by settling its options.
+    pub(crate) fn began_as_telnet(&self) -> bool {
+        matches!(self.first, [0xff, 0xfb..=0xfe])
     }
 
     pub(crate) fn line_speed(&self) -> Option<BaudRate> {
@@ -95,6 +103,9 @@ impl AsyncRead for Line {
         let outcome = again_if_interrupted(outcome, cx);
         let read = buffer.filled().len() - before;
         if read > 0 {
+            let seen = self.received.min(2) as usize;
+            let fresh = buffer.filled().get(before..).unwrap_or_default();
+            self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += read as u64;
             self.arrival.get_or_insert_with(SystemTime::now);
         }
