@@ -100,8 +100,6 @@ impl Session {
             }
             self.skip(&frame);
         }
-        // What is there already must not flood the next link, too.
-        self.discard_pending().await?;
         Err(flood().into())
     }
 
@@ -114,7 +112,7 @@ impl Session {
         }
         // At a wrong speed any bytes may come, so only a line that cannot have
         // one counts as telnet.
-        let telnet = !self.is_adjustable() && matches!(**pending, [0xff, 0xfb..=0xfe, ..]);
+        let telnet = !self.is_adjustable() && self.framed.get_ref().began_as_telnet();
         let echo = [&command.bytes(), &b"\r\n"[..]].concat();
         let translated = pending.windows(echo.len()).any(|part| part == echo);
         (telnet || translated).then(|| {

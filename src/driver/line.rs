@@ -30,7 +30,7 @@ const WRITE_BUFFER: usize = 32;
 
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
 pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, ScipCodec> {
-    let line = Line { port, arrival: None, received: 0, before: 0, tap };
+    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
     let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
@@ -43,6 +43,8 @@ pub(crate) struct Line {
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
     received: u64,
+    /// The first two bytes of these.
+    first: [u8; 2],
     /// How many of these came before the latest command.
     before: u64,
     tap: Tap,
@@ -79,6 +81,12 @@ impl Line {
         self.received
     }
 
+    /// Whether the first thing that ever came was a telnet command, as from a
+    /// server that begins by settling its options.
+    pub(crate) fn began_as_telnet(&self) -> bool {
+        matches!(self.first, [0xff, 0xfb..=0xfe])
+    }
+
     pub(crate) fn line_speed(&self) -> Option<BaudRate> {
         self.port.line_speed()
     }
@@ -105,6 +113,9 @@ impl AsyncRead for Line {
         let outcome = again_if_interrupted(outcome, cx);
         let read = buffer.filled().len() - before;
         if read > 0 {
+            let seen = self.received.min(2) as usize;
+            let fresh = buffer.filled().get(before..).unwrap_or_default();
+            self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += read as u64;
             self.arrival.get_or_insert_with(SystemTime::now);
         }

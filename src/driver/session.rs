@@ -289,8 +289,6 @@ impl Session {
             self.dirty = true;
             self.skip(&frame);
         }
-        // What is there already must not flood the next link, too.
-        self.discard_pending().await?;
         Err(flood().into())
     }
 
