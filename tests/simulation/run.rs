@@ -27,6 +27,8 @@ pub(crate) struct Run {
     pub(crate) coverage: Arc<Mutex<Coverage>>,
     pub(crate) over: Arc<AtomicBool>,
     pub(crate) healthy: Arc<AtomicBool>,
+    /// Whether the laser may be off by request.
+    pub(crate) dark: Arc<AtomicBool>,
     trace: Arc<Mutex<DefaultHasher>>,
     start: Instant,
 }
@@ -103,6 +105,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         coverage: Arc::clone(coverage),
         over: Arc::default(),
         healthy: Arc::default(),
+        dark: Arc::default(),
         trace: Arc::default(),
         start: Instant::now(),
     };
@@ -226,10 +229,17 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
         emulator.plug_in();
     }
     let start = Instant::now();
-    let limit = Duration::from_secs(if case.speed.is_none() { 2 } else { 5 }) + case.lingers;
+    let mut limit = Duration::from_secs(if case.speed.is_none() { 2 } else { 5 }) + case.lingers;
+    let dark = run.dark.load(Ordering::Relaxed);
+    if dark {
+        // To be switched on and confirmed, each a turn of the motor or two.
+        limit += Duration::from_millis(500);
+    }
     loop {
         let scanned = async {
-            sensor.laser_on().await?;
+            if dark {
+                sensor.laser_on().await?;
+            }
             sensor.scans(Window::DETECTION, Rate::hz(10.0)).await
         };
         let Ok(mut stream) = run.call("recovery", scanned).await else {
