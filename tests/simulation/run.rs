@@ -168,8 +168,9 @@ fn watch_states(run: &Run, sensor: &Sensor) {
 /// Faults come and go, and worse.
 async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
     let (case, emulator) = (&run.case, &run.case.emulator);
-    if case.refuses {
-        // A sensor that refuses twice to say who it is ends an opening for good.
+    if case.refuses || case.does.stranger {
+        // Another sensor, or one that twice refuses to say who it is, ends an
+        // opening for good.
         sensor.opened().await.unwrap();
     }
     let end = Instant::now() + Duration::from_secs(60) + random.ms(120_000);
