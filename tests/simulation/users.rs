@@ -129,7 +129,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 run.dark.store(true, Ordering::Relaxed);
                 if run.call("laser off", sensor.laser_off()).await.is_ok() {
                     assert!(!undisturbed(emulator.counts().resets) || !emulator.laser());
-                    stay_dark(&run, random.ms(5000)).await;
+                    stay_dark(&run, &sensor, random.ms(5000)).await;
                 }
             }
             _ => {
@@ -144,11 +144,22 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Nobody polls while the laser is off.
-async fn stay_dark(run: &Run, time: Duration) {
-    let off = Instant::now();
-    sleep(time).await;
-    let polls = run.case.emulator.log().into_iter().filter(|received| {
+/// Nobody polls while the laser is off, and a sensor that was away has it off
+/// again when it is back.
+async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
+    let (emulator, off) = (&run.case.emulator, Instant::now());
+    let now = || (sensor.stats().reconnects, emulator.counts().resets);
+    let (mut reconnects, mut resets) = now();
+    while off.elapsed() < time {
+        sleep(Duration::from_millis(100)).await;
+        let latest = now();
+        if latest.0 > reconnects && latest.1 == resets && !run.case.does.rival {
+            assert!(!emulator.laser(), "the laser is on after a recovery");
+            run.coverage.lock().unwrap().darkened += 1;
+        }
+        (reconnects, resets) = latest;
+    }
+    let polls = emulator.log().into_iter().filter(|received| {
         let line = &received.line;
         let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
         poll && received.at >= off && !received.garbled
