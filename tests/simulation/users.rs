@@ -129,7 +129,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 run.dark.store(true, Ordering::Relaxed);
                 if run.call("laser off", sensor.laser_off()).await.is_ok() {
                     assert!(!undisturbed(emulator.counts().resets) || !emulator.laser());
-                    stay_dark(&run, &sensor, random.ms(5000)).await;
+                    stay_dark(&run, &sensor, random.ms(20_000)).await;
                 }
             }
             _ => {
