@@ -13,6 +13,8 @@ pub(crate) struct Coverage {
     /// Scans held against the truth.
     pub(crate) checked: u64,
     pub(crate) missed: u64,
+    /// Recoveries after which the laser was found off, as it should be.
+    pub(crate) darkened: u64,
     counts: BTreeMap<String, u64>,
 }
 
@@ -99,7 +101,7 @@ impl Coverage {
         let zero = self.counts.iter().filter(|(_, count)| **count == 0).map(|(name, _)| &**name);
         let never: Vec<&str> = never.copied().chain(zero).collect();
         assert!(never.is_empty(), "never happened: {never:?}\n{self}");
-        assert!(self.missed > 0 && self.checked > 0, "{self}");
+        assert!(self.missed > 0 && self.checked > 0 && self.darkened > 0, "{self}");
     }
 }
 
@@ -107,6 +109,7 @@ impl std::fmt::Display for Coverage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{:24} {:>12}", "scans checked", self.checked)?;
         writeln!(f, "{:24} {:>12}", "scans missed", self.missed)?;
+        writeln!(f, "{:24} {:>12}", "laser kept off", self.darkened)?;
         self.counts.iter().try_for_each(|(name, count)| writeln!(f, "{name:24} {count:>12}"))
     }
 }

@@ -8,7 +8,7 @@ use tokio_scip::{Rate, Sensor, Window};
 
 use crate::truth::Truth;
 
-/// What came of polling for some hours.
+/// What came of polling for some time.
 #[derive(Debug, Default)]
 pub(crate) struct Loss {
     /// `G`s sent for scans.
@@ -30,7 +30,7 @@ impl Loss {
 
 /// Polls a sensor on USB of whose replies 1 % are late by up to 3 s, 0.5 %
 /// lost, 0.5 % damaged and 0.1 % doubled.
-pub(crate) fn poll(window: Window, rate: Rate, hours: u64) -> Loss {
+pub(crate) fn poll(window: Window, rate: Rate, time: Duration) -> Loss {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();
     runtime.block_on(async {
@@ -48,7 +48,7 @@ pub(crate) fn poll(window: Window, rate: Rate, hours: u64) -> Loss {
         let sensor = Sensor::builder().jitter_seed(1).ring_depth(16).connect(emulator.clone());
         let sensor = sensor.await.unwrap();
         emulator.set_faults(faults);
-        let end = Instant::now() + Duration::from_secs(hours * 3600);
+        let end = Instant::now() + time;
         let mut stream = sensor.scans(window, rate).await.unwrap();
         let mut loss = Loss::default();
         while Instant::now() < end {

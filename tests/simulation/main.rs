@@ -61,15 +61,15 @@ fn the_same_seed_gives_the_same_trace() {
     assert!(once.windows(2).all(|pair| pair[0] != pair[1]));
 }
 
-/// Sensor-hours for each of the loss figures.
-fn loss_hours() -> u64 {
-    setting("SCIP_LOSS_HOURS").unwrap_or(1)
+/// How long each of the loss figures is simulated.
+fn loss_time() -> Duration {
+    Duration::from_secs(60 * setting("SCIP_LOSS_MINUTES").unwrap_or(10))
 }
 
 #[test]
 fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
-        let loss = poll(Window::DETECTION, rate, loss_hours());
+        let loss = poll(Window::DETECTION, rate, loss_time());
         println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
         assert_eq!(loss.wrong, 0);
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
@@ -79,7 +79,7 @@ fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
 #[test]
 fn where_polls_cannot_differ_only_doubled_replies_are_left() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
-        let loss = poll(Window::FULL, rate, loss_hours());
+        let loss = poll(Window::FULL, rate, loss_time());
         println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
         // One doubled reply in a thousand, and of these the few that a delay
         // puts behind the next poll.

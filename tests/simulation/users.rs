@@ -1,5 +1,8 @@
 //! Those who use the sensor in a run, each for itself.
 
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::{BaudRate, Rate, Scan, Sensor, Window};
 
@@ -118,31 +121,49 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                     assert_eq!(emulator.line_speed(), expected, "after a change of speed");
                 }
             }
-            2 => drop(timeout(random.ms(600), sensor.laser_off()).await),
-            3 if run.call("laser off", sensor.laser_off()).await.is_ok() => {
-                let off = Instant::now();
-                if undisturbed(emulator.counts().resets) {
-                    assert!(!emulator.laser(), "after laser_off");
+            2 => {
+                run.dark.store(true, Ordering::Relaxed);
+                let _ = timeout(random.ms(600), sensor.laser_off()).await;
+            }
+            3 => {
+                run.dark.store(true, Ordering::Relaxed);
+                if run.call("laser off", sensor.laser_off()).await.is_ok() {
+                    assert!(!undisturbed(emulator.counts().resets) || !emulator.laser());
+                    stay_dark(&run, &sensor, random.ms(20_000)).await;
                 }
-                sleep(random.ms(5000)).await;
-                let polls = emulator.log().into_iter().filter(|received| {
-                    let line = &received.line;
-                    let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
-                    poll && received.at >= off && !received.garbled
-                });
-                let polls: Vec<_> = polls.collect();
-                // Asking for the laser ends it, whether or not that succeeds.
-                let _ = run.call("laser on again", sensor.laser_on()).await;
-                let rival = run.case.does.rival || run.case.torn;
-                assert!(rival || polls.is_empty(), "polled with the laser off: {polls:?}");
             }
             _ => {
-                if run.call("laser on", sensor.laser_on()).await.is_ok()
-                    && undisturbed(emulator.counts().resets)
-                {
-                    assert!(emulator.laser(), "after laser_on");
+                if run.call("laser on", sensor.laser_on()).await.is_ok() {
+                    run.dark.store(false, Ordering::Relaxed);
+                    if undisturbed(emulator.counts().resets) {
+                        assert!(emulator.laser(), "after laser_on");
+                    }
                 }
             }
         }
     }
+}
+
+/// Nobody polls while the laser is off, and a sensor that was away has it off
+/// again when it is back.
+async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
+    let (emulator, off) = (&run.case.emulator, Instant::now());
+    let now = || (sensor.stats().reconnects, emulator.counts().resets);
+    let (mut reconnects, mut resets) = now();
+    while off.elapsed() < time {
+        sleep(Duration::from_millis(100)).await;
+        let latest = now();
+        if latest.0 > reconnects && latest.1 == resets && !run.case.does.rival {
+            assert!(!emulator.laser(), "the laser is on after a recovery");
+            run.coverage.lock().unwrap().darkened += 1;
+        }
+        (reconnects, resets) = latest;
+    }
+    let polls = emulator.log().into_iter().filter(|received| {
+        let line = &received.line;
+        let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
+        poll && received.at >= off && !received.garbled
+    });
+    let polls: Vec<_> = polls.collect();
+    assert!(run.case.does.rival || polls.is_empty(), "polled with the laser off: {polls:?}");
 }
