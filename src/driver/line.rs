@@ -11,8 +11,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
 use tokio_util::codec::Framed;
 
+use super::intake::Intake;
 use crate::BaudRate;
-use crate::codec::ScipCodec;
 use crate::port::Port;
 use crate::protocol::Command;
 use crate::tap::{Heard, Tap};
@@ -29,9 +29,10 @@ pub(super) const READ_BUFFER: usize = 4096;
 const WRITE_BUFFER: usize = 32;
 
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
-pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, ScipCodec> {
+pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, Intake> {
+    let intake = Intake::new(tap.is_some());
     let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
-    let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER);
+    let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
     framed

@@ -83,6 +83,11 @@ pub struct Reply<'a> {
     data: &'a [u8],
 }
 
+impl Reply<'static> {
+    /// What is left of a scan whose values were taken: success, and no data.
+    pub(crate) const SCAN: Self = Self { status: Status::OK, data: &[] };
+}
+
 impl<'a> Reply<'a> {
     /// Holds `frame`, a reply without its terminator, against `command`.
     ///
@@ -177,9 +182,12 @@ impl<'a> Reply<'a> {
 pub(crate) fn decode_scan(window: Window, frame: &[u8], values: &mut Vec<u16>) -> bool {
     // Does nothing where there were as many before.
     values.resize(window.points(), 0);
-    let rest = frame.strip_prefix(&*Command::Distances(window).bytes());
-    let data = rest.and_then(|rest| rest.strip_prefix(b"\n0\n"));
-    data.is_some_and(|data| decode(data, values))
+    let command = Command::Distances(window).bytes();
+    let Some((echo, [b'\n', b'0', b'\n', data @ ..])) = frame.split_at_checked(command.len())
+    else {
+        return false;
+    };
+    echo.iter().eq(command.iter()) && decode(data, values)
 }
 
 /// Makes values of the data of a `G` reply, and tells whether it is as it should
