@@ -113,19 +113,19 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
             let alone = !run.case.does.rival;
             move |now: u64| alone && now == resets
         };
-        match random.below(6) {
+        match random.below(7) {
             0 => drop(timeout(random.ms(600), sensor.set_baud_rate(speed)).await),
-            1 if run.call("speed", sensor.set_baud_rate(speed)).await.is_ok() => {
+            1 | 2 if run.call("speed", sensor.set_baud_rate(speed)).await.is_ok() => {
                 if undisturbed(emulator.counts().resets) {
                     let expected = run.case.speed.map(|_| speed);
                     assert_eq!(emulator.line_speed(), expected, "after a change of speed");
                 }
             }
-            2 => {
+            3 => {
                 run.dark.store(true, Ordering::Relaxed);
                 let _ = timeout(random.ms(600), sensor.laser_off()).await;
             }
-            3 => {
+            4 => {
                 run.dark.store(true, Ordering::Relaxed);
                 if run.call("laser off", sensor.laser_off()).await.is_ok() {
                     assert!(!undisturbed(emulator.counts().resets) || !emulator.laser());
