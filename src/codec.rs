@@ -72,6 +72,18 @@ impl ScipCodec {
     /// reply, and [`Reply::parse`] a success. False means that it is for them to
     /// tell what is there: the buffer is as it was, and `values` may hold
     /// anything.
+    ///
+    /// ```
+    /// use bytes::BytesMut;
+    /// use tokio_scip::Window;
+    /// use tokio_scip::codec::ScipCodec;
+    ///
+    /// let mut buffer = BytesMut::from("G38438501\n0\nCB06\n\nL1");
+    /// let (window, mut values) = (Window::new(384..=385)?, Vec::new());
+    /// assert!(ScipCodec::default().decode_scan(window, &mut buffer, &mut values));
+    /// assert_eq!((&values[..], &buffer[..]), (&[1234, 6][..], &b"L1"[..]));
+    /// # Ok::<(), tokio_scip::protocol::WindowError>(())
+    /// ```
     pub fn decode_scan(
         &mut self,
         window: Window,

@@ -104,7 +104,7 @@ fn a15_half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
 fn scan() -> (Window, &'static [u8], Vec<u16>) {
     let reply = b"G00003201\n0\n\
         0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`abcdefghijklmno\n01\n\n";
-    let values = (0..32).map(|n| 2 * n << 6 | (2 * n + 1)).chain([1]).collect();
+    let values = (0..64).step_by(2).map(|n| n * 64 + n + 1).chain([1]).collect();
     (Window::new(0..=32).unwrap(), reply, values)
 }
 
