@@ -67,7 +67,8 @@
 //!
 //! After the last reply the next poll hangs the link up, and connecting again
 //! finds no port: with [`reconnect(false)`](crate::SensorBuilder::reconnect) the
-//! driver ends there.
+//! driver ends there, with [`Error::Disconnected`](crate::Error::Disconnected).
+//! That has a source only if the file could not be read to its end.
 //!
 //! A recording's bytes are read when they are asked for, in small pieces, on
 //! the runtime's thread.

@@ -1,5 +1,6 @@
 //! A recording as an emulated sensor: the replies in it, one for each poll.
 
+use std::io;
 use std::time::{Duration, SystemTime};
 
 use super::reader::{Entry, Reply, command_named};
@@ -76,6 +77,8 @@ struct Replies {
     began: SystemTime,
     /// The latest value of each step.
     memory: Box<Codes>,
+    /// Why the file could not be read any further.
+    failure: Option<RecordingError>,
 }
 
 /// A reply, and when it came.
@@ -93,6 +96,7 @@ impl Replies {
             next: None,
             began: SystemTime::UNIX_EPOCH,
             memory: Box::new([UNKNOWN; crate::emulator::STEPS]),
+            failure: None,
         };
         replies.next = match window {
             Some(_) => replies.read()?,
@@ -169,6 +173,7 @@ impl Script for Replies {
         let Due { reply, .. } = self.next.take()?;
         self.next = self.read().unwrap_or_else(|error| {
             tracing::warn!(%error, "the replay ends here");
+            self.failure = Some(error);
             None
         });
         let Some(Command::Distances(window)) = reply.command else { return None };
@@ -186,6 +191,11 @@ impl Script for Replies {
             Some(answer) if answer.values().is_none() => answer.bytes,
             _ => reply.bytes,
         })
+    }
+
+    fn failure(&self) -> Option<io::Error> {
+        let error = self.failure.clone()?;
+        Some(io::Error::new(io::ErrorKind::InvalidData, error))
     }
 
     fn look(&self, codes: &mut Codes) {

@@ -5,6 +5,7 @@ mod args;
 mod commands;
 mod failure;
 mod feed;
+mod follow;
 mod format;
 mod interrupt;
 mod notice;
@@ -12,6 +13,12 @@ mod output;
 mod pace;
 mod plot;
 mod port;
+#[cfg(feature = "mcap")]
+mod progress;
+#[cfg_attr(not(feature = "mcap"), path = "unrecorded.rs")]
+mod recorded;
+#[cfg(feature = "mcap")]
+mod recorder_file;
 mod selftest;
 mod view;
 #[cfg(feature = "web")]

@@ -21,9 +21,10 @@ Examples:
 pub(crate) struct View {
     #[command(flatten)]
     port: PortArg,
-    /// Scans a second, or `max` for as fast as the sensor answers
-    #[arg(long, value_name = "HZ", default_value = "10")]
-    rate: Rate,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<Rate>,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -32,12 +33,12 @@ pub(crate) struct View {
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let window = self.window.window()?;
-        let port = self.port.required().await?;
+        let (port, rate) = self.port.polled_at(self.rate).await?;
+        let window = self.window.window(&port)?;
         Screen::possible()?;
         let opening = async {
             let sensor = open(&port, &self.link, 1).await?;
-            Viewer::new(&port, sensor, window, self.rate).await
+            Viewer::new(&port, sensor, window, rate).await
         };
         // What cannot be opened is told on the terminal as it is.
         let mut viewer = tokio::select! {

@@ -24,7 +24,7 @@ pub(crate) use self::screen::Screen;
 use self::model::{Action, Model};
 use self::palette::Palette;
 use crate::failure::{Failure, chain};
-use crate::feed::cause;
+use crate::feed::end;
 use crate::pace::PaceWatch;
 use crate::port::PortName;
 
@@ -110,7 +110,7 @@ impl Viewer {
                 item = self.scans.next() => match item {
                     Some(Ok(scan)) => self.scanned(scan),
                     Some(Err(error)) => self.trouble(&error),
-                    None => return Err(cause(&self.port, &self.sensor)),
+                    None => return end(&self.port, &self.sensor),
                 },
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
