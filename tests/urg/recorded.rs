@@ -113,6 +113,11 @@ async fn every_command_that_reads_a_sensor_reads_a_recording() {
     let path = file.path();
     let info = run(&format!("info {path}"), 0).stdout;
     assert!(info.contains("SOKUIKI Sensor URG-04LX") && info.contains(path), "{info}");
+    assert!(info.contains("scans          20 of steps 44..=725, asked for at 10 Hz"), "{info}");
+    assert!(info.contains("gaps           none\n"), "{info}");
+    let info = run(&format!("info {path} --format json"), 0).stdout;
+    let info: Value = serde_json::from_str(&info).unwrap();
+    assert_eq!((&info["scans"], &info["complete"]), (&20.into(), &true.into()));
     let scan = run(&format!("scan {path} --format json"), 0).stdout;
     assert_eq!(values(&serde_json::from_str(&scan).unwrap()), recorded[0]);
     assert!(run(&format!("scan {path} --format svg"), 0).stdout.ends_with("</svg>\n"));
@@ -227,6 +232,8 @@ fn what_was_recorded_before_a_kill_can_be_replayed() {
     fs::write(file.path(), bytes).unwrap();
     let (recorded, _) = contents(Recording::open(file.path()).unwrap());
     assert!(recorded.len() >= 10, "{} scans", recorded.len());
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(info.contains("its end is missing"), "{info}");
     let replay = run(&format!("stream {} --rate max", file.path()), 0);
     assert!(scans(&replay.stdout).len() >= recorded.len());
 }

@@ -3,6 +3,8 @@
 
 mod args;
 mod commands;
+#[cfg(feature = "mcap")]
+mod contents;
 mod failure;
 mod feed;
 mod follow;

@@ -12,6 +12,7 @@ use tokio::sync::watch;
 use tokio_scip::recording::{Recording, ReplayPace};
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 
+use crate::contents::{self, Row};
 use crate::failure::Failure;
 use crate::notice::notice;
 
@@ -63,6 +64,16 @@ impl Recorded {
     pub(crate) fn paced_at(&mut self, rate: Option<Rate>) -> Option<Rate> {
         self.pace = rate.map_or(ReplayPace::Recorded, |_| ReplayPace::Max);
         self.rate
+    }
+
+    /// What is in it, to be told.
+    pub(crate) async fn contents(&self) -> Result<Vec<Row>, Failure> {
+        let recording = self.open()?;
+        let read = tokio::task::spawn_blocking(|| contents::rows(recording)).await;
+        match read {
+            Ok(rows) => rows.map_err(|error| self.failure(&error)),
+            Err(error) => Err(self.failure(&error)),
+        }
     }
 
     /// Whether it is this file.

@@ -3,6 +3,7 @@
 
 use std::fmt;
 
+use serde_json::Value;
 use tokio_scip::{Error, Rate, Sensor, SensorBuilder, Window};
 
 use crate::failure::Failure;
@@ -24,6 +25,10 @@ impl Recorded {
     }
 
     pub(crate) fn window(&self) -> Option<Window> {
+        match *self {}
+    }
+
+    pub(crate) async fn contents(&self) -> Result<Vec<(&'static str, Value, String)>, Failure> {
         match *self {}
     }
 

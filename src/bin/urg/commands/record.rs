@@ -8,6 +8,7 @@ use tokio_scip::recording::{Recorder, RecordingError};
 use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
+use crate::contents::clock;
 use crate::failure::Failure;
 use crate::feed::{Entry, Feed, Reporter};
 use crate::follow::{Ended, follow};
@@ -221,8 +222,7 @@ impl Tally {
     /// As a line of text.
     fn after(self, took: Duration) -> String {
         let Self { scans, bytes, lost, failed, disconnects } = self;
-        let seconds = took.as_secs();
-        let mut text = format!("{scans} scans in {}:{:02}, ", seconds / 60, seconds % 60);
+        let mut text = format!("{scans} scans in {}, ", clock(took.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
             _ => format!("{:.1} MB", bytes as f64 / 1e6),
@@ -231,7 +231,9 @@ impl Tally {
             0 => ", none lost".to_owned(),
             lost => format!(", {lost} lost"),
         });
-        for (count, what) in [(failed, "polls without a scan"), (disconnects, "times unplugged")] {
+        for (count, what) in
+            [(failed, "polls without a scan"), (disconnects, "times the link was lost")]
+        {
             if count > 0 {
                 // Writing to a string does not fail.
                 let _ = write!(text, ", {count} {what}");
@@ -249,10 +251,11 @@ mod tests {
     fn a_tally_tells_how_long_how_much_and_what_is_missing() {
         let good = Tally { scans: 598, bytes: 2_345_678, ..Tally::default() };
         assert_eq!(good.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
+        assert!(good.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
         let bad = Tally { scans: 3, bytes: 13_999, lost: 2, failed: 4, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, 1 times unplugged"
+            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, 1 times the link was lost"
         );
     }
 }
