@@ -188,8 +188,9 @@ async fn a_replay_that_ends_because_its_file_is_damaged_says_so() {
     record(sensor(), &sink, Window::DETECTION, 400).await;
     for damaged in [false, true] {
         let mut file = sink.bytes();
-        let middle = file.len() / 2;
-        file[middle] ^= u8::from(damaged);
+        // In the second of its two chunks.
+        let late = file.len() / 8 * 7;
+        file[late] ^= u8::from(damaged);
         let recording = Recording::read(io::Cursor::new(file)).unwrap();
         let replay = recording.replay(ReplayPace::Max).unwrap();
         let sensor = Sensor::builder().reconnect(false).connect(replay).await.unwrap();

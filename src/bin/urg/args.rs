@@ -26,20 +26,7 @@ use crate::port::PortName;
     name = "urg",
     version,
     arg_required_else_help = true,
-    after_help = "\
-PORT is one of
-  /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
-  serial:H0713090         the sensor of this serial number, wherever it is plugged in
-  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its line speed
-  FILE.mcap               a recording: the sensor as it was
-  emulated                a sensor in software, to try things out
-
-Examples:
-  urg list                                  which ports are there?
-  urg info /dev/ttyACM0                     who is it, and how is it set?
-  urg view emulated                         a live radar, without any hardware
-  urg stream emulated --count 20            20 scans as NDJSON, without any hardware
-  urg emulate --link /tmp/urg               an emulated sensor for other programs"
+    after_help = help()
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -71,6 +58,32 @@ impl Command {
     pub(crate) fn draws(&self) -> bool {
         matches!(self, Self::View(_))
     }
+}
+
+/// What PORT may be, and how to begin.
+fn help() -> String {
+    let (recording, record) = match cfg!(feature = "mcap") {
+        true => (
+            "\n  FILE.mcap               a recording: the sensor as it was",
+            "\n  urg record /dev/ttyACM0 run.mcap          record, and then: urg view run.mcap",
+        ),
+        false => ("", ""),
+    };
+    format!(
+        "\
+PORT is one of
+  /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
+  serial:H0713090         the sensor of this serial number, wherever it is plugged in
+  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its line speed{recording}
+  emulated                a sensor in software, to try things out
+
+Examples:
+  urg list                                  which ports are there?
+  urg info /dev/ttyACM0                     who is it, and how is it set?
+  urg view emulated                         a live radar, without any hardware
+  urg stream emulated --count 20            20 scans as NDJSON, without any hardware{record}
+  urg emulate --link /tmp/urg               an emulated sensor for other programs"
+    )
 }
 
 /// How to get to the sensor.

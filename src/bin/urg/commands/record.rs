@@ -163,7 +163,7 @@ impl Run {
             progress.show(|| {
                 let away = match &*reporter.sensor.state().borrow() {
                     State::Connected { .. } => "",
-                    _ => "; the sensor is away",
+                    _ => "; sensor away",
                 };
                 let tally = Tally::new(recorder, reporter, *missed);
                 format!("{}{away} (Ctrl-C ends it)", tally.after(began.elapsed()))
@@ -231,13 +231,12 @@ impl Tally {
             0 => ", none lost".to_owned(),
             lost => format!(", {lost} lost"),
         });
-        for (count, what) in
-            [(failed, "polls without a scan"), (disconnects, "times the link was lost")]
-        {
-            if count > 0 {
-                // Writing to a string does not fail.
-                let _ = write!(text, ", {count} {what}");
-            }
+        // Writing to a string does not fail.
+        if failed > 0 {
+            let _ = write!(text, ", {failed} polls without a scan");
+        }
+        if disconnects > 0 {
+            let _ = write!(text, ", link lost {disconnects}x");
         }
         text
     }
@@ -255,7 +254,7 @@ mod tests {
         let bad = Tally { scans: 3, bytes: 13_999, lost: 2, failed: 4, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, 1 times the link was lost"
+            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, link lost 1x"
         );
     }
 }

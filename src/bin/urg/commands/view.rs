@@ -4,20 +4,23 @@ use tokio_scip::Rate;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
+use crate::follow::Ended;
 use crate::interrupt::Interrupt;
 use crate::port::{PortArg, open};
 use crate::view::{Screen, Viewer};
 
 /// Show a live radar in the terminal
 ///
-/// Goes on by itself when the sensor is unplugged and comes back. `?` shows the
-/// keys, `q` quits. NO_COLOR=1 does without colours.
+/// Goes on by itself when the sensor is unplugged and comes back; a recording
+/// goes on to its end. `?` shows the keys, `q` quits. NO_COLOR=1 does without
+/// colours.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   urg view /dev/ttyACM0
   urg view /dev/ttyUSB0 --baud 115200 --cluster 2
-  urg view emulated --from -90deg --to 90deg")]
+  urg view emulated --from -90deg --to 90deg
+  urg view run.mcap                     what was recorded")]
 pub(crate) struct View {
     #[command(flatten)]
     port: PortArg,
@@ -48,9 +51,13 @@ impl View {
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
-            _ = interrupt.requested() => Ok(()),
+            _ = interrupt.requested() => Ok(Ended::AsAsked),
         };
         screen.give_back().await;
+        let outcome = match outcome {
+            Ok(Ended::ByItself) => viewer.end(),
+            outcome => outcome.map(drop),
+        };
         viewer.finish().await;
         outcome
     }
