@@ -118,7 +118,7 @@ async fn a_recording_tells_how_far_it_is_and_takes_its_line_along() {
     terminal.until(&[line, line].concat()).await;
     let id = terminal.urg.id().unwrap().to_string();
     assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
-    let end = ["(Ctrl-C ends it)", "\r\x1b[Kurg: ", ".mcap: ", " scans in 0:0", ", none lost\r\n"];
+    let end = ["(Ctrl-C ends it)", "\r\x1b[Kurg: ", ".mcap: ", " scans in 0:0", ", none lost\n"];
     terminal.until(&end).await;
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
 }
