@@ -12,8 +12,8 @@ its stamp in nanoseconds, its frame, its ranges. Or, with the program:
     urg stream run.mcap --rate max --count 50 > run.ndjson
     python3 tests/recording_readers.py run.mcap laser
 
-What was streamed has the ranges; the stamps are then those of the raw replies,
-and the frame is the one that is named.
+What was streamed has the ranges and, to the microsecond, the stamps; the frame
+is the one that is named.
 """
 
 import json
@@ -43,6 +43,7 @@ def truth(path, replies):
         lines = path.with_suffix(".ndjson").read_text().splitlines()
         for line, (_, _, stamp) in zip(lines, replies):
             line = json.loads(line)
+            assert abs(stamp - line["stamp"] * 1e9) < 2_000, "another stamp"
             ranges = [range_of(code) for code in line["values"]]
             assert [r if math.isfinite(r) else None for r in ranges] == [
                 None if r is None else single(r) for r in line["ranges"]

@@ -7,6 +7,7 @@ use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
@@ -188,6 +189,12 @@ impl Port for Link {
             HostSpeed::Follows => Ok(()),
             HostSpeed::Fixed(_) | HostSpeed::Probed(_) => Err(io::ErrorKind::Unsupported.into()),
         }
+    }
+
+    /// That of the recording, where one is replayed.
+    fn wall_clock(&self) -> SystemTime {
+        let state = self.shared.lock();
+        state.sensor.performance.as_ref().map_or_else(SystemTime::now, Performance::wall_clock)
     }
 }
 

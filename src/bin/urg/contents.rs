@@ -23,8 +23,9 @@ pub(crate) fn rows(mut recording: Recording) -> Result<Vec<Row>, RecordingError>
     let mut times = Times::default();
     for record in recording.by_ref() {
         let record = record?;
-        if matches!(record.entry, Entry::Scan(_)) {
-            times.scan(record.at, longest);
+        // Stamps stay those of the original when a replay is recorded.
+        if let Entry::Scan(scan) = record.entry {
+            times.scan(scan.stamp, longest);
         }
     }
     let complete = !recording.is_truncated();
