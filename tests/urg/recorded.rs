@@ -172,7 +172,9 @@ fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
     assert!(line.contains("exists already") && line.contains("--force"), "{line}");
     failure(&format!("record {} {} --force", nobody.path(), file.path()));
     assert!(fs::read(file.path()).unwrap() == precious);
-    run(&format!("record emulated {} --force --count 1", file.path()), 0);
+    run(&format!("record emulated {} --force --count 1 --frame-id front", file.path()), 0);
+    let mut records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
+    assert!(records.any(|entry| matches!(entry, Entry::Scan(scan) if scan.frame_id == "front")));
     assert!(fs::metadata(file.path()).unwrap().len() < 100_000, "nothing old is left");
     assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
 
