@@ -107,14 +107,15 @@ pub(crate) struct LinkArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44]
+    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44, or as recorded]
     #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
     start: Option<u16>,
-    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725]
+    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725, or as recorded]
     #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
     end: Option<u16>,
     /// Steps that make one point, 1 to 99; the sensor sends the smallest value
-    /// of each cluster, in which an error code wins over any distance [default: 1]
+    /// of each cluster, in which an error code wins over any distance [default: 1, or as
+    /// recorded]
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
     cluster: Option<u8>,
     /// Direction to start at, -135deg (right) to 135deg (left), instead of --start
