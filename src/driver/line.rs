@@ -65,7 +65,7 @@ impl Line {
 
     /// When the first byte since then arrived.
     pub(crate) fn stamp(&self) -> SystemTime {
-        self.arrival.unwrap_or_else(SystemTime::now)
+        self.arrival.unwrap_or_else(|| self.port.wall_clock())
     }
 
     /// Lets the tap hear a frame that answers `command`, or no command that was
@@ -118,7 +118,8 @@ impl AsyncRead for Line {
             let fresh = buffer.filled().get(before..).unwrap_or_default();
             self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += read as u64;
-            self.arrival.get_or_insert_with(SystemTime::now);
+            let Self { arrival, port, .. } = &mut *self;
+            arrival.get_or_insert_with(|| port.wall_clock());
         }
         if self.received - self.before > FLOOD {
             return Poll::Ready(Err(flood()));
