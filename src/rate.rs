@@ -7,6 +7,8 @@ use std::time::Duration;
 /// The timer's resolution is a millisecond.
 const SHORTEST: Duration = Duration::from_millis(1);
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
+/// They tell once a day from once a day and a nanosecond.
+const DECIMALS: usize = 20;
 
 /// How often a stream asks for a scan.
 ///
@@ -47,15 +49,14 @@ impl Rate {
     }
 }
 
+/// In as few digits as give the same rate again when they are parsed.
 impl fmt::Display for Rate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
-            None => f.write_str("max"),
-            Some(period) => {
-                let hz = 1.0 / period.as_secs_f64();
-                write!(f, "{} Hz", (hz * 1000.0).round() / 1000.0)
-            }
-        }
+        let Some(period) = self.0 else { return f.write_str("max") };
+        let hz = 1.0 / period.as_secs_f64();
+        let text = |decimals| format!("{hz:.decimals$} Hz");
+        let exact = (0..DECIMALS).map(text).find(|text| text.parse() == Ok(*self));
+        f.write_str(&exact.unwrap_or_else(|| text(DECIMALS)))
     }
 }
 
@@ -77,6 +78,39 @@ impl FromStr for Rate {
             _ if text == "max" => Ok(Self::MAX),
             Ok(hz) if hz > 0.0 && hz <= 1000.0 => Ok(Self::hz(hz)),
             _ => Err(InvalidRate { found: text.to_owned() }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_is_shown_in_few_digits() {
+        for (rate, text) in [
+            (Rate::hz(10.0), "10 Hz"),
+            (Rate::hz(30.0), "30 Hz"),
+            (Rate::hz(0.1), "0.1 Hz"),
+            (Rate::hz(1000.0), "1000 Hz"),
+            (Rate::every(Duration::from_secs(3000)), "0.0003333333333333 Hz"),
+            (Rate::MAX, "max"),
+        ] {
+            assert_eq!(rate.to_string(), text);
+        }
+    }
+
+    #[test]
+    fn a_rate_as_text_is_the_same_rate_again() {
+        let nanos = (SHORTEST.as_nanos() as u64, LONGEST.as_nanos() as u64);
+        // From one end to the other, all orders of magnitude alike.
+        let between = (0..5000).map(|n| {
+            let part = f64::from(n) / 5000.0;
+            (nanos.0 as f64 * (nanos.1 as f64 / nanos.0 as f64).powf(part)) as u64
+        });
+        for nanos in [nanos.0, nanos.0 + 1, nanos.1 - 1, nanos.1].into_iter().chain(between) {
+            let rate = Rate::every(Duration::from_nanos(nanos));
+            assert_eq!(rate.to_string().parse(), Ok(rate), "{rate}");
         }
     }
 }

@@ -2,10 +2,11 @@
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tokio_scip::protocol::{Command, Reply as Parsed};
 use tokio_scip::recording::{Entry, LaserScan, Recorder, Recording, RecordingError};
-use tokio_scip::{Rate, Scan, Window};
+use tokio_scip::{Rate, Scan, Sensor, Window};
 
 use crate::sink::{Sink, polls, record, sensor};
 
@@ -139,6 +140,22 @@ async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
         .unwrap();
     assert_eq!(sink.records(), []);
     drop(tap);
+}
+
+#[tokio::test(start_paused = true)]
+async fn any_rate_that_was_asked_for_can_be_read_again() {
+    let periods =
+        [Duration::from_secs(3000), Duration::from_millis(33), Duration::from_nanos(1_234_567)];
+    let rates = periods.map(Rate::every).into_iter().chain([Rate::hz(30.0), Rate::MAX]);
+    for rate in rates {
+        let sink = Sink::new();
+        let recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+        let scans = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        recorder.describe(&sensor, &scans).await.unwrap();
+        recorder.finish().await.unwrap();
+        assert_eq!(sink.open().rate(), Some(rate));
+    }
 }
 
 /// Leaves a recording and what is in it, for `tests/recording_readers.py`.
