@@ -76,6 +76,7 @@
 mod cdr;
 mod error;
 mod event;
+mod queue;
 mod reader;
 mod recorder;
 mod records;

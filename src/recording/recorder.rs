@@ -1,30 +1,18 @@
-//! [`Recorder`]: takes scans and replies from async code to a thread of its
-//! own, which writes the file.
+//! [`Recorder`]: takes scans and replies from async code to the queue of the
+//! thread that writes the file.
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant, SystemTime};
+use std::sync::Arc;
+use std::time::SystemTime;
 
-use mcap::McapResult;
-use tokio::sync::oneshot;
-
-use super::writer::{LogClock, Times, Writer};
+use super::queue::{Entry, Queue};
+use super::writer::Times;
 use super::{Event, RecordingError};
 use crate::tap::Heard;
 use crate::{Error, Scan, ScanStream, Sensor, State};
-
-/// How long what was recorded may stay in memory.
-const FLUSH: Duration = Duration::from_secs(1);
-/// How many bytes wait for a disk that is slow; at 10 scans a second that
-/// is some four minutes.
-const QUEUE: usize = 8 << 20;
-/// What an entry costs besides what it carries.
-const OVERHEAD: usize = 128;
 
 /// Records what a [`ScanStream`] gives and what a sensor sends, into an MCAP
 /// file.
@@ -38,7 +26,7 @@ const OVERHEAD: usize = 128;
 /// for that.
 #[derive(Debug)]
 pub struct Recorder {
-    shared: Arc<Shared>,
+    queue: Arc<Queue>,
     /// The number that the next scan should have.
     expected: Option<u64>,
     disconnected: bool,
@@ -68,26 +56,6 @@ pub struct Progress {
     pub lost: u64,
 }
 
-#[derive(Debug)]
-struct Shared {
-    queue: mpsc::Sender<Entry>,
-    queued: AtomicUsize,
-    scans: AtomicU64,
-    replies: AtomicU64,
-    bytes: AtomicU64,
-    lost: AtomicU64,
-    failure: Mutex<Option<RecordingError>>,
-}
-
-#[derive(Debug)]
-enum Entry {
-    Scan(Scan),
-    Reply { command: String, bytes: Box<[u8]>, times: Times },
-    Event { json: String, times: Times },
-    Metadata(BTreeMap<String, String>),
-    Finish(Option<oneshot::Sender<()>>),
-}
-
 impl Recorder {
     /// Records into a new file. Use [`builder`](Self::builder) for more choice.
     ///
@@ -108,14 +76,11 @@ impl Recorder {
     /// For [`SensorBuilder::tap`](crate::SensorBuilder::tap): records each reply's
     /// bytes, so that the recording can be replayed.
     pub fn tap(&self) -> impl Fn(Heard<'_>) + Send + Sync + 'static {
-        let shared = Arc::clone(&self.shared);
+        let queue = Arc::clone(&self.queue);
         move |heard| {
             let command = heard.command.map_or_else(String::new, |command| command.to_string());
             let times = Times { steady: heard.received_at, wall: heard.stamp };
-            let entry = Entry::Reply { command, bytes: heard.bytes.into(), times };
-            if shared.push(entry, heard.bytes.len()) {
-                shared.replies.fetch_add(1, Ordering::Relaxed);
-            }
+            queue.push(Entry::Reply { command, bytes: heard.bytes.into(), times });
         }
     }
 
@@ -149,7 +114,7 @@ impl Recorder {
         .map(|(key, value)| (key.to_owned(), value))
         .into();
         metadata.extend(version.status.map(|status| ("status".to_owned(), status.to_string())));
-        self.shared.push(Entry::Metadata(metadata), 0);
+        self.queue.push(Entry::Metadata(metadata));
         Ok(())
     }
 
@@ -174,10 +139,7 @@ impl Recorder {
                 if missed > 0 {
                     self.event(&Event::Missed { scans: missed }, times);
                 }
-                let weight = scan.len() * size_of::<u16>();
-                if self.shared.push(Entry::Scan(scan.clone()), weight) {
-                    self.shared.scans.fetch_add(1, Ordering::Relaxed);
-                }
+                self.queue.push(Entry::Scan(scan.clone()));
             }
             Err(error) => {
                 let times = Times {
@@ -193,15 +155,12 @@ impl Recorder {
                 self.event(&event, times);
             }
         }
-        self.failure().map_or(Ok(()), Err)
+        self.queue.failure().map_or(Ok(()), Err)
     }
 
     /// How far it is.
     pub fn progress(&self) -> Progress {
-        let Shared { scans, replies, bytes, lost, .. } = &*self.shared;
-        let [scans, replies, bytes, lost] =
-            [scans, replies, bytes, lost].map(|count| count.load(Ordering::Relaxed));
-        Progress { scans, replies, bytes, lost }
+        self.queue.progress()
     }
 
     /// Writes what is left, the file's index and its end. If this future is
@@ -211,28 +170,20 @@ impl Recorder {
     ///
     /// [`RecordingError::Write`] if that, or any writing before it, failed.
     pub async fn finish(self) -> Result<(), RecordingError> {
-        let (done, finished) = oneshot::channel();
         // A thread that has failed is gone.
-        let _ = self.shared.queue.send(Entry::Finish(Some(done)));
-        let _ = finished.await;
-        self.failure().map_or(Ok(()), Err)
+        let _ = self.queue.finish().await;
+        self.queue.failure().map_or(Ok(()), Err)
     }
 
     fn event(&self, event: &Event, times: Times) {
-        let json = event.to_string();
-        let weight = json.len();
-        self.shared.push(Entry::Event { json, times }, weight);
-    }
-
-    fn failure(&self) -> Option<RecordingError> {
-        self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.queue.push(Entry::Event { json: event.to_string(), times });
     }
 }
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // The tap may keep the queue open for longer. No thread: no need.
-        let _ = self.shared.queue.send(Entry::Finish(None));
+        // The tap may keep the queue open for longer. Nobody waits for the end.
+        drop(self.queue.finish());
     }
 }
 
@@ -282,121 +233,7 @@ impl RecorderBuilder {
     /// [`RecordingError::Write`] if the file's head cannot be written, or no
     /// thread can be had.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
-        let (queue, entries) = mpsc::channel();
-        let shared = Arc::new(Shared {
-            queue,
-            queued: AtomicUsize::new(0),
-            scans: AtomicU64::new(0),
-            replies: AtomicU64::new(0),
-            bytes: AtomicU64::new(0),
-            lost: AtomicU64::new(0),
-            failure: Mutex::new(None),
-        });
-        let counted = Counted { out, shared: Arc::clone(&shared) };
-        let writer = Writer::new(BufWriter::new(counted), LogClock::starting_now(), self.frame_id)
-            .map_err(RecordingError::write)?;
-        let thread = {
-            let shared = Arc::clone(&shared);
-            move || shared.fail(write_all(writer, &entries, &shared))
-        };
-        std::thread::Builder::new()
-            .name("recorder".to_owned())
-            .spawn(thread)
-            .map_err(|error| RecordingError::Write { source: Arc::new(error) })?;
-        Ok(Recorder { shared, expected: None, disconnected: false })
-    }
-}
-
-impl Shared {
-    /// Queues an entry, unless too much is queued already or nobody writes any
-    /// more: then it is lost, which false tells.
-    fn push(&self, entry: Entry, weight: usize) -> bool {
-        let weight = weight + OVERHEAD;
-        let room = self.queued.fetch_add(weight, Ordering::Relaxed) + weight <= QUEUE;
-        let queued = room && self.queue.send(entry).is_ok();
-        if !queued {
-            self.queued.fetch_sub(weight, Ordering::Relaxed);
-            self.lost.fetch_add(1, Ordering::Relaxed);
-        }
-        queued
-    }
-
-    /// Keeps why writing failed, for the recorder to tell; one line of log.
-    fn fail(&self, outcome: McapResult<()>) {
-        if let Err(error) = outcome.map_err(RecordingError::write) {
-            let cause = std::error::Error::source(&error);
-            tracing::error!(cause = cause.map(tracing::field::display), "{error}");
-            *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
-        }
-    }
-}
-
-/// Writes the file until it is finished.
-fn write_all<W: Write>(
-    mut writer: Writer<W>,
-    entries: &mpsc::Receiver<Entry>,
-    shared: &Shared,
-) -> McapResult<()> {
-    // When the oldest thing came that is not in the file.
-    let mut unwritten: Option<Instant> = None;
-    loop {
-        let entry = match unwritten {
-            None => entries.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            Some(since) => entries.recv_timeout(FLUSH.saturating_sub(since.elapsed())),
-        };
-        let weight = match entry {
-            Ok(Entry::Scan(scan)) => {
-                writer.scan(&scan)?;
-                scan.len() * size_of::<u16>()
-            }
-            Ok(Entry::Reply { command, bytes, times }) => {
-                writer.reply(&command, &bytes, times)?;
-                bytes.len()
-            }
-            Ok(Entry::Event { json, times }) => {
-                writer.event(&json, times)?;
-                json.len()
-            }
-            Ok(Entry::Metadata(metadata)) => {
-                writer.metadata(metadata)?;
-                0
-            }
-            Err(RecvTimeoutError::Timeout) => {
-                writer.flush()?;
-                unwritten = None;
-                continue;
-            }
-            Ok(Entry::Finish(done)) => {
-                // Before whoever waits looks for it.
-                shared.fail(writer.finish());
-                // They may have given up.
-                let _ = done.map(|done| done.send(()));
-                return Ok(());
-            }
-            Err(RecvTimeoutError::Disconnected) => return writer.finish(),
-        };
-        shared.queued.fetch_sub(weight + OVERHEAD, Ordering::Relaxed);
-        if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH {
-            writer.flush()?;
-            unwritten = None;
-        }
-    }
-}
-
-/// Counts the bytes that get through.
-struct Counted<W> {
-    out: W,
-    shared: Arc<Shared>,
-}
-
-impl<W: Write> Write for Counted<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(bytes)?;
-        self.shared.bytes.fetch_add(written as u64, Ordering::Relaxed);
-        Ok(written)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
+        let queue = Queue::into_file(out, self.frame_id)?;
+        Ok(Recorder { queue, expected: None, disconnected: false })
     }
 }
