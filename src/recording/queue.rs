@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Write};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use mcap::McapResult;
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 
 use super::RecordingError;
 use super::recorder::Progress;
@@ -21,6 +21,8 @@ const FLUSH: Duration = Duration::from_secs(1);
 /// How many bytes wait for a disk that is slow; at 10 scans a second that
 /// is some four minutes.
 const MOST: usize = 8 << 20;
+/// How many are so few that a source that can wait goes on.
+const FEW: usize = 1 << 20;
 /// What an entry costs besides what it carries.
 const OVERHEAD: usize = 128;
 
@@ -29,7 +31,7 @@ const OVERHEAD: usize = 128;
 pub(super) struct Queue {
     entries: mpsc::Sender<Entry>,
     /// How many bytes wait.
-    waiting: AtomicUsize,
+    waiting: watch::Sender<usize>,
     scans: AtomicU64,
     replies: AtomicU64,
     bytes: AtomicU64,
@@ -75,7 +77,7 @@ impl Queue {
         let (entries, receiver) = mpsc::channel();
         let queue = Arc::new(Self {
             entries,
-            waiting: AtomicUsize::new(0),
+            waiting: watch::Sender::new(0),
             scans: AtomicU64::new(0),
             replies: AtomicU64::new(0),
             bytes: AtomicU64::new(0),
@@ -87,7 +89,10 @@ impl Queue {
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
-            move || queue.fail(write_all(writer, &receiver, &queue))
+            move || {
+                queue.fail(write_all(writer, &receiver, &queue));
+                queue.waiting.send_replace(0);
+            }
         };
         std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -105,13 +110,26 @@ impl Queue {
             Entry::Reply { .. } => Some(&self.replies),
             _ => None,
         };
-        let room = self.waiting.fetch_add(weight, Ordering::Relaxed) + weight <= MOST;
+        let room = self.waiting.send_if_modified(|waiting| {
+            let room = *waiting + weight <= MOST;
+            *waiting += if room { weight } else { 0 };
+            room
+        });
         if room && self.entries.send(entry).is_ok() {
             counter.map(|counter| counter.fetch_add(1, Ordering::Relaxed));
         } else {
-            self.waiting.fetch_sub(weight, Ordering::Relaxed);
             self.lost.fetch_add(1, Ordering::Relaxed);
+            if room {
+                // Nothing waits for nobody.
+                self.waiting.send_replace(0);
+            }
         }
+    }
+
+    /// Waits until only few bytes wait, or nobody writes any more.
+    pub(super) async fn room(&self) {
+        // The sender is here.
+        let _ = self.waiting.subscribe().wait_for(|waiting| *waiting <= FEW).await;
     }
 
     /// Ends the file behind what is queued; the receiver is told, or dropped where
@@ -178,7 +196,7 @@ fn write_all<W: Write>(
             }
             Err(RecvTimeoutError::Disconnected) => return writer.finish(),
         }
-        queue.waiting.fetch_sub(weight, Ordering::Relaxed);
+        queue.waiting.send_modify(|waiting| *waiting -= weight);
         if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH {
             writer.flush()?;
             unwritten = None;

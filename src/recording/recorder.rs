@@ -158,6 +158,15 @@ impl Recorder {
         self.queue.failure().map_or(Ok(()), Err)
     }
 
+    /// Waits until at most 1 MiB waits for the disk, or writing has failed. For
+    /// scans from what can be made to wait, such as a replay: none of them is
+    /// lost to a slow disk. A sensor does not wait.
+    ///
+    /// Cancel-safe.
+    pub async fn room(&self) {
+        self.queue.room().await;
+    }
+
     /// How far it is.
     pub fn progress(&self) -> Progress {
         self.queue.progress()

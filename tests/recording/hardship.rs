@@ -163,6 +163,45 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     assert_eq!(sink.records().len() as u64, progress.scans);
 }
 
+#[tokio::test]
+async fn who_waits_for_room_loses_nothing_to_a_disk_that_hangs() {
+    let sink = Sink::new();
+    let (go, wait) = mpsc::channel();
+    let slow = Slow { sink: sink.clone(), go: wait };
+    let mut recorder = Recorder::builder().write_to(slow).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    let mut go = Some(go);
+    for _ in 0..12_000 {
+        recorder.record(&item).unwrap();
+        let must_wait = tokio::select! {
+            biased;
+            () = recorder.room() => false,
+            () = async {} => true,
+        };
+        if must_wait {
+            drop(go.take());
+            tokio::time::timeout(Duration::from_secs(60), recorder.room()).await.unwrap();
+        }
+    }
+    assert!(go.is_none(), "there was always room");
+    assert_eq!((recorder.progress().scans, recorder.progress().lost), (12_000, 0));
+    recorder.finish().await.unwrap();
+    assert_eq!(sink.records().len(), 12_000);
+}
+
+#[tokio::test(start_paused = true)]
+async fn nobody_waits_for_room_on_a_disk_that_is_full() {
+    let mut recorder = Recorder::builder().write_to(Sink::with_room(10_000)).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    while recorder.record(&item).is_ok() {}
+    for _ in 0..12_000 {
+        assert!(recorder.record(&item).is_err());
+        recorder.room().await;
+    }
+}
+
 /// On the real clock, since a file has to be there in real time.
 #[tokio::test]
 async fn what_was_recorded_is_in_the_file_before_it_is_finished() {

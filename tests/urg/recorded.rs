@@ -142,12 +142,13 @@ async fn a_page_shows_a_recording_until_it_ends() {
     assert_eq!((status.code(), notices), (Some(0), vec![]));
 }
 
-/// Many more than streams keep.
+/// Many more than streams keep, and than a recorder lets wait for its disk.
 #[tokio::test(start_paused = true)]
 async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_bytes() {
-    let (file, copy) = (scratch("long"), scratch("copy"));
+    let (file, copy, pipe) = (scratch("long"), scratch("copy"), scratch("slow-disk"));
     let recorded = recording(file.path(), Window::DETECTION, 3000).await;
     let mut slow = Running::start_unread(&format!("stream {} --rate max", file.path()));
+    let (disk, mut unread) = into_pipe(&pipe, &format!("record --rate max {}", file.path()));
     let output = run(&format!("record {} {} --rate max", file.path(), copy.path()), 0);
     assert!(output.stderr.contains("3000 scans in "), "{}", output.stderr);
     assert!(output.stderr.contains("none lost"), "{}", output.stderr);
@@ -155,7 +156,17 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
     let copied = contents(Recording::open(copy.path()).unwrap());
     assert_eq!(original.1.len(), 3000);
     assert!(original.1 == copied.1, "other bytes");
-    // By now the first one's pipe has been full for long.
+    // By now the other two's pipes have been full for long.
+    let mut bytes = Vec::new();
+    unread.read_to_end(&mut bytes).unwrap();
+    let (status, notices) = disk.end();
+    assert_eq!(status.code(), Some(0));
+    assert!(
+        notices[1].contains("3000 scans in ") && notices[1].contains("none lost"),
+        "{notices:?}"
+    );
+    let copied = contents(Recording::read(Cursor::new(bytes)).unwrap());
+    assert!(original.1 == copied.1, "other bytes on the slow disk");
     slow.read();
     let lines: Vec<Value> =
         slow.rest().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
@@ -196,16 +207,20 @@ fn no_file_is_left_where_there_was_no_sensor() {
     assert!(!fs::exists(file.path()).unwrap());
 }
 
-/// Begins to record into a pipe, and gives what has come once there is more than
-/// `enough`.
-fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
+/// Begins to record into a pipe, `record` being all of the command line but that.
+fn into_pipe(pipe: &Scratch, record: &str) -> (Running, File) {
     assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
-    let running = Running::start(&format!("record emulated {} --force", pipe.path()));
+    let running = Running::start(&format!("{record} {} --force", pipe.path()));
     // Opening waits for the one who writes, who may have failed.
     let (sender, opened) = std::sync::mpsc::channel();
     let path = pipe.path().to_owned();
     std::thread::spawn(move || sender.send(File::open(path).unwrap()));
-    let mut file = opened.recv_timeout(PATIENCE).unwrap();
+    (running, opened.recv_timeout(PATIENCE).unwrap())
+}
+
+/// The same, and what has come once there is more than `enough`.
+fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
+    let (running, mut file) = into_pipe(pipe, "record emulated");
     let mut bytes = vec![0; enough];
     file.read_exact(&mut bytes).unwrap();
     (running, file, bytes)

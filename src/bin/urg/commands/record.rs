@@ -156,6 +156,13 @@ impl Run {
                 }
             };
             recorder.record(&item).map_err(|error| record.failure(&error))?;
+            if reporter.port.recorded().is_some() {
+                // What plays it waits for this.
+                tokio::select! {
+                    () = recorder.room() => {}
+                    _ = interrupt.requested() => {}
+                }
+            }
             if let Some(text) = watch.look(&reporter.sensor) {
                 progress.clear();
                 notice(text);
