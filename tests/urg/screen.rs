@@ -123,6 +123,66 @@ async fn a_recording_tells_how_far_it_is_and_takes_its_line_along() {
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
 }
 
+/// A terminal that is stopped, as with Ctrl-S: what is written to it waits.
+fn stop(terminal: &str) {
+    let (stop, terminal) = (rustix::termios::Action::OOff, open(terminal));
+    rustix::termios::tcflow(&terminal, stop).unwrap();
+}
+
+#[cfg(feature = "mcap")]
+#[tokio::test]
+async fn a_stopped_terminal_holds_up_neither_a_recording_nor_its_end() {
+    let pipe = super::program::Scratch::with_extension("stopped", ".mcap");
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().await.unwrap().success());
+    let arguments = format!("record emulated {} --force", pipe.path());
+    let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
+    let mut file = tokio::fs::File::open(pipe.path()).await.unwrap();
+    terminal.until(&["(Ctrl-C ends it)"]).await;
+    stop(&terminal.line.name().unwrap());
+    // What takes longer to come than several lines stand.
+    let mut bytes = vec![0; 50_000];
+    file.read_exact(&mut bytes).await.unwrap();
+    let id = terminal.urg.id().unwrap().to_string();
+    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    let ended = async {
+        file.read_to_end(&mut bytes).await.unwrap();
+        terminal.urg.wait().await.unwrap().code()
+    };
+    let ended = tokio::time::timeout(PATIENCE, ended).await;
+    assert_eq!(ended.expect("it waits for the terminal"), Some(0));
+    let mut recording =
+        tokio_scip::recording::Recording::read(std::io::Cursor::new(bytes)).unwrap();
+    assert!(recording.by_ref().all(|record| record.is_ok()));
+    assert!(!recording.is_truncated());
+}
+
+#[tokio::test]
+async fn a_stopped_terminal_holds_up_no_notice() {
+    let link = super::program::Scratch::new("stopped");
+    let (_user, line) = SerialStream::pair().unwrap();
+    let path = line.name().unwrap();
+    stop(&path);
+    let arguments = ["emulate", "--link", link.path()];
+    let mut emulate = Command::new(env!("CARGO_BIN_EXE_urg"))
+        .args(arguments)
+        .env_remove("RUST_LOG")
+        .stderr(open(&path))
+        .kill_on_drop(true)
+        .spawn()
+        .unwrap();
+    // It tells where the sensor is before it is there.
+    let info = Command::new(env!("CARGO_BIN_EXE_urg"))
+        .args(["info", link.path(), "--wait"])
+        .kill_on_drop(true)
+        .output();
+    let info = tokio::time::timeout(PATIENCE, info).await.expect("there is no sensor").unwrap();
+    assert!(info.status.success(), "{info:?}");
+    let id = emulate.id().unwrap().to_string();
+    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    let ended = tokio::time::timeout(PATIENCE, emulate.wait()).await.expect("it does not end");
+    assert_eq!(ended.unwrap().code(), Some(0));
+}
+
 #[cfg(feature = "mcap")]
 #[tokio::test]
 async fn a_radar_of_a_recording_ends_with_it_and_says_so() {

@@ -22,6 +22,7 @@ mod recorded;
 #[cfg(feature = "mcap")]
 mod recorder_file;
 mod selftest;
+mod stderr;
 mod view;
 #[cfg(feature = "web")]
 mod web;
@@ -46,10 +47,12 @@ fn main() -> ExitCode {
     } else {
         log_to_stderr();
     }
-    match run(cli) {
+    let code = match run(cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
-    }
+    };
+    stderr::finish();
+    code
 }
 
 fn run(cli: Cli) -> Result<(), Failure> {
@@ -72,7 +75,7 @@ fn log_to_stderr() {
     match EnvFilter::try_from_default_env() {
         Ok(filter) => tracing_subscriber::fmt()
             .with_env_filter(filter)
-            .with_writer(io::stderr)
+            .with_writer(|| stderr::Writer)
             .with_ansi(io::stderr().is_terminal())
             .init(),
         Err(error) => notice(format_args!("no log, RUST_LOG cannot be read: {error}")),

@@ -1,12 +1,13 @@
 //! What the user is told besides the data: lines on standard error.
 
 use std::fmt;
-use std::io::{self, Write};
 
-/// Writes one line to standard error.
+use crate::stderr;
+
+/// Writes one line to standard error, without waiting for it.
 ///
 /// Control characters are escaped: it stays one line whatever is in it, and
-/// does nothing to the terminal. That nobody reads it is no reason to stop.
+/// does nothing to the terminal.
 pub(crate) fn notice(text: impl fmt::Display) {
     let mut line = String::from("urg: ");
     for c in text.to_string().chars() {
@@ -17,5 +18,5 @@ pub(crate) fn notice(text: impl fmt::Display) {
         }
     }
     line.push('\n');
-    let _ = io::stderr().write_all(line.as_bytes());
+    stderr::write(line.as_bytes());
 }

@@ -139,9 +139,6 @@ impl Run {
     ) -> Result<(), Failure> {
         let Self { recorder, feed, reporter, watch, progress, began, missed } = &mut self;
         let take = async |entry: Entry| {
-            if !matches!(entry, Entry::Scan(_)) {
-                progress.clear();
-            }
             reporter.tell(&entry);
             let item = match entry {
                 Entry::Scan(scan) => Ok(scan),
@@ -164,7 +161,6 @@ impl Run {
                 }
             }
             if let Some(text) = watch.look(&reporter.sensor) {
-                progress.clear();
                 notice(text);
             }
             progress.show(|| {
@@ -180,8 +176,6 @@ impl Run {
         let followed = follow(feed, &record.pace, interrupt, take).await;
         let took = self.began.elapsed();
         let mut tally = Tally::new(&self.recorder, &self.reporter, self.missed);
-        // It takes its line along.
-        drop(self.progress);
         let name = record.file.display();
         let finished = tokio::select! {
             finished = self.recorder.finish() => finished.map_err(|error| record.failure(&error)),
