@@ -36,6 +36,7 @@ pub(super) struct Queue {
     replies: AtomicU64,
     bytes: AtomicU64,
     lost: AtomicU64,
+    lost_replies: AtomicU64,
     failure: Mutex<Option<RecordingError>>,
 }
 
@@ -82,6 +83,7 @@ impl Queue {
             replies: AtomicU64::new(0),
             bytes: AtomicU64::new(0),
             lost: AtomicU64::new(0),
+            lost_replies: AtomicU64::new(0),
             failure: Mutex::new(None),
         });
         let counted = Counted { out, queue: Arc::clone(&queue) };
@@ -105,9 +107,9 @@ impl Queue {
     /// more: then it is lost.
     pub(super) fn push(&self, entry: Entry) {
         let weight = entry.weight();
-        let counter = match &entry {
-            Entry::Scan(_) => Some(&self.scans),
-            Entry::Reply { .. } => Some(&self.replies),
+        let counters = match &entry {
+            Entry::Scan(_) => Some((&self.scans, &self.lost)),
+            Entry::Reply { .. } => Some((&self.replies, &self.lost_replies)),
             _ => None,
         };
         let room = self.waiting.send_if_modified(|waiting| {
@@ -115,14 +117,13 @@ impl Queue {
             *waiting += if room { weight } else { 0 };
             room
         });
-        if room && self.entries.send(entry).is_ok() {
-            counter.map(|counter| counter.fetch_add(1, Ordering::Relaxed));
-        } else {
-            self.lost.fetch_add(1, Ordering::Relaxed);
-            if room {
-                // Nothing waits for nobody.
-                self.waiting.send_replace(0);
-            }
+        let queued = room && self.entries.send(entry).is_ok();
+        if room && !queued {
+            // Nothing waits for nobody.
+            self.waiting.send_replace(0);
+        }
+        if let Some((kept, lost)) = counters {
+            if queued { kept } else { lost }.fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -142,10 +143,14 @@ impl Queue {
     }
 
     pub(super) fn progress(&self) -> Progress {
-        let Self { scans, replies, bytes, lost, .. } = self;
-        let [scans, replies, bytes, lost] =
-            [scans, replies, bytes, lost].map(|count| count.load(Ordering::Relaxed));
-        Progress { scans, replies, bytes, lost }
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Progress {
+            scans: count(&self.scans),
+            replies: count(&self.replies),
+            bytes: count(&self.bytes),
+            lost: count(&self.lost),
+            lost_replies: count(&self.lost_replies),
+        }
     }
 
     /// Why writing failed, if it did.

@@ -51,9 +51,11 @@ pub struct Progress {
     pub replies: u64,
     /// Bytes that were written.
     pub bytes: u64,
-    /// Scans and replies that are not in the file, because the disk was too slow
-    /// for too long (8 MiB wait for it), or had failed.
+    /// Scans that are not in the file, because the disk was too slow for too long
+    /// (8 MiB wait for it), or had failed.
     pub lost: u64,
+    /// Replies that are not in the file, for the same reasons.
+    pub lost_replies: u64,
 }
 
 impl Recorder {

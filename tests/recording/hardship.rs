@@ -149,7 +149,7 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     let (go, wait) = mpsc::channel();
     let slow = Slow { sink: sink.clone(), go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
-    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     // Twice as much as may wait: this would hang if it could.
     for _ in 0..12_000 {
@@ -157,10 +157,14 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     }
     let progress = recorder.progress();
     assert!(progress.lost > 4_000, "{progress:?}");
-    assert_eq!(progress.scans + progress.lost, 12_000);
+    assert_eq!((progress.scans + progress.lost, progress.lost_replies), (12_000, 0));
+    // Replies are no scans.
+    sensor.scan(Window::DETECTION).await.unwrap();
+    let (lost, progress) = (progress.lost, recorder.progress());
+    assert_eq!((progress.lost, progress.lost_replies), (lost, 1));
     drop(go);
     recorder.finish().await.unwrap();
-    assert_eq!(sink.records().len() as u64, progress.scans);
+    assert_eq!(sink.records().len() as u64, progress.scans + progress.replies);
 }
 
 #[tokio::test]

@@ -175,6 +175,21 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
 }
 
 #[test]
+fn polls_without_a_scan_are_those_of_the_recording_and_no_others() {
+    let (file, link) = (scratch("tally"), Scratch::new("tally"));
+    let faults = "--revolution 10ms --faults damaged=0.4,seed=5";
+    let sensor = Emulated::start(&format!("--link {} {faults}", link.path()));
+    let record = format!("record {} {} --rate max --count 50", sensor.port, file.path());
+    let told = run(&record, 0).stderr;
+    let records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
+    let is_failure =
+        |entry: &Entry| matches!(entry, Entry::Event(json) if json.contains(r#""event":"error""#));
+    let failed = records.filter(is_failure).count();
+    assert!(failed > 5, "{told}");
+    assert!(told.contains(&format!(", {failed} polls without a scan")), "{failed}: {told}");
+}
+
+#[test]
 fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
     let (file, nobody) = (scratch("exists"), Scratch::new("nobody"));
     let precious = b"precious".repeat(100_000);

@@ -89,17 +89,19 @@ impl Feed {
 pub(crate) struct Reporter {
     pub(crate) port: PortName,
     pub(crate) sensor: Sensor,
-    /// Whether the user was told that a scan can fail.
-    failed: bool,
+    /// Polls that brought no scan over a link that was there.
+    pub(crate) failed: u64,
 }
 
 impl Reporter {
     pub(crate) fn new(port: PortName, sensor: Sensor) -> Self {
-        Self { port, sensor, failed: false }
+        Self { port, sensor, failed: 0 }
     }
 
     /// Tells what there is to tell of `entry`.
     pub(crate) fn tell(&mut self, entry: &Entry) {
+        let of_one_scan = matches!(entry, Entry::Error(error) if is_of_one_scan(error));
+        self.failed += u64::from(of_one_scan);
         match entry {
             Entry::Scan(_) => {}
             Entry::Reconnected => notice(format_args!("{}: the sensor is back", self.port)),
@@ -108,9 +110,9 @@ impl Reporter {
             }
             // The last thing that is said, in a moment: the cause of the end.
             Entry::Error(_) if matches!(&*self.sensor.state().borrow(), State::Closed { .. }) => {}
-            Entry::Error(error) if is_of_one_scan(error) => {
+            Entry::Error(error) if of_one_scan => {
                 // A bad line would flood the terminal.
-                if !std::mem::replace(&mut self.failed, true) {
+                if self.failed == 1 {
                     let text = chain(error);
                     notice(format_args!("{}: {text} (told once; it goes on)", self.port));
                 }

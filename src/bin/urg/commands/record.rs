@@ -201,6 +201,8 @@ struct Tally {
     bytes: u64,
     /// Scans that are not in the file, though they came.
     lost: u64,
+    /// Replies that are not in the file, so that a replay lacks them.
+    lost_replies: u64,
     /// Polls that brought no scan over a link that was there.
     failed: u64,
     disconnects: u64,
@@ -208,21 +210,25 @@ struct Tally {
 
 impl Tally {
     fn new(recorder: &Recorder, reporter: &Reporter, missed: u64) -> Self {
-        let (progress, stats) = (recorder.progress(), reporter.sensor.stats());
-        // That is how a replay ends.
-        let disconnects = if reporter.port.recorded().is_some() { 0 } else { stats.disconnects };
+        let progress = recorder.progress();
+        let disconnects = match reporter.port.recorded() {
+            // That is how a replay ends.
+            Some(_) => 0,
+            None => reporter.sensor.stats().disconnects,
+        };
         Self {
             scans: progress.scans,
             bytes: progress.bytes,
             lost: progress.lost + missed,
-            failed: stats.timeouts + stats.malformed.total() + stats.refused,
+            lost_replies: progress.lost_replies,
+            failed: reporter.failed,
             disconnects,
         }
     }
 
     /// As a line of text.
     fn after(self, took: Duration) -> String {
-        let Self { scans, bytes, lost, failed, disconnects } = self;
+        let Self { scans, bytes, lost, lost_replies, failed, disconnects } = self;
         let mut text = format!("{scans} scans in {}, ", clock(took.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
@@ -233,6 +239,9 @@ impl Tally {
             lost => format!(", {lost} lost"),
         });
         // Writing to a string does not fail.
+        if lost_replies > 0 {
+            let _ = write!(text, ", {lost_replies} replies lost");
+        }
         if failed > 0 {
             let _ = write!(text, ", {failed} polls without a scan");
         }
@@ -252,10 +261,11 @@ mod tests {
         let good = Tally { scans: 598, bytes: 2_345_678, ..Tally::default() };
         assert_eq!(good.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
         assert!(good.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
-        let bad = Tally { scans: 3, bytes: 13_999, lost: 2, failed: 4, disconnects: 1 };
+        let bad =
+            Tally { scans: 3, bytes: 13_999, lost: 2, lost_replies: 5, failed: 4, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, link lost 1x"
+            "3 scans in 0:00, 13 kB, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x"
         );
     }
 }
