@@ -146,15 +146,15 @@ async fn a_page_shows_a_recording_until_it_ends() {
 #[tokio::test(start_paused = true)]
 async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_bytes() {
     let (file, copy, pipe) = (scratch("long"), scratch("copy"), scratch("slow-disk"));
-    let recorded = recording(file.path(), Window::DETECTION, 3000).await;
+    let recorded = recording(file.path(), Window::DETECTION, 4500).await;
     let mut slow = Running::start_unread(&format!("stream {} --rate max", file.path()));
-    let (disk, mut unread) = into_pipe(&pipe, &format!("record --rate max {}", file.path()));
+    let (disk, mut unread) = into_pipe(&pipe, &format!("record {} --rate max", file.path()));
     let output = run(&format!("record {} {} --rate max", file.path(), copy.path()), 0);
-    assert!(output.stderr.contains("3000 scans in "), "{}", output.stderr);
+    assert!(output.stderr.contains("4500 scans in "), "{}", output.stderr);
     assert!(output.stderr.contains("none lost"), "{}", output.stderr);
     let original = contents(Recording::open(file.path()).unwrap());
     let copied = contents(Recording::open(copy.path()).unwrap());
-    assert_eq!(original.1.len(), 3000);
+    assert_eq!(original.1.len(), 4500);
     assert!(original.1 == copied.1, "other bytes");
     // By now the other two's pipes have been full for long.
     let mut bytes = Vec::new();
@@ -162,7 +162,7 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
     let (status, notices) = disk.end();
     assert_eq!(status.code(), Some(0));
     assert!(
-        notices[1].contains("3000 scans in ") && notices[1].contains("none lost"),
+        notices[1].contains("4500 scans in ") && notices[1].contains("none lost"),
         "{notices:?}"
     );
     let copied = contents(Recording::read(Cursor::new(bytes)).unwrap());
@@ -170,7 +170,7 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
     slow.read();
     let lines: Vec<Value> =
         slow.rest().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.len(), 3000);
+    assert_eq!(lines.len(), 4500);
     assert!(lines.iter().zip(&recorded).all(|(line, recorded)| values(line) == *recorded));
 }
 
@@ -207,6 +207,20 @@ fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
     let into_itself = format!("record {0} {0} --force", file.path());
     assert!(run(&into_itself, 2).stderr.contains("into itself"));
     assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
+}
+
+#[test]
+fn a_recording_with_but_one_name_is_told_which_one_is_missing() {
+    let told = run("record", 2).stderr;
+    assert!(told.starts_with("urg: which PORT?"), "{told}");
+    let told = run("record run.mcap --force", 2).stderr;
+    assert!(told.starts_with("urg: which PORT?"), "{told}");
+    let told = run("record /dev/ttyACM0 --count 3", 2).stderr;
+    assert!(
+        told.contains("FILE.mcap") && told.contains("`urg record /dev/ttyACM0 run.mcap`"),
+        "{told}"
+    );
+    assert_eq!(told.matches("ttyACM0").count(), 1, "{told}");
 }
 
 #[test]

@@ -104,6 +104,19 @@ impl PortArg {
         };
         Ok((port, rate.or(own).unwrap_or(RATE)))
     }
+
+    /// What to say where a recording is asked for with but one name: either which
+    /// FILE, or, where it is one, which PORT.
+    #[cfg(feature = "mcap")]
+    pub(crate) async fn alone(&self) -> Failure {
+        let offer = match &self.port {
+            Some(port) if port.recorded().is_none() => {
+                format!("which FILE.mcap? The recording needs a name: `urg record {port} run.mcap`")
+            }
+            _ => offer(&port::list().await.unwrap_or_default()),
+        };
+        Failure::Usage(offer)
+    }
 }
 
 /// What to say where PORT is missing.

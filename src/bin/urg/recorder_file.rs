@@ -6,6 +6,8 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use tokio_scip::recording::RecordingError;
+
 use crate::failure::Failure;
 
 /// A file to record into. If it never [begins](Self::begin) and is new, it is
@@ -40,8 +42,7 @@ impl RecorderFile {
             }
             opened => (opened, true),
         };
-        let file = opened
-            .map_err(|error| Failure::of(&format!("cannot write {}", path.display()), &error))?;
+        let file = opened.map_err(|error| cannot_write(path, &error))?;
         let contents = Contents { file, waiting: Some(Vec::new()) };
         Ok(Self { path: path.into(), unused: new, contents: Arc::new(Mutex::new(contents)) })
     }
@@ -52,14 +53,27 @@ impl RecorderFile {
     }
 
     /// Empties the file, and writes what there is.
-    pub(crate) fn begin(&mut self) -> io::Result<()> {
+    pub(crate) fn begin(&mut self) -> Result<(), Failure> {
         self.unused = false;
+        self.empty().map_err(|error| cannot_write(&self.path, &error))
+    }
+
+    fn empty(&self) -> io::Result<()> {
         let mut contents = lock(&self.contents);
         if contents.file.metadata()?.is_file() {
             contents.file.set_len(0)?;
         }
         let waiting = contents.waiting.take().unwrap_or_default();
         contents.file.write_all(&waiting)
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What to say of an error of its recorder.
+    pub(crate) fn failure(&self, error: &RecordingError) -> Failure {
+        Failure::at(&self.path.display().to_string(), error)
     }
 
     /// How many bytes it has.
@@ -91,6 +105,10 @@ impl Write for Writer {
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
+}
+
+fn cannot_write(path: &Path, error: &io::Error) -> Failure {
+    Failure::of(&format!("cannot write {}", path.display()), error)
 }
 
 fn lock(contents: &Mutex<Contents>) -> std::sync::MutexGuard<'_, Contents> {

@@ -1,10 +1,10 @@
 //! `urg record`: scans and all that the sensor sends, into a file.
 
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use tokio_scip::recording::{Recorder, RecordingError};
+use tokio_scip::recording::Recorder;
 use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
@@ -31,7 +31,7 @@ const DEPTH: usize = 1024;
 /// play`, Foxglove, PlotJuggler and others open it. As PORT it is the sensor again.
 #[derive(Debug, clap::Args)]
 #[command(
-    allow_missing_positional = true,
+    override_usage = "urg record [OPTIONS] <PORT> <FILE>",
     after_help = "\
 Examples:
   urg record /dev/ttyACM0 run.mcap
@@ -44,7 +44,7 @@ pub(crate) struct Record {
     port: PortArg,
     /// File to write: FILE.mcap
     #[arg(value_name = "FILE")]
-    file: PathBuf,
+    file: Option<PathBuf>,
     /// Write over a file that exists, once the sensor is found
     #[arg(long)]
     force: bool,
@@ -61,17 +61,17 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let Some(file) = &self.file else { return Err(self.port.alone().await) };
         let (port, rate) = self.port.polled_at(self.pace.rate).await?;
         let window = self.window.window(&port)?;
-        let mut file = self.file(&port)?;
+        let mut file = self.file(&port, file)?;
         let recorder = Recorder::builder().frame_id(&self.frame_id).write_to(file.writer());
-        let recorder = recorder.map_err(|error| self.failure(&error))?;
+        let recorder = recorder.map_err(|error| file.failure(&error))?;
         let (sensor, scans) = tokio::select! {
             opened = self.open(&port, window, rate, &recorder) => opened?,
             _ = interrupt.requested() => return Ok(()),
         };
-        let cannot = |error| Failure::of(&format!("cannot write {}", self.file.display()), &error);
-        file.begin().map_err(cannot)?;
+        file.begin()?;
         let run = Run {
             recorder,
             watch: PaceWatch::new(&port, window, rate),
@@ -81,21 +81,21 @@ impl Record {
             began: Instant::now(),
             missed: 0,
         };
-        run.run(&self, interrupt, &file).await
+        run.run(&self.pace, interrupt, &file).await
     }
 
     /// The file, if it is one to be written.
-    fn file(&self, port: &PortName) -> Result<RecorderFile, Failure> {
-        let name = self.file.display();
-        if !Recorded::is_name(&self.file) {
+    fn file(&self, port: &PortName, file: &Path) -> Result<RecorderFile, Failure> {
+        let name = file.display();
+        if !Recorded::is_name(file) {
             return Err(Failure::Usage(format!(
                 "call the file {name}.mcap: by that it is known as a recording"
             )));
         }
-        if port.recorded().is_some_and(|recorded| recorded.is(&self.file)) {
+        if port.recorded().is_some_and(|recorded| recorded.is(file)) {
             return Err(Failure::Usage(format!("{name} cannot be recorded into itself")));
         }
-        RecorderFile::open(&self.file, self.force)
+        RecorderFile::open(file, self.force)
     }
 
     async fn open(
@@ -111,10 +111,6 @@ impl Record {
         let scans = sensor.scans(window, rate).await.map_err(failed)?;
         recorder.describe(&sensor, &scans).await.map_err(failed)?;
         Ok((sensor, scans))
-    }
-
-    fn failure(&self, error: &RecordingError) -> Failure {
-        Failure::at(&self.file.display().to_string(), error)
     }
 }
 
@@ -133,7 +129,7 @@ struct Run {
 impl Run {
     async fn run(
         mut self,
-        record: &Record,
+        pace: &PaceArgs,
         interrupt: &Interrupt,
         file: &RecorderFile,
     ) -> Result<(), Failure> {
@@ -152,7 +148,7 @@ impl Run {
                     return Ok(());
                 }
             };
-            recorder.record(&item).map_err(|error| record.failure(&error))?;
+            recorder.record(&item).map_err(|error| file.failure(&error))?;
             if reporter.port.recorded().is_some() {
                 // What plays it waits for this.
                 tokio::select! {
@@ -173,12 +169,12 @@ impl Run {
             });
             Ok(())
         };
-        let followed = follow(feed, &record.pace, interrupt, take).await;
+        let followed = follow(feed, pace, interrupt, take).await;
         let took = self.began.elapsed();
         let mut tally = Tally::new(&self.recorder, &self.reporter, self.missed);
-        let name = record.file.display();
+        let name = file.path().display();
         let finished = tokio::select! {
-            finished = self.recorder.finish() => finished.map_err(|error| record.failure(&error)),
+            finished = self.recorder.finish() => finished.map_err(|error| file.failure(&error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(
                 "{name}: the disk takes too long: the end of the file is missing; what is in it can be read"
             ))),
