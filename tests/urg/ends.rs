@@ -3,8 +3,8 @@
 use super::program::{Emulated, Running, Scratch};
 
 #[test]
-fn an_interrupted_or_terminated_stream_is_done_and_ends_with_a_whole_line() {
-    for signal in ["INT", "TERM"] {
+fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
+    for signal in ["INT", "TERM", "HUP"] {
         let mut stream = Running::start("stream emulated");
         stream.line();
         stream.signal(signal);
@@ -64,12 +64,32 @@ fn a_stream_ends_after_its_duration() {
 }
 
 #[test]
-fn an_interrupted_emulator_takes_its_link_along() {
-    let link = Scratch::new("gone");
-    let sensor = Emulated::start(&format!("--link {}", link.path()));
-    assert!(std::fs::symlink_metadata(link.path()).is_ok());
-    sensor.running.signal("INT");
-    let (status, _) = sensor.running.end();
-    assert_eq!(status.code(), Some(0));
-    assert!(std::fs::symlink_metadata(link.path()).is_err());
+fn an_emulator_that_is_told_to_end_takes_its_link_along() {
+    for signal in ["INT", "TERM", "HUP"] {
+        let link = Scratch::new("gone");
+        let sensor = Emulated::start(&format!("--link {}", link.path()));
+        assert!(std::fs::symlink_metadata(link.path()).is_ok());
+        sensor.running.signal(signal);
+        let (status, _) = sensor.running.end();
+        assert_eq!(status.code(), Some(0), "{signal}");
+        assert!(std::fs::symlink_metadata(link.path()).is_err(), "{signal}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_stream_that_is_to_outlive_its_terminal_does_so() {
+    use std::io::{BufRead, BufReader};
+    use std::process::{Command, Stdio};
+
+    let urg = env!("CARGO_BIN_EXE_urg");
+    let script = format!("trap '' HUP; exec {urg} stream emulated --count 20");
+    let mut shell = Command::new("sh");
+    let mut stream = shell.args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(stream.stdout.take().unwrap()).lines();
+    lines.next().unwrap().unwrap();
+    let id = stream.id().to_string();
+    assert!(Command::new("kill").args(["-s", "HUP", &id]).status().unwrap().success());
+    assert_eq!(lines.count(), 19);
+    assert_eq!(stream.wait().unwrap().code(), Some(0));
 }

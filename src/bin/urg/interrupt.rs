@@ -1,6 +1,11 @@
-//! Ctrl-C and SIGTERM: they end the program in good order.
+//! Ctrl-C, SIGTERM and a terminal that is closed: they end the program in good
+//! order.
 
+#[cfg(unix)]
+use std::future::poll_fn;
 use std::io;
+#[cfg(unix)]
+use std::task::Poll;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
@@ -57,14 +62,23 @@ impl Interrupt {
 #[cfg(unix)]
 fn signalled() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
-    })
+    let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+    let wanted = kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !nohup());
+    let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;
+    Ok(poll_fn(move |cx| {
+        let mut came = signals.iter_mut().map(|signal| signal.poll_recv(cx));
+        if came.any(|came| came.is_ready()) { Poll::Ready(()) } else { Poll::Pending }
+    }))
+}
+
+/// Whether the program was started so as to outlive its terminal, as `nohup`
+/// does: with SIGHUP ignored. Linux tells.
+#[cfg(unix)]
+fn nohup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    // SIGHUP is number 1: the lowest bit.
+    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0) & 1 == 1
 }
 
 #[cfg(windows)]
