@@ -5,6 +5,7 @@ use std::fs::{self, File};
 use std::io::{Cursor, Read};
 use std::os::unix::fs::symlink;
 use std::process::Command;
+use std::time::Instant;
 
 use serde_json::Value;
 use tokio_scip::emulator::Emulator;
@@ -257,7 +258,7 @@ fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
 
 #[test]
 fn an_interrupted_recording_ends_with_its_index() {
-    for signal in ["INT", "TERM"] {
+    for signal in ["INT", "TERM", "HUP"] {
         let pipe = scratch(&format!("interrupted-{signal}"));
         let (record, mut file, mut bytes) = until(&pipe, 50_000);
         record.signal(signal);
@@ -272,6 +273,35 @@ fn an_interrupted_recording_ends_with_its_index() {
         assert!(told.starts_with(&format!("{} scans in ", scans.count())), "{told}");
         assert!(!recording.is_truncated(), "{signal}");
     }
+}
+
+#[test]
+fn a_pipe_that_nobody_reads_can_be_given_up() {
+    let pipe = scratch("nobody-reads");
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    // Ignored until the program listens.
+    let script = format!(
+        "trap '' INT; exec {} record emulated {} --force",
+        env!("CARGO_BIN_EXE_urg"),
+        pipe.path()
+    );
+    let mut record = Command::new("sh").args(["-c", &script]).spawn().unwrap();
+    let began = Instant::now();
+    let status = loop {
+        let id = record.id().to_string();
+        assert!(Command::new("kill").args(["-s", "INT", &id]).status().unwrap().success());
+        match record.try_wait().unwrap() {
+            Some(status) => break status.code(),
+            None if began.elapsed() < PATIENCE => {}
+            None => {
+                record.kill().unwrap();
+                break None;
+            }
+        }
+    };
+    record.wait().unwrap();
+    assert_eq!(status, Some(0));
+    assert!(fs::exists(pipe.path()).unwrap(), "it was not made by the program");
 }
 
 #[test]

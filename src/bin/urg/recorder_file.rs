@@ -1,6 +1,7 @@
 //! The file of a recording: opened at once, so that what is wrong with it is
 //! told at once, and left as it was until there is a sensor to record.
 
+use std::error::Error;
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -27,8 +28,15 @@ struct Contents {
 }
 
 impl RecorderFile {
-    /// Opens a new file; `force` makes do with an old one.
-    pub(crate) fn open(path: &Path, force: bool) -> Result<Self, Failure> {
+    /// Opens a new file; `force` makes do with an old one. A pipe waits for
+    /// whoever reads it, and this can be dropped meanwhile.
+    pub(crate) async fn open(path: &Path, force: bool) -> Result<Self, Failure> {
+        let here = path.to_owned();
+        let opened = tokio::task::spawn_blocking(move || Self::open_now(&here, force)).await;
+        opened.map_err(|error| cannot_write(path, &error))?
+    }
+
+    fn open_now(path: &Path, force: bool) -> Result<Self, Failure> {
         let mut options = OpenOptions::new();
         let (opened, new) = match options.write(true).create_new(true).open(path) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
@@ -107,7 +115,7 @@ impl Write for Writer {
     }
 }
 
-fn cannot_write(path: &Path, error: &io::Error) -> Failure {
+fn cannot_write(path: &Path, error: &dyn Error) -> Failure {
     Failure::of(&format!("cannot write {}", path.display()), error)
 }
 

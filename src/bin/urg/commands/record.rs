@@ -64,7 +64,10 @@ impl Record {
         let Some(file) = &self.file else { return Err(self.port.alone().await) };
         let (port, rate) = self.port.polled_at(self.pace.rate).await?;
         let window = self.window.window(&port)?;
-        let mut file = self.file(&port, file)?;
+        let mut file = tokio::select! {
+            file = self.file(&port, file) => file?,
+            _ = interrupt.requested() => return Ok(()),
+        };
         let recorder = Recorder::builder().frame_id(&self.frame_id).write_to(file.writer());
         let recorder = recorder.map_err(|error| file.failure(&error))?;
         let (sensor, scans) = tokio::select! {
@@ -85,7 +88,7 @@ impl Record {
     }
 
     /// The file, if it is one to be written.
-    fn file(&self, port: &PortName, file: &Path) -> Result<RecorderFile, Failure> {
+    async fn file(&self, port: &PortName, file: &Path) -> Result<RecorderFile, Failure> {
         let name = file.display();
         if !Recorded::is_name(file) {
             return Err(Failure::Usage(format!(
@@ -95,7 +98,7 @@ impl Record {
         if port.recorded().is_some_and(|recorded| recorded.is(file)) {
             return Err(Failure::Usage(format!("{name} cannot be recorded into itself")));
         }
-        RecorderFile::open(file, self.force)
+        RecorderFile::open(file, self.force).await
     }
 
     async fn open(
