@@ -125,8 +125,8 @@ pub use scan::{Point, Scan};
 pub use sensor::{Sensor, SensorBuilder};
 pub use state::{Latency, MalformedCounts, ScheduleStats, State, Stats};
 pub use stream::{OnlyScans, ScanStream};
+pub use tap::Heard;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
-pub use tap::Heard;
