@@ -165,13 +165,23 @@ impl Sensor {
 
     /// A watch of what the driver is about.
     ///
-    /// ```no_run
-    /// # async fn example(sensor: tokio_scip::Sensor) {
-    /// use tokio_scip::State;
+    /// What the receiver's `borrow`, `borrow_and_update` and `wait_for` give is a
+    /// lock: while it is held the driver cannot go on to another state. Clone the
+    /// [`State`] out of it, and hold no borrow across an await.
     ///
+    /// ```
+    /// # use tokio_scip::emulator::Emulator;
+    /// use tokio_scip::{Sensor, State};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
     /// let mut state = sensor.state();
-    /// let connected = state.wait_for(|state| matches!(state, State::Connected { .. })).await;
-    /// # drop(connected);
+    /// let connected = |state: &State| matches!(state, State::Connected { .. });
+    /// let now = state.wait_for(connected).await?.clone(); // the borrow ends here
+    /// println!("{now:?}");
+    /// # assert!(connected(&now));
+    /// # Ok(())
     /// # }
     /// ```
     pub fn state(&self) -> watch::Receiver<State> {
