@@ -1,5 +1,6 @@
 //! [`Sensor`], the handle that a service holds, and its builder.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -243,11 +244,13 @@ impl SensorBuilder {
         self
     }
 
-    /// How long to wait before a port is opened again: `shortest` at first,
-    /// twice as long each time, up to `longest`, each lengthened at random by up
-    /// to a tenth. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
-    /// at least `shortest`. A link that lasted begins with `shortest` again.
-    pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
+    /// How long to wait before a port is opened again: the start of the range at
+    /// first, twice as long each time, up to its end, each lengthened at random
+    /// by up to a tenth. 0.1 s to 1 s unless set; bounds are held within 10 ms
+    /// to a day, and the end is at least the start. A link that lasted begins
+    /// with the start again.
+    pub fn backoff(mut self, range: RangeInclusive<Duration>) -> Self {
+        let (shortest, longest) = range.into_inner();
         let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);
         self.config.backoff = (shortest, longest.clamp(shortest, LONGEST));
         self

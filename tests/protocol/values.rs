@@ -88,6 +88,7 @@ fn the_six_line_speeds_have_the_digits_of_the_text() {
         let bits = speed.bits_per_second();
         assert_eq!(format!("{bits:06}").as_bytes(), speed.digits());
         assert_eq!(BaudRate::try_from(bits), Ok(speed));
+        assert_eq!(u32::from(speed), bits);
         assert_eq!(speed.to_string().parse(), Ok(speed));
     }
 }
