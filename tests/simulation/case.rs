@@ -91,6 +91,7 @@ impl Case {
             truth,
             script: LinkScript::draw(random),
         };
+        case.does.unplug |= case.does.stranger;
         case.draw_faults(random);
         let Does { unplug, power_cycle, stranger, rival, chatter } = case.does;
         case.torn |= unplug || power_cycle || stranger || rival || case.script.fails;
@@ -110,13 +111,13 @@ impl Case {
             Fault::Cut(place),
         ];
         let mut faults = std::mem::take(&mut self.faults);
-        for kind in 0..17 {
+        for kind in 0..18 {
             if !random.once_in(5) {
                 continue;
             }
             let rate = [0.001, 0.01, 0.05][random.below(3) as usize];
             faults = match kind {
-                0 => faults.rate(rate, Fault::CommandLost),
+                0 => faults.rate(2.0 * rate, Fault::CommandLost),
                 1 => faults.rate(rate, Fault::Lost),
                 2 => faults.rate(rate / 5.0, Fault::Status(*random.pick(b"1Ez"))),
                 3 => faults.late(rate, long),
@@ -139,6 +140,11 @@ impl Case {
                 13 => faults.reset(rate / 20.0),
                 14 => faults.hung_up(rate / 5.0),
                 15 => faults.rate(rate / 50.0, Fault::Endless(b"xyz\n\n".to_vec())),
+                16 => {
+                    // A second character of a status: of a `G`'s, of an `L`'s.
+                    let place = *random.pick(&[10, 3]);
+                    faults.rate(rate, Fault::Insert(place, b"0".to_vec()))
+                }
                 _ => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
             };
             self.refuses |= kind == 2;
