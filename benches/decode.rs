@@ -38,6 +38,13 @@ fn copy(bencher: Bencher) {
     });
 }
 
+/// The bytes are copied into a block of their own: `to_vec`.
+#[divan::bench(sample_size = 100)]
+fn copy_to_new_block(bencher: Bencher) {
+    let reply = full_scan();
+    bencher.bench_local(|| drop(black_box(black_box(&reply).to_vec())));
+}
+
 /// The bytes are copied into the read buffer, and from there into a block that
 /// consumers can share: a driver that delivers them as they came.
 #[divan::bench(sample_size = 100)]
@@ -47,13 +54,29 @@ fn copy_to_consumer(bencher: Bencher) {
     bencher.bench_local(|| {
         buffer.clear();
         buffer.extend_from_slice(black_box(&reply));
-        Arc::<[u8]>::from(&buffer[..])
+        drop(black_box(Arc::<[u8]>::from(&buffer[..])));
     });
 }
 
-/// As `copy_to_consumer`, and through codec and reply check to the shared values that a `Scan` holds.
+/// As `copy_to_consumer`, with all checks, to the shared values that a `Scan`
+/// holds: what the driver does with a reply.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
+    let reply = full_scan();
+    let mut codec = ScipCodec::default();
+    let mut buffer = BytesMut::with_capacity(4096);
+    let mut values = Vec::new();
+    bencher.bench_local(|| {
+        buffer.reserve(4096);
+        buffer.extend_from_slice(black_box(&reply));
+        assert!(codec.decode_scan(black_box(Window::FULL), &mut buffer, &mut values));
+        drop(black_box(Arc::<[u16]>::from(&values[..])));
+    });
+}
+
+/// The same through the general way, which tells what is wrong with a reply.
+#[divan::bench(sample_size = 100)]
+fn crate_decoder_in_steps(bencher: Bencher) {
     let reply = full_scan();
     let command = Command::Distances(Window::FULL);
     let mut codec = ScipCodec::default();
@@ -65,7 +88,7 @@ fn crate_decoder(bencher: Bencher) {
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
         values.clear();
         Reply::parse(black_box(&command), &frame).unwrap().values_into(&mut values);
-        Arc::<[u16]>::from(&values[..])
+        drop(black_box(Arc::<[u16]>::from(&values[..])));
     });
 }
 
@@ -77,7 +100,7 @@ fn naive_decoder(bencher: Bencher) {
     bencher.bench_local(|| {
         buffer.clear();
         buffer.extend_from_slice(black_box(&reply));
-        naive(black_box(b"G00076801"), 769, &buffer).unwrap()
+        drop(black_box(naive(black_box(b"G00076801"), 769, &buffer).unwrap()));
     });
 }
 

@@ -6,10 +6,8 @@
 
 use bytes::BytesMut;
 use prompt::Prompt;
-use tokio_scip::codec::{Frame, ScipCodec};
-use tokio_scip::protocol::{Command, Reply};
+use tokio_scip::codec::ScipCodec;
 use tokio_scip::{Rate, Sensor, Window};
-use tokio_util::codec::Decoder;
 
 #[path = "../tests/common/prompt.rs"]
 mod prompt;
@@ -31,14 +29,11 @@ fn main() {
 fn decode(scans: usize) {
     let mut reply = Vec::new();
     prompt::reply(b"G00076801", &mut reply);
-    let command = Command::Distances(Window::FULL);
     let (mut codec, mut buffer, mut values) = (ScipCodec::default(), BytesMut::new(), Vec::new());
     for _ in 0..scans {
         buffer.reserve(4096);
         buffer.extend_from_slice(&reply);
-        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        values.clear();
-        Reply::parse(&command, &frame).unwrap().values_into(&mut values);
+        assert!(codec.decode_scan(Window::FULL, &mut buffer, &mut values));
         std::hint::black_box(&mut values);
     }
 }

@@ -6,7 +6,7 @@ use std::io;
 use bytes::{Buf, BufMut, BytesMut};
 use tokio_util::codec::{Decoder, Encoder};
 
-use crate::protocol::Command;
+use crate::protocol::{self, Command, Window};
 
 /// The longest reply in bytes, its terminator not counted; the longest that a
 /// sensor sends has 1,574.
@@ -62,6 +62,44 @@ impl ScipCodec {
     /// Forgets what it knows of the buffer, for when that was emptied.
     pub fn reset(&mut self) {
         *self = Self::default();
+    }
+
+    /// Takes the reply to the `G` for `window` off the buffer, if all of it is
+    /// there, and its values take the place of `values`: in one pass, which
+    /// looks for no terminator, and without a copy.
+    ///
+    /// True means that [`decode`](Decoder::decode) would have given this very
+    /// reply, and [`Reply::parse`] a success. False means that it is for them to
+    /// tell what is there: the buffer is as it was, and `values` may hold
+    /// anything.
+    ///
+    /// ```
+    /// use bytes::BytesMut;
+    /// use tokio_scip::Window;
+    /// use tokio_scip::codec::ScipCodec;
+    ///
+    /// let mut buffer = BytesMut::from("G38438501\n0\nCB06\n\nL1");
+    /// let (window, mut values) = (Window::new(384..=385)?, Vec::new());
+    /// assert!(ScipCodec::default().decode_scan(window, &mut buffer, &mut values));
+    /// assert_eq!((&values[..], &buffer[..]), (&[1234, 6][..], &b"L1"[..]));
+    /// # Ok::<(), tokio_scip::protocol::WindowError>(())
+    /// ```
+    pub fn decode_scan(
+        &mut self,
+        window: Window,
+        buffer: &mut BytesMut,
+        values: &mut Vec<u16>,
+    ) -> bool {
+        let length = window.reply_len();
+        let frame = buffer.get(..length).and_then(|reply| reply.strip_suffix(b"\n\n"));
+        // A right one has no empty line, so no terminator before its end.
+        let right = self.skipped.is_none()
+            && frame.is_some_and(|frame| protocol::decode_scan(window, frame, values));
+        if right {
+            buffer.advance(length);
+            self.searched = 0;
+        }
+        right
     }
 }
 

@@ -37,6 +37,11 @@ impl Tap {
         Self(Some(Arc::new(tap)))
     }
 
+    /// Whether anybody listens.
+    pub(crate) fn is_some(&self) -> bool {
+        self.0.is_some()
+    }
+
     /// Tells what was heard, which is made only if somebody listens.
     pub(crate) fn hear<'a>(&self, heard: impl FnOnce() -> Heard<'a>) {
         if let Some(tap) = &self.0 {
@@ -47,6 +52,6 @@ impl Tap {
 
 impl fmt::Debug for Tap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Tap").field(&self.0.is_some()).finish()
+        f.debug_tuple("Tap").field(&self.is_some()).finish()
     }
 }

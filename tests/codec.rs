@@ -126,6 +126,48 @@ fn a15_half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
     assert!(buffer.is_empty());
 }
 
+/// A window of 33 points, its reply and its values.
+fn scan() -> (Window, &'static [u8], Vec<u16>) {
+    let reply = b"G00003201\n0\n\
+        0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`abcdefghijklmno\n01\n\n";
+    let values = (0..64).step_by(2).map(|n| n * 64 + n + 1).chain([1]).collect();
+    (Window::new(0..=32).unwrap(), reply, values)
+}
+
+#[test]
+fn a_scan_is_taken_in_one_pass_however_it_is_split() {
+    let (window, reply, expected) = scan();
+    let bytes = [reply, reply, b"L1\n0\n\n"].concat();
+    for split in 0..reply.len() {
+        let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&bytes[..split]));
+        let mut values = vec![];
+        assert!(!codec.decode_scan(window, &mut buffer, &mut values), "split at {split}");
+        assert_eq!(codec.decode(&mut buffer).unwrap(), None, "split at {split}");
+        buffer.extend_from_slice(&bytes[split..]);
+        for _ in 0..2 {
+            assert!(codec.decode_scan(window, &mut buffer, &mut values), "split at {split}");
+            assert_eq!(values, expected);
+        }
+        assert!(!codec.decode_scan(window, &mut buffer, &mut values));
+        assert_eq!(codec.decode(&mut buffer).unwrap(), Some(self::reply(b"L1\n0")));
+    }
+}
+
+#[test]
+fn w19_a_scan_that_ends_an_over_long_reply_is_not_taken_for_one() {
+    let (window, reply, _) = scan();
+    let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());
+    buffer.extend_from_slice(&[b'G'; MAX_FRAME + 1]);
+    assert_eq!(codec.decode(&mut buffer).unwrap(), None);
+    // The last byte is still there: half a terminator it might be.
+    assert_eq!(&*buffer, b"G");
+    buffer.extend_from_slice(&reply[1..]);
+    assert_eq!(&*buffer, reply);
+    assert!(!codec.decode_scan(window, &mut buffer, &mut vec![]));
+    let bytes = MAX_FRAME + reply.len() - 2;
+    assert_eq!(codec.decode(&mut buffer).unwrap(), Some(Frame::Overlong { bytes }));
+}
+
 #[test]
 fn a_command_ends_with_one_line_feed() {
     let mut buffer = BytesMut::new();

@@ -6,9 +6,17 @@ against what the driver delivered.
     python3 tests/recording_readers.py target/tmp/recording.mcap
 
 The test leaves `recording.mcap`, and beside it `recording.txt`: a line a scan,
-its stamp in nanoseconds, its frame, its ranges.
+its stamp in nanoseconds, its frame, its ranges. Or, with the program:
+
+    urg record emulated run.mcap --count 50
+    urg stream run.mcap --rate max --count 50 > run.ndjson
+    python3 tests/recording_readers.py run.mcap laser
+
+What was streamed has the ranges and, to the microsecond, the stamps; the frame
+is the one that is named.
 """
 
+import json
 import math
 import struct
 import sys
@@ -29,8 +37,19 @@ def single(number):
     return struct.unpack("<f", struct.pack("<f", float(number)))[0]
 
 
-def truth(path):
+def truth(path, replies):
     """Stamp, frame and ranges of each scan that the driver delivered."""
+    if len(sys.argv) > 2:
+        lines = path.with_suffix(".ndjson").read_text().splitlines()
+        for line, (_, _, stamp) in zip(lines, replies):
+            line = json.loads(line)
+            assert abs(stamp - line["stamp"] * 1e9) < 2_000, "another stamp"
+            ranges = [range_of(code) for code in line["values"]]
+            assert [r if math.isfinite(r) else None for r in ranges] == [
+                None if r is None else single(r) for r in line["ranges"]
+            ]
+            yield stamp, sys.argv[2], ranges
+        return
     for line in path.with_suffix(".txt").read_text().splitlines():
         stamp, frame, *ranges = line.split(" ")
         yield int(stamp), frame, [single(range) for range in ranges]
@@ -69,7 +88,8 @@ def read_with_mcap(path):
                 scans.append(scan(message))
                 assert record.publish_time == scans[-1][0]
             if channel.topic == "/scip/replies" and message.layout.dim[0].label.startswith("G"):
-                replies.append((message.layout.dim[0].label, bytes(message.data)))
+                label, data = message.layout.dim[0].label, bytes(message.data)
+                replies.append((label, data, record.publish_time))
     return scans, replies
 
 
@@ -96,7 +116,7 @@ def range_of(code):
 
 def ranges_of(reply):
     """The ranges in a reply to `G`, read from the protocol text alone."""
-    label, data = reply
+    label, data, _ = reply
     echo, status, *lines = data.decode("ascii").split("\n")
     assert (echo, status, lines[-2:]) == (label, "0", ["", ""]), data[:20]
     text = "".join(lines)
@@ -122,9 +142,9 @@ def read_cut_off(path, cut):
 
 def main():
     path = Path(sys.argv[1])
-    expected = list(truth(path))
-    assert expected, "no scans at all"
     scans, replies = read_with_mcap(path)
+    expected = list(truth(path, replies))
+    assert expected, "no scans at all"
     check("mcap-ros2-support", scans, expected)
     check("rosbags", read_with_rosbags(path), expected)
     # Polls ask for some groups more than the stream wants.

@@ -25,6 +25,7 @@ async fn the_tap_hears_good_and_damaged_replies_fences_and_foreign_frames() {
     let window = Window::new(384..=385).unwrap();
     // Damaged, a fence, and then whole.
     let scan = sensor.scan(window).await.unwrap();
+    assert_eq!(scan.values(), [1234, 1234]);
     sensor.laser_off().await.unwrap();
 
     let heard = heard.lock().unwrap();

@@ -10,6 +10,7 @@ use bytes::{BufMut, BytesMut};
 use tokio::time::Instant;
 use tracing::Instrument;
 
+use super::intake::Item;
 use super::line::flood;
 use super::session::{Failure, MAX_FRAMES, Session};
 use crate::codec::Frame;
@@ -76,10 +77,13 @@ impl Session {
             return Err(failure);
         }
         for _ in 0..MAX_FRAMES {
-            let Some(frame) = self.receive(deadline).await? else {
+            let Some(item) = self.receive(deadline).await? else {
                 return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
-            if let Frame::Reply(bytes) = &frame {
+            if let Item::Scan = item {
+                return Ok(Status::OK);
+            }
+            if let Item::Frame(Frame::Reply(bytes)) = &item {
                 self.framed.get_ref().hear(None, bytes);
                 match Reply::parse_end(command, bytes) {
                     Ok(_) if is_echoed(&sent, command, bytes) => {
@@ -98,7 +102,7 @@ impl Session {
                     }
                 }
             }
-            self.skip(&frame);
+            self.skip(&item);
         }
         Err(flood().into())
     }

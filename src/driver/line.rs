@@ -11,8 +11,8 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
 use tokio_util::codec::Framed;
 
+use super::intake::Intake;
 use crate::BaudRate;
-use crate::codec::ScipCodec;
 use crate::port::Port;
 use crate::protocol::Command;
 use crate::tap::{Heard, Tap};
@@ -29,9 +29,10 @@ pub(super) const READ_BUFFER: usize = 4096;
 const WRITE_BUFFER: usize = 32;
 
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
-pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, ScipCodec> {
+pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, Intake> {
+    let intake = Intake::new(tap.is_some());
     let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
-    let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER);
+    let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
     framed
@@ -64,7 +65,7 @@ impl Line {
 
     /// When the first byte since then arrived.
     pub(crate) fn stamp(&self) -> SystemTime {
-        self.arrival.unwrap_or_else(SystemTime::now)
+        self.arrival.unwrap_or_else(|| self.port.wall_clock())
     }
 
     /// Lets the tap hear a frame that answers `command`, or no command that was
@@ -117,7 +118,8 @@ impl AsyncRead for Line {
             let fresh = buffer.filled().get(before..).unwrap_or_default();
             self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += read as u64;
-            self.arrival.get_or_insert_with(SystemTime::now);
+            let Self { arrival, port, .. } = &mut *self;
+            arrival.get_or_insert_with(|| port.wall_clock());
         }
         if self.received - self.before > FLOOD {
             return Poll::Ready(Err(flood()));

@@ -4,6 +4,7 @@
 mod alarm;
 mod echoes;
 mod fence;
+mod intake;
 mod line;
 mod opener;
 mod request;

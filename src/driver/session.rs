@@ -24,8 +24,9 @@ use tracing::Instrument;
 
 use super::alarm::Alarm;
 use super::echoes::Echoes;
+use super::intake::{Intake, Item};
 use super::line::{Line, READ_BUFFER, flood};
-use crate::codec::{Frame, ScipCodec};
+use crate::codec::Frame;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error, Window};
@@ -62,7 +63,7 @@ pub(crate) struct Timing {
 }
 
 pub(crate) struct Session {
-    pub(super) framed: Framed<Line, ScipCodec>,
+    pub(super) framed: Framed<Line, Intake>,
     alarm: Alarm,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
@@ -73,15 +74,14 @@ pub(crate) struct Session {
     /// Whether the port can change its speed.
     adjustable: bool,
     pub(super) echoes: Echoes,
-    /// What the last poll brought, and which part of it was asked for.
-    values: Vec<u16>,
+    /// Which part of what the last poll brought was asked for.
     polled: Range<usize>,
     pub(super) telemetry: Arc<Telemetry>,
 }
 
 impl Session {
     pub(crate) fn new(
-        framed: Framed<Line, ScipCodec>,
+        framed: Framed<Line, Intake>,
         latency: Option<Duration>,
         echoes: Echoes,
         telemetry: Arc<Telemetry>,
@@ -95,7 +95,6 @@ impl Session {
             interrupted: true,
             adjustable: false,
             echoes,
-            values: Vec::new(),
             polled: 0..0,
             telemetry,
         }
@@ -212,13 +211,8 @@ impl Session {
         // First: what a fence clears must not be this poll.
         self.settle().await?;
         let (asked, surplus) = self.echoes.poll(window);
-        let mut values = std::mem::take(&mut self.values);
-        values.clear();
         self.telemetry.stats().polls += 1;
-        let outcome =
-            self.ask(Command::Distances(asked), |reply| reply.values_into(&mut values)).await;
-        self.values = values;
-        let ((), timing) = outcome?;
+        let ((), timing) = self.ask(Command::Distances(asked), |_| ()).await?;
         let mut stats = self.telemetry.stats();
         stats.scans += 1;
         stats.reply_latency.add(timing.received - timing.requested);
@@ -229,7 +223,7 @@ impl Session {
 
     /// The values that the last successful poll brought, one for each point.
     pub(crate) fn values(&self) -> &[u16] {
-        self.values.get(self.polled.clone()).unwrap_or_default()
+        self.framed.codec().values().get(self.polled.clone()).unwrap_or_default()
     }
 
     /// Whether a fence is needed before the next command.
@@ -258,11 +252,14 @@ impl Session {
             return Err(timeout);
         }
         for _ in 0..MAX_FRAMES {
-            let Some(frame) = self.receive(deadline).await? else {
+            let Some(item) = self.receive(deadline).await? else {
                 self.telemetry.stats().timeouts += 1;
                 return Err(timeout);
             };
-            if let Frame::Reply(bytes) = &frame {
+            if let Item::Scan = item {
+                return Ok((Ok(read(&Reply::SCAN)), self.timing(requested)));
+            }
+            if let Item::Frame(Frame::Reply(bytes)) = &item {
                 let outcome = Reply::parse(&command, bytes);
                 let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
                 self.framed.get_ref().hear((!foreign).then_some(command), bytes);
@@ -270,6 +267,9 @@ impl Session {
                     Ok(reply) => {
                         let (timing, status) = (self.timing(requested), reply.status());
                         let done = status.is_ok_for(&command);
+                        if let (Command::Distances(_), true) = (command, done) {
+                            self.framed.codec_mut().take_values(&reply);
+                        }
                         return Ok((if done { Ok(read(&reply)) } else { Err(status) }, timing));
                     }
                     Err(error) => error,
@@ -287,7 +287,7 @@ impl Session {
                 }
             }
             self.dirty = true;
-            self.skip(&frame);
+            self.skip(&item);
         }
         Err(flood().into())
     }
@@ -317,11 +317,11 @@ impl Session {
         Ok(true)
     }
 
-    /// The next frame, or `None` at the deadline.
-    pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, Failure> {
+    /// What comes next, or `None` at the deadline.
+    pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Item>, Failure> {
         // Looks at the line before it looks at the clock.
         match self.alarm.limit(deadline, self.framed.next()).await {
-            Some(Some(frame)) => Ok(Some(frame?)),
+            Some(Some(item)) => Ok(Some(item?)),
             Some(None) => Err(Failure::Line(Error::disconnected(None))),
             None => {
                 self.dirty = true;
@@ -365,13 +365,14 @@ impl Session {
         Ok(())
     }
 
-    /// Counts a frame that nobody asked for, and waits for the next.
-    pub(super) fn skip(&mut self, frame: &Frame) {
+    /// Counts what nobody asked for, and waits for the next.
+    pub(super) fn skip(&mut self, item: &Item) {
         self.framed.get_mut().expect();
         let mut stats = self.telemetry.stats();
-        stats.bytes_skipped += match frame {
-            Frame::Reply(bytes) => bytes.len() as u64 + 2,
-            Frame::Overlong { bytes } => {
+        stats.bytes_skipped += match item {
+            Item::Scan => 0,
+            Item::Frame(Frame::Reply(bytes)) => bytes.len() as u64 + 2,
+            Item::Frame(Frame::Overlong { bytes }) => {
                 stats.malformed.overlong += 1;
                 *bytes as u64 + 2
             }

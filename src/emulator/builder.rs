@@ -12,7 +12,8 @@ use super::room::Room;
 use super::script::Performance;
 #[cfg(feature = "mcap")]
 use super::script::Script;
-use super::sensor::{Pace, Sensor, Timing};
+use super::sensor::Sensor;
+use super::timing::{Pace, Timing};
 use super::world::World;
 use crate::BaudRate;
 

@@ -7,11 +7,14 @@ use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 
 use super::Shared;
+use super::script::Performance;
+use super::sensor::Sensor;
 use crate::{BaudRate, Port};
 
 /// The speed of the host's end of the line.
@@ -98,9 +101,13 @@ impl AsyncRead for Link {
                 }
                 state.host = host;
                 state.sensor.advance(now, host);
-                if state.sensor.transmitter.take(now, buffer) > 0 || state.sensor.hung_up {
+                if state.sensor.transmitter.take(now, buffer) > 0 {
                     budget.made_progress();
                     return Poll::Ready(Ok(()));
+                }
+                if state.sensor.hung_up {
+                    budget.made_progress();
+                    return Poll::Ready(end(&state.sensor));
                 }
                 state.reader = Some(context.waker().clone());
                 state.sensor.next_time()
@@ -111,6 +118,12 @@ impl AsyncRead for Link {
             ready!(timer.as_mut().poll(context));
         }
     }
+}
+
+/// How reading from a link ends that the sensor has hung up.
+fn end(sensor: &Sensor) -> io::Result<()> {
+    let over = sensor.performance.as_ref().filter(|_| sensor.gone);
+    over.map_or(Ok(()), Performance::end)
 }
 
 impl AsyncWrite for Link {
@@ -176,6 +189,12 @@ impl Port for Link {
             HostSpeed::Follows => Ok(()),
             HostSpeed::Fixed(_) | HostSpeed::Probed(_) => Err(io::ErrorKind::Unsupported.into()),
         }
+    }
+
+    /// That of the recording, where one is replayed.
+    fn wall_clock(&self) -> SystemTime {
+        let state = self.shared.lock();
+        state.sensor.performance.as_ref().map_or_else(SystemTime::now, Performance::wall_clock)
     }
 }
 

@@ -69,6 +69,7 @@ mod script;
 mod sensor;
 mod serve;
 mod spec;
+mod timing;
 mod transmitter;
 mod wire;
 mod world;
@@ -94,8 +95,8 @@ pub use self::pty::Pty;
 pub use self::room::Room;
 #[cfg(feature = "mcap")]
 pub(crate) use self::script::Script;
-pub use self::sensor::Pace;
 pub use self::spec::InvalidFaults;
+pub use self::timing::Pace;
 pub use self::world::{Codes, Fixed, Look, STEPS, World};
 
 /// A handle to an emulated sensor.

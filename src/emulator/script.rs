@@ -1,7 +1,8 @@
 //! Replies to `G` that are known in advance, such as those of a recording, in
 //! the place of a world.
 
-use std::time::Duration;
+use std::io;
+use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
@@ -25,6 +26,12 @@ pub(crate) trait Script: Send {
     /// Goes on to the next reply. Gives its bytes where they cannot be made of
     /// the distances, as an answer to `asked`.
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>>;
+
+    /// The wall clock when the latest reply came.
+    fn wall_clock(&self) -> SystemTime;
+
+    /// Why there are no more replies, where that is not their end.
+    fn failure(&self) -> Option<io::Error>;
 
     /// The latest distances, at every step that was ever seen.
     fn look(&self, codes: &mut Codes);
@@ -82,5 +89,15 @@ impl Performance {
 
     pub(super) fn look(&self, codes: &mut Codes) {
         self.script.look(codes);
+    }
+
+    /// The wall clock when the latest reply came.
+    pub(super) fn wall_clock(&self) -> SystemTime {
+        self.script.wall_clock()
+    }
+
+    /// How reading from a sensor ends that is unplugged because it is over.
+    pub(super) fn end(&self) -> io::Result<()> {
+        self.script.failure().map_or(Ok(()), Err)
     }
 }

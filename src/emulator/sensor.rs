@@ -14,6 +14,7 @@ use super::faults::{Fault, Faults, Mishaps};
 use super::journal::Journal;
 use super::request::{Arrived, LineBuffer, Request};
 use super::script::{Cue, Performance};
+use super::timing::{Pace, Timing};
 use super::transmitter::Transmitter;
 use super::wire::{byte_time, garble};
 use super::world::{FAR, Look, World};
@@ -22,37 +23,12 @@ use crate::BaudRate;
 /// Commands that wait to be served. A real sensor's input buffer is small too.
 const WAITING: usize = 32;
 
-/// When the sensor answers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum Pace {
-    /// As soon as the command is in.
-    AtOnce,
-    /// One command a revolution: the reply begins when the next revolution
-    /// begins, as on a real URG-04LX on USB. The motor's phase is fixed at
-    /// power-up. Switching the laser on takes one revolution more.
-    #[default]
-    PerRevolution,
-}
-
 /// What happens by itself at some time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Event {
     Speed(BaudRate),
     Reset,
     HangUp,
-}
-
-/// How a sensor keeps time.
-#[derive(Debug, Clone)]
-pub(super) struct Timing {
-    pub(super) pace: Pace,
-    pub(super) revolution: Duration,
-    pub(super) latency: Duration,
-    pub(super) boot: Duration,
-    pub(super) stray_byte: bool,
-    /// Whether bytes take no time on the line.
-    pub(super) instant_line: bool,
 }
 
 pub(super) struct Sensor {
@@ -232,7 +208,8 @@ impl Sensor {
         if !self.transmitter.is_clogged() {
             serve = self.waiting.front().map(|arrived| (self.serve_at(arrived), Doing::Serve));
             if self.device.mode == Mode::Scip2Streaming {
-                stream = Some((self.revolution_after(self.next_stream), Doing::Stream));
+                let at = self.timing.revolution_after(self.powered_at, self.next_stream);
+                stream = Some((at, Doing::Stream));
             }
         }
         // Where two fall on the same time, the first one in this list goes first.
@@ -247,11 +224,7 @@ impl Sensor {
 
     fn serve_at(&self, arrived: &Arrived) -> Instant {
         let free = arrived.at.max(self.busy_until);
-        let start = match self.timing.pace {
-            Pace::AtOnce => free,
-            Pace::PerRevolution => self.revolution_after(free),
-        };
-        let start = start + self.timing.latency;
+        let start = self.timing.serve_at(self.powered_at, free);
         match self.cue(&arrived.request, start) {
             Cue::Reply(due) => due,
             Cue::None | Cue::Silence | Cue::End => start,
@@ -265,26 +238,10 @@ impl Sensor {
         performance.map_or(Cue::None, |performance| performance.cue(request, at))
     }
 
-    /// How many revolutions have begun before `at`, the first one included.
-    fn revolutions_before(&self, at: Instant) -> u64 {
-        let since = at.saturating_duration_since(self.powered_at).as_nanos();
-        let revolutions = since.checked_div(self.timing.revolution.as_nanos()).unwrap_or(0);
-        u64::try_from(revolutions).unwrap_or(u64::MAX)
-    }
-
-    /// When the next revolution begins after `at`.
-    fn revolution_after(&self, at: Instant) -> Instant {
-        self.powered_at + self.turns(self.revolutions_before(at) + 1)
-    }
-
-    fn turns(&self, revolutions: u64) -> Duration {
-        let nanos = self.timing.revolution.as_nanos() * u128::from(revolutions);
-        Duration::from_nanos(u64::try_from(nanos).unwrap_or(u64::MAX))
-    }
-
     fn look(&self, at: Instant) -> Look {
-        let revolution = self.revolutions_before(at).saturating_sub(1);
-        Look { revolution, request: self.journal.counts.scans, at: self.turns(revolution + 1) }
+        let revolution = self.timing.revolutions_before(self.powered_at, at).saturating_sub(1);
+        let at = self.timing.turns(revolution + 1);
+        Look { revolution, request: self.journal.counts.scans, at }
     }
 
     fn happen(&mut self, at: Instant) {

@@ -12,7 +12,8 @@
 //! 8. [`logging`]: what is logged, and what to attach to a report
 //! 9. [`common_issues`]: what people stumble over
 //! 10. [`recipes`]: short programs for what people do with a scanner
-//! 11. [`design`]: how the crate is built
+//! 11. [`recording`]: keeping what a sensor said, and replaying it
+//! 12. [`design`]: how the crate is built
 
 macro_rules! chapters {
     ($($name:ident)*) => {
@@ -24,5 +25,5 @@ macro_rules! chapters {
 }
 
 chapters! {
-    polling trust recovery speeds geometry testing operating logging common_issues recipes design
+    polling trust recovery speeds geometry testing operating logging common_issues recipes recording design
 }

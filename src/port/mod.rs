@@ -16,6 +16,7 @@ mod tcp;
 
 use std::future::Future;
 use std::io;
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
@@ -58,6 +59,13 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         Err(io::ErrorKind::Unsupported.into())
     }
 
+    /// The wall clock when what is read now arrived, for
+    /// [`Scan::stamp`](crate::Scan::stamp): the system's, unless the port plays
+    /// what arrived at another time.
+    fn wall_clock(&self) -> SystemTime {
+        SystemTime::now()
+    }
+
     /// Throws away what was written and is not on the line yet, so that closing
     /// the port does not wait for it. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
@@ -70,6 +78,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
     fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
         (**self).set_line_speed(speed)
+    }
+
+    fn wall_clock(&self) -> SystemTime {
+        (**self).wall_clock()
     }
 
     fn discard_output(&mut self) {

@@ -138,58 +138,54 @@ pub struct UnknownErrorCode {
 
 /// The first of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
+const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
 
 /// True for the 64 characters that carry 6 bits: `0` to `o`.
 pub(super) const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
 }
 
-/// Tells whether many bytes are all [characters](is_character), without a
-/// branch for each: the compiler makes vector instructions of it.
-#[derive(Debug)]
-pub(super) struct Characters {
-    /// What is left of the bytes in each column, one over the other.
-    seen: [u8; 64],
+/// Makes values of characters, two for each, upper six bits first (p. 5), and
+/// tells afterwards whether all were [characters](is_character). Bytes that are
+/// none make some value of 12 bits.
+///
+/// Nothing in here branches for a value: the compiler makes vector instructions
+/// of it.
+#[derive(Debug, Default)]
+pub(super) struct Decoder {
+    /// What is left of the pairs in each column, one over the other.
+    seen: [u16; 32],
 }
 
-impl Default for Characters {
-    fn default() -> Self {
-        Self { seen: [0; 64] }
+impl Decoder {
+    /// Decodes a full line.
+    pub(super) fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
+        // A copy, which nothing else can see: that stays in registers.
+        let mut seen = self.seen;
+        decode(line, values, &mut seen);
+        self.seen = seen;
+    }
+
+    /// Decodes a line of at most 64 bytes.
+    pub(super) fn last_line(&mut self, line: &[u8], values: &mut [u16]) {
+        decode(line, values, &mut self.seen);
+    }
+
+    /// True if all bytes that came were characters.
+    pub(super) fn saw_only_characters(&self) -> bool {
+        let seen = self.seen.iter().fold(0, |all, pair| all | pair);
+        seen.to_le_bytes().iter().all(|&byte| byte < 64)
     }
 }
 
-impl Characters {
-    /// Looks at a full line.
-    pub(super) fn add(&mut self, line: &[u8; 64]) {
-        for (seen, &byte) in self.seen.iter_mut().zip(line) {
-            *seen |= byte.wrapping_sub(FIRST_CHARACTER);
-        }
+/// Takes both bytes of a pair at once, as one little-endian number. The
+/// subtraction may borrow from the upper byte, and is exact all the same: each
+/// result comes of one pair only, and those below 64 in both bytes of characters.
+#[inline(always)]
+fn decode(line: &[u8], values: &mut [u16], seen: &mut [u16; 32]) {
+    for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(seen) {
+        let sixes = u16::from_le_bytes(*pair).wrapping_sub(FIRST_PAIR);
+        *seen |= sixes;
+        *value = (sixes << 6 | sixes >> 8) & 0x0fff;
     }
-
-    /// Looks at a line of at most 64 bytes.
-    pub(super) fn add_last(&mut self, line: &[u8]) {
-        for (seen, &byte) in self.seen.iter_mut().zip(line) {
-            *seen |= byte.wrapping_sub(FIRST_CHARACTER);
-        }
-    }
-
-    /// True if all bytes that were looked at are characters.
-    pub(super) fn are_all_good(&self) -> bool {
-        self.seen.iter().fold(0, |all, seen| all | seen) < 64
-    }
-}
-
-/// Appends the values of `data`, two characters each, upper six bits first
-/// (p. 5). Bytes that carry no 6 bits make some value of 12 bits; hold the data
-/// against [`Characters`] first.
-#[inline]
-pub(super) fn decode(data: &[u8], values: &mut Vec<u16>) {
-    values.extend(data.as_chunks::<2>().0.iter().map(value));
-}
-
-/// Takes both bytes at once, as one little-endian number, without a branch: the
-/// compiler makes vector instructions of it.
-fn value(pair: &[u8; 2]) -> u16 {
-    let six = u16::from_le_bytes(*pair).wrapping_sub(u16::from_le_bytes([FIRST_CHARACTER; 2]));
-    (six & 0x3f) << 6 | six >> 8
 }

@@ -7,7 +7,7 @@
 use std::fmt;
 
 use super::measurement;
-use super::{Command, Text};
+use super::{Command, Text, Window};
 
 /// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
 pub const BLOCK: usize = 64;
@@ -83,6 +83,11 @@ pub struct Reply<'a> {
     data: &'a [u8],
 }
 
+impl Reply<'static> {
+    /// What is left of a scan whose values were taken: success, and no data.
+    pub(crate) const SCAN: Self = Self { status: Status::OK, data: &[] };
+}
+
 impl<'a> Reply<'a> {
     /// Holds `frame`, a reply without its terminator, against `command`.
     ///
@@ -115,7 +120,11 @@ impl<'a> Reply<'a> {
         let status = Status(status);
         match (data, status.is_ok(), command) {
             (Some(data), true, Command::Distances(window)) => {
-                check_blocks(data, window.points() * 2)?;
+                let mut values = [0; Window::FULL.points()];
+                let points = window.points();
+                if !values.get_mut(..points).is_some_and(|values| decode(data, values)) {
+                    find_fault(data, points * 2)?;
+                }
                 Ok(Self { status, data })
             }
             (None | Some([]), true, Command::Version) | (None, true, Command::Distances(_)) => {
@@ -161,35 +170,41 @@ impl<'a> Reply<'a> {
     /// Appends the values of a `G` reply, 0..=4095 each, in the order of their
     /// steps.
     pub fn values_into(&self, values: &mut Vec<u16>) {
-        let (lines, last) = self.data.as_chunks::<{ BLOCK + 1 }>();
-        values.reserve(self.data.len() / 2);
-        for [line @ .., _] in lines {
-            measurement::decode(line, values);
-        }
-        measurement::decode(last, values);
+        let (before, lines) = (values.len(), self.data.len() / (BLOCK + 1));
+        values.resize(before + (self.data.len() - lines) / 2, 0);
+        decode(self.data, values.get_mut(before..).unwrap_or_default());
     }
 }
 
-/// Holds the data of a `G` reply against the number of bytes that it must have.
-fn check_blocks(data: &[u8], expected: usize) -> Result<(), Malformed> {
-    if is_whole(data, expected) { Ok(()) } else { find_fault(data, expected) }
+/// Puts the values of `frame` in place of `values` if it is the reply of success
+/// to the `G` for `window`, and tells whether it is: all that
+/// [`Reply::parse`] and [`Reply::values_into`] do then, in one pass.
+pub(crate) fn decode_scan(window: Window, frame: &[u8], values: &mut Vec<u16>) -> bool {
+    // Does nothing where there were as many before.
+    values.resize(window.points(), 0);
+    let command = Command::Distances(window).bytes();
+    let Some((echo, [b'\n', b'0', b'\n', data @ ..])) = frame.split_at_checked(command.len())
+    else {
+        return false;
+    };
+    echo.iter().eq(command.iter()) && decode(data, values)
 }
 
-/// True if [`find_fault`] finds none, many times as fast: whole lines at a
-/// time, and the characters of all of them in one go.
-fn is_whole(data: &[u8], expected: usize) -> bool {
+/// Makes values of the data of a `G` reply, and tells whether it is as it should
+/// be for so many: true if [`find_fault`] finds none, many times as fast.
+fn decode(data: &[u8], values: &mut [u16]) -> bool {
     let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
-    let mut characters = measurement::Characters::default();
-    let mut ends = 0;
-    for [line @ .., end] in lines {
-        characters.add(line);
+    let right_length = data.len() == 2 * values.len() + lines.len() && !last.is_empty();
+    let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
+        return false;
+    };
+    let (mut decoder, mut ends) = (measurement::Decoder::default(), 0);
+    for ([line @ .., end], values) in lines.iter().zip(whole.as_chunks_mut().0) {
+        decoder.line(line, values);
         ends |= end ^ b'\n';
     }
-    characters.add_last(last);
-    data.len() == expected + lines.len()
-        && !last.is_empty()
-        && ends == 0
-        && characters.are_all_good()
+    decoder.last_line(last, rest);
+    right_length && ends == 0 && decoder.saw_only_characters()
 }
 
 /// Goes through the data line by line, to say where it is not as it should be.

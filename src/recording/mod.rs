@@ -62,12 +62,13 @@
 //! It answers `V` as the recorded sensor did, and each poll with the next reply
 //! that was recorded for the stream, in the same bytes: also those that were
 //! refused or damaged, and those of scans that the recording's own consumer was
-//! too slow to see. Another window than the recorded one shows what is known of
+//! too slow to see. Scans have the stamps of then. Another window than the recorded one shows what is known of
 //! its steps, and code 19 where nothing is. Fences take no reply away.
 //!
 //! After the last reply the next poll hangs the link up, and connecting again
 //! finds no port: with [`reconnect(false)`](crate::SensorBuilder::reconnect) the
-//! driver ends there.
+//! driver ends there, with [`Error::Disconnected`](crate::Error::Disconnected).
+//! That has a source only if the file could not be read to its end.
 //!
 //! A recording's bytes are read when they are asked for, in small pieces, on
 //! the runtime's thread.

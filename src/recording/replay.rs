@@ -1,5 +1,6 @@
 //! A recording as an emulated sensor: the replies in it, one for each poll.
 
+use std::io;
 use std::time::{Duration, SystemTime};
 
 use super::reader::{Entry, Reply, command_named};
@@ -31,7 +32,7 @@ pub(super) fn emulator(
     pace: ReplayPace,
 ) -> Result<Emulator, RecordingError> {
     let version = skip_to(&mut recording, |command| *command == Command::Version)?;
-    let replies = Replies::new(recording)?;
+    let replies = Replies::new(recording, version.stamp)?;
     let lines = version.bytes.split(|&byte| byte == b'\n').skip(2).filter(|line| !line.is_empty());
     let paced = pace == ReplayPace::Recorded;
     Ok(Emulator::builder().version_lines(lines).script(replies, paced).build())
@@ -72,10 +73,14 @@ struct Replies {
     /// What the stream asked for.
     window: Window,
     next: Option<Due>,
+    /// The wall clock when the latest reply came.
+    stamp: SystemTime,
     /// When the first of them came.
     began: SystemTime,
     /// The latest value of each step.
     memory: Box<Codes>,
+    /// Why the file could not be read any further.
+    failure: Option<RecordingError>,
 }
 
 /// A reply, and when it came.
@@ -85,14 +90,17 @@ struct Due {
 }
 
 impl Replies {
-    fn new(recording: Recording) -> Result<Self, RecordingError> {
+    /// `stamp` is when the sensor said something before.
+    fn new(recording: Recording, stamp: SystemTime) -> Result<Self, RecordingError> {
         let window = recording.window();
         let mut replies = Self {
             recording,
             window: window.unwrap_or(Window::FULL),
             next: None,
+            stamp,
             began: SystemTime::UNIX_EPOCH,
             memory: Box::new([UNKNOWN; crate::emulator::STEPS]),
+            failure: None,
         };
         replies.next = match window {
             Some(_) => replies.read()?,
@@ -167,8 +175,10 @@ impl Script for Replies {
 
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>> {
         let Due { reply, .. } = self.next.take()?;
+        self.stamp = reply.stamp;
         self.next = self.read().unwrap_or_else(|error| {
             tracing::warn!(%error, "the replay ends here");
+            self.failure = Some(error);
             None
         });
         let Some(Command::Distances(window)) = reply.command else { return None };
@@ -186,6 +196,15 @@ impl Script for Replies {
             Some(answer) if answer.values().is_none() => answer.bytes,
             _ => reply.bytes,
         })
+    }
+
+    fn wall_clock(&self) -> SystemTime {
+        self.stamp
+    }
+
+    fn failure(&self) -> Option<io::Error> {
+        let error = self.failure.clone()?;
+        Some(io::Error::new(io::ErrorKind::InvalidData, error))
     }
 
     fn look(&self, codes: &mut Codes) {

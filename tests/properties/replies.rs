@@ -1,7 +1,10 @@
 //! Replies to all commands, whole and damaged: what is accepted is what a
 //! reference made from the text accepts, with the same values.
 
+use bytes::BytesMut;
+use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command, Reply, Window};
+use tokio_util::codec::Decoder;
 
 use crate::script::Script;
 
@@ -104,6 +107,10 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
     let expected = reference(&command, &frame);
     compare(&command, &frame, Reply::parse(&command, &frame), expected.clone());
 
+    if let Command::Distances(window) = command {
+        one_pass_gives_what_the_steps_give(window, &frame);
+    }
+
     // The same reply at the end of whatever is before it.
     let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
     let tails = lengths.iter().filter_map(|length| frame.get(frame.len().checked_sub(*length)?..));
@@ -111,6 +118,25 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
     if command != Command::Version {
         compare(&command, &frame, Reply::parse_end(&command, &frame), tail.or(expected));
     }
+}
+
+/// A scan that is taken off the buffer in one pass is the one that the codec and
+/// the reference find there, and none is left to them that they would accept.
+fn one_pass_gives_what_the_steps_give(window: Window, frame: &[u8]) {
+    let bytes = BytesMut::from(&[frame, b"\n\nL1"].concat()[..]);
+    let (mut taken_of, mut left) = (bytes.clone(), bytes.clone());
+    let mut values = vec![7; 3];
+    let taken = ScipCodec::default().decode_scan(window, &mut taken_of, &mut values);
+    let expected = match ScipCodec::default().decode(&mut left).unwrap() {
+        // NULs in front are for the codec to skip.
+        Some(Frame::Reply(frame)) if !bytes.starts_with(b"\0") => {
+            reference(&Command::Distances(window), &frame)
+        }
+        _ => None,
+    };
+    let expected = expected.filter(|(status, _)| *status == b'0').map(|(_, values)| values);
+    assert_eq!(taken.then_some(values), expected, "{window} in {}", frame.escape_ascii());
+    assert_eq!(taken_of, if taken { left } else { bytes });
 }
 
 fn compare(

@@ -4,8 +4,8 @@ use std::io::{self, Write};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError};
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError, ReplayPace};
+use tokio_scip::{Error, Rate, Sensor, Window};
 
 use crate::sink::{Sink, polls, record, sensor, window};
 
@@ -180,4 +180,27 @@ async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
     assert_eq!(scans.count(), 1);
     assert!(recording.is_truncated());
     drop(recorder);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_that_ends_because_its_file_is_damaged_says_so() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 400).await;
+    for damaged in [false, true] {
+        let mut file = sink.bytes();
+        // In the second of its two chunks.
+        let late = file.len() / 8 * 7;
+        file[late] ^= u8::from(damaged);
+        let recording = Recording::read(io::Cursor::new(file)).unwrap();
+        let replay = recording.replay(ReplayPace::Max).unwrap();
+        let sensor = Sensor::builder().reconnect(false).connect(replay).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut end = None;
+        while let Some(item) = scans.next().await {
+            end = item.err();
+        }
+        let Some(Error::Disconnected { source }) = end else { panic!("{end:?}") };
+        let cause = source.as_ref().and_then(|error| error.get_ref()?.downcast_ref());
+        assert_eq!(matches!(cause, Some(RecordingError::Damaged { .. })), damaged, "{source:?}");
+    }
 }

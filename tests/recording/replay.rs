@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
-use tokio_scip::recording::{Recorder, ReplayPace};
+use tokio_scip::recording::{Entry, Record, Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
 use crate::sink::{Sink, polls, record, sensor, window};
@@ -63,6 +63,16 @@ async fn a_recording_of_a_replay_has_the_same_bytes() {
         polls(&sink.records()).into_iter().map(|reply| reply.bytes).collect::<Vec<_>>()
     };
     assert_eq!(bytes(&first), bytes(&second));
+    let stamps = |sink: &Sink| {
+        let stamp = |record: Record| match record.entry {
+            Entry::Scan(scan) => Some(scan.stamp),
+            Entry::Reply(reply) => reply.command.map(|_| reply.stamp),
+            _ => None,
+        };
+        sink.records().into_iter().filter_map(stamp).collect::<Vec<_>>()
+    };
+    // The first `V` may be the second one of then, as opening has it.
+    assert_eq!(stamps(&first)[2..], stamps(&second)[2..]);
     assert_eq!(first.open().metadata(), second.open().metadata());
 }
 

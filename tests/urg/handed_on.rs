@@ -2,8 +2,20 @@
 
 use super::program::run;
 
-const COMMANDS: [&str; 10] =
-    ["list", "info", "scan", "stream", "view", "check", "laser", "baud", "emulate", "completions"];
+const COMMANDS: &[&str] = &[
+    "list",
+    "info",
+    "scan",
+    "stream",
+    "view",
+    #[cfg(feature = "mcap")]
+    "record",
+    "check",
+    "laser",
+    "baud",
+    "emulate",
+    "completions",
+];
 
 #[test]
 fn completions_for_each_shell_know_every_command() {

@@ -10,6 +10,7 @@ mod handed_on;
 mod http;
 mod picture;
 mod program;
+mod recorded;
 mod screen;
 mod served;
 mod usage;

@@ -55,7 +55,7 @@ pub(crate) struct Running {
 impl Running {
     pub(crate) fn start(arguments: &str) -> Self {
         let mut running = Self::start_unread(arguments);
-        running.stdout = running.child.stdout.take().map(lines);
+        running.read();
         running
     }
 
@@ -71,6 +71,11 @@ impl Running {
             .unwrap();
         let stderr = lines(child.stderr.take().unwrap());
         Self { _stdin: child.stdin.take(), child, stdout: None, stderr }
+    }
+
+    /// Now somebody reads its standard output.
+    pub(crate) fn read(&mut self) {
+        self.stdout = self.child.stdout.take().map(lines);
     }
 
     /// The next line of standard output.
@@ -156,7 +161,12 @@ pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
     pub(crate) fn new(name: &str) -> Self {
-        Self(std::env::temp_dir().join(format!("urg-{name}-{}", std::process::id())))
+        Self::with_extension(name, "")
+    }
+
+    pub(crate) fn with_extension(name: &str, extension: &str) -> Self {
+        let name = format!("urg-{name}-{}{extension}", std::process::id());
+        Self(std::env::temp_dir().join(name))
     }
 
     pub(crate) fn path(&self) -> &str {

@@ -22,7 +22,13 @@ struct Terminal {
 }
 
 impl Terminal {
+    /// Only what is drawn is shown.
     async fn start(arguments: &str) -> Self {
+        Self::start_with(arguments, |_| Stdio::null()).await
+    }
+
+    /// `stderr` says where its standard error goes.
+    async fn start_with(arguments: &str, stderr: impl FnOnce(&str) -> Stdio) -> Self {
         let (user, line) = SerialStream::pair().unwrap();
         let path = line.name().unwrap();
         stty(&path, &["rows", "24", "cols", "80"]).await;
@@ -33,7 +39,7 @@ impl Terminal {
             .env("TERM", "xterm-256color")
             .stdin(open(&path))
             .stdout(open(&path))
-            .stderr(Stdio::null())
+            .stderr(stderr(&path))
             .kill_on_drop(true)
             .spawn()
             .unwrap();
@@ -99,5 +105,31 @@ async fn the_terminal_is_given_back_on_ctrl_c_and_on_a_signal() {
     terminal.until(&["URG-04LX"]).await;
     let id = terminal.urg.id().unwrap().to_string();
     assert!(Command::new("kill").args(["-s", "TERM", &id]).status().await.unwrap().success());
+    assert_eq!(terminal.end().await, Some(0));
+}
+
+#[cfg(feature = "mcap")]
+#[tokio::test]
+async fn a_recording_tells_how_far_it_is_and_takes_its_line_along() {
+    let file = super::program::Scratch::with_extension("progress", ".mcap");
+    let arguments = format!("record emulated {}", file.path());
+    let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
+    let line = [" scans in 0:0", " kB, none lost (Ctrl-C ends it)\x1b[K\r"];
+    terminal.until(&[line, line].concat()).await;
+    let id = terminal.urg.id().unwrap().to_string();
+    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    let end = ["(Ctrl-C ends it)", "\r\x1b[Kurg: ", ".mcap: ", " scans in 0:0", ", none lost\n"];
+    terminal.until(&end).await;
+    assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
+}
+
+#[cfg(feature = "mcap")]
+#[tokio::test]
+async fn a_radar_of_a_recording_ends_with_it_and_says_so() {
+    let file = super::program::Scratch::with_extension("radar", ".mcap");
+    super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
+    let arguments = format!("view {}", file.path());
+    let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
+    terminal.until(&["URG-04LX", "\x1b[?1049l", "the recording has ended"]).await;
     assert_eq!(terminal.end().await, Some(0));
 }

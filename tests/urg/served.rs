@@ -13,7 +13,7 @@ use super::program::{Emulated, Running, Scratch, run};
 
 /// What the emulated sensor of this seed holds in steps 44..=725 after each of
 /// its first revolutions, to look up which one it was.
-async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
+pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
     let world = move |mut look: Look, codes: &mut Codes| {
@@ -35,7 +35,7 @@ async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
 
 /// Fifty scans without a gap, each of which the sensor held, one after the
 /// other.
-fn check_fifty(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
+pub(crate) fn check_fifty(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
     let scans = scans(ndjson);
     assert_eq!(scans.len(), 50);
     let mut last = None;

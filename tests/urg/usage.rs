@@ -11,6 +11,8 @@ fn every_command_has_help_on_standard_output() {
         "scan",
         "stream",
         "view",
+        #[cfg(feature = "mcap")]
+        "record",
         "check",
         "laser",
         "baud",

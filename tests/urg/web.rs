@@ -181,6 +181,9 @@ fn a_page_that_waits_for_its_sensor_is_there_before_it() {
     let served = Served::start(&format!("{} --wait", link.path()));
     let health = served.health(503);
     assert_eq!(health["link"], "waiting", "{health}");
+    // As soon as it was looked for.
+    let why = || served.health(503)["why"].as_str().unwrap().to_owned();
+    while !why().contains("no port") {}
     assert_eq!(served.json("/state")["sensor"], Value::Null);
     let mut scans = served.get("/scans?max=1");
     let _sensor = Emulated::start(&format!("--link {}", link.path()));

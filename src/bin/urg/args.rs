@@ -6,12 +6,15 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use tokio_scip::{BaudRate, Rate, Window};
 
+#[cfg(feature = "mcap")]
+use crate::commands::record;
 #[cfg(feature = "web")]
 use crate::commands::serve;
 use crate::commands::{
     baud, check, completions, emulate, info, laser, list, man, scan, stream, view,
 };
 use crate::failure::Failure;
+use crate::port::PortName;
 
 /// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
 ///
@@ -23,19 +26,7 @@ use crate::failure::Failure;
     name = "urg",
     version,
     arg_required_else_help = true,
-    after_help = "\
-PORT is one of
-  /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
-  serial:H0713090         the sensor of this serial number, wherever it is plugged in
-  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its line speed
-  emulated                a sensor in software, to try things out
-
-Examples:
-  urg list                                  which ports are there?
-  urg info /dev/ttyACM0                     who is it, and how is it set?
-  urg view emulated                         a live radar, without any hardware
-  urg stream emulated --count 20            20 scans as NDJSON, without any hardware
-  urg emulate --link /tmp/urg               an emulated sensor for other programs"
+    after_help = help()
 )]
 pub(crate) struct Cli {
     #[command(subcommand)]
@@ -49,6 +40,8 @@ pub(crate) enum Command {
     Scan(scan::ScanOnce),
     Stream(stream::Stream),
     View(view::View),
+    #[cfg(feature = "mcap")]
+    Record(record::Record),
     Check(check::Check),
     #[cfg(feature = "web")]
     Serve(serve::Serve),
@@ -67,6 +60,32 @@ impl Command {
     }
 }
 
+/// What PORT may be, and how to begin.
+fn help() -> String {
+    let (recording, record) = match cfg!(feature = "mcap") {
+        true => (
+            "\n  FILE.mcap               a recording: the sensor as it was",
+            "\n  urg record /dev/ttyACM0 run.mcap          record, and then: urg view run.mcap",
+        ),
+        false => ("", ""),
+    };
+    format!(
+        "\
+PORT is one of
+  /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
+  serial:H0713090         the sensor of this serial number, wherever it is plugged in
+  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its line speed{recording}
+  emulated                a sensor in software, to try things out
+
+Examples:
+  urg list                                  which ports are there?
+  urg info /dev/ttyACM0                     who is it, and how is it set?
+  urg view emulated                         a live radar, without any hardware
+  urg stream emulated --count 20            20 scans as NDJSON, without any hardware{record}
+  urg emulate --link /tmp/urg               an emulated sensor for other programs"
+    )
+}
+
 /// How to get to the sensor.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Link")]
@@ -83,21 +102,22 @@ pub(crate) struct LinkArgs {
     pub(crate) wait: bool,
 }
 
-/// Which steps to measure.
+/// Which steps to measure; of a recording, those that were recorded unless told
+/// otherwise.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44]
+    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44, or as recorded]
     #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
     start: Option<u16>,
-    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725]
+    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725, or as recorded]
     #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
     end: Option<u16>,
     /// Steps that make one point, 1 to 99; the sensor sends the smallest value
-    /// of each cluster, in which an error code wins over any distance
-    #[arg(long, value_name = "STEPS", default_value_t = 1,
-        value_parser = clap::value_parser!(u8).range(1..=99))]
-    cluster: u8,
+    /// of each cluster, in which an error code wins over any distance [default: 1, or as
+    /// recorded]
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
+    cluster: Option<u8>,
     /// Direction to start at, -135deg (right) to 135deg (left), instead of --start
     #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true,
         conflicts_with_all = ["start", "end"])]
@@ -109,9 +129,9 @@ pub(crate) struct WindowArgs {
 }
 
 impl WindowArgs {
-    /// The window, where there is such a one.
-    pub(crate) fn window(&self) -> Result<Window, Failure> {
-        let whole = Window::DETECTION;
+    /// The window of `port`, where there is such a one.
+    pub(crate) fn window(&self, port: &PortName) -> Result<Window, Failure> {
+        let whole = port.window();
         let window = if self.from.is_some() || self.to.is_some() {
             let from = self.from.unwrap_or_else(|| whole.start().degrees().into());
             let to = self.to.unwrap_or_else(|| whole.end().degrees().into());
@@ -121,7 +141,9 @@ impl WindowArgs {
             Window::new(start..=self.end.unwrap_or(whole.end().number()))
         };
         window
-            .and_then(|window| window.with_cluster_count(self.cluster))
+            .and_then(|window| {
+                window.with_cluster_count(self.cluster.unwrap_or(whole.cluster_count()))
+            })
             .map_err(|error| Failure::Usage(error.to_string()))
     }
 }
@@ -130,9 +152,10 @@ impl WindowArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Pace")]
 pub(crate) struct PaceArgs {
-    /// Scans a second, or `max` for as fast as the sensor answers
-    #[arg(long, value_name = "HZ", default_value = "10")]
-    pub(crate) rate: Rate,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ")]
+    pub(crate) rate: Option<Rate>,
     /// Stop after this many scans
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,

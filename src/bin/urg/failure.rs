@@ -25,7 +25,7 @@ impl Failure {
 
     /// The failure of something done to `port`, which is named where the error
     /// does not name it.
-    pub(crate) fn at(port: &str, error: &tokio_scip::Error) -> Self {
+    pub(crate) fn at(port: &str, error: &dyn Error) -> Self {
         let line = chain(error);
         if line.contains(port) {
             Self::Failed(line)

@@ -43,6 +43,7 @@ impl Entry {
 #[derive(Debug, Clone)]
 pub(crate) struct Feed {
     scans: ScanStream,
+    port: PortName,
     /// What comes after the entries that tell of the time before it.
     held: Option<Scan>,
     missed: u64,
@@ -50,15 +51,22 @@ pub(crate) struct Feed {
 }
 
 impl Feed {
-    pub(crate) fn new(scans: ScanStream) -> Self {
-        Self { missed: scans.missed(), scans, held: None, disconnected: false }
+    pub(crate) fn new(port: &PortName, scans: ScanStream) -> Self {
+        Self { missed: scans.missed(), scans, port: port.clone(), held: None, disconnected: false }
     }
 
     /// What comes next; `None` after the end. Cancel-safe.
     pub(crate) async fn next(&mut self) -> Option<Entry> {
         if self.held.is_none() {
             match self.scans.next().await? {
-                Ok(scan) => self.held = Some(scan),
+                Ok(scan) => {
+                    if let Some(recorded) = self.port.recorded() {
+                        recorded.took();
+                    }
+                    self.held = Some(scan);
+                }
+                // That is how a replay ends: nothing was lost.
+                Err(Error::Disconnected { .. }) if self.port.recorded().is_some() => return None,
                 Err(error) => {
                     self.disconnected |= matches!(error, Error::Disconnected { .. });
                     return Some(Entry::Error(error));
@@ -111,19 +119,22 @@ impl Reporter {
         }
     }
 
-    /// Why there are no more scans.
-    pub(crate) fn cause(&self) -> Failure {
-        cause(&self.port, &self.sensor)
+    /// What to make of it that there are no more scans.
+    pub(crate) fn end(&self) -> Result<(), Failure> {
+        end(&self.port, &self.sensor)
     }
 }
 
-/// Why a driver has ended.
-pub(crate) fn cause(port: &PortName, sensor: &Sensor) -> Failure {
+/// What to make of it that a driver has ended: it is told, if it is fine.
+pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
     let error = match &*sensor.state().borrow() {
         State::Closed { error: Some(error) } => error.clone(),
         _ => Error::Closed,
     };
-    Failure::at(&port.to_string(), &error)
+    match port.recorded() {
+        Some(recorded) => recorded.end(&error),
+        None => Err(Failure::at(&port.to_string(), &error)),
+    }
 }
 
 /// Whether the next poll may well bring a scan.

@@ -3,8 +3,11 @@
 
 mod args;
 mod commands;
+#[cfg(feature = "mcap")]
+mod contents;
 mod failure;
 mod feed;
+mod follow;
 mod format;
 mod interrupt;
 mod notice;
@@ -12,6 +15,12 @@ mod output;
 mod pace;
 mod plot;
 mod port;
+#[cfg(feature = "mcap")]
+mod progress;
+#[cfg_attr(not(feature = "mcap"), path = "unrecorded.rs")]
+mod recorded;
+#[cfg(feature = "mcap")]
+mod recorder_file;
 mod selftest;
 mod view;
 #[cfg(feature = "web")]

@@ -21,6 +21,7 @@ pub(crate) struct PaceWatch {
     rate: Rate,
     /// Whether the port's own speed can be changed from here.
     settable: bool,
+    /// Whether it was said, or never will be: a recording is as fast as it is.
     said: bool,
     /// Before that no rate is of the sensor and the line alone.
     steady_from: Instant,
@@ -29,7 +30,8 @@ pub(crate) struct PaceWatch {
 impl PaceWatch {
     pub(crate) fn new(port: &PortName, window: Window, rate: Rate) -> Self {
         let settable = !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. }));
-        Self { window, rate, settable, said: false, steady_from: Instant::now() }
+        let said = port.recorded().is_some();
+        Self { window, rate, settable, said, steady_from: Instant::now() }
     }
 
     /// Takes notice that scans rest for a reason that is known: the link is lost,

@@ -95,9 +95,15 @@ pub(crate) async fn laser(sensor: &Sensor) -> Step {
     Step::new(NAME, Verdict::Ok, "goes off and on")
 }
 
-/// Streams the detection window for a while, at the pace of its motor.
-pub(crate) async fn scans(sensor: &Sensor, duration: Duration) -> Vec<Step> {
-    match Measured::over(sensor, duration).await {
+/// Streams the window for a while: at the pace of its motor, or at the one that
+/// was recorded.
+pub(crate) async fn scans(
+    sensor: &Sensor,
+    window: Window,
+    recorded: Option<Rate>,
+    duration: Duration,
+) -> Vec<Step> {
+    match Measured::over(sensor, window, recorded, duration).await {
         Ok(measured) => measured.steps(),
         Err(error) => vec![Step::failed("polls", &error)],
     }
@@ -106,8 +112,9 @@ pub(crate) async fn scans(sensor: &Sensor, duration: Duration) -> Vec<Step> {
 /// What came while it was watched.
 #[derive(Debug)]
 struct Measured {
+    window: Window,
     line_speed: Option<BaudRate>,
-    /// Turns of the motor a second.
+    /// Scans a second.
     asked: f64,
     scans: Vec<Seen>,
     /// What the driver counted before and after.
@@ -125,12 +132,18 @@ struct Seen {
 }
 
 impl Measured {
-    async fn over(sensor: &Sensor, duration: Duration) -> Result<Self, Error> {
+    async fn over(
+        sensor: &Sensor,
+        window: Window,
+        recorded: Option<Rate>,
+        duration: Duration,
+    ) -> Result<Self, Error> {
         let version = sensor.version().await?;
         let rpm = version.specification.and_then(|specification| specification.motor_speed);
-        let asked = f64::from(rpm.unwrap_or(600)) / 60.0;
+        let period = recorded.and_then(Rate::period).map(|period| period.as_secs_f64());
+        let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
         let before = sensor.stats();
-        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(asked)).await?;
+        let mut stream = sensor.scans(window, Rate::hz(asked)).await?;
         let mut scans = Vec::new();
         let watch = async {
             // Errors are counted by the driver.
@@ -142,7 +155,14 @@ impl Measured {
         drop(stream);
         // Behind the poll that is under way; its outcome is in the figures.
         let _ = sensor.laser_on().await;
-        Ok(Self { line_speed: line_speed(sensor), asked, scans, before, after: sensor.stats() })
+        let mut after = sensor.stats();
+        if recorded.is_some() && matches!(&*sensor.state().borrow(), State::Closed { .. }) {
+            // That is how a replay ends: with a poll that nothing was recorded for.
+            after.polls = after.polls.saturating_sub(1);
+            after.disconnects = before.disconnects;
+        }
+        let line_speed = line_speed(sensor);
+        Ok(Self { window, line_speed, asked, scans, before, after })
     }
 
     fn steps(&self) -> Vec<Step> {
@@ -206,7 +226,7 @@ impl Measured {
         // What the line carries, where it has a speed.
         let carried = self
             .line_speed
-            .map_or(f64::INFINITY, |speed| 1.0 / Window::DETECTION.wire_time(speed).as_secs_f64());
+            .map_or(f64::INFINITY, |speed| 1.0 / self.window.wire_time(speed).as_secs_f64());
         if reached >= ENOUGH * asked {
             Step::new(NAME, Verdict::Ok, text)
         } else if reached < HALF * asked.min(carried) {
@@ -225,7 +245,7 @@ impl Measured {
         let mean = self.scans.iter().map(took).sum::<Duration>() / self.scans.len().max(1) as u32;
         let (mean, most) = (mean.as_millis(), longest.as_millis());
         let text = format!("a whole scan comes in {mean} ms, {most} ms at most");
-        let wire = self.line_speed.map(|speed| Window::DETECTION.wire_time(speed));
+        let wire = self.line_speed.map(|speed| self.window.wire_time(speed));
         let good = Duration::from_secs_f64(TURNS / self.asked) + wire.unwrap_or_default();
         if longest <= good {
             return Step::new("latency", Verdict::Ok, text);
@@ -283,7 +303,7 @@ mod tests {
         emulator.set_faults(faults);
         let mut steps = vec![link(&sensor, Duration::ZERO), version(&sensor).await];
         steps.push(laser(&sensor).await);
-        steps.extend(scans(&sensor, Duration::from_secs(10)).await);
+        steps.extend(scans(&sensor, Window::DETECTION, None, Duration::from_secs(10)).await);
         let text = steps.iter().map(|step| format!("{step}\n")).collect();
         let bad = steps.into_iter().filter(|step| step.verdict != Verdict::Ok);
         (bad.map(|step| (step.name, step.verdict)).collect(), text)

@@ -40,7 +40,8 @@ impl Check {
     }
 
     async fn check(&self) -> Result<(), Failure> {
-        let port = self.port.required().await?;
+        let (port, rate) = self.port.polled_at(None).await?;
+        let recorded = port.recorded().map(|_| rate);
         let mut report = Report { output: Output::new(), steps: Vec::new() };
         let begin = Instant::now();
         match open(&port, &self.link, 1).await {
@@ -48,7 +49,7 @@ impl Check {
                 report.add(selftest::link(&sensor, begin.elapsed())).await?;
                 report.add(selftest::version(&sensor).await).await?;
                 report.add(selftest::laser(&sensor).await).await?;
-                for step in selftest::scans(&sensor, self.duration).await {
+                for step in selftest::scans(&sensor, port.window(), recorded, self.duration).await {
                     report.add(step).await?;
                 }
             }

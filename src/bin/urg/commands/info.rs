@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use clap::ValueEnum;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio_scip::{BaudRate, State, Version, Window};
 
 use crate::args::LinkArgs;
@@ -15,7 +15,8 @@ use crate::port::{PortArg, PortName, open};
 /// Show who the sensor is, and how it is set
 ///
 /// Finds the sensor at whatever line speed it has. SCIP 1.1 has no way to ask
-/// whether the laser is on.
+/// whether the laser is on. Of a recording it also tells how many scans are in it,
+/// and where there are gaps.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  urg info /dev/ttyACM0\n  urg info serial:H0713090 --format json"
@@ -46,11 +47,26 @@ impl Info {
             State::Connected { line_speed, .. } => *line_speed,
             _ => None,
         };
+        let contents = match port.recorded() {
+            Some(recorded) => recorded.contents().await?,
+            None => Vec::new(),
+        };
         match self.format {
-            Format::Text => print(&text(&port, &version, speed)).await,
+            Format::Text => {
+                let mut text = text(&port, &version, speed);
+                for (name, _, told) in contents {
+                    row(&mut text, name, &told);
+                }
+                print(&text).await
+            }
             Format::Json => {
                 let port = port.to_string();
-                let info = json!({ "port": port, "line_speed": speed, "version": version });
+                let mut info = json!({ "port": port, "line_speed": speed, "version": version });
+                if let Value::Object(info) = &mut info {
+                    info.extend(
+                        contents.into_iter().map(|(name, data, _)| (name.to_owned(), data)),
+                    );
+                }
                 print(&json::line(&info)?).await
             }
         }
@@ -59,10 +75,7 @@ impl Info {
 
 fn text(port: &PortName, version: &Version, speed: Option<BaudRate>) -> String {
     let mut text = String::new();
-    let mut row = |name: &str, value: String| {
-        // Writing to a string does not fail.
-        let _ = writeln!(text, "{name:<14} {value}");
-    };
+    let mut row = |name, value: String| row(&mut text, name, &value);
     row("port", port.to_string());
     row("line speed", line_speed(speed));
     row("product", version.product.to_string());
@@ -88,6 +101,11 @@ fn text(port: &PortName, version: &Version, speed: Option<BaudRate>) -> String {
         }
     }
     text
+}
+
+fn row(text: &mut String, name: &str, value: &str) {
+    // Writing to a string does not fail.
+    let _ = writeln!(text, "{name:<14} {value}");
 }
 
 /// The steps that the sensor measures, with their directions where they have any.

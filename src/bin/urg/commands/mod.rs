@@ -8,6 +8,8 @@ pub(crate) mod info;
 pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod man;
+#[cfg(feature = "mcap")]
+pub(crate) mod record;
 pub(crate) mod scan;
 #[cfg(feature = "web")]
 pub(crate) mod serve;
@@ -27,6 +29,8 @@ pub(crate) async fn run(command: Command) -> Result<(), Failure> {
         Command::Stream(stream) => stream.run(&interrupt).await,
         Command::Check(check) => check.run(&interrupt).await,
         Command::View(view) => view.run(&interrupt).await,
+        #[cfg(feature = "mcap")]
+        Command::Record(record) => record.run(&interrupt).await,
         // Ends its connections first.
         #[cfg(feature = "web")]
         Command::Serve(serve) => serve.run(&interrupt).await,

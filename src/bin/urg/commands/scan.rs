@@ -46,8 +46,8 @@ enum Format {
 
 impl ScanOnce {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        let window = self.window.window()?;
         let port = self.port.required().await?;
+        let window = self.window.window(&port)?;
         let sensor = open(&port, &self.link, 1).await?;
         let at_port = |error| Failure::at(&port.to_string(), &error);
         let scan = sensor.scan(window).await.map_err(at_port)?;

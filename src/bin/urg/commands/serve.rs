@@ -33,9 +33,10 @@ pub(crate) struct Serve {
     /// its own name lead here.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: String,
-    /// Scans a second, or `max` for as fast as the sensor answers
-    #[arg(long, value_name = "HZ", default_value = "10")]
-    rate: tokio_scip::Rate,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<tokio_scip::Rate>,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -66,14 +67,14 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let window = self.window.window()?;
-        let port = self.port.required().await?;
+        let (port, rate) = self.port.polled_at(self.rate).await?;
+        let window = self.window.window(&port)?;
         let address = at_home(&self.listen);
         let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
         let listener = listen(&address).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
-        let hub = Hub::new(port, window, self.rate);
+        let hub = Hub::new(port, window, rate);
         let loopback = bound.ip().to_canonical().is_loopback();
         let announce = || {
             notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));

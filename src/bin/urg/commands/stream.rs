@@ -1,12 +1,11 @@
 //! `urg stream`: scans on standard output.
 
-use std::time::Instant;
-
 use clap::ValueEnum;
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::failure::Failure;
 use crate::feed::{Entry, Feed, Reporter};
+use crate::follow::{Ended, follow};
 use crate::format::csv;
 use crate::interrupt::Interrupt;
 use crate::notice::notice;
@@ -20,7 +19,7 @@ const DEPTH: usize = 1024;
 /// Write scans to standard output as they come
 ///
 /// Goes on until Ctrl-C, --count or --duration, also when the sensor is
-/// unplugged and comes back.
+/// unplugged and comes back; a recording goes on to its end.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "`--help` explains the formats",
@@ -77,11 +76,11 @@ impl Stream {
     }
 
     async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let window = self.window.window()?;
-        let port = self.port.required().await?;
+        let (port, rate) = self.port.polled_at(self.pace.rate).await?;
+        let window = self.window.window(&port)?;
         let opening = async {
             let sensor = open(&port, &self.link, DEPTH).await?;
-            let scans = sensor.scans(window, self.pace.rate).await;
+            let scans = sensor.scans(window, rate).await;
             let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
             Ok((sensor, scans))
         };
@@ -89,32 +88,26 @@ impl Stream {
             opened = opening => opened?,
             _ = interrupt.requested() => return Ok(()),
         };
+        let mut feed = Feed::new(&port, scans);
         let mut run = Run {
-            watch: PaceWatch::new(&port, window, self.pace.rate),
-            feed: Feed::new(scans),
+            watch: PaceWatch::new(&port, window, rate),
             reporter: Reporter::new(port, sensor),
             format: self.format,
             output: Output::new(),
         };
-        let end = async {
-            match self.pace.duration {
-                Some(duration) => {
-                    let end = Instant::now() + duration;
-                    tokio::select! {
-                        () = tokio::time::sleep_until(end.into()) => end,
-                        since = interrupt.requested() => since,
-                    }
-                }
-                None => interrupt.requested().await,
-            }
-        };
-        run.until(end, self.pace.count.unwrap_or(u64::MAX)).await
+        if self.format == Format::Csv {
+            run.output.write(csv::HEADER).await?;
+        }
+        let write = async |entry: Entry| run.write(&entry).await;
+        match follow(&mut feed, &self.pace, interrupt, write).await? {
+            Ended::AsAsked => Ok(()),
+            Ended::ByItself => run.reporter.end(),
+        }
     }
 }
 
 /// A stream on its way to standard output.
 struct Run {
-    feed: Feed,
     reporter: Reporter,
     format: Format,
     output: Output,
@@ -122,43 +115,6 @@ struct Run {
 }
 
 impl Run {
-    /// Writes `count` scans, or those that have come before `end` resolves to a
-    /// time.
-    async fn until(
-        &mut self,
-        end: impl Future<Output = Instant>,
-        count: u64,
-    ) -> Result<(), Failure> {
-        if self.format == Format::Csv {
-            self.output.write(csv::HEADER).await?;
-        }
-        tokio::pin!(end);
-        let (mut ended, mut written) = (None, 0);
-        while written < count {
-            // A slow reader may be behind: what came in time is written.
-            let entry = tokio::select! {
-                biased;
-                since = &mut end, if ended.is_none() => {
-                    ended = Some(since);
-                    continue;
-                }
-                entry = self.feed.next() => entry,
-                () = std::future::ready(()), if ended.is_some() => return Ok(()),
-            };
-            match entry {
-                Some(Entry::Scan(scan)) if ended.is_some_and(|end| scan.received_at() > end) => {
-                    return Ok(());
-                }
-                Some(entry) => {
-                    self.write(&entry).await?;
-                    written += u64::from(matches!(entry, Entry::Scan(_)));
-                }
-                None => return Err(self.reporter.cause()),
-            }
-        }
-        Ok(())
-    }
-
     async fn write(&mut self, entry: &Entry) -> Result<(), Failure> {
         self.reporter.tell(entry);
         match (self.format, entry) {

@@ -4,26 +4,30 @@ use tokio_scip::Rate;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
+use crate::follow::Ended;
 use crate::interrupt::Interrupt;
 use crate::port::{PortArg, open};
 use crate::view::{Screen, Viewer};
 
 /// Show a live radar in the terminal
 ///
-/// Goes on by itself when the sensor is unplugged and comes back. `?` shows the
-/// keys, `q` quits. NO_COLOR=1 does without colours.
+/// Goes on by itself when the sensor is unplugged and comes back; a recording
+/// goes on to its end. `?` shows the keys, `q` quits. NO_COLOR=1 does without
+/// colours.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
   urg view /dev/ttyACM0
   urg view /dev/ttyUSB0 --baud 115200 --cluster 2
-  urg view emulated --from -90deg --to 90deg")]
+  urg view emulated --from -90deg --to 90deg
+  urg view run.mcap                     what was recorded")]
 pub(crate) struct View {
     #[command(flatten)]
     port: PortArg,
-    /// Scans a second, or `max` for as fast as the sensor answers
-    #[arg(long, value_name = "HZ", default_value = "10")]
-    rate: Rate,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<Rate>,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -32,12 +36,12 @@ pub(crate) struct View {
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let window = self.window.window()?;
-        let port = self.port.required().await?;
+        let (port, rate) = self.port.polled_at(self.rate).await?;
+        let window = self.window.window(&port)?;
         Screen::possible()?;
         let opening = async {
             let sensor = open(&port, &self.link, 1).await?;
-            Viewer::new(&port, sensor, window, self.rate).await
+            Viewer::new(&port, sensor, window, rate).await
         };
         // What cannot be opened is told on the terminal as it is.
         let mut viewer = tokio::select! {
@@ -47,9 +51,13 @@ impl View {
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
-            _ = interrupt.requested() => Ok(()),
+            _ = interrupt.requested() => Ok(Ended::AsAsked),
         };
         screen.give_back().await;
+        let outcome = match outcome {
+            Ok(Ended::ByItself) => viewer.end(),
+            outcome => outcome.map(drop),
+        };
         viewer.finish().await;
         outcome
     }

@@ -24,7 +24,8 @@ pub(crate) use self::screen::Screen;
 use self::model::{Action, Model};
 use self::palette::Palette;
 use crate::failure::{Failure, chain};
-use crate::feed::cause;
+use crate::feed::end;
+use crate::follow::Ended;
 use crate::pace::PaceWatch;
 use crate::port::PortName;
 
@@ -76,7 +77,7 @@ impl Viewer {
     }
 
     /// Shows it until the user has seen enough, or the sensor is lost for good.
-    pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<(), Failure> {
+    pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<Ended, Failure> {
         let mut keys = EventStream::new();
         let mut state = self.sensor.state();
         let mut tick = tokio::time::interval(TICK);
@@ -99,18 +100,18 @@ impl Viewer {
                 }
                 event = keys.next() => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {
-                        Some(Action::Quit) => return Ok(()),
+                        Some(Action::Quit) => return Ok(Ended::AsAsked),
                         action => self.act(action),
                     },
                     // A resize, mostly: the next frame has the new size.
                     Some(Ok(_)) => {}
                     Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
-                    None => return Ok(()),
+                    None => return Ok(Ended::AsAsked),
                 },
                 item = self.scans.next() => match item {
                     Some(Ok(scan)) => self.scanned(scan),
                     Some(Err(error)) => self.trouble(&error),
-                    None => return Err(cause(&self.port, &self.sensor)),
+                    None => return Ok(Ended::ByItself),
                 },
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
@@ -122,6 +123,12 @@ impl Viewer {
             }
             changed = true;
         }
+    }
+
+    /// What to make of it that there are no more scans; told, so not while it
+    /// draws.
+    pub(crate) fn end(&self) -> Result<(), Failure> {
+        end(&self.port, &self.sensor)
     }
 
     /// Waits, not for ever, for what keys have asked for last: nobody wants

@@ -1,7 +1,7 @@
 //! The one stream of scans that all viewers share, and how it goes.
 
 use std::fmt::Write;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
@@ -11,7 +11,7 @@ use crate::args::LinkArgs;
 use crate::failure::{Failure, chain};
 use crate::feed::{Entry, Feed, Reporter};
 use crate::pace::PaceWatch;
-use crate::port::{PortName, open};
+use crate::port::{PortName, begin, opened};
 
 /// What scans may be late by, beside some periods.
 const GRACE: Duration = Duration::from_secs(2);
@@ -22,6 +22,8 @@ pub(crate) struct Hub {
     port: PortName,
     window: Window,
     rate: Rate,
+    /// The sensor, also while it is looked for.
+    sensor: OnceLock<Sensor>,
     /// `None` until the sensor is found.
     live: watch::Sender<Option<Live>>,
 }
@@ -49,7 +51,8 @@ pub(super) struct Health {
 
 impl Hub {
     pub(crate) fn new(port: PortName, window: Window, rate: Rate) -> Arc<Self> {
-        Arc::new(Self { port, window, rate, live: watch::Sender::new(None) })
+        let (sensor, live) = (OnceLock::new(), watch::Sender::new(None));
+        Arc::new(Self { port, window, rate, sensor, live })
     }
 
     /// Finds the sensor and begins its stream, if that was not done yet.
@@ -58,11 +61,14 @@ impl Hub {
             return Ok(());
         }
         // Viewers want the newest scan, and no other.
-        let sensor = open(&self.port, link, 1).await?;
+        let sensor = begin(&self.port, link, 1, Sensor::builder())?;
+        // It is opened once.
+        let _ = self.sensor.set(sensor.clone());
+        opened(&self.port, link, &sensor).await?;
         let scans = sensor.scans(self.window, self.rate).await;
         let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
-        let live = Live { sensor, feed: Feed::new(scans), scanned: None, error: None };
-        self.live.send_replace(Some(live));
+        let feed = Feed::new(&self.port, scans);
+        self.live.send_replace(Some(Live { sensor, feed, scanned: None, error: None }));
         Ok(())
     }
 
@@ -85,7 +91,7 @@ impl Hub {
             }
             self.live.send_replace(Some(live.clone()));
         }
-        Err(reporter.cause())
+        reporter.end()
     }
 
     /// A feed of its own for a viewer, once there is one.
@@ -112,20 +118,23 @@ impl Hub {
     }
 
     pub(super) fn health(&self) -> Health {
-        let Some(live) = self.live() else {
-            return Health { link: "waiting", why: Some("waiting for a sensor".to_owned()) };
+        let Some(sensor) = self.sensor.get() else {
+            return Health { link: "waiting", why: Some("looking for the sensor".to_owned()) };
         };
-        let (link, why) = match &*live.sensor.state().borrow() {
+        let (link, why) = match &*sensor.state().borrow() {
             State::Connected { line_speed, .. } => {
                 let wire = line_speed.map_or(Duration::ZERO, |speed| self.window.wire_time(speed));
                 let period = self.rate.period().unwrap_or_default().max(wire);
-                ("connected", live.overdue(3 * period + GRACE))
+                let why = self.live().map_or_else(
+                    || Some("no scan yet".to_owned()),
+                    |live| live.overdue(3 * period + GRACE),
+                );
+                ("connected", why)
             }
             State::Connecting { error } => {
-                let why = error
-                    .as_ref()
-                    .map_or_else(|| "looking for the sensor".to_owned(), |error| chain(error));
-                ("waiting", Some(why))
+                let why =
+                    error.as_ref().map(|error| format!("waiting for a sensor: {}", chain(error)));
+                ("waiting", Some(why.unwrap_or_else(|| "looking for the sensor".to_owned())))
             }
             State::Recovering => ("recovering", Some("the sensor is silent".to_owned())),
             State::Disconnected { error, .. } => ("disconnected", Some(chain(error))),

@@ -25,7 +25,7 @@ const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 // One word for the pill, and what to say on the radar, if anything.
 function condition() {
   if (!report) return ["bad", "Server away", "The server does not answer. Trying again…"];
-  if (report.link === "waiting") return ["wait", "No sensor yet", "Waiting for a sensor…"];
+  if (report.link === "waiting") return ["wait", "No sensor yet", `${sentence(report.why)}…`];
   if (report.link === "recovering") return ["bad", "Sensor silent", "The sensor is silent. Looking for it…"];
   if (report.why && report.link !== "connected") return ["bad", "Sensor away", `${sentence(report.why)}. Waiting for it…`];
   if (report.why) return ["bad", "No scans", sentence(report.why)];

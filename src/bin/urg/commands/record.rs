@@ -1,0 +1,260 @@
+//! `urg record`: scans and all that the sensor sends, into a file.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use tokio_scip::recording::{Recorder, RecordingError};
+use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
+
+use crate::args::{LinkArgs, PaceArgs, WindowArgs};
+use crate::contents::clock;
+use crate::failure::Failure;
+use crate::feed::{Entry, Feed, Reporter};
+use crate::follow::{Ended, follow};
+use crate::interrupt::Interrupt;
+use crate::notice::notice;
+use crate::pace::PaceWatch;
+use crate::port::{PortArg, PortName, open_with};
+use crate::progress::Progress;
+use crate::recorded::Recorded;
+use crate::recorder_file::RecorderFile;
+
+/// How many scans may wait to be recorded. Nothing here makes them wait.
+const DEPTH: usize = 1024;
+
+/// Record scans, and all that the sensor sends, into a file
+///
+/// Goes on until Ctrl-C, --count or --duration, also when the sensor is
+/// unplugged and comes back. What is older than a second is in the file, also
+/// after a kill or on a full disk. The file is MCAP as ROS 2 writes it: `ros2 bag
+/// play`, Foxglove, PlotJuggler and others open it. As PORT it is the sensor again.
+#[derive(Debug, clap::Args)]
+#[command(
+    allow_missing_positional = true,
+    after_help = "\
+Examples:
+  urg record /dev/ttyACM0 run.mcap
+  urg record serial:H0713090 night.mcap --wait --duration 8h
+  urg view run.mcap                      as it was
+  urg stream run.mcap --rate max         as fast as it goes"
+)]
+pub(crate) struct Record {
+    #[command(flatten)]
+    port: PortArg,
+    /// File to write: FILE.mcap
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    /// Write over a file that exists, once the sensor is found
+    #[arg(long)]
+    force: bool,
+    /// Frame that the scans are in, for ROS
+    #[arg(long, value_name = "NAME", default_value = "laser")]
+    frame_id: String,
+    #[command(flatten)]
+    pace: PaceArgs,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl Record {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let (port, rate) = self.port.polled_at(self.pace.rate).await?;
+        let window = self.window.window(&port)?;
+        let mut file = self.file(&port)?;
+        let recorder = Recorder::builder().frame_id(&self.frame_id).write_to(file.writer());
+        let recorder = recorder.map_err(|error| self.failure(&error))?;
+        let (sensor, scans) = tokio::select! {
+            opened = self.open(&port, window, rate, &recorder) => opened?,
+            _ = interrupt.requested() => return Ok(()),
+        };
+        let cannot = |error| Failure::of(&format!("cannot write {}", self.file.display()), &error);
+        file.begin().map_err(cannot)?;
+        let run = Run {
+            recorder,
+            watch: PaceWatch::new(&port, window, rate),
+            feed: Feed::new(&port, scans),
+            reporter: Reporter::new(port, sensor),
+            progress: Progress::new(),
+            began: Instant::now(),
+            missed: 0,
+        };
+        run.run(&self, interrupt, &file).await
+    }
+
+    /// The file, if it is one to be written.
+    fn file(&self, port: &PortName) -> Result<RecorderFile, Failure> {
+        let name = self.file.display();
+        if !Recorded::is_name(&self.file) {
+            return Err(Failure::Usage(format!(
+                "call the file {name}.mcap: by that it is known as a recording"
+            )));
+        }
+        if port.recorded().is_some_and(|recorded| recorded.is(&self.file)) {
+            return Err(Failure::Usage(format!("{name} cannot be recorded into itself")));
+        }
+        RecorderFile::open(&self.file, self.force)
+    }
+
+    async fn open(
+        &self,
+        port: &PortName,
+        window: Window,
+        rate: Rate,
+        recorder: &Recorder,
+    ) -> Result<(Sensor, ScanStream), Failure> {
+        let failed = |error| Failure::at(&port.to_string(), &error);
+        let builder = Sensor::builder().tap(recorder.tap());
+        let sensor = open_with(port, &self.link, DEPTH, builder).await?;
+        let scans = sensor.scans(window, rate).await.map_err(failed)?;
+        recorder.describe(&sensor, &scans).await.map_err(failed)?;
+        Ok((sensor, scans))
+    }
+
+    fn failure(&self, error: &RecordingError) -> Failure {
+        Failure::at(&self.file.display().to_string(), error)
+    }
+}
+
+/// A stream on its way into the file.
+struct Run {
+    recorder: Recorder,
+    feed: Feed,
+    reporter: Reporter,
+    watch: PaceWatch,
+    progress: Progress,
+    began: Instant,
+    /// Scans of which only the replies are in the file.
+    missed: u64,
+}
+
+impl Run {
+    async fn run(
+        mut self,
+        record: &Record,
+        interrupt: &Interrupt,
+        file: &RecorderFile,
+    ) -> Result<(), Failure> {
+        let Self { recorder, feed, reporter, watch, progress, began, missed } = &mut self;
+        let take = async |entry: Entry| {
+            if !matches!(entry, Entry::Scan(_)) {
+                progress.clear();
+            }
+            reporter.tell(&entry);
+            let item = match entry {
+                Entry::Scan(scan) => Ok(scan),
+                Entry::Error(error) => Err(error),
+                Entry::Reconnected => {
+                    watch.interrupted();
+                    return Ok(());
+                }
+                Entry::Missed(scans) => {
+                    *missed += scans;
+                    return Ok(());
+                }
+            };
+            recorder.record(&item).map_err(|error| record.failure(&error))?;
+            if let Some(text) = watch.look(&reporter.sensor) {
+                progress.clear();
+                notice(text);
+            }
+            progress.show(|| {
+                let away = match &*reporter.sensor.state().borrow() {
+                    State::Connected { .. } => "",
+                    _ => "; sensor away",
+                };
+                let tally = Tally::new(recorder, reporter, *missed);
+                format!("{}{away} (Ctrl-C ends it)", tally.after(began.elapsed()))
+            });
+            Ok(())
+        };
+        let followed = follow(feed, &record.pace, interrupt, take).await;
+        let took = self.began.elapsed();
+        let mut tally = Tally::new(&self.recorder, &self.reporter, self.missed);
+        // It takes its line along.
+        drop(self.progress);
+        let name = record.file.display();
+        let finished = tokio::select! {
+            finished = self.recorder.finish() => finished.map_err(|error| record.failure(&error)),
+            () = interrupt.overdue() => Err(Failure::Failed(format!(
+                "{name}: the disk takes too long: the end of the file is missing; what is in it can be read"
+            ))),
+        };
+        let ended = match followed? {
+            Ended::AsAsked => Ok(()),
+            Ended::ByItself => self.reporter.end(),
+        };
+        finished?;
+        tally.bytes = file.len();
+        notice(format_args!("{name}: {}", tally.after(took)));
+        ended
+    }
+}
+
+/// What was recorded and what was not.
+#[derive(Debug, Clone, Copy, Default)]
+struct Tally {
+    scans: u64,
+    bytes: u64,
+    /// Scans that are not in the file, though they came.
+    lost: u64,
+    /// Polls that brought no scan over a link that was there.
+    failed: u64,
+    disconnects: u64,
+}
+
+impl Tally {
+    fn new(recorder: &Recorder, reporter: &Reporter, missed: u64) -> Self {
+        let (progress, stats) = (recorder.progress(), reporter.sensor.stats());
+        // That is how a replay ends.
+        let disconnects = if reporter.port.recorded().is_some() { 0 } else { stats.disconnects };
+        Self {
+            scans: progress.scans,
+            bytes: progress.bytes,
+            lost: progress.lost + missed,
+            failed: stats.timeouts + stats.malformed.total() + stats.refused,
+            disconnects,
+        }
+    }
+
+    /// As a line of text.
+    fn after(self, took: Duration) -> String {
+        let Self { scans, bytes, lost, failed, disconnects } = self;
+        let mut text = format!("{scans} scans in {}, ", clock(took.as_secs_f64()));
+        text.push_str(&match bytes {
+            0..1_000_000 => format!("{} kB", bytes / 1000),
+            _ => format!("{:.1} MB", bytes as f64 / 1e6),
+        });
+        text.push_str(&match lost {
+            0 => ", none lost".to_owned(),
+            lost => format!(", {lost} lost"),
+        });
+        // Writing to a string does not fail.
+        if failed > 0 {
+            let _ = write!(text, ", {failed} polls without a scan");
+        }
+        if disconnects > 0 {
+            let _ = write!(text, ", link lost {disconnects}x");
+        }
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tally_tells_how_long_how_much_and_what_is_missing() {
+        let good = Tally { scans: 598, bytes: 2_345_678, ..Tally::default() };
+        assert_eq!(good.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
+        assert!(good.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
+        let bad = Tally { scans: 3, bytes: 13_999, lost: 2, failed: 4, disconnects: 1 };
+        assert_eq!(
+            bad.after(Duration::from_millis(999)),
+            "3 scans in 0:00, 13 kB, 2 lost, 4 polls without a scan, link lost 1x"
+        );
+    }
+}

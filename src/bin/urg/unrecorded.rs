@@ -1,0 +1,56 @@
+//! In the place of `recorded`, where the program is built without the feature
+//! `mcap`: there are no recordings.
+
+use std::fmt;
+
+use serde_json::Value;
+use tokio_scip::{Error, Rate, Sensor, SensorBuilder, Window};
+
+use crate::failure::Failure;
+
+/// A recording: none.
+#[derive(Debug, Clone)]
+pub(crate) enum Recorded {}
+
+impl Recorded {
+    pub(crate) fn named(text: &str) -> Result<Option<Self>, String> {
+        match text.to_ascii_lowercase().ends_with(".mcap") {
+            true => Err("recordings need an urg that was built with the feature mcap".to_owned()),
+            false => Ok(None),
+        }
+    }
+
+    pub(crate) fn look(&mut self) -> Result<(), Failure> {
+        match *self {}
+    }
+
+    pub(crate) fn window(&self) -> Option<Window> {
+        match *self {}
+    }
+
+    pub(crate) async fn contents(&self) -> Result<Vec<(&'static str, Value, String)>, Failure> {
+        match *self {}
+    }
+
+    pub(crate) fn paced_at(&mut self, _: Option<Rate>) -> Option<Rate> {
+        match *self {}
+    }
+
+    pub(crate) fn start(&self, _: SensorBuilder, _: bool) -> Result<Sensor, Failure> {
+        match *self {}
+    }
+
+    pub(crate) fn took(&self) {
+        match *self {}
+    }
+
+    pub(crate) fn end(&self, _: &Error) -> Result<(), Failure> {
+        match *self {}
+    }
+}
+
+impl fmt::Display for Recorded {
+    fn fmt(&self, _: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {}
+    }
+}

@@ -1,0 +1,296 @@
+//! Recording with the program, and recordings in the place of a port.
+#![cfg(feature = "mcap")]
+
+use std::fs::{self, File};
+use std::io::{Cursor, Read};
+use std::os::unix::fs::symlink;
+use std::process::Command;
+
+use serde_json::Value;
+use tokio_scip::emulator::Emulator;
+use tokio_scip::recording::{Entry, Recorder, Recording};
+use tokio_scip::{Rate, Sensor, Window};
+
+use super::formats::{check, scans, values};
+use super::program::{Emulated, PATIENCE, Running, Scratch, failure, run};
+use super::served::{check_fifty, held};
+
+/// A recording that nothing has yet.
+fn scratch(name: &str) -> Scratch {
+    Scratch::with_extension(name, ".mcap")
+}
+
+/// A recording of so many scans at 10 Hz, made in no time; gives their values.
+async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
+    let mut recorder = Recorder::create(path).unwrap();
+    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1024);
+    let sensor = builder.connect(Emulator::builder().usb().build()).await.unwrap();
+    let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let mut all = Vec::new();
+    while all.len() < count {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
+    }
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    all
+}
+
+/// The ranges of the scans in a file, and the bytes of the replies to polls.
+fn contents(recording: Recording) -> (Vec<Vec<f32>>, Vec<Vec<u8>>) {
+    let (mut scans, mut polls) = (Vec::new(), Vec::new());
+    for record in recording {
+        match record.unwrap().entry {
+            Entry::Scan(scan) => scans.push(scan.ranges),
+            Entry::Reply(reply) if reply.command.is_some() && reply.bytes[0] == b'G' => {
+                polls.push(reply.bytes);
+            }
+            _ => {}
+        }
+    }
+    (scans, polls)
+}
+
+/// The ranges of a line of NDJSON, as a recording has them, finite ones only.
+fn ranges(scan: &Value) -> Vec<Option<f32>> {
+    let ranges = scan["ranges"].as_array().unwrap().iter();
+    ranges.map(|range| range.as_f64().map(|range| range as f32)).collect()
+}
+
+#[tokio::test]
+async fn what_was_recorded_is_what_the_sensor_held_and_comes_again_from_the_file() {
+    let (file, link) = (scratch("held"), Scratch::new("recorded"));
+    let sensor = Emulated::start(&format!("--link {} --seed 7", link.path()));
+    let output = run(&format!("record {} {} --count 50", sensor.port, file.path()), 0);
+    assert_eq!(output.stdout, "");
+    assert!(output.stderr.contains("50 scans in 0:0"), "{}", output.stderr);
+    assert!(output.stderr.ends_with(", none lost\n"), "{}", output.stderr);
+
+    let replay = run(&format!("stream {} --rate max --count 50", file.path()), 0);
+    check_fifty(&replay.stdout, &held(7).await);
+    let (recorded, _) = contents(Recording::open(file.path()).unwrap());
+    assert_eq!(recorded.len(), 50);
+    // Also at a pace of its own it has the stamps of then.
+    let stamps: Vec<_> =
+        scans(&replay.stdout).iter().map(|scan| scan["stamp"].as_f64().unwrap()).collect();
+    assert!(stamps[49] - stamps[0] > 4.0, "{stamps:?}");
+    for (scan, recorded) in scans(&replay.stdout).iter().zip(&recorded) {
+        let finite = |range: &f32| Some(*range).filter(|range| range.is_finite());
+        assert_eq!(ranges(scan), recorded.iter().map(finite).collect::<Vec<_>>());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_the_file() {
+    let file = scratch("own");
+    let window = Window::new(100..=200).unwrap().with_cluster_count(2).unwrap();
+    let recorded = recording(file.path(), window, 10).await;
+    for pace in ["", "--rate max", "--rate 50"] {
+        let began = std::time::Instant::now();
+        let output = run(&format!("stream {} {pace}", file.path()), 0);
+        assert_eq!(
+            output.stderr,
+            format!("urg: {}: the recording has ended\n", file.path()),
+            "{pace}"
+        );
+        let scans = scans(&output.stdout);
+        scans.iter().for_each(check);
+        assert_eq!(scans.iter().map(values).collect::<Vec<_>>(), recorded, "{pace}");
+        let first = &scans[0];
+        assert_eq!((&first["start"], &first["cluster"]), (&100.into(), &2.into()));
+        // Nine periods, unless it is to be faster; nothing comes before its time.
+        assert!(!pace.is_empty() || began.elapsed().as_secs_f64() > 0.85);
+    }
+    // Another window of it, and but a part.
+    let output = run(&format!("stream {} --start 150 --count 3 --rate max", file.path()), 0);
+    assert_eq!(output.stderr, "");
+    let part: Vec<_> = scans(&output.stdout).iter().map(values).collect();
+    assert_eq!(part, recorded[..3].iter().map(|all| all[25..].to_vec()).collect::<Vec<_>>());
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_command_that_reads_a_sensor_reads_a_recording() {
+    let file = scratch("every");
+    let recorded = recording(file.path(), Window::DETECTION, 20).await;
+    let path = file.path();
+    let info = run(&format!("info {path}"), 0).stdout;
+    assert!(info.contains("SOKUIKI Sensor URG-04LX") && info.contains(path), "{info}");
+    assert!(info.contains("scans          20 of steps 44..=725, asked for at 10 Hz"), "{info}");
+    assert!(info.contains("gaps           none\n"), "{info}");
+    let info = run(&format!("info {path} --format json"), 0).stdout;
+    let info: Value = serde_json::from_str(&info).unwrap();
+    assert_eq!((&info["scans"], &info["complete"]), (&20.into(), &true.into()));
+    let scan = run(&format!("scan {path} --format json"), 0).stdout;
+    assert_eq!(values(&serde_json::from_str(&scan).unwrap()), recorded[0]);
+    assert!(run(&format!("scan {path} --format svg"), 0).stdout.ends_with("</svg>\n"));
+    let check = run(&format!("check {path}"), 0);
+    assert!(check.stdout.contains("20 of 20 answered"), "{}", check.stdout);
+    assert!(check.stdout.ends_with("all is well\n"), "{}", check.stdout);
+}
+
+#[cfg(feature = "web")]
+#[tokio::test(start_paused = true)]
+async fn a_page_shows_a_recording_until_it_ends() {
+    let file = scratch("served");
+    recording(file.path(), Window::DETECTION, 10).await;
+    let mut serve = Running::start(&format!("serve {} --listen 127.0.0.1:0", file.path()));
+    assert!(serve.notice().contains("live page on "));
+    assert!(serve.notice().ends_with("the recording has ended"));
+    let (status, notices) = serve.end();
+    assert_eq!((status.code(), notices), (Some(0), vec![]));
+}
+
+/// Many more than streams keep.
+#[tokio::test(start_paused = true)]
+async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_bytes() {
+    let (file, copy) = (scratch("long"), scratch("copy"));
+    let recorded = recording(file.path(), Window::DETECTION, 3000).await;
+    let mut slow = Running::start_unread(&format!("stream {} --rate max", file.path()));
+    let output = run(&format!("record {} {} --rate max", file.path(), copy.path()), 0);
+    assert!(output.stderr.contains("3000 scans in "), "{}", output.stderr);
+    assert!(output.stderr.contains("none lost"), "{}", output.stderr);
+    let original = contents(Recording::open(file.path()).unwrap());
+    let copied = contents(Recording::open(copy.path()).unwrap());
+    assert_eq!(original.1.len(), 3000);
+    assert!(original.1 == copied.1, "other bytes");
+    // By now the first one's pipe has been full for long.
+    slow.read();
+    let lines: Vec<Value> =
+        slow.rest().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 3000);
+    assert!(lines.iter().zip(&recorded).all(|(line, recorded)| values(line) == *recorded));
+}
+
+#[test]
+fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
+    let (file, nobody) = (scratch("exists"), Scratch::new("nobody"));
+    let precious = b"precious".repeat(100_000);
+    fs::write(file.path(), &precious).unwrap();
+    let line = failure(&format!("record emulated {}", file.path()));
+    assert!(line.contains("exists already") && line.contains("--force"), "{line}");
+    failure(&format!("record {} {} --force", nobody.path(), file.path()));
+    assert!(fs::read(file.path()).unwrap() == precious);
+    run(&format!("record emulated {} --force --count 1 --frame-id front", file.path()), 0);
+    let mut records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
+    assert!(records.any(|entry| matches!(entry, Entry::Scan(scan) if scan.frame_id == "front")));
+    assert!(fs::metadata(file.path()).unwrap().len() < 100_000, "nothing old is left");
+    assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
+
+    let into_itself = format!("record {0} {0} --force", file.path());
+    assert!(run(&into_itself, 2).stderr.contains("into itself"));
+    assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
+}
+
+#[test]
+fn no_file_is_left_where_there_was_no_sensor() {
+    let (file, nobody) = (scratch("left"), Scratch::new("left"));
+    failure(&format!("record {} {}", nobody.path(), file.path()));
+    assert!(!fs::exists(file.path()).unwrap());
+    let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
+    let notice = waiting.notice();
+    assert!(notice.contains("waiting for a sensor") && notice.contains("no port"), "{notice}");
+    waiting.signal("INT");
+    assert_eq!(waiting.end().0.code(), Some(0));
+    assert!(!fs::exists(file.path()).unwrap());
+}
+
+/// Begins to record into a pipe, and gives what has come once there is more than
+/// `enough`.
+fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    let running = Running::start(&format!("record emulated {} --force", pipe.path()));
+    // Opening waits for the one who writes, who may have failed.
+    let (sender, opened) = std::sync::mpsc::channel();
+    let path = pipe.path().to_owned();
+    std::thread::spawn(move || sender.send(File::open(path).unwrap()));
+    let mut file = opened.recv_timeout(PATIENCE).unwrap();
+    let mut bytes = vec![0; enough];
+    file.read_exact(&mut bytes).unwrap();
+    (running, file, bytes)
+}
+
+#[test]
+fn an_interrupted_recording_ends_with_its_index() {
+    for signal in ["INT", "TERM"] {
+        let pipe = scratch(&format!("interrupted-{signal}"));
+        let (record, mut file, mut bytes) = until(&pipe, 50_000);
+        record.signal(signal);
+        file.read_to_end(&mut bytes).unwrap();
+        let (status, notices) = record.end();
+        assert_eq!((status.code(), notices.len()), (Some(0), 1), "{notices:?}");
+        let mut recording = Recording::read(Cursor::new(bytes)).unwrap();
+        let scans = recording
+            .by_ref()
+            .filter(|record| matches!(record.as_ref().unwrap().entry, Entry::Scan(_)));
+        let told = notices[0].split_once(".mcap: ").unwrap().1.to_owned();
+        assert!(told.starts_with(&format!("{} scans in ", scans.count())), "{told}");
+        assert!(!recording.is_truncated(), "{signal}");
+    }
+}
+
+#[test]
+fn what_was_recorded_before_a_kill_can_be_replayed() {
+    let (pipe, file) = (scratch("killed-pipe"), scratch("killed"));
+    let (record, mut rest, mut bytes) = until(&pipe, 50_000);
+    record.signal("KILL");
+    rest.read_to_end(&mut bytes).unwrap();
+    record.end();
+    fs::write(file.path(), bytes).unwrap();
+    let (recorded, _) = contents(Recording::open(file.path()).unwrap());
+    assert!(recorded.len() >= 10, "{} scans", recorded.len());
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(info.contains("its end is missing"), "{info}");
+    let replay = run(&format!("stream {} --rate max", file.path()), 0);
+    assert!(scans(&replay.stdout).len() >= recorded.len());
+}
+
+#[test]
+fn a_full_disk_is_told_and_what_was_recorded_before_can_be_replayed() {
+    let full = scratch("full");
+    symlink("/dev/full", full.path()).unwrap();
+    let line = failure(&format!("record emulated {} --force", full.path()));
+    assert!(line.contains("full.mcap") || line.contains(full.path()), "{line}");
+    assert!(line.contains("No space left"), "{line}");
+
+    // As if the disk had room for some scans.
+    let file = scratch("quota");
+    let script = format!(
+        "trap '' XFSZ; ulimit -f 128; exec {} record emulated {}",
+        env!("CARGO_BIN_EXE_urg"),
+        file.path()
+    );
+    let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), told.lines().count()), (Some(1), 1), "{told}");
+    assert!(told.contains(file.path()) && told.contains("can be read"), "{told}");
+    let replay = run(&format!("stream {} --rate max", file.path()), 0);
+    assert!(scans(&replay.stdout).len() >= 10);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_no_recording_is_told_as_what_it_is() {
+    let file = scratch("other");
+    let line = failure(&format!("stream {}", file.path()));
+    assert!(line.contains("cannot open") && line.contains(file.path()), "{line}");
+    fs::write(file.path(), "sequence,stamp\n1,2\n").unwrap();
+    let line = failure(&format!("view {}", file.path()));
+    assert!(line.contains(file.path()) && line.contains("no MCAP file"), "{line}");
+    fs::write(file.path(), "").unwrap();
+    let line = failure(&format!("info {}", file.path()));
+    assert!(line.contains("no replies of a sensor"), "{line}");
+    let usage = run("record emulated run.bag", 2).stderr;
+    assert!(usage.contains("run.bag.mcap"), "{usage}");
+
+    // Good at first, and damaged later on.
+    fs::remove_file(file.path()).unwrap();
+    recording(file.path(), Window::DETECTION, 600).await;
+    let mut bytes = fs::read(file.path()).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(file.path(), bytes).unwrap();
+    let output = run(&format!("stream {} --rate max", file.path()), 1);
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+    assert!(output.stderr.contains("the recording is damaged"), "{}", output.stderr);
+}
