@@ -100,7 +100,7 @@ fn a_text_is_what_came_byte_for_byte() {
     assert_eq!((text.as_bytes(), text.is_empty()), (&b"H0713090"[..], false));
     assert!(text == "H0713090" && &text == "H0713090");
     assert!(text != "H0713091" && &text != "H071309" && text != Text::default());
-    assert!(Text::from("").is_empty() && Text::default() == "");
+    assert!(Text::from("").is_empty() && Text::default().is_empty());
 }
 
 #[test]
