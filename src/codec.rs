@@ -1,5 +1,5 @@
 //! [`ScipCodec`]: finds where replies end, and writes commands. What a reply
-//! says is the business of [`protocol`](crate::protocol).
+//! says is the business of [`protocol`].
 
 use std::io;
 
@@ -69,7 +69,7 @@ impl ScipCodec {
     /// looks for no terminator, and without a copy.
     ///
     /// True means that [`decode`](Decoder::decode) would have given this very
-    /// reply, and [`Reply::parse`] a success. False means that it is for them to
+    /// reply, and [`Reply::parse`](protocol::Reply::parse) a success. False means that it is for them to
     /// tell what is there: the buffer is as it was, and `values` may hold
     /// anything.
     ///

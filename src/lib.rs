@@ -71,18 +71,22 @@
 //! - [`port`] has the ways to reach a sensor, [`protocol`] and [`codec`] the
 //!   protocol itself, for those who want to speak it on their own.
 //! - The [`guide`] explains polling and freshness, why a scan can be trusted,
-//!   recovery, line speeds, geometry, testing, operating, logging, and has
-//!   recipes.
+//!   recovery, line speeds, geometry, testing, operating, logging, has
+//!   [recipes](guide::recipes), and tells [how the crate is built](guide::design).
 //!
 //! # Features
 //!
 //! | feature | brings |
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
-//! | `serde` | scans, versions, stats and state as data |
+//! | `serde` | scans, windows, versions, states and counters as data |
 //! | `emulator` | a sensor in software, to test a service without hardware |
+//! | `mcap` | recordings that ROS 2's tools open, and replaying them |
 //! | `cli` | the program `urg` |
 //! | `web` | `urg serve`: a live page for any browser, and scans over HTTP |
+//!
+//! Without default features only `serial` is gone: TCP, [`Sensor::attach`] and
+//! one's own [`Connect`] are always there.
 //!
 //! # Cancel safety
 //!
@@ -95,6 +99,18 @@
 //! Tokio with its timer, and I/O for serial ports and TCP. One task for each
 //! sensor, no thread of its own; opening a serial port uses the runtime's
 //! blocking threads for a moment.
+//!
+//! # Versions
+//!
+//! Semantic versioning: before 1.0 a change that breaks code raises the second
+//! number, any other the third. What counts is the public API with its documented
+//! behaviour, the options and output formats of `urg`, and the serialised forms;
+//! texts of errors and lines of log may change at any time. Enums and structs that
+//! may grow are `#[non_exhaustive]`. The types of `tokio`, `tokio-util`, `futures`,
+//! `bytes` and `serde` in the API are part of it.
+//!
+//! The minimum Rust is 1.88. It is at least half a year old whenever it is raised,
+//! and raising it raises the second number before 1.0, the minor one after.
 #![cfg_attr(not(feature = "emulator"), allow(rustdoc::broken_intra_doc_links))]
 
 pub mod codec;
@@ -125,8 +141,8 @@ pub use scan::{Point, Scan};
 pub use sensor::{Sensor, SensorBuilder};
 pub use state::{Latency, MalformedCounts, ScheduleStats, State, Stats};
 pub use stream::{OnlyScans, ScanStream};
+pub use tap::Heard;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]
 struct Readme;
-pub use tap::Heard;

@@ -22,6 +22,8 @@ struct Inner {
     /// How many scans there ever were: the number of the next one.
     next: u64,
     error: Option<Error>,
+    /// The number of the scan that comes after it.
+    error_at: u64,
     /// How many errors there ever were: the number of the one in `error`.
     errors: u64,
     /// Set once the driver has ended: nothing more comes.
@@ -47,6 +49,7 @@ impl Ring {
             depth,
             next: 0,
             error: None,
+            error_at: 0,
             errors: 0,
             ended: false,
             readers: Vec::new(),
@@ -67,12 +70,11 @@ impl Ring {
         self.wake();
     }
 
-    /// Puts an error in the place of the one before: each reader gets it before
-    /// its next scan.
+    /// Puts an error in the place of the one before: each reader gets it behind
+    /// the scans that are there and before the next one.
     pub(crate) fn report(&self, error: Error) {
         let mut inner = self.lock();
-        inner.error = Some(error);
-        inner.errors += 1;
+        inner.error(error);
         drop(inner);
         self.wake();
     }
@@ -85,9 +87,8 @@ impl Ring {
         }
         // With its cause: a reader on another thread must not see the end alone.
         inner.ended = true;
-        if cause.is_some() {
-            inner.error = cause;
-            inner.errors += 1;
+        if let Some(cause) = cause {
+            inner.error(cause);
         }
         drop(inner);
         self.wake();
@@ -136,6 +137,12 @@ impl Ring {
 }
 
 impl Inner {
+    fn error(&mut self, error: Error) {
+        self.error = Some(error);
+        self.error_at = self.next;
+        self.errors += 1;
+    }
+
     fn enter(&mut self) -> usize {
         let free = self.readers.iter().position(|reader| matches!(reader, Reader::Gone));
         match free.and_then(|place| Some((place, self.readers.get_mut(place)?))) {
@@ -169,16 +176,15 @@ impl Cursor {
             return Poll::Ready(None);
         }
         let mut inner = self.ring.lock();
-        let fresh = inner.errors != self.errors;
-        // The cause of the end comes last, every other error first.
-        let last = inner.ended && inner.next != self.next;
-        if fresh && !last {
+        let oldest = inner.next - inner.scans.len() as u64;
+        // In its place: a scan from before a link was lost, after the loss, would
+        // look as if the link were back.
+        if inner.errors != self.errors && self.next.max(oldest) >= inner.error_at {
             self.errors = inner.errors;
             if let Some(error) = inner.error.clone() {
                 return Poll::Ready(Some(Err(error)));
             }
         }
-        let oldest = inner.next - inner.scans.len() as u64;
         if self.next < oldest {
             self.missed += oldest - self.next;
             inner.missed += oldest - self.next;
@@ -282,6 +288,25 @@ mod tests {
         assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
         assert_eq!(take(&mut reader), Some(Some(Ok(4))));
         assert_eq!(take(&mut reader), None);
+    }
+
+    #[test]
+    fn an_error_comes_behind_the_scans_from_before_it() {
+        let ring = Ring::new(2);
+        let (mut reader, mut slow) = (ring.reader(false), ring.reader(false));
+        (0..3).for_each(|sequence| ring.push(scan(sequence)));
+        ring.report(Error::LaserOff);
+        assert_eq!(take(&mut reader), Some(Some(Ok(1))));
+        assert_eq!(take(&mut reader), Some(Some(Ok(2))));
+        assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+        assert_eq!(take(&mut reader), None);
+        ring.push(scan(3));
+        assert_eq!(take(&mut reader), Some(Some(Ok(3))));
+        // Of the two scans that are kept one is from before the error.
+        assert_eq!(take(&mut slow), Some(Some(Ok(2))));
+        assert_eq!(take(&mut slow), Some(Some(Err(Error::LaserOff.to_string()))));
+        assert_eq!(take(&mut slow), Some(Some(Ok(3))));
+        assert_eq!((take(&mut slow), slow.missed()), (None, 2));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! [`Sensor`], the handle that a service holds, and its builder.
 
+use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -165,13 +166,23 @@ impl Sensor {
 
     /// A watch of what the driver is about.
     ///
-    /// ```no_run
-    /// # async fn example(sensor: tokio_scip::Sensor) {
-    /// use tokio_scip::State;
+    /// What the receiver's `borrow`, `borrow_and_update` and `wait_for` give is a
+    /// lock: while it is held the driver cannot go on to another state. Clone the
+    /// [`State`] out of it, and hold no borrow across an await.
     ///
+    /// ```
+    /// # use tokio_scip::emulator::Emulator;
+    /// use tokio_scip::{Sensor, State};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
     /// let mut state = sensor.state();
-    /// let connected = state.wait_for(|state| matches!(state, State::Connected { .. })).await;
-    /// # drop(connected);
+    /// let connected = |state: &State| matches!(state, State::Connected { .. });
+    /// let now = state.wait_for(connected).await?.clone(); // the borrow ends here
+    /// println!("{now:?}");
+    /// # assert!(connected(&now));
+    /// # Ok(())
     /// # }
     /// ```
     pub fn state(&self) -> watch::Receiver<State> {
@@ -233,11 +244,13 @@ impl SensorBuilder {
         self
     }
 
-    /// How long to wait before a port is opened again: `shortest` at first,
-    /// twice as long each time, up to `longest`, each lengthened at random by up
-    /// to a tenth. 0.1 s and 1 s unless set; 10 ms to a day, and `longest` is
-    /// at least `shortest`. A link that lasted begins with `shortest` again.
-    pub fn backoff(mut self, shortest: Duration, longest: Duration) -> Self {
+    /// How long to wait before a port is opened again: the start of the range at
+    /// first, twice as long each time, up to its end, each lengthened at random
+    /// by up to a tenth. 0.1 s to 1 s unless set; bounds are held within 10 ms
+    /// to a day, and the end is at least the start. A link that lasted begins
+    /// with the start again.
+    pub fn backoff(mut self, range: RangeInclusive<Duration>) -> Self {
+        let (shortest, longest) = range.into_inner();
         let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);
         self.config.backoff = (shortest, longest.clamp(shortest, LONGEST));
         self

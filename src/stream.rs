@@ -19,7 +19,7 @@ use crate::{Error, Rate, Scan, Window};
 /// shows as a gap in [`Scan::sequence`] and in [`missed`](Self::missed).
 ///
 /// An error is an item, and the stream goes on after it: the latest error waits
-/// beside the scans and comes before the next one, once for each change of
+/// beside the scans and comes before the first one after it, once for each change of
 /// condition (the first timeout after a scan, `Disconnected` once). When the
 /// driver has ended for good the stream gives the cause and then `None`; after
 /// [`Sensor::close`](crate::Sensor::close) just `None`.

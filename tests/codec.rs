@@ -33,6 +33,32 @@ fn w17_a_reply_ends_with_two_line_feeds() {
 }
 
 #[test]
+fn w17_the_end_is_found_at_each_place_with_or_without_more_behind_it() {
+    for length in 0..400 {
+        for behind in [0, 1, 15, 200] {
+            let mut bytes = vec![b'x'; length];
+            bytes.extend_from_slice(b"\n\n");
+            bytes.resize(length + 2 + behind, b'y');
+            let (frames, rest) = decode([&bytes[..]]);
+            assert_eq!(frames, [reply(&bytes[..length])], "{behind} bytes behind {length}");
+            assert_eq!(rest.len(), behind);
+        }
+    }
+}
+
+#[test]
+fn a_codec_that_was_reset_knows_nothing_of_what_came_before() {
+    for before in [&b"V\n0\nVEND"[..], &[b'x'; MAX_FRAME + 10], b"\n"] {
+        let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(before));
+        assert_eq!(codec.decode(&mut buffer).unwrap(), None);
+        buffer.clear();
+        codec.reset();
+        buffer.extend_from_slice(b"\0L1\n0\n\n");
+        assert_eq!(codec.decode(&mut buffer).unwrap(), Some(reply(b"L1\n0")));
+    }
+}
+
+#[test]
 fn w16_a_reply_is_found_however_it_is_split() {
     let bytes = b"G00076801\n0\n0123456789\n\nL0\n0\n\n";
     for split in 0..=bytes.len() {

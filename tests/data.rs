@@ -4,11 +4,13 @@
 #![cfg(all(feature = "serde", feature = "emulator", feature = "cli"))]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
+use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
 use tokio_scip::emulator::{Codes, Emulator, Look};
-use tokio_scip::{Measurement, Rate, Scan, Sensor, State, Window};
+use tokio_scip::port::UsbId;
+use tokio_scip::{Error, Measurement, Rate, Scan, Sensor, State, Window};
 
 /// A distance, a code for nothing in range, one for no echo, and saturation.
 async fn sensor() -> (Sensor, Emulator) {
@@ -79,6 +81,16 @@ async fn measurements_version_and_stats_are_data() {
     let last = stats["reply_latency"]["last"].as_f64().unwrap();
     assert_eq!(last, sensor.stats().reply_latency.last.as_secs_f64());
     assert_eq!(stats["schedules"][0]["window"]["start"], 44);
+}
+
+#[test]
+fn an_error_in_a_state_is_told_with_all_its_causes() {
+    let refused = std::io::Error::new(std::io::ErrorKind::NotFound, "no such device");
+    let error = Error::Disconnected { source: Some(Arc::new(refused)) };
+    let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
+    let text = data["error"].as_str().unwrap();
+    assert!(text.ends_with(": no such device"), "{text}");
+    assert_eq!(serde_json::to_value(UsbId::URG).unwrap(), "15d1:0000");
 }
 
 #[tokio::test(start_paused = true)]

@@ -246,14 +246,14 @@ async fn the_wildest_settings_are_taken_as_the_nearest_sensible_ones() {
     let emulator = truthful().build();
     let longest = Duration::MAX;
     let wild = builder().ring_depth(usize::MAX).open_timeout(longest).reply_latency(longest);
-    let sensor = wild.backoff(longest, longest).connect(emulator.clone()).await.unwrap();
+    let sensor = wild.backoff(longest..=longest).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, tokio_scip::Rate::MAX).await.unwrap();
     stream.next().await.unwrap().unwrap();
     sensor.close().await;
 
     // No wait at all would be a busy loop.
     let none = Duration::ZERO;
-    let eager = builder().backoff(none, none).connect(emulator.clone()).await.unwrap();
+    let eager = builder().backoff(none..=none).connect(emulator.clone()).await.unwrap();
     emulator.unplug();
     let error = eager.scan(Window::FULL).await.unwrap_err();
     assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");

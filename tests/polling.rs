@@ -255,6 +255,40 @@ async fn only_scans_leaves_the_errors_out() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn only_scans_ends_where_the_stream_ends_and_says_so() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut scans = stream.only_scans();
+    assert_eq!(scans.next().await.unwrap().sequence(), 0);
+    emulator.unplug();
+    let lost = timeout(Duration::from_secs(60), scans.next()).await;
+    assert!(lost.is_err(), "an error is not the end");
+    emulator.plug_in();
+    assert!(scans.next().await.is_some());
+    assert!(!scans.is_terminated());
+    sensor.close().await;
+    assert!(scans.next().await.is_none());
+    assert!(scans.is_terminated());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_time_that_replies_take_is_told_with_its_mean() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(sensor.stats().reply_latency.mean(), Duration::ZERO);
+    emulator.set_faults(Faults::none().at(1, Fault::Late(ms(90))));
+    for _ in 0..3 {
+        sensor.scan(Window::DETECTION).await.unwrap();
+    }
+    let latency = sensor.stats().reply_latency;
+    assert_eq!(latency.count, 3);
+    assert!(latency.min <= latency.mean() && latency.mean() <= latency.max);
+    assert!(latency.max - latency.min >= ms(80), "{latency:?}");
+    assert_eq!(latency.mean() * 3, latency.total, "{latency:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn t11_the_same_data_again_is_marked_as_a_repeat() {
     use tokio_scip::emulator::Fixed;
     let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).build();

@@ -139,6 +139,24 @@ async fn bytes_go_both_ways_over_tcp() {
 }
 
 #[tokio::test]
+async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
+    // Not every machine has IPv6.
+    let (host, server) = match TcpListener::bind(("::1", 0)).await {
+        Ok(server) => ("::1", server),
+        Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
+    };
+    let port = server.local_addr().unwrap().port();
+    let mut port = TcpPort::connect(host, port, BaudRate::B19200).await.unwrap();
+    let (mut peer, _) = server.accept().await.unwrap();
+    port.write_all(b"V\n").await.unwrap();
+    port.flush().await.unwrap();
+    port.shutdown().await.unwrap();
+    let mut all = Vec::new();
+    peer.read_to_end(&mut all).await.unwrap();
+    assert_eq!(all, b"V\n");
+}
+
+#[tokio::test]
 async fn a_server_that_is_not_there_yet_is_worth_waiting_for() {
     let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
     let port = server.local_addr().unwrap().port();

@@ -1,6 +1,6 @@
-//! [`Intake`]: what a session makes of the bytes that come. The reply to a poll
-//! is decoded as it is found; everything else is a frame, for the session to
-//! judge.
+//! [`Intake`]: what a session makes of the bytes that come. The reply of
+//! success to a `G` is decoded as it is found; everything else is a frame, for the
+//! session to judge.
 
 use std::io;
 

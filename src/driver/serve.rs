@@ -127,9 +127,13 @@ impl Service<'_> {
                 self.keep(promise, outcome)
             }
             Request::BaudRate { speed, promise } => {
-                let outcome = session.change_speed(speed).await;
+                let mut outcome = session.change_speed(speed).await;
                 if outcome.is_ok() {
                     self.wanted.speed = Some(speed);
+                    if self.wanted.laser == Some(false) {
+                        // The sensor may have restarted unseen.
+                        outcome = session.set_laser(false).await;
+                    }
                 }
                 self.telemetry.set_line_speed(session.line_speed());
                 self.keep(promise, outcome)

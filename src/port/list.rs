@@ -229,6 +229,25 @@ mod tests {
     }
 
     #[test]
+    fn what_a_usb_device_says_of_itself_is_told() {
+        let usb = tokio_serial::UsbPortInfo {
+            vid: 0x15d1,
+            pid: 0x0000,
+            serial_number: None,
+            manufacturer: Some("Hokuyo Data Flex for USB".to_owned()),
+            product: Some("URG-Series USB Driver\n".to_owned()),
+        };
+        let port_name = "/dev/ttyACM0".to_owned();
+        let port = SerialPortInfo { port_name, port_type: SerialPortType::UsbPort(usb) };
+        let info = port_info(port, &BTreeMap::new());
+        assert!(info.is_likely_sensor());
+        let [product, maker] =
+            [info.product, info.manufacturer].map(|text| text.map(|text| text.to_string()));
+        assert_eq!(product.as_deref(), Some(r"URG-Series USB Driver\n"), "escaped");
+        assert_eq!(maker.as_deref(), Some("Hokuyo Data Flex for USB"));
+    }
+
+    #[test]
     fn a_windows_port_is_the_same_under_all_its_names() {
         assert!(is_same("COM3", r"\\.\com3"));
         assert!(!is_same("COM3", "COM30"));

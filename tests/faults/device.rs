@@ -58,6 +58,18 @@ async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_
 }
 
 #[tokio::test(start_paused = true)]
+async fn d02_a_restart_that_a_change_of_speed_cannot_show_leaves_the_laser_off() {
+    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    sensor.laser_off().await.unwrap();
+    emulator.power_cycle();
+    assert!(emulator.laser());
+    // Where it is after a restart, too.
+    sensor.set_baud_rate(BaudRate::B19200).await.unwrap();
+    assert!(!emulator.laser());
+}
+
+#[tokio::test(start_paused = true)]
 async fn d03_an_hour_without_power_costs_few_attempts() {
     // The port stays: its adapter has power.
     let emulator = prompt().line_speed(BaudRate::B115200).build();

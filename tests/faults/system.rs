@@ -186,6 +186,22 @@ async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
     assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
 }
 
+#[tokio::test(start_paused = true)]
+async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
+    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let inner = emulator.clone();
+    let connect = Rigged(move || {
+        let refuse = |link: FaultyLink<_>, call| {
+            link.fail(Call::SetSpeed, call, Failure::Kind(io::ErrorKind::InvalidInput))
+        };
+        Ok((0..12).fold(FaultyLink::new(inner.link()), refuse))
+    });
+    let error = builder().connect(connect).await.unwrap_err();
+    let source = std::error::Error::source(&error).map(ToString::to_string);
+    assert_eq!(source.as_deref(), Some("the port takes none of the six line speeds"), "{error:?}");
+    assert!(emulator.log().is_empty(), "nothing was sent at a speed of chance");
+}
+
 /// Opens faulty links to the emulated sensor: the first one as `rig` has it,
 /// the others good ones.
 fn first_faulty(
@@ -297,7 +313,7 @@ async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
     });
     // Short times, for this is the wall clock.
     let builder = builder().reply_latency(ms(200)).open_timeout(ms(300));
-    let sensor = builder.backoff(ms(1), ms(10)).open(format!("tcp://{address}")).await.unwrap();
+    let sensor = builder.backoff(ms(1)..=ms(10)).open(format!("tcp://{address}")).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(50.0)).await.unwrap();
     scans(&mut stream, 2).await;
     hang_up.send(()).await.unwrap();

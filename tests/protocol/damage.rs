@@ -40,6 +40,25 @@ fn the_undamaged_reply_is_accepted() {
 }
 
 #[test]
+fn w03_a_stray_character_is_seen_however_plain_the_others_are() {
+    let command = Command::Distances(Window::DETECTION);
+    for value in [0, 4095] {
+        let whole = frame("G04472501", &[value; 682]);
+        let strays = (0..=255).filter(|byte| !(0x30..=0x6f).contains(byte));
+        for stray in strays {
+            // In the first line, in the last one, alone, and twice.
+            for places in
+                [&[12][..], &[12, 13], &[77, 13], &[whole.len() - 1], &[12, whole.len() - 2]]
+            {
+                let mut damaged = whole.clone();
+                places.iter().for_each(|&at| damaged[at] = stray);
+                assert!(Reply::parse(&command, &damaged).is_err(), "{stray:#04x} at {places:?}");
+            }
+        }
+    }
+}
+
+#[test]
 fn w01_w06_a_reply_without_any_one_byte_is_never_accepted() {
     for (command, _, reply) in cases() {
         for at in 0..reply.len() {

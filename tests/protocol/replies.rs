@@ -159,6 +159,7 @@ fn d07_an_error_reply_is_echo_and_status_for_every_status() {
             let frame = [&command.bytes()[..], b"\n", &[status]].concat();
             let reply = Reply::parse(&command, &frame).unwrap();
             assert_eq!(reply.status(), Status::new(status));
+            assert_eq!(reply.status().character(), status);
             assert!(!reply.status().is_ok());
             assert_eq!(reply.lines().count(), 0);
             assert_eq!(values(&reply), []);

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio_scip::protocol::{BaudRate, ErrorCode, Measurement, Window};
+use tokio_scip::protocol::{BaudRate, ErrorCode, Measurement, Text, Window};
 
 /// The table of p. 7.
 const MEANINGS: [&str; 20] = [
@@ -38,6 +38,7 @@ fn all_twenty_error_codes_have_the_meaning_of_the_text() {
         assert_eq!(code.is_beyond_range(), meaning.starts_with("Possibility"));
     }
     assert_eq!(ErrorCode::new(20), None);
+    assert!(ErrorCode::all().map(u8::from).eq(0..=19));
     assert_eq!(
         ErrorCode::try_from(20).unwrap_err().to_string(),
         "20 is no error code: they are 0 to 19"
@@ -88,8 +89,18 @@ fn the_six_line_speeds_have_the_digits_of_the_text() {
         let bits = speed.bits_per_second();
         assert_eq!(format!("{bits:06}").as_bytes(), speed.digits());
         assert_eq!(BaudRate::try_from(bits), Ok(speed));
+        assert_eq!(u32::from(speed), bits);
         assert_eq!(speed.to_string().parse(), Ok(speed));
     }
+}
+
+#[test]
+fn a_text_is_what_came_byte_for_byte() {
+    let text = Text::from("H0713090");
+    assert_eq!((text.as_bytes(), text.is_empty()), (&b"H0713090"[..], false));
+    assert!(text == "H0713090" && &text == "H0713090");
+    assert!(text != "H0713091" && &text != "H071309" && text != Text::default());
+    assert!(Text::from("").is_empty() && Text::default().is_empty());
 }
 
 #[test]

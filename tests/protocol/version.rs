@@ -58,6 +58,9 @@ fn d11_the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
 #[test]
 fn a_real_reply_fits_in_the_length_that_deadlines_count_with() {
     assert!(OF_FIRMWARE_3.len() <= Command::Version.reply_len());
+    // The text's five lines, `STAT:` and one more, none of them over 64 bytes.
+    let longest = [&b"V\n0\n"[..], &[&[b'x'; 64][..], b"\n"].concat().repeat(7), b"\n"].concat();
+    assert_eq!(Command::Version.reply_len(), longest.len());
 }
 
 #[test]

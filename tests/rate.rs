@@ -1,0 +1,56 @@
+//! How often: bounds and text of `Rate`.
+#![allow(clippy::unwrap_used)]
+
+use std::time::Duration;
+
+use tokio_scip::Rate;
+
+const DAY: Duration = Duration::from_secs(24 * 60 * 60);
+
+#[test]
+fn a_rate_lies_between_once_a_day_and_a_thousand_a_second() {
+    let table = [
+        (Rate::hz(10.0), Duration::from_millis(100)),
+        (Rate::hz(1000.0), Duration::from_millis(1)),
+        (Rate::hz(1e6), Duration::from_millis(1)),
+        (Rate::hz(f64::INFINITY), Duration::from_millis(1)),
+        (Rate::hz(1e-9), DAY),
+        (Rate::hz(0.0), DAY),
+        (Rate::hz(-1.0), DAY),
+        (Rate::hz(f64::NAN), DAY),
+        (Rate::every(Duration::ZERO), Duration::from_millis(1)),
+        (Rate::every(Duration::from_micros(999)), Duration::from_millis(1)),
+        (Rate::every(Duration::from_micros(1001)), Duration::from_micros(1001)),
+        (Rate::every(DAY), DAY),
+        (Rate::every(Duration::MAX), DAY),
+    ];
+    for (rate, period) in table {
+        assert_eq!(rate.period(), Some(period), "{rate}");
+    }
+    assert_eq!(Rate::MAX.period(), None);
+}
+
+#[test]
+fn a_rate_is_read_from_what_it_is_written_as() {
+    for (text, rate) in [
+        ("10 Hz", Rate::hz(10.0)),
+        ("12.5 Hz", Rate::hz(12.5)),
+        ("0.1 Hz", Rate::every(Duration::from_secs(10))),
+        ("1000 Hz", Rate::hz(1000.0)),
+        ("max", Rate::MAX),
+    ] {
+        assert_eq!(rate.to_string(), text);
+        assert_eq!(text.parse::<Rate>().unwrap(), rate);
+    }
+    assert_eq!("10".parse::<Rate>().unwrap(), Rate::hz(10.0));
+    assert_eq!("10Hz".parse::<Rate>().unwrap(), Rate::hz(10.0));
+}
+
+#[test]
+fn a_text_that_is_no_rate_is_refused_with_what_would_be_one() {
+    for text in ["", "0", "-1", "1001", "nan", "inf", "fast", "max Hz", "10 kHz", "Hz"] {
+        let error = text.parse::<Rate>().unwrap_err().to_string();
+        assert!(error.starts_with(&format!("{text:?} is no rate")), "{error}");
+        assert!(error.contains("above 0 and up to 1000"), "{error}");
+    }
+}
