@@ -89,7 +89,8 @@ impl Feed {
 pub(crate) struct Reporter {
     pub(crate) port: PortName,
     pub(crate) sensor: Sensor,
-    /// Polls that brought no scan over a link that was there.
+    /// Polls that brought no scan over a link that was there, as the stream told
+    /// them: of those that fail while its reader is behind, the latest.
     pub(crate) failed: u64,
 }
 

@@ -1,7 +1,9 @@
 //! Standard error, written on a thread of its own: whoever does not read it, and
 //! a terminal that is stopped, hold up nobody.
 
-use std::io::{self, IsTerminal, Write};
+#[cfg(feature = "mcap")]
+use std::io::IsTerminal;
+use std::io::{self, Write};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
