@@ -8,6 +8,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use super::Sensor;
 use crate::driver::{self, Config, Driver};
 use crate::port::{Attached, Connect, Endpoint};
+use crate::protocol::Text;
 use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error};
 
@@ -79,13 +80,18 @@ impl SensorBuilder {
     /// The serial number of the sensor, as in its `SERI:` line: any other one
     /// is [`Error::AnotherSensor`]. Unless set, the first sensor found is the
     /// one that is expected after a reconnect.
-    pub fn serial_number(mut self, serial_number: impl AsRef<str>) -> Self {
-        self.config.serial_number = Some(serial_number.as_ref().into());
+    ///
+    /// Takes a text, or the [`serial_number`](crate::Version::serial_number) that
+    /// a sensor gave. To look for a sensor on all ports, open
+    /// [`Endpoint::SerialNumber`] instead, `serial:H0713090`.
+    pub fn serial_number(mut self, serial_number: impl Into<Text>) -> Self {
+        self.config.serial_number = Some(serial_number.into());
         self
     }
 
-    /// How many scans a stream keeps for a consumer that is slow. 1 unless set:
-    /// the newest. A recorder wants more.
+    /// How many scans a stream keeps for a consumer that is slow, at least 1. 1
+    /// unless set: the newest. Who wants every scan asks for more: a recorder, or
+    /// a replay as fast as it goes, which is faster than any consumer.
     pub fn ring_depth(mut self, scans: usize) -> Self {
         self.config.ring_depth = scans.max(1);
         self
@@ -103,7 +109,8 @@ impl SensorBuilder {
     /// it, or to log it. Unless set, nobody keeps them, and nothing is paid.
     ///
     /// It is called in the driver's task, once for each frame, fences and damaged
-    /// replies included, and before a scan is delivered: it must not block.
+    /// replies included, and before a scan is delivered: it must not block. There
+    /// is one tap: a second one takes the place of the first.
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
