@@ -154,11 +154,13 @@ impl Sensor {
         self.client.ask(|promise| Request::BaudRate { speed, promise }).await
     }
 
-    /// A single scan of `window`, asked for now (`G`, p. 5).
+    /// A single scan of `window`, asked for now (`G`, p. 5). It may come between
+    /// those of streams, is number 0, and takes none of their numbers.
     ///
     /// # Errors
     ///
-    /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off).
+    /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off), and those of
+    /// [every request](Self#errors).
     pub async fn scan(&self, window: Window) -> Result<Scan, Error> {
         self.client.ask(|promise| Request::Scan { window, promise }).await
     }
@@ -171,13 +173,21 @@ impl Sensor {
     /// rate that the line cannot carry is no error: log and
     /// [`stats`](Self::stats) tell what is reached, and
     /// [`Window::wire_time`] tells beforehand.
+    ///
+    /// Waits for no scan and for no link: while there is none the stream begins
+    /// with the reason, if one is known, and goes on when the link is back. After
+    /// [`laser_off`](Self::laser_off) it rests, without an error.
+    ///
+    /// # Errors
+    ///
+    /// Why the driver has ended, if it has.
     pub async fn scans(&self, window: Window, rate: Rate) -> Result<ScanStream, Error> {
         let subscribe = |promise| Request::Subscribe { window, rate, promise };
         let cursor = self.client.ask(subscribe).await?;
         Ok(ScanStream::new(cursor, window, rate, self.client.clone()))
     }
 
-    /// What happened since the driver began.
+    /// What happened since the driver began, across all links.
     pub fn stats(&self) -> Stats {
         self.client.telemetry().stats().clone()
     }
@@ -188,6 +198,10 @@ impl Sensor {
     /// lock: while it is held the driver cannot go on to another state. Clone the
     /// [`State`] out of it, and hold no borrow across an await.
     ///
+    /// The watch itself lasts as long as a handle or a stream does, also after the
+    /// driver has ended: who waits for a state waits for [`State::Closed`], too, or
+    /// may wait for ever.
+    ///
     /// ```
     /// # use tokio_scip::emulator::Emulator;
     /// use tokio_scip::{Sensor, State};
@@ -196,10 +210,13 @@ impl Sensor {
     /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
     /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
     /// let mut state = sensor.state();
-    /// let connected = |state: &State| matches!(state, State::Connected { .. });
-    /// let now = state.wait_for(connected).await?.clone(); // the borrow ends here
-    /// println!("{now:?}");
-    /// # assert!(connected(&now));
+    /// let up_or_over =
+    ///     |state: &State| matches!(state, State::Connected { .. } | State::Closed { .. });
+    /// let now = state.wait_for(up_or_over).await?.clone(); // the borrow ends here
+    /// if let State::Closed { error } = now {
+    ///     println!("no sensor any more: {error:?}");
+    /// }
+    /// # assert!(matches!(&*sensor.state().borrow(), State::Connected { .. }));
     /// # Ok(())
     /// # }
     /// ```
