@@ -18,7 +18,23 @@ const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
 /// A shorter wait would be a busy loop.
 const SHORTEST_BACKOFF: Duration = Duration::from_millis(10);
 
-/// Says how a [`Sensor`] is opened and kept.
+/// Says how a [`Sensor`] is opened and kept. Nothing has to be said: each method
+/// tells what holds unless it is called.
+///
+/// ```no_run
+/// use tokio_scip::{BaudRate, Sensor};
+///
+/// # async fn open() -> Result<(), tokio_scip::Error> {
+/// // A service that may start before its sensor, and wants this one and no other.
+/// let sensor = Sensor::builder()
+///     .wait_for_sensor()
+///     .serial_number("H0713090")
+///     .baud_rate(BaudRate::B115200) // without effect on USB
+///     .open("/dev/ttyUSB0")
+///     .await?;
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug, Clone, Default)]
 #[must_use = "a builder does nothing until it opens a sensor"]
 pub struct SensorBuilder {
