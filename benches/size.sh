@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # What the crate adds to a service: crates in the tree, time of a clean release
 # build, size of the program. Beside it a program that opens the same port with
-# tokio and tokio-serial alone. bash benches/size.sh
+# tokio and tokio-serial alone. Then what each feature adds to crates and to a
+# clean release build of this crate. bash benches/size.sh
 set -euo pipefail
 crate=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
@@ -69,4 +70,16 @@ for name in bare service; do
     strip "$program"
     printf '%-9s %6d %7.0f s %6.0f s %7d KiB %5d KiB\n' "$name" $((crates - 1)) "$seconds" "$cpu" \
         $((size / 1024)) $(($(stat -c %s "$program") / 1024))
+done
+
+echo "features   crates    build     CPU"
+for features in serial serial,serde serial,emulator serial,mcap cli cli,mcap web all; do
+    cd "$crate"
+    with=(--no-default-features --features "$features")
+    if [ "$features" = all ]; then with=(--all-features); fi
+    export CARGO_TARGET_DIR="$work/features"
+    crates=$(cargo tree "${with[@]}" --edges normal --prefix none --no-dedupe | sort -u | wc -l)
+    read -r seconds cpu < <({ time cargo build --quiet --release --locked --offline --lib --bins "${with[@]}"; } 2>&1)
+    rm -rf "$CARGO_TARGET_DIR"
+    printf '%-15s %3d %7.0f s %6.0f s\n' "$features" $((crates - 1)) "$seconds" "$cpu"
 done
