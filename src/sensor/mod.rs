@@ -33,7 +33,8 @@ use crate::{BaudRate, Error, Rate, Scan, ScanStream, Window};
 ///
 /// While there is no link a request waits for one, at most for the
 /// [open timeout](SensorBuilder::open_timeout), and then fails with
-/// [`Error::Disconnected`]. A reply that does not come, or comes damaged, is
+/// [`Error::Disconnected`]; why there is none is in [`state`](Self::state). A reply
+/// that does not come, or comes damaged, is
 /// asked for once more where that is harmless, and then is
 /// [`Error::Timeout`] or [`Error::Malformed`]; a status other than success is
 /// [`Error::Refused`]. Once the driver has ended every call fails with the
