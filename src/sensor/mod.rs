@@ -34,11 +34,10 @@ use crate::{BaudRate, Error, Rate, Scan, ScanStream, Window};
 /// While there is no link a request waits for one, at most for the
 /// [open timeout](SensorBuilder::open_timeout), and then fails with
 /// [`Error::Disconnected`]; why there is none is in [`state`](Self::state). A reply
-/// that does not come, or comes damaged, is
-/// asked for once more where that is harmless, and then is
-/// [`Error::Timeout`] or [`Error::Malformed`]; a status other than success is
-/// [`Error::Refused`]. Once the driver has ended every call fails with the
-/// cause, or [`Error::Closed`].
+/// that does not come, or comes damaged, is asked for once more where that is
+/// harmless, and then is [`Error::Timeout`] or [`Error::Malformed`]; a status other
+/// than success is [`Error::Refused`]. Once the driver has ended every call fails
+/// with the cause, or [`Error::Closed`].
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,
