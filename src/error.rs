@@ -9,8 +9,10 @@ use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
 /// What went wrong.
 ///
 /// `Display` tells the error's own layer, on one line, and what to do about
-/// it; the cause is in [`source`](std::error::Error::source). An error is
-/// cheap to clone: everyone who waits for the same thing gets the same error.
+/// it; the cause is in [`source`](std::error::Error::source), and a log wants
+/// both (`{:#}` of `anyhow` prints them, so does [`State`](crate::State) as data).
+/// An error is cheap to clone: everyone who waits for the same thing gets the same
+/// error.
 ///
 /// That there is no distance in a direction is no error but a
 /// [`Measurement`](crate::Measurement).
@@ -173,6 +175,15 @@ pub enum Error {
 impl Error {
     /// Whether trying again later may help with nothing else done: the link
     /// may come back, the next scan may be whole.
+    ///
+    /// True for [`NoSuchPort`](Self::NoSuchPort),
+    /// [`NoSuchSensor`](Self::NoSuchSensor), [`Busy`](Self::Busy),
+    /// [`Open`](Self::Open), [`NoAnswer`](Self::NoAnswer),
+    /// [`Disconnected`](Self::Disconnected), [`Timeout`](Self::Timeout),
+    /// [`Malformed`](Self::Malformed) and [`NotConfirmed`](Self::NotConfirmed).
+    /// Others want something done first, to the machine, the sensor or the
+    /// program. It says nothing of the driver: one that has ended with
+    /// `Disconnected` stays ended.
     pub fn is_transient(&self) -> bool {
         match self {
             Self::NoSuchPort { .. }

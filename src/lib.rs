@@ -135,7 +135,7 @@ mod tap;
 pub use driver::Driver;
 pub use error::Error;
 pub use port::{Connect, Endpoint, Port};
-pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window};
+pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowError};
 pub use rate::{InvalidRate, Rate};
 pub use scan::{Point, Scan};
 pub use sensor::{Sensor, SensorBuilder};

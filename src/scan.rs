@@ -92,7 +92,10 @@ impl Scan {
         (0..self.len()).map(move |n| (from + n as f64 * increment) as f32)
     }
 
-    /// The points that have a distance, in the order of their steps.
+    /// The points that have a distance, in the order of their steps. Those that
+    /// have none are left out: where the place of a point matters, as in a
+    /// comparison with another scan, use [`measurements`](Self::measurements) or
+    /// [`ranges`](Self::ranges), which have one item for each point.
     pub fn points(&self) -> impl Iterator<Item = Point> + Clone + '_ {
         self.ranges().zip(self.angles()).filter(|(range, _)| range.is_finite()).map(
             |(range, angle)| {

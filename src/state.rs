@@ -10,7 +10,7 @@ use crate::protocol::{Malformed, ReplyError, Version};
 use crate::{BaudRate, Error, Rate, Window};
 
 /// What the driver is about. [`Sensor::state`](crate::Sensor::state) gives a
-/// watch of it.
+/// watch of it. [`Closed`](Self::Closed) is the last one, whatever came before.
 ///
 /// As data (feature `serde`) it is an object whose `state` says which one it is,
 /// in snake case, beside its fields: `line_speed` in baud, `since` as the seconds
@@ -92,7 +92,9 @@ fn seconds<S: serde::Serializer>(time: &Duration, serializer: S) -> Result<S::Ok
     serializer.serialize_f64(time.as_secs_f64())
 }
 
-/// What happened since the driver began.
+/// What happened since the driver began: a copy, as
+/// [`Sensor::stats`](crate::Sensor::stats) gives it. No count ever goes back, also
+/// when the link is lost. As data (feature `serde`) it has its fields by name.
 #[derive(Debug, Clone, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -184,7 +186,7 @@ pub struct Latency {
     /// The longest.
     #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub max: Duration,
-    /// The sum of all, and how many they are.
+    /// The sum of all.
     #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub total: Duration,
     /// How many replies were timed.

@@ -89,7 +89,8 @@ impl FusedStream for ScanStream {
 }
 
 /// The scans of a [`ScanStream`] without its errors; made by
-/// [`ScanStream::only_scans`].
+/// [`ScanStream::only_scans`]. What it says of clones and of dropping holds here,
+/// too; what was missed shows as a gap in [`Scan::sequence`].
 #[derive(Debug, Clone)]
 #[must_use = "polling stops when the stream is dropped"]
 pub struct OnlyScans(ScanStream);

@@ -201,7 +201,11 @@ async fn another_sensor_than_the_one_asked_for_is_refused() {
     let error = builder().serial_number("H0000002").connect(emulator.clone()).await.unwrap_err();
     let Error::AnotherSensor { expected, found } = error else { panic!("{error:?}") };
     assert_eq!((expected.to_string(), found.to_string()), ("H0000002".into(), "H0000001".into()));
-    builder().serial_number("H0000001").connect(emulator).await.unwrap();
+    let sensor = builder().serial_number("H0000001").connect(emulator.clone()).await.unwrap();
+    let serial_number = sensor.version().await.unwrap().serial_number;
+    assert_eq!(serial_number, "H0000001".to_owned());
+    sensor.close().await;
+    builder().serial_number(serial_number).connect(emulator).await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]

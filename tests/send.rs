@@ -4,6 +4,7 @@
 use std::fmt::Debug;
 
 use futures::stream::{FusedStream, Stream};
+use tokio_scip::port::Plain;
 use tokio_scip::{
     Connect, Driver, Endpoint, Error, OnlyScans, Point, Rate, Scan, ScanStream, Sensor,
     SensorBuilder, State, Stats, Version, Window,
@@ -18,6 +19,7 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<Sensor>();
     shared::<SensorBuilder>();
     shared::<Endpoint>();
+    shared::<Plain<tokio::io::Empty>>();
     shared::<ScanStream>();
     shared::<OnlyScans>();
     shared::<Scan>();

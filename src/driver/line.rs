@@ -43,10 +43,11 @@ pub(crate) struct Line {
     port: Box<dyn Port>,
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
+    /// How many bytes ever arrived.
     received: u64,
-    /// The first two bytes of these.
+    /// The first two of them.
     first: [u8; 2],
-    /// How many of these came before the latest command.
+    /// How many of them had arrived when the latest command was written.
     before: u64,
     tap: Tap,
 }
@@ -63,13 +64,13 @@ impl Line {
         self.arrival = None;
     }
 
-    /// When the first byte since then arrived.
+    /// When the first byte since [`expect`](Self::expect) arrived.
     pub(crate) fn stamp(&self) -> SystemTime {
         self.arrival.unwrap_or_else(|| self.port.wall_clock())
     }
 
-    /// Lets the tap hear a frame that answers `command`, or no command that was
-    /// to bring anything.
+    /// Lets the tap hear a frame that answers `command`, which is `None` for the
+    /// answer to a fence and for what nobody asked for.
     pub(crate) fn hear(&self, command: Option<Command>, bytes: &[u8]) {
         self.tap.hear(|| {
             let received_at = Instant::now().into_std();

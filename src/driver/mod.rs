@@ -1,5 +1,12 @@
 //! The task that owns the port. Handles send it requests and get an answer
 //! each; streams read the rings that it fills.
+//!
+//! The way of a request: [`Client::ask`], `request` (the queue), `serve`,
+//! `session` (one exchange; what the sensor is told is in `settings`), and back by
+//! its promise. The way of a scan: `line` (bytes), `intake` (a reply), `session`
+//! (is it the answer?), `serve`, `schedule`, which puts it into a ring. `fence` and
+//! `echoes` see to it that no other reply is taken for it; `supervisor` and
+//! `opener` see to it that there is a session.
 
 mod alarm;
 mod echoes;

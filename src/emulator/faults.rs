@@ -64,8 +64,12 @@ pub enum Fault {
 /// Which replies are faulty, and how: scripted, drawn at random, or both.
 ///
 /// Replies are numbered from 0 since the faults were set; a command that is not
-/// answered anyway has no number. Random faults are drawn from
-/// [`seed`](Self::seed) alone: the same commands give the same faults.
+/// answered anyway has no number. A [`Sensor`](crate::Sensor) is opened with a
+/// fence and a `V`, and sends a fence after each reply that went wrong: their
+/// replies have numbers, too. To count from the first scan set the faults once the
+/// sensor is open ([`Emulator::set_faults`](super::Emulator::set_faults)). Random
+/// faults are drawn from [`seed`](Self::seed) alone: the same commands give the
+/// same faults.
 ///
 /// ```
 /// use std::time::Duration;

@@ -52,7 +52,7 @@ impl HostSpeed {
 /// fails with [`BrokenPipe`](io::ErrorKind::BrokenPipe). Flushing and shutting
 /// down do nothing.
 ///
-/// Reads and writes are cancel safe. Dropping the link leaves the sensor as it
+/// Reads and writes are cancel-safe. Dropping the link leaves the sensor as it
 /// is; half a command stays in the sensor's line buffer, and what the sensor
 /// still sends waits for the next link, as in an operating system's buffer.
 pub struct Link {

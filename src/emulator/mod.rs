@@ -323,7 +323,7 @@ impl Emulator {
 /// Opens a new [`Link`] to the same sensor each time.
 ///
 /// Connecting fails with [`Error::NoSuchPort`] while the sensor is unplugged and
-/// with [`Error::Busy`] while another link is open. Cancel safe.
+/// with [`Error::Busy`] while another link is open. Cancel-safe.
 impl Connect for Emulator {
     type Port = Link;
 

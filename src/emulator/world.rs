@@ -7,8 +7,8 @@ use std::time::Duration;
 /// The steps of one revolution that a sensor reports on, 0..=768.
 pub const STEPS: usize = 769;
 
-/// One 12-bit code (0..=4095) for each step: a distance in millimetres from 20,
-/// an error code from 0 to 19 (C-42-3320-A p. 7).
+/// One 12-bit code (0..=4095) for each step, at its number: a distance in
+/// millimetres from 20, an error code from 0 to 19 (C-42-3320-A p. 7).
 pub type Codes = [u16; STEPS];
 
 /// Error code 19, "Non-Measurable Distance": what a sensor sends for the steps

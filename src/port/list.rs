@@ -76,7 +76,7 @@ impl PortInfo {
 /// ports, then the rest, by path.
 ///
 /// Ports that the kernel only keeps a name for (`/dev/ttyS1` without hardware)
-/// are left out, pseudo-terminals too. Cancel safe.
+/// are left out, pseudo-terminals too. Cancel-safe.
 ///
 /// # Errors
 ///

@@ -6,6 +6,7 @@ mod connector;
 mod endpoint;
 #[cfg(feature = "serial")]
 mod list;
+mod plain;
 #[cfg(feature = "serial")]
 mod refusal;
 #[cfg(feature = "serial")]
@@ -27,18 +28,21 @@ pub use connector::EndpointConnector;
 pub use endpoint::Endpoint;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
+pub use plain::Plain;
 #[cfg(feature = "serial")]
 pub use serial::SerialPort;
 pub use tcp::TcpPort;
 
 /// A byte stream to a sensor.
 ///
-/// Any `AsyncRead + AsyncWrite` can be one; [`Sensor::attach`](crate::Sensor::attach)
-/// makes one of it. Implement this trait where the stream has a line speed
-/// that the driver should know of or change.
+/// Any `AsyncRead + AsyncWrite` can be one: [`Plain`] makes one of it, and
+/// [`Sensor::attach`](crate::Sensor::attach) does so by itself. Implement this
+/// trait where the stream has a line speed that the driver should know of or
+/// change.
 ///
-/// The driver never calls `poll_flush`, never blocks, and stops using a port
-/// after the first `Ok(0)` or error.
+/// The driver never calls `poll_flush`, so that what is written has to go out by
+/// itself; it stops using a port after the first `Ok(0)` or error, and then drops
+/// it. All methods are called in the driver's task and must not block.
 pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
     /// The speed of the serial line to the sensor, or `None` where none
     /// matters, as on USB. Deadlines are computed from it.
@@ -90,13 +94,58 @@ impl<P: Port + ?Sized> Port for Box<P> {
 }
 
 /// Opens ports: once at first, and again whenever the link was lost.
+///
+/// ```
+/// # #[cfg(all(unix, feature = "emulator"))] {
+/// use std::path::PathBuf;
+/// use std::sync::Arc;
+/// use tokio::net::UnixStream;
+/// use tokio_scip::port::{Connect, Plain};
+/// use tokio_scip::{Error, Sensor};
+///
+/// /// A sensor behind a Unix socket.
+/// struct Socket(PathBuf);
+///
+/// impl Connect for Socket {
+///     type Port = Plain<UnixStream>;
+///
+///     async fn connect(&mut self) -> Result<Plain<UnixStream>, Error> {
+///         let stream = UnixStream::connect(&self.0).await.map_err(|error| Error::Open {
+///             port: self.0.display().to_string(),
+///             source: Arc::new(error),
+///         })?;
+///         Ok(Plain::new(stream))
+///     }
+/// }
+///
+/// # #[tokio::main(flavor = "current_thread")]
+/// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// # let folder = std::env::temp_dir().join(format!("scip-socket-{}", std::process::id()));
+/// # std::fs::create_dir_all(&folder)?;
+/// # let path = folder.join("sensor");
+/// # let listener = tokio::net::UnixListener::bind(&path)?;
+/// # tokio::spawn(async move {
+/// #     let emulator = tokio_scip::emulator::Emulator::default();
+/// #     while let Ok((client, _)) = listener.accept().await {
+/// #         let _ = emulator.serve(client).await;
+/// #     }
+/// # });
+/// let sensor = Sensor::builder().connect(Socket(path)).await?;
+/// # assert_eq!(sensor.version().await?.product, "SOKUIKI Sensor URG-04LX");
+/// # std::fs::remove_dir_all(folder)?;
+/// # Ok(())
+/// # }
+/// # main().unwrap();
+/// # }
+/// ```
 pub trait Connect: Send + 'static {
     /// What it opens.
     type Port: Port;
 
     /// Opens the port, with nothing sent yet.
     ///
-    /// The future may be dropped at any await.
+    /// The future may be dropped at any await, and is when the driver ends or
+    /// the open timeout has passed; it must be cancel-safe.
     ///
     /// # Errors
     ///

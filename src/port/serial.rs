@@ -43,7 +43,7 @@ impl SerialPort {
     /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the
     /// speed of a sensor after power-up. Nothing is sent.
     ///
-    /// Opening blocks and so runs on a thread of its own. Cancel safe: if the
+    /// Opening blocks and so runs on a thread of its own. Cancel-safe: if the
     /// future is dropped, the port is closed as soon as it is open; until then
     /// it is busy.
     ///

@@ -35,7 +35,7 @@ impl TcpPort {
     /// Connects to `host` (a name or an address) and `port`, behind which is a
     /// line at `line_speed`. A name's addresses are tried one after the other.
     ///
-    /// There is no time limit but the system's. Cancel safe: dropping the
+    /// There is no time limit but the system's. Cancel-safe: dropping the
     /// future closes what it has opened.
     ///
     /// # Errors

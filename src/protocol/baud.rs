@@ -5,7 +5,8 @@ use std::str::FromStr;
 
 /// A line speed that a sensor knows (C-42-3320-A p. 2 and 5).
 ///
-/// A sensor speaks [`BaudRate::B19200`] after power-up.
+/// A sensor speaks [`BaudRate::B19200`] after power-up. As text, as a `u32` and as
+/// data (feature `serde`) it is the number of bits per second: 115200.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u32", try_from = "u32"))]

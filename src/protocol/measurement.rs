@@ -7,6 +7,8 @@ use std::fmt;
 const SATURATED: u16 = 4095;
 
 /// What was measured in one direction.
+///
+/// As data (feature `serde`): `{"distance":1234}`, `{"error":6}`, `"saturated"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
@@ -60,7 +62,8 @@ impl Measurement {
 }
 
 /// Why there is no distance in a direction: one of the twenty codes 0..=19 of
-/// the protocol text (C-42-3320-A p. 7).
+/// the protocol text (C-42-3320-A p. 7). As data (feature `serde`) it is its
+/// number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u8", try_from = "u8"))]

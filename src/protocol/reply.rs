@@ -10,12 +10,12 @@ use super::measurement;
 use super::{Command, Text, Window};
 
 /// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
-pub const BLOCK: usize = 64;
+pub(super) const BLOCK: usize = 64;
 /// How much of a frame an error shows.
 const EXCERPT: usize = 32;
 
 /// The status of a reply: one character, of which only `0` means success
-/// (C-42-3320-A p. 3).
+/// (C-42-3320-A p. 3). As data (feature `serde`) it is that character.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[cfg_attr(feature = "serde", serde(into = "char"))]

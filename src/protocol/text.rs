@@ -6,7 +6,10 @@ use std::fmt;
 ///
 /// [`Display`](fmt::Display) shows printable ASCII as it is and everything
 /// else as an escape (`\x1b`), so that no sensor can write to a terminal or
-/// forge a line of a log.
+/// forge a line of a log; `to_string()` gives the same as a `String`.
+///
+/// As data (feature `serde`) it is the escaped form, too: what is printable stays,
+/// and no byte is lost.
 ///
 /// ```
 /// use tokio_scip::protocol::Text;
@@ -46,6 +49,18 @@ impl From<&str> for Text {
     }
 }
 
+impl From<String> for Text {
+    fn from(text: String) -> Self {
+        text.into_bytes().as_slice().into()
+    }
+}
+
+impl From<&String> for Text {
+    fn from(text: &String) -> Self {
+        text.as_str().into()
+    }
+}
+
 impl PartialEq<str> for Text {
     fn eq(&self, other: &str) -> bool {
         self.as_bytes() == other.as_bytes()
@@ -55,6 +70,12 @@ impl PartialEq<str> for Text {
 impl PartialEq<&str> for Text {
     fn eq(&self, other: &&str) -> bool {
         self == *other
+    }
+}
+
+impl PartialEq<String> for Text {
+    fn eq(&self, other: &String) -> bool {
+        self == other.as_str()
     }
 }
 
@@ -79,7 +100,6 @@ impl fmt::Debug for Text {
     }
 }
 
-/// The escaped form: what is printable stays, and no byte is lost.
 #[cfg(feature = "serde")]
 impl serde::Serialize for Text {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

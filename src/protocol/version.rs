@@ -7,6 +7,9 @@ use super::{Reply, Text};
 /// The reply to `V` (C-42-3320-A p. 4), read tolerantly: fields may come in any
 /// order, with or without a blank after the colon, missing ones stay empty, and
 /// lines that the text does not know are kept.
+///
+/// As data (feature `serde`) it has its fields by name, a
+/// [range](std::ops::RangeInclusive) as `start` and `end`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]

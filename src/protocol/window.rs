@@ -17,7 +17,8 @@ const LAST: u16 = 768;
 /// A step of the sensor's turn: 0..=768, 360/1024 degree each (p. 7).
 ///
 /// Steps count counter-clockwise seen from above: 0 is -135 degrees (right
-/// rear), 384 the front, 768 is +135 degrees (left rear).
+/// rear), 384 the front, 768 is +135 degrees (left rear). As data (feature
+/// `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u16", try_from = "u16"))]

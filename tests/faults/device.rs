@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 use tokio_scip::protocol::Malformed;
-use tokio_scip::{BaudRate, Error, Measurement, Rate, Window};
+use tokio_scip::{BaudRate, Error, Measurement, Rate, State, Window};
 
 use crate::common::{builder, ms, request_of};
 use crate::rig::{lies, open, prompt, scans};
@@ -55,6 +55,21 @@ async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_
     assert!(count <= sensor.stats().polls, "polled while the laser was off");
     sensor.laser_on().await.unwrap();
     scans(&mut stream, 2).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn d02_a_sensor_that_comes_back_from_a_reset_has_its_laser_off_again() {
+    let emulator = prompt().usb().build();
+    let sensor = open(&emulator).await;
+    sensor.laser_off().await.unwrap();
+    let mut state = sensor.state();
+    emulator.unplug();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    emulator.power_cycle();
+    emulator.plug_in();
+    assert!(emulator.laser());
+    state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
+    assert!(!emulator.laser());
 }
 
 #[tokio::test(start_paused = true)]
