@@ -72,7 +72,7 @@ for name in bare service; do
         $((size / 1024)) $(($(stat -c %s "$program") / 1024))
 done
 
-echo "features   crates    build     CPU"
+echo "features     crates    build     CPU"
 for features in serial serial,serde serial,emulator serial,mcap cli cli,mcap web all; do
     cd "$crate"
     with=(--no-default-features --features "$features")

@@ -69,6 +69,7 @@ pub struct InvalidRate {
     found: String,
 }
 
+/// Scans a second, such as `10` or `0.5`, or `max`.
 impl FromStr for Rate {
     type Err = InvalidRate;
 

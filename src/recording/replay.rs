@@ -22,7 +22,8 @@ pub enum ReplayPace {
     /// recording polls time out.
     #[default]
     Recorded,
-    /// As fast as replies are asked for.
+    /// As fast as replies are asked for. A stream that is to see every scan wants
+    /// a deep ring ([`ring_depth`](crate::SensorBuilder::ring_depth)).
     Max,
 }
 
