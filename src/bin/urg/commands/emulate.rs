@@ -56,6 +56,10 @@ pub(crate) struct Emulate {
     seed: u64,
     /// What goes wrong, each with its probability, such as
     /// late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
+    ///
+    /// The names are late and pause (with a longest time), lost, command-lost,
+    /// damaged, doubled, merged, noise (with a longest length, such as
+    /// noise=0.01:64), reset, hang-up, and seed=NUMBER.
     #[arg(long, value_name = "SPEC")]
     faults: Option<Faults>,
 }
