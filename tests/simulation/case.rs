@@ -19,8 +19,8 @@ pub(crate) struct Case {
     pub(crate) speed: Option<BaudRate>,
     pub(crate) boot: Duration,
     pub(crate) faults: Faults,
-    /// Whether a fault can change a value unseen.
-    pub(crate) flips: bool,
+    /// How many faults can each change a value of a reply unseen.
+    pub(crate) flips: usize,
     /// Whether commands are refused.
     pub(crate) refuses: bool,
     /// Whether commands may reach the sensor in part.
@@ -76,7 +76,7 @@ impl Case {
             speed,
             boot,
             faults: Faults::none().seed(random.next()),
-            flips: false,
+            flips: 0,
             refuses: false,
             torn: false,
             overlaps: false,
@@ -125,11 +125,11 @@ impl Case {
                 5 => faults.rate(rate, Fault::Doubled),
                 6 => {
                     let damage = random.pick(&damage).clone();
-                    self.flips |= damage == Fault::Damaged;
+                    self.flips += usize::from(damage == Fault::Damaged);
                     faults.rate(rate, damage)
                 }
                 7 => {
-                    self.flips = true;
+                    self.flips += 1;
                     faults.rate(rate, Fault::Flip(place, 1 << random.below(8)))
                 }
                 8 => faults.rate(rate, Fault::Merged),

@@ -53,10 +53,10 @@ pub(crate) fn poll(window: Window, rate: Rate, time: Duration) -> Loss {
         let mut loss = Loss::default();
         while Instant::now() < end {
             let Ok(scan) = stream.next().await.unwrap() else { continue };
-            match truth.check(&scan, true) {
+            match truth.check(&scan, 1) {
                 Ok(_) => {
                     loss.right += 1;
-                    loss.flipped += u64::from(truth.check(&scan, false).is_err());
+                    loss.flipped += u64::from(truth.check(&scan, 0).is_err());
                 }
                 Err(wrong) => {
                     println!("{wrong}");

@@ -30,9 +30,9 @@ impl Truth {
     }
 
     /// Which `G` the scan answers, if that is the very one that it was asked
-    /// for with. `flips` allows for one wrong value, whose damage nobody can
+    /// for with. `flips` allows for so many wrong values, whose damage nobody can
     /// see.
-    pub(crate) fn check(&self, scan: &Scan, flips: bool) -> Result<u64, String> {
+    pub(crate) fn check(&self, scan: &Scan, flips: usize) -> Result<u64, String> {
         let (window, cluster) = (scan.window(), usize::from(scan.window().cluster_count()));
         if scan.values().len() != window.points() {
             return Err(format!("{} values for {window}", scan.values().len()));
@@ -53,10 +53,9 @@ impl Truth {
         // Those that the sensor served while this one was waited for.
         let from = looks.partition_point(|at| at.into_std() < sent);
         let until = looks.partition_point(|at| at.into_std() <= received);
-        let allowed = usize::from(flips);
-        (from..until).map(|request| request as u64).find(|&request| wrong(request) <= allowed).ok_or_else(
+        (from..until).map(|request| request as u64).find(|&request| wrong(request) <= flips).ok_or_else(
             || {
-                let whose = (0..looks.len() as u64).rev().find(|&request| wrong(request) <= allowed);
+                let whose = (0..looks.len() as u64).rev().find(|&request| wrong(request) <= flips);
                 format!(
                     "the data of {whose:?} for {window}, where only {from}..{until} were served meanwhile: {:?}",
                     scan.values()
