@@ -80,10 +80,11 @@ impl Session {
             let Some(item) = self.receive(deadline).await? else {
                 return Err(self.explain_silence(&sent, command).unwrap_or(failure));
             };
-            if let Item::Scan = item {
-                return Ok(Status::OK);
-            }
-            if let Item::Frame(Frame::Reply(bytes)) = &item {
+            let frame = match item {
+                Item::Scan => return Ok(Status::OK),
+                Item::Frame(frame) => frame,
+            };
+            if let Frame::Reply(bytes) = &frame {
                 self.framed.get_ref().hear(None, bytes);
                 match Reply::parse_end(command, bytes) {
                     Ok(_) if is_echoed(&sent, command, bytes) => {
@@ -102,7 +103,7 @@ impl Session {
                     }
                 }
             }
-            self.skip(&item);
+            self.skip(&frame);
         }
         Err(flood().into())
     }

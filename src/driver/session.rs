@@ -256,10 +256,11 @@ impl Session {
                 self.telemetry.stats().timeouts += 1;
                 return Err(timeout);
             };
-            if let Item::Scan = item {
-                return Ok((Ok(read(&Reply::SCAN)), self.timing(requested)));
-            }
-            if let Item::Frame(Frame::Reply(bytes)) = &item {
+            let frame = match item {
+                Item::Scan => return Ok((Ok(read(&Reply::SCAN)), self.timing(requested))),
+                Item::Frame(frame) => frame,
+            };
+            if let Frame::Reply(bytes) = &frame {
                 let outcome = Reply::parse(&command, bytes);
                 let foreign = matches!(outcome, Err(ReplyError::Foreign { .. }));
                 self.framed.get_ref().hear((!foreign).then_some(command), bytes);
@@ -287,7 +288,7 @@ impl Session {
                 }
             }
             self.dirty = true;
-            self.skip(&item);
+            self.skip(&frame);
         }
         Err(flood().into())
     }
@@ -365,14 +366,13 @@ impl Session {
         Ok(())
     }
 
-    /// Counts what nobody asked for, and waits for the next.
-    pub(super) fn skip(&mut self, item: &Item) {
+    /// Counts a frame that nobody asked for, and waits for the next.
+    pub(super) fn skip(&mut self, frame: &Frame) {
         self.framed.get_mut().expect();
         let mut stats = self.telemetry.stats();
-        stats.bytes_skipped += match item {
-            Item::Scan => 0,
-            Item::Frame(Frame::Reply(bytes)) => bytes.len() as u64 + 2,
-            Item::Frame(Frame::Overlong { bytes }) => {
+        stats.bytes_skipped += match frame {
+            Frame::Reply(bytes) => bytes.len() as u64 + 2,
+            Frame::Overlong { bytes } => {
                 stats.malformed.overlong += 1;
                 *bytes as u64 + 2
             }
