@@ -5,18 +5,15 @@
 
 mod common;
 
-use std::io;
-use std::pin::Pin;
-use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use allocation_counter::{AllocationInfo, measure};
+use common::fountain::Fountain;
 use common::{Rigged, builder};
 use futures::StreamExt;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::runtime::Runtime;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
-use tokio_scip::{Connect, Port, Rate, Window};
+use tokio_scip::{Connect, Rate, Window};
 
 /// What one sensor may take of the heap, its task and streams included.
 const LIMIT: u64 = 32 * 1024;
@@ -28,50 +25,6 @@ fn runtime() -> Runtime {
 fn sensor() -> Emulator {
     Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).log(0).build()
 }
-
-/// A peer that answers nothing that was asked, and talks without an end: the
-/// same bytes over and over, as fast as they are taken.
-struct Fountain {
-    pattern: &'static [u8],
-    at: usize,
-    /// Bytes a millisecond; none for as many as are taken.
-    rest: Option<tokio::time::Interval>,
-}
-
-impl AsyncRead for Fountain {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        let mut room = buffer.remaining();
-        if let Some(rest) = &mut self.rest {
-            ready!(rest.poll_tick(cx));
-            room = room.min(100);
-        }
-        for _ in 0..room {
-            buffer.put_slice(&self.pattern[self.at..=self.at]);
-            self.at = (self.at + 1) % self.pattern.len();
-        }
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl AsyncWrite for Fountain {
-    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
-        Poll::Ready(Ok(b.len()))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl Port for Fountain {}
 
 /// The driver's use of the heap over some time, nothing else's.
 fn driving<C: Connect>(runtime: &Runtime, connect: C) -> AllocationInfo {
@@ -105,8 +58,7 @@ fn w19_a_driver_takes_at_most_32_kib_of_the_heap_whatever_comes() {
         ] {
             let runtime = runtime();
             let connect = Rigged(move || {
-                let rest = (!fast).then(|| tokio::time::interval(Duration::from_millis(1)));
-                Ok(Fountain { pattern, at: 0, rest })
+                Ok(if fast { Fountain::new(pattern) } else { Fountain::slow(pattern) })
             });
             let info = driving(&runtime, connect);
             let text = pattern.escape_ascii();

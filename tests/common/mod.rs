@@ -3,6 +3,8 @@
 
 #![allow(dead_code, reason = "each test file uses a part of it")]
 
+pub(crate) mod fountain;
+
 use std::collections::HashMap;
 use std::time::Duration;
 

@@ -13,6 +13,7 @@ use tokio::runtime::Builder;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{BaudRate, Error, Port, Rate, Sensor, State, Window};
 
+use crate::common::fountain::Fountain;
 use crate::common::{Rigged, builder, ms, request_of};
 use crate::rig::{lies, open, prompt, scans};
 
@@ -207,40 +208,9 @@ fn a12_a_runtime_without_a_timer_panics_with_tokios_own_words() {
     assert!(matches!(sensor.scan(WINDOW).now_or_never(), None | Some(Err(Error::Closed))));
 }
 
-/// A port that takes everything and always has more to say.
-struct Fountain(u8);
-
-impl AsyncRead for Fountain {
-    fn poll_read(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        let room = buffer.remaining();
-        buffer.put_slice(&vec![self.0; room]);
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl AsyncWrite for Fountain {
-    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
-        Poll::Ready(Ok(b.len()))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl Port for Fountain {}
-
 #[tokio::test(start_paused = true)]
 async fn a13_a_port_that_always_has_more_starves_no_other_task() {
-    for byte in [b'x', b'\n', 0] {
+    for pattern in [&b"x"[..], b"\n", b"\0"] {
         let beats = Arc::new(AtomicU64::new(0));
         let heart = tokio::spawn({
             let beats = Arc::clone(&beats);
@@ -255,7 +225,7 @@ async fn a13_a_port_that_always_has_more_starves_no_other_task() {
         let count = Arc::clone(&opened);
         let connect = Rigged(move || {
             count.fetch_add(1, Relaxed);
-            Ok(Fountain(byte))
+            Ok(Fountain::new(pattern))
         });
         let (sensor, driver) = builder().wait_for_sensor().build(connect);
         let driver = tokio::spawn(driver);

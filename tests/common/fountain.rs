@@ -1,0 +1,65 @@
+//! A port out of which bytes come without an end.
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio_scip::Port;
+
+/// A peer that answers nothing that was asked, and talks without an end: the
+/// same bytes over and over, as fast as they are taken.
+pub(crate) struct Fountain {
+    pattern: &'static [u8],
+    at: usize,
+    /// Bytes a millisecond; none for as many as are taken.
+    rest: Option<tokio::time::Interval>,
+}
+
+impl Fountain {
+    /// As fast as they are taken.
+    pub(crate) fn new(pattern: &'static [u8]) -> Self {
+        Self { pattern, at: 0, rest: None }
+    }
+
+    /// At most 100 bytes a millisecond.
+    pub(crate) fn slow(pattern: &'static [u8]) -> Self {
+        Self { rest: Some(tokio::time::interval(Duration::from_millis(1))), ..Self::new(pattern) }
+    }
+}
+
+impl AsyncRead for Fountain {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        let mut room = buffer.remaining();
+        if let Some(rest) = &mut self.rest {
+            ready!(rest.poll_tick(cx));
+            room = room.min(100);
+        }
+        for _ in 0..room {
+            buffer.put_slice(&self.pattern[self.at..=self.at]);
+            self.at = (self.at + 1) % self.pattern.len();
+        }
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl AsyncWrite for Fountain {
+    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
+        Poll::Ready(Ok(b.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl Port for Fountain {}
