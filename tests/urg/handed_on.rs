@@ -1,21 +1,6 @@
 //! What is for other programs: completions, manual pages, the list of ports.
 
-use super::program::run;
-
-const COMMANDS: &[&str] = &[
-    "list",
-    "info",
-    "scan",
-    "stream",
-    "view",
-    #[cfg(feature = "mcap")]
-    "record",
-    "check",
-    "laser",
-    "baud",
-    "emulate",
-    "completions",
-];
+use super::program::{COMMANDS, run};
 
 #[test]
 fn completions_for_each_shell_know_every_command() {

@@ -10,6 +10,22 @@ use std::time::Duration;
 /// More than anything here takes, and less than anybody likes to wait.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
+/// The commands that `urg help` lists, but for those of feature `web`.
+pub(crate) const COMMANDS: &[&str] = &[
+    "list",
+    "info",
+    "scan",
+    "stream",
+    "view",
+    #[cfg(feature = "mcap")]
+    "record",
+    "check",
+    "laser",
+    "baud",
+    "emulate",
+    "completions",
+];
+
 const URG: &str = env!("CARGO_BIN_EXE_urg");
 
 /// The program with these arguments, to be run to its end.

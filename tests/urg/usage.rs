@@ -1,25 +1,11 @@
 //! Help, command lines that make no sense, and what cannot be opened.
 
-use super::program::{Emulated, Scratch, failure, run, urg};
+use super::program::{COMMANDS, Emulated, Scratch, failure, run, urg};
 
 #[test]
 fn every_command_has_help_on_standard_output() {
     assert!(run("--help", 0).stdout.contains("emulated"));
-    for command in [
-        "list",
-        "info",
-        "scan",
-        "stream",
-        "view",
-        #[cfg(feature = "mcap")]
-        "record",
-        "check",
-        "laser",
-        "baud",
-        "emulate",
-        "completions",
-        "man",
-    ] {
+    for command in COMMANDS.iter().chain(&["man"]) {
         let long = run(&format!("{command} --help"), 0).stdout;
         let short = run(&format!("help {command}"), 0).stdout;
         for help in [long, short] {
