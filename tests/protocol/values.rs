@@ -99,6 +99,9 @@ fn a_text_is_what_came_byte_for_byte() {
     let text = Text::from("H0713090");
     assert_eq!((text.as_bytes(), text.is_empty()), (&b"H0713090"[..], false));
     assert!(text == "H0713090" && &text == "H0713090");
+    let (same, other) = (String::from("H0713090"), String::from("H0713091"));
+    assert!(text == same && text != other);
+    assert_eq!((Text::from(&same), Text::from(same)), (text.clone(), text.clone()));
     assert!(text != "H0713091" && &text != "H071309" && text != Text::default());
     assert!(Text::from("").is_empty() && Text::default().is_empty());
 }
