@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use futures::FutureExt;
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_scip::port::SerialPort;
 use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
@@ -90,6 +91,61 @@ async fn every_byte_passes_unchanged_both_ways() {
     assert_eq!(back.as_slice(), every_byte);
 }
 
+#[tokio::test]
+async fn a_long_stream_in_pieces_of_all_sizes_is_read_to_its_end() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let bytes: Vec<u8> =
+        (0..500_000_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let write = async {
+        let mut rest = bytes.as_slice();
+        for size in (1..6000).step_by(7).cycle() {
+            let Some((piece, after)) = rest.split_at_checked(size) else { break };
+            line.far.write_all(piece).await.unwrap();
+            rest = after;
+        }
+        line.far.write_all(rest).await.unwrap();
+    };
+    let mut came = vec![0; bytes.len()];
+    let read = port.read_exact(&mut came);
+    let both = tokio::time::timeout(Duration::from_secs(60), async { tokio::join!(write, read) });
+    both.await.expect("the reader is not told of what came").1.unwrap();
+    assert!(came == bytes);
+}
+
+#[tokio::test]
+async fn a_command_wakes_the_thread_for_its_reply_alone() {
+    const COMMANDS: u64 = 100;
+    let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&far).unwrap();
+    unlockpt(&far).unwrap();
+    let path = ptsname(&far, Vec::new()).unwrap().into_string().unwrap();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    let metrics = tokio::runtime::Handle::current().metrics();
+    let before = metrics.worker_park_count(0);
+    let sensor = std::thread::spawn(move || {
+        let mut far = std::fs::File::from(far);
+        let mut asleep = before;
+        for _ in 0..COMMANDS {
+            std::io::Read::read_exact(&mut far, &mut [0; 2]).unwrap();
+            // Answers only when nobody is awake to see it.
+            while metrics.worker_park_count(0) == asleep {
+                std::thread::yield_now();
+            }
+            asleep = metrics.worker_park_count(0);
+            std::io::Write::write_all(&mut far, b"V\n0\n\n").unwrap();
+        }
+        far
+    });
+    for _ in 0..COMMANDS {
+        port.write_all(b"V\n").await.unwrap();
+        assert_eq!(port.read(&mut [0; 16]).await.unwrap(), 5);
+    }
+    let sleeps = tokio::runtime::Handle::current().metrics().worker_park_count(0) - before;
+    assert!(sleeps < COMMANDS * 3 / 2, "{sleeps} wake-ups for {COMMANDS} commands");
+    sensor.join().unwrap();
+}
+
 /// Writes until the line takes no more, as when a sensor is stuck; returns how
 /// much it took.
 fn stall(port: &mut SerialPort) -> usize {
@@ -107,6 +163,20 @@ async fn o16_flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
     stall(&mut port);
     port.flush().now_or_never().unwrap().unwrap();
     port.shutdown().now_or_never().unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_write_goes_on_when_a_line_that_was_stuck_moves_again() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let taken = stall(&mut port);
+    let mut came = vec![0; taken + 1];
+    let both = async { tokio::join!(port.write_all(b"V"), line.far.read_exact(&mut came)) };
+    let both = tokio::time::timeout(Duration::from_secs(60), both);
+    let (written, read) = both.await.expect("the writer waits on");
+    written.unwrap();
+    read.unwrap();
+    assert_eq!(came.pop(), Some(b'V'));
 }
 
 #[tokio::test]

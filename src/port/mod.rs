@@ -14,6 +14,8 @@ mod search;
 #[cfg(feature = "serial")]
 mod serial;
 mod tcp;
+#[cfg(all(feature = "serial", unix))]
+mod tty;
 
 use std::future::Future;
 use std::io;

@@ -8,10 +8,12 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::oneshot;
 use tokio::task::{JoinHandle, spawn_blocking};
-use tokio_serial::{
-    ClearBuffer, DataBits, FlowControl, Parity, SerialPort as _, SerialStream, StopBits,
-};
+use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, StopBits};
+#[cfg(not(unix))]
+use tokio_serial::{SerialPort as _, SerialStream as Tty};
 
+#[cfg(unix)]
+use super::tty::Tty;
 use super::{Port, list, refusal};
 use crate::{BaudRate, Error};
 
@@ -32,7 +34,7 @@ use crate::{BaudRate, Error};
 /// the sensor when it returns.
 #[derive(Debug)]
 pub struct SerialPort {
-    inner: SerialStream,
+    inner: Tty,
     speed: BaudRate,
     /// A USB sensor itself, where the speed means nothing; not an RS-232
     /// adapter, where it does.
@@ -71,7 +73,7 @@ impl SerialPort {
             .flow_control(FlowControl::None);
         #[cfg(unix)]
         let builder = builder.exclusive(true);
-        let inner = SerialStream::open(&builder).map_err(|error| refusal::explain(path, error))?;
+        let inner = Tty::open(&builder).map_err(|error| refusal::explain(path, error))?;
         let port = Self { inner, speed, is_usb_sensor: list::is_usb_sensor(path) };
         port.verify(speed).map_err(|source| open_error(path, source))?;
         Ok(port)
