@@ -1,7 +1,8 @@
 //! The deadlines of a session, one after the other on one timer.
 
-use std::future::Future;
-use std::pin::Pin;
+use std::future::{Future, poll_fn};
+use std::pin::{Pin, pin};
+use std::task::Poll;
 
 use tokio::task::coop::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
@@ -10,7 +11,8 @@ use tokio::time::{Instant, Sleep, sleep_until};
 ///
 /// A timer of its own for each would be the runtime's next one each time, of
 /// which the runtime tells the thread that waits for I/O by a system call, its
-/// own thread too. Moving a timer to a later time costs next to nothing.
+/// own thread too. Moving a timer to a later time costs next to nothing, and is
+/// done only where there is something to wait for.
 #[derive(Debug, Default)]
 pub(crate) struct Alarm {
     timer: Option<Pin<Box<Sleep>>>,
@@ -23,13 +25,18 @@ impl Alarm {
         deadline: Instant,
         work: impl Future<Output = T>,
     ) -> Option<T> {
-        let timer = self.timer.get_or_insert_with(|| Box::pin(sleep_until(deadline)));
-        timer.as_mut().reset(deadline);
-        tokio::select! {
-            biased;
-            done = work => Some(done),
+        let mut work = pin!(work);
+        poll_fn(|cx| {
+            if let Poll::Ready(done) = work.as_mut().poll(cx) {
+                return Poll::Ready(Some(done));
+            }
+            let timer = self.timer.get_or_insert_with(|| Box::pin(sleep_until(deadline)));
+            if timer.deadline() != deadline {
+                timer.as_mut().reset(deadline);
+            }
             // Also where the work has used up all that a task may do at a time.
-            () = unconstrained(timer.as_mut()) => None,
-        }
+            pin!(unconstrained(timer.as_mut())).poll(cx).map(|()| None)
+        })
+        .await
     }
 }

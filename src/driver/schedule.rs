@@ -34,6 +34,9 @@ struct Schedule {
     due: Instant,
     sequence: u64,
     previous: Option<Arc<[u16]>>,
+    /// The values before those: their place is used again when nobody holds them
+    /// any more.
+    spare: Option<Arc<[u16]>>,
     /// The kind of the last error since the last scan.
     condition: Option<Discriminant<Error>>,
     speed: Speedometer,
@@ -117,8 +120,7 @@ impl Schedules {
         meta.repeat = schedule.previous.as_deref() == Some(values);
         schedule.sequence += 1;
         schedule.condition = None;
-        let values: Arc<[u16]> = values.into();
-        schedule.previous = Some(Arc::clone(&values));
+        let values = schedule.keep(values);
         schedule.ring.push(Scan::new(poll.window, values, 0, meta));
         let now = Instant::now();
         if schedule.rate.period().is_none() {
@@ -158,7 +160,7 @@ impl Schedules {
     pub(crate) fn note(&mut self, noted: &mut Vec<ScheduleStats>) {
         let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
         if std::mem::take(&mut self.changed) {
-            // In place: a scan costs no allocation beyond its values.
+            // In place: a scan costs no allocation.
             noted.clear();
             noted.extend(self.all.iter().map(stats));
         }
@@ -211,6 +213,7 @@ impl Schedule {
             due: now,
             sequence: 0,
             previous: None,
+            spare: None,
             condition: None,
             speed: Speedometer::new(now),
         }
@@ -245,6 +248,18 @@ impl Schedule {
         let skipped = (late / period) as u64;
         self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);
         skipped
+    }
+
+    /// Shares `values`, as those of the latest scan.
+    fn keep(&mut self, values: &[u16]) -> Arc<[u16]> {
+        let reused = self.spare.take().and_then(|mut spare| {
+            let place = Arc::get_mut(&mut spare).filter(|place| place.len() == values.len())?;
+            place.copy_from_slice(values);
+            Some(spare)
+        });
+        let values = reused.unwrap_or_else(|| values.into());
+        self.spare = self.previous.replace(Arc::clone(&values));
+        values
     }
 
     /// Passes `error` on if it is another kind than the last one since the last

@@ -176,30 +176,29 @@ impl Service<'_> {
             self.note_schedules();
             return Ok(());
         };
-        let outcome = match self.poll_with_laser(session, poll.window).await {
-            Ok(timing) => {
-                self.deliver(poll, session.values(), timing);
-                Ok(())
-            }
-            Err(failure) => survivable(failure).map(|error| self.schedules.fail(poll, &error)),
+        let (outcome, repeats) = match self.poll_with_laser(session, poll.window).await {
+            Ok(timing) => (Ok(()), u64::from(self.deliver(poll, session.values(), timing))),
+            Err(failure) => (survivable(failure).map(|error| self.schedules.fail(poll, &error)), 0),
         };
         let mut stats = self.telemetry.stats();
+        stats.repeats += repeats;
         stats.polls_skipped += skipped;
         stats.missed = self.schedules.missed();
+        self.schedules.note(&mut stats.schedules);
         drop(stats);
-        self.note_schedules();
         outcome
     }
 
-    fn deliver(&mut self, poll: Poll, values: &[u16], timing: Timing) {
+    /// Delivers a scan; gives whether its values are those of the one before.
+    fn deliver(&mut self, poll: Poll, values: &[u16], timing: Timing) -> bool {
         let delivered = self.schedules.deliver(poll, values, meta(timing, self.scan_time));
-        self.telemetry.stats().repeats += u64::from(delivered.repeat);
         if let Some(slow) = delivered.slow {
             tracing::warn!(
                 window = %poll.window, asked = %poll.rate, reached = slow.reached,
                 "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher line speed"
             );
         }
+        delivered.repeat
     }
 
     /// Polls; where the laser is off and nobody here switched it off, once more
