@@ -3,7 +3,8 @@
 //! writes a command and reads until the reply has ended, no more.
 //!
 //! `cargo bench --bench round_trip` prints a table; with a way of polling
-//! (`floor`, `current` or `multi`) it polls in that way only, for `strace -cf`.
+//! (`floor`, `current` or `multi`) and a sensor (`prompt` or `emulated`) it does
+//! only that, for `strace -cf`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -13,9 +14,12 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use support::{cpu_time, median, terminal, us};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::runtime::{Builder, Runtime};
+use tokio::time::timeout;
 use tokio_scip::emulator::{Emulator, Fixed, Pace, Pty};
 use tokio_scip::{Rate, Sensor, Window};
+use tokio_serial::SerialStream;
 
 #[path = "../tests/common/prompt.rs"]
 mod prompt;
@@ -32,9 +36,10 @@ fn main() {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
         ["serve", sensor] => serve(sensor),
-        [way] => {
-            let server = Server::start(SENSORS[0].0);
-            println!("{way}: {:?}", poll(way, &server.path, SENSORS[0].1));
+        [way, sensor] => {
+            let (_, polls) = SENSORS.into_iter().find(|(name, _)| *name == sensor).unwrap();
+            let server = Server::start(sensor);
+            println!("{way}: {:?}", poll(way, &server.path, polls));
         }
         _ => table(),
     }
@@ -44,9 +49,9 @@ fn table() {
     println!("sensor    way      scans/s  of floor  CPU us/scan  of floor");
     for (sensor, polls) in SENSORS {
         let server = Server::start(sensor);
-        let ways = ["floor", "current", "multi"];
+        let ways = ["floor", "tokio", "current", "multi"];
         // Side by side in each round: what disturbs one disturbs all.
-        let rounds: Vec<[Cost; 3]> =
+        let rounds: Vec<[Cost; 4]> =
             (0..ROUNDS).map(|_| ways.map(|way| poll(way, &server.path, polls))).collect();
         for (index, way) in ways.into_iter().enumerate() {
             let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
@@ -86,6 +91,7 @@ impl Cost {
 fn poll(way: &str, path: &Path, scans: usize) -> Cost {
     match way {
         "floor" => floor(path, scans),
+        "tokio" => tokio(path, scans),
         "current" => {
             driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans)
         }
@@ -112,6 +118,33 @@ fn floor(path: &Path, scans: usize) -> Cost {
     Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
 }
 
+/// The floor on tokio: its serial port, a deadline for each reply, and no
+/// decoding, all in one task.
+fn tokio(path: &Path, scans: usize) -> Cost {
+    let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+    let path = path.to_str().unwrap().to_owned();
+    let polling = runtime.spawn(async move {
+        let mut port = SerialStream::open(&tokio_serial::new(path, 19_200)).unwrap();
+        let mut buffer = [0; 4096];
+        let mut scan = async || {
+            AsyncWriteExt::write_all(&mut port, b"G04472501\n").await.unwrap();
+            let mut length = 0;
+            while !buffer[..length].ends_with(b"\n\n") {
+                let read = AsyncReadExt::read(&mut port, &mut buffer[length..]);
+                length += timeout(Duration::from_millis(500), read).await.unwrap().unwrap();
+            }
+            assert_eq!(length, 1399);
+        };
+        scan().await;
+        let (start, cpu) = (Instant::now(), cpu_time());
+        for _ in 0..scans {
+            scan().await;
+        }
+        Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
+    });
+    runtime.block_on(polling).unwrap()
+}
+
 /// The driver, with its consumer in a task of its own. All scans count: a
 /// consumer on another thread may be too slow to see each of them.
 fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
@@ -119,12 +152,12 @@ fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
     let polling = runtime.spawn(async move {
         let sensor = Sensor::open(path).await.unwrap();
         let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
-        stream.next().await.unwrap().unwrap();
-        let (before, start, cpu) = (sensor.stats().scans, Instant::now(), cpu_time());
+        let mut next = async || stream.next().await.unwrap().unwrap().sequence();
+        let before = next().await;
+        let (start, cpu) = (Instant::now(), cpu_time());
         let mut scans = 0;
         while scans < polls {
-            stream.next().await.unwrap().unwrap();
-            scans = (sensor.stats().scans - before) as usize;
+            scans = (next().await - before) as usize;
         }
         let cost = Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu };
         sensor.close().await;

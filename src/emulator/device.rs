@@ -184,11 +184,14 @@ impl Device {
         let points =
             usize::from(end.saturating_add_signed(self.miscount.into()) + 1).saturating_sub(first);
         // A miscount may ask for a step past the last one, where nothing is.
-        let padded = codes.iter().copied().chain([FAR; 128]);
-        let window: Vec<u16> = padded.skip(first).take(points).collect();
-        // The minimum of the raw codes: an error code wins over distances (p. 6).
-        let groups = window.chunks(usize::from(cluster.max(1)));
-        encode::distances(echo, groups.map(|group| group.iter().copied().min().unwrap_or(FAR)))
+        let mut window = codes.get(first..).unwrap_or_default().to_vec();
+        window.resize(points, FAR);
+        if cluster > 1 {
+            // The minimum of the raw codes: an error code wins over distances (p. 6).
+            let groups = window.chunks(cluster.into());
+            window = groups.map(|group| group.iter().copied().min().unwrap_or(FAR)).collect();
+        }
+        encode::distances(echo, &window)
     }
 
     fn scip2(&mut self, line: &[u8]) -> Vec<u8> {

@@ -90,11 +90,11 @@ impl CommandBytes {
     /// `S`, six digits and seven more: the longest command.
     const CAPACITY: usize = 14;
 
-    fn push(&mut self, part: &[u8]) {
-        for (slot, &byte) in self.bytes.iter_mut().skip(self.len).zip(part) {
-            *slot = byte;
+    fn push<const N: usize>(&mut self, part: &[u8; N]) {
+        if let Some(slot) = self.bytes.get_mut(self.len..).and_then(<[u8]>::first_chunk_mut) {
+            *slot = *part;
         }
-        self.len += part.len();
+        self.len += N;
     }
 }
 

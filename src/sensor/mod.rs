@@ -149,7 +149,9 @@ impl Sensor {
     ///
     /// [`Error::UnsupportedSpeed`] before the sensor is told anything, if the
     /// port cannot be set to this speed or, as a TCP connection, to any.
-    /// [`Error::NotConfirmed`] if the sensor accepted and stayed where it was.
+    /// [`Error::NotConfirmed`] if the sensor accepted and stayed where it was, or,
+    /// with `L0` as its command, if the laser was off by request and will not go
+    /// off at the new speed.
     pub async fn set_baud_rate(&self, speed: BaudRate) -> Result<(), Error> {
         self.client.ask(|promise| Request::BaudRate { speed, promise }).await
     }
