@@ -59,6 +59,11 @@ impl SerialPort {
     /// - [`Error::Open`] with the cause, for everything else. That includes a
     ///   lack of permission on a device that appeared just now, because it gets
     ///   its group a moment after it appears.
+    ///
+    /// # Panics
+    ///
+    /// Outside of a tokio runtime, and in one without I/O. A write to a line that
+    /// takes no more panics in one without a timer.
     pub async fn open(path: &str) -> Result<Self, Error> {
         Opener::default().open(path).await
     }
