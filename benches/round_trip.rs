@@ -3,8 +3,8 @@
 //! writes a command and reads until the reply has ended, no more.
 //!
 //! `cargo bench --bench round_trip` prints a table; with a way of polling
-//! (`floor`, `current` or `multi`) and a sensor (`prompt` or `emulated`) it does
-//! only that, for `strace -cf`.
+//! (`floor`, `tokio`, `current` or `multi`) and a sensor (`prompt` or `emulated`)
+//! it does only that, for `strace -cf`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -96,7 +96,7 @@ fn poll(way: &str, path: &Path, scans: usize) -> Cost {
             driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans)
         }
         "multi" => driver(Builder::new_multi_thread().enable_all().build().unwrap(), path, scans),
-        _ => panic!("{way}: use floor, current or multi"),
+        _ => panic!("{way}: use floor, tokio, current or multi"),
     }
 }
 

@@ -29,6 +29,15 @@ fn line() -> Line {
     Line { far, near, path }
 }
 
+/// A line whose far end is a plain file, and the path of its near end.
+fn blocking_line() -> (std::fs::File, String) {
+    let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    grantpt(&far).unwrap();
+    unlockpt(&far).unwrap();
+    let path = ptsname(&far, Vec::new()).unwrap().into_string().unwrap();
+    (far.into(), path)
+}
+
 /// A directory that is removed with all that is in it.
 struct Scratch(PathBuf);
 
@@ -114,17 +123,24 @@ async fn a_long_stream_in_pieces_of_all_sizes_is_read_to_its_end() {
 }
 
 #[tokio::test]
+async fn a_read_sees_what_has_come_since_the_last_one_though_the_runtime_does_not() {
+    let (mut far, path) = blocking_line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    std::io::Write::write_all(&mut far, b"V\n0\n\n").unwrap();
+    let mut bytes = [0; 16];
+    assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
+    std::io::Write::write_all(&mut far, b"late").unwrap();
+    assert_eq!(port.read(&mut bytes).now_or_never().expect("unseen").unwrap(), 4);
+}
+
+#[tokio::test]
 async fn a_command_wakes_the_thread_for_its_reply_alone() {
     const COMMANDS: u64 = 100;
-    let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
-    grantpt(&far).unwrap();
-    unlockpt(&far).unwrap();
-    let path = ptsname(&far, Vec::new()).unwrap().into_string().unwrap();
+    let (mut far, path) = blocking_line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let metrics = tokio::runtime::Handle::current().metrics();
     let before = metrics.worker_park_count(0);
     let sensor = std::thread::spawn(move || {
-        let mut far = std::fs::File::from(far);
         let mut asleep = before;
         for _ in 0..COMMANDS {
             std::io::Read::read_exact(&mut far, &mut [0; 2]).unwrap();
@@ -137,10 +153,14 @@ async fn a_command_wakes_the_thread_for_its_reply_alone() {
         }
         far
     });
-    for _ in 0..COMMANDS {
-        port.write_all(b"V\n").await.unwrap();
-        assert_eq!(port.read(&mut [0; 16]).await.unwrap(), 5);
-    }
+    let exchanges = async {
+        for _ in 0..COMMANDS {
+            port.write_all(b"V\n").await.unwrap();
+            assert_eq!(port.read(&mut [0; 16]).await.unwrap(), 5);
+        }
+    };
+    let exchanges = tokio::time::timeout(Duration::from_secs(60), exchanges);
+    exchanges.await.expect("the reader is not told of what came");
     let sleeps = tokio::runtime::Handle::current().metrics().worker_park_count(0) - before;
     assert!(sleeps < COMMANDS * 3 / 2, "{sleeps} wake-ups for {COMMANDS} commands");
     sensor.join().unwrap();

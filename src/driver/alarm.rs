@@ -4,7 +4,7 @@ use std::future::{Future, poll_fn};
 use std::pin::{Pin, pin};
 use std::task::Poll;
 
-use tokio::task::coop::unconstrained;
+use tokio::task::coop::{has_budget_remaining, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
 /// A timer that is kept from one exchange to the next.
@@ -27,6 +27,11 @@ impl Alarm {
     ) -> Option<T> {
         let mut work = pin!(work);
         poll_fn(|cx| {
+            // Out of budget, work says that it waits though it may be done.
+            if !has_budget_remaining() {
+                cx.waker().wake_by_ref();
+                return Poll::Pending;
+            }
             if let Poll::Ready(done) = work.as_mut().poll(cx) {
                 return Poll::Ready(Some(done));
             }
@@ -38,5 +43,25 @@ impl Alarm {
             pin!(unconstrained(timer.as_mut())).poll(cx).map(|()| None)
         })
         .await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::sync::mpsc;
+    use tokio::task::coop::consume_budget;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn work_that_is_done_is_seen_by_a_task_without_budget_though_it_is_late() {
+        let (sender, mut receiver) = mpsc::channel(1);
+        assert!(sender.send(7).await.is_ok());
+        let mut alarm = Alarm::default();
+        while has_budget_remaining() {
+            consume_budget().await;
+        }
+        assert_eq!(alarm.limit(Instant::now(), receiver.recv()).await, Some(Some(7)));
+        assert_eq!(alarm.limit(Instant::now(), receiver.recv()).await, None);
     }
 }

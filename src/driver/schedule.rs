@@ -160,7 +160,7 @@ impl Schedules {
     pub(crate) fn note(&mut self, noted: &mut Vec<ScheduleStats>) {
         let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
         if std::mem::take(&mut self.changed) {
-            // In place: a scan costs no allocation.
+            // In place, without allocating.
             noted.clear();
             noted.extend(self.all.iter().map(stats));
         }

@@ -1,4 +1,4 @@
-//! [`SerialPort`]: RS-232 and USB, through tokio-serial.
+//! [`SerialPort`]: RS-232 and USB.
 
 use std::io;
 use std::pin::Pin;
@@ -58,12 +58,12 @@ impl SerialPort {
     /// - [`Error::Busy`]: it is open elsewhere, in this program or another.
     /// - [`Error::Open`] with the cause, for everything else. That includes a
     ///   lack of permission on a device that appeared just now, because it gets
-    ///   its group a moment after it appears.
+    ///   its group a moment after it appears, and a tokio runtime without I/O.
     ///
     /// # Panics
     ///
-    /// Outside of a tokio runtime, and in one without I/O. A write to a line that
-    /// takes no more panics in one without a timer.
+    /// Outside of a tokio runtime. A write to a line that takes no more may panic
+    /// in one without a timer.
     pub async fn open(path: &str) -> Result<Self, Error> {
         Opener::default().open(path).await
     }
@@ -169,7 +169,7 @@ impl AsyncWrite for SerialPort {
     }
 
     fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // tokio-serial's is tcdrain(3), which blocks the runtime's thread until
+        // The system's is tcdrain(3), which blocks the runtime's thread until
         // the last byte is on the line, or for ever where nothing drains.
         Poll::Ready(Ok(()))
     }

@@ -1,5 +1,4 @@
-//! [`Tty`]: the bytes of a serial port on Unix, with no wake-up and no system
-//! call that does nothing.
+//! [`Tty`]: the bytes of a serial port on Unix, with no wake-up that does nothing.
 
 use std::future::Future;
 use std::io::{self, Read as _, Write as _};
@@ -13,11 +12,11 @@ use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
-/// How much is read at once, at most: any reply of a sensor, which a read does
-/// not have to make more room for than it needs.
+/// How much is read at once, at most. All of it is initialised first, and no
+/// reply of a sensor is longer.
 const MAX_READ: usize = 2048;
-/// When a port that takes no more is tried again: a command is ten bytes, which
-/// the slowest line has sent by then.
+/// When a port that takes no more is tried again: about as long as the slowest
+/// line takes for a command.
 const RETRY: Duration = Duration::from_millis(5);
 
 /// A serial port that wakes its reader when there is something to read, and
@@ -66,12 +65,9 @@ impl AsyncRead for Tty {
             let mut guard = ready!(self.fd.poll_read_ready(cx))?;
             let read = guard.try_io(|fd| fd.get_ref().read(buffer.initialize_unfilled_to(room)));
             match read {
+                // Ready still, so that the next read asks the system: that is how
+                // the driver knows what came before a command.
                 Ok(Ok(read)) => {
-                    // The system has no more: to ask it would take another call.
-                    // What comes later makes the port ready again.
-                    if 0 < read && read < room {
-                        guard.clear_ready();
-                    }
                     buffer.advance(read);
                     return Poll::Ready(Ok(()));
                 }
