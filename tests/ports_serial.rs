@@ -127,6 +127,7 @@ async fn a_read_sees_what_has_come_since_the_last_one_though_the_runtime_does_no
     let (mut far, path) = blocking_line();
     let mut port = SerialPort::open(&path).await.unwrap();
     std::io::Write::write_all(&mut far, b"V\n0\n\n").unwrap();
+    assert!(port.asks_system());
     let mut bytes = [0; 16];
     assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
     std::io::Write::write_all(&mut far, b"late").unwrap();

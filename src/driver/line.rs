@@ -31,7 +31,8 @@ const WRITE_BUFFER: usize = 32;
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
 pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, Intake> {
     let intake = Intake::new(tap.is_some());
-    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
+    let line =
+        Line { port, arrival: None, received: 0, first: [0; 2], before: 0, flowing: false, tap };
     let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
@@ -49,6 +50,8 @@ pub(crate) struct Line {
     first: [u8; 2],
     /// How many of them had arrived when the latest command was written.
     before: u64,
+    /// The latest read gave bytes.
+    flowing: bool,
     tap: Tap,
 }
 
@@ -83,6 +86,12 @@ impl Line {
         self.received
     }
 
+    /// Whether the next read gives all that the system has, also where the runtime
+    /// has not been told of it.
+    pub(super) fn is_up_to_date(&self) -> bool {
+        self.flowing && self.port.asks_system()
+    }
+
     /// Whether the first thing that ever came was a telnet command, as from a
     /// server that begins by settling its options.
     pub(crate) fn began_as_telnet(&self) -> bool {
@@ -114,6 +123,7 @@ impl AsyncRead for Line {
         let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
         let outcome = again_if_interrupted(outcome, cx);
         let read = buffer.filled().len() - before;
+        self.flowing = read > 0;
         if read > 0 {
             let seen = self.received.min(2) as usize;
             let fresh = buffer.filled().get(before..).unwrap_or_default();

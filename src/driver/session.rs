@@ -334,9 +334,11 @@ impl Session {
     /// Throws away what came since the last reply: it is older than the next
     /// command. That something came makes the line dirty.
     pub(super) async fn discard_pending(&mut self) -> Result<(), Failure> {
-        // Lets the runtime see what the system has.
-        tokio::task::yield_now().await;
         let line = self.framed.get_mut();
+        if !line.is_up_to_date() {
+            // Lets the runtime see what the system has.
+            tokio::task::yield_now().await;
+        }
         let before = line.received();
         let pending = poll_fn(|cx| {
             let mut scratch = [0; SCRATCH];

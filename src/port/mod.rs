@@ -72,6 +72,13 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         SystemTime::now()
     }
 
+    /// Whether a read that follows one that gave bytes asks the system for more,
+    /// whatever the runtime has been told. The driver can do without a turn of the
+    /// runtime then, before it takes a line for quiet. `false` unless implemented.
+    fn asks_system(&self) -> bool {
+        false
+    }
+
     /// Throws away what was written and is not on the line yet, so that closing
     /// the port does not wait for it. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
@@ -88,6 +95,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
     fn wall_clock(&self) -> SystemTime {
         (**self).wall_clock()
+    }
+
+    fn asks_system(&self) -> bool {
+        (**self).asks_system()
     }
 
     fn discard_output(&mut self) {

@@ -137,6 +137,10 @@ impl Port for SerialPort {
         }
     }
 
+    fn asks_system(&self) -> bool {
+        cfg!(unix)
+    }
+
     fn discard_output(&mut self) {
         // A port that is gone has no output to discard.
         let _ = self.inner.clear(ClearBuffer::Output);

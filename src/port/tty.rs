@@ -65,8 +65,7 @@ impl AsyncRead for Tty {
             let mut guard = ready!(self.fd.poll_read_ready(cx))?;
             let read = guard.try_io(|fd| fd.get_ref().read(buffer.initialize_unfilled_to(room)));
             match read {
-                // Ready still, so that the next read asks the system: that is how
-                // the driver knows what came before a command.
+                // Ready still, so that the next read asks the system (`asks_system`).
                 Ok(Ok(read)) => {
                     buffer.advance(read);
                     return Poll::Ready(Ok(()));
