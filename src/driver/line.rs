@@ -1,6 +1,7 @@
 //! The port as a session sees it: it notes what arrives, gives up under a
 //! flood, and never flushes.
 
+use std::future::poll_fn;
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -8,6 +9,7 @@ use std::time::SystemTime;
 
 use bytes::BytesMut;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::task::coop::unconstrained;
 use tokio::time::Instant;
 use tokio_util::codec::Framed;
 
@@ -25,6 +27,8 @@ const FLOOD: u64 = 64 * 1024;
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
 pub(super) const READ_BUFFER: usize = 4096;
+/// How much is read at once of what is thrown away.
+pub(super) const SCRATCH: usize = 512;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER: usize = 32;
 
@@ -86,10 +90,30 @@ impl Line {
         self.received
     }
 
-    /// Whether the next read gives all that the system has, also where the runtime
-    /// has not been told of it.
-    pub(super) fn is_up_to_date(&self) -> bool {
-        self.flowing && self.port.asks_system()
+    /// Throws away what the system has by now, and gives how many bytes that were;
+    /// `None` at the end of the stream.
+    pub(super) async fn drain(&mut self) -> io::Result<Option<u64>> {
+        if !(self.flowing && self.port.asks_system()) {
+            // Lets the runtime see what the system has.
+            tokio::task::yield_now().await;
+        }
+        let before = self.received;
+        let drained = poll_fn(|cx| {
+            let mut scratch = [0; SCRATCH];
+            loop {
+                let mut buffer = ReadBuf::new(&mut scratch);
+                match Pin::new(&mut *self).poll_read(cx, &mut buffer) {
+                    Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
+                        return Poll::Ready(Ok(None));
+                    }
+                    Poll::Ready(Ok(())) => {}
+                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+                    Poll::Pending => return Poll::Ready(Ok(Some(self.received - before))),
+                }
+            }
+        });
+        // A task that has used up its budget must not take that for a quiet line.
+        unconstrained(drained).await
     }
 
     /// Whether the first thing that ever came was a telnet command, as from a

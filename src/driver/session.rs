@@ -6,18 +6,14 @@
 //! nobody asked for, a foreign or damaged reply, a deadline that passed) makes
 //! the line dirty, and a dirty line is fenced before the next command.
 
-use std::future::poll_fn;
 use std::io;
 use std::ops::Range;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
 use bytes::BufMut;
 use futures::{SinkExt, StreamExt};
-use tokio::io::{AsyncRead, AsyncReadExt, ReadBuf};
-use tokio::task::coop::unconstrained;
+use tokio::io::AsyncReadExt;
 use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
@@ -25,7 +21,7 @@ use tracing::Instrument;
 use super::alarm::Alarm;
 use super::echoes::Echoes;
 use super::intake::{Intake, Item};
-use super::line::{Line, READ_BUFFER, flood};
+use super::line::{Line, READ_BUFFER, SCRATCH, flood};
 use crate::codec::Frame;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
@@ -34,8 +30,6 @@ use crate::{BaudRate, Error, Window};
 /// Frames that may come in answer to one command before the line counts as
 /// flooded.
 pub(super) const MAX_FRAMES: usize = 64;
-/// How much is read at once of what is thrown away.
-const SCRATCH: usize = 512;
 
 /// Why a command got no answer.
 #[derive(Debug)]
@@ -334,29 +328,8 @@ impl Session {
     /// Throws away what came since the last reply: it is older than the next
     /// command. That something came makes the line dirty.
     pub(super) async fn discard_pending(&mut self) -> Result<(), Failure> {
-        let line = self.framed.get_mut();
-        if !line.is_up_to_date() {
-            // Lets the runtime see what the system has.
-            tokio::task::yield_now().await;
-        }
-        let before = line.received();
-        let pending = poll_fn(|cx| {
-            let mut scratch = [0; SCRATCH];
-            loop {
-                let mut buffer = ReadBuf::new(&mut scratch);
-                match Pin::new(&mut *line).poll_read(cx, &mut buffer) {
-                    Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
-                        return Poll::Ready(Err(Failure::Line(Error::disconnected(None))));
-                    }
-                    Poll::Ready(Ok(())) => {}
-                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error.into())),
-                    Poll::Pending => return Poll::Ready(Ok(())),
-                }
-            }
-        });
-        // A task that has used up its budget must not take that for a quiet line.
-        unconstrained(pending).await?;
-        let fresh = self.framed.get_ref().received() - before;
+        let drained = self.framed.get_mut().drain().await?;
+        let fresh = drained.ok_or_else(|| Failure::Line(Error::disconnected(None)))?;
         let skipped = fresh + self.framed.read_buffer().len() as u64;
         if skipped > 0 {
             self.telemetry.stats().bytes_skipped += skipped;

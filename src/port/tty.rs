@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use mio_serial::SerialStream;
 use tokio::io::unix::AsyncFd;
-use tokio::io::{AsyncRead, AsyncWrite, Interest, ReadBuf};
+use tokio::io::{Interest, ReadBuf};
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
@@ -52,10 +52,9 @@ impl Tty {
     pub(super) fn clear(&self, buffer: ClearBuffer) -> tokio_serial::Result<()> {
         self.fd.get_ref().clear(buffer)
     }
-}
 
-impl AsyncRead for Tty {
-    fn poll_read(
+    /// As [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read).
+    pub(super) fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
@@ -75,10 +74,9 @@ impl AsyncRead for Tty {
             }
         }
     }
-}
 
-impl AsyncWrite for Tty {
-    fn poll_write(
+    /// As [`AsyncWrite::poll_write`](tokio::io::AsyncWrite::poll_write).
+    pub(super) fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         bytes: &[u8],
@@ -95,14 +93,5 @@ impl AsyncWrite for Tty {
                 outcome => return Poll::Ready(outcome),
             }
         }
-    }
-
-    /// See [`SerialPort`](super::SerialPort).
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
     }
 }
