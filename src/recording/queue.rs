@@ -30,8 +30,8 @@ const OVERHEAD: usize = 128;
 #[derive(Debug)]
 pub(super) struct Queue {
     entries: mpsc::Sender<Entry>,
-    /// How many bytes wait.
-    waiting: watch::Sender<usize>,
+    /// How many bytes wait; nothing once nobody writes any more.
+    waiting: watch::Sender<Option<usize>>,
     scans: AtomicU64,
     replies: AtomicU64,
     bytes: AtomicU64,
@@ -70,31 +70,34 @@ impl Entry {
 }
 
 impl Queue {
-    /// Begins a file, and the thread that writes it.
-    pub(super) fn into_file(
-        out: impl Write + Send + 'static,
-        frame_id: String,
-    ) -> Result<Arc<Self>, RecordingError> {
+    fn new() -> (Self, mpsc::Receiver<Entry>) {
         let (entries, receiver) = mpsc::channel();
-        let queue = Arc::new(Self {
+        let queue = Self {
             entries,
-            waiting: watch::Sender::new(0),
+            waiting: watch::Sender::new(Some(0)),
             scans: AtomicU64::new(0),
             replies: AtomicU64::new(0),
             bytes: AtomicU64::new(0),
             lost: AtomicU64::new(0),
             lost_replies: AtomicU64::new(0),
             failure: Mutex::new(None),
-        });
+        };
+        (queue, receiver)
+    }
+
+    /// Begins a file, and the thread that writes it.
+    pub(super) fn into_file(
+        out: impl Write + Send + 'static,
+        frame_id: String,
+    ) -> Result<Arc<Self>, RecordingError> {
+        let (queue, receiver) = Self::new();
+        let queue = Arc::new(queue);
         let counted = Counted { out, queue: Arc::clone(&queue) };
         let writer = Writer::new(BufWriter::new(counted), LogClock::starting_now(), frame_id)
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
-            move || {
-                queue.fail(write_all(writer, &receiver, &queue));
-                queue.waiting.send_replace(0);
-            }
+            move || queue.end(write_all(writer, &receiver, &queue))
         };
         std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -113,15 +116,11 @@ impl Queue {
             _ => None,
         };
         let room = self.waiting.send_if_modified(|waiting| {
-            let room = *waiting + weight <= MOST;
-            *waiting += if room { weight } else { 0 };
-            room
+            let more = waiting.map(|waiting| waiting + weight).filter(|more| *more <= MOST);
+            *waiting = more.or(*waiting);
+            more.is_some()
         });
         let queued = room && self.entries.send(entry).is_ok();
-        if room && !queued {
-            // Nothing waits for nobody.
-            self.waiting.send_replace(0);
-        }
         if let Some((kept, lost)) = counters {
             if queued { kept } else { lost }.fetch_add(1, Ordering::Relaxed);
         }
@@ -130,7 +129,8 @@ impl Queue {
     /// Waits until only few bytes wait, or nobody writes any more.
     pub(super) async fn room(&self) {
         // The sender is here.
-        let _ = self.waiting.subscribe().wait_for(|waiting| *waiting <= FEW).await;
+        let few = |waiting: &Option<usize>| waiting.is_none_or(|waiting| waiting <= FEW);
+        let _ = self.waiting.subscribe().wait_for(few).await;
     }
 
     /// Ends the file behind what is queued; the receiver is told, or dropped where
@@ -156,6 +156,12 @@ impl Queue {
     /// Why writing failed, if it did.
     pub(super) fn failure(&self) -> Option<RecordingError> {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Nobody writes any more, so that nothing is waited for.
+    fn end(&self, outcome: McapResult<()>) {
+        self.fail(outcome);
+        self.waiting.send_replace(None);
     }
 
     /// Keeps why writing failed, for the recorder to tell; one line of log.
@@ -201,7 +207,7 @@ fn write_all<W: Write>(
             }
             Err(RecvTimeoutError::Disconnected) => return writer.finish(),
         }
-        queue.waiting.send_modify(|waiting| *waiting -= weight);
+        queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH {
             writer.flush()?;
             unwritten = None;
@@ -224,5 +230,29 @@ impl<W: Write> Write for Counted<W> {
 
     fn flush(&mut self) -> io::Result<()> {
         self.out.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use futures::FutureExt as _;
+
+    use super::*;
+
+    /// The thread is told to be gone before its end of the channel is.
+    #[test]
+    fn nobody_waits_for_what_comes_while_the_thread_that_writes_ends() {
+        let (queue, _receiver) = Queue::new();
+        let times = Times { steady: Instant::now(), wall: SystemTime::now() };
+        let push = || queue.push(Entry::Event { json: "x".repeat(FEW), times });
+        push();
+        push();
+        assert!(queue.room().now_or_never().is_none());
+        queue.end(Err(io::Error::from(io::ErrorKind::StorageFull).into()));
+        push();
+        push();
+        assert!(queue.room().now_or_never().is_some());
     }
 }

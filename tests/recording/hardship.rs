@@ -126,6 +126,7 @@ fn is_full(error: &RecordingError) -> bool {
 /// Holds up writing until it is told to go on.
 struct Slow {
     sink: Sink,
+    hangs: mpsc::Sender<()>,
     go: mpsc::Receiver<()>,
 }
 
@@ -133,6 +134,7 @@ impl Write for Slow {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.sink.bytes().len() > 1_000 {
             // From the second chunk on; afterwards without end.
+            let _ = self.hangs.send(());
             let _ = self.go.recv();
         }
         self.sink.write(bytes)
@@ -146,18 +148,23 @@ impl Write for Slow {
 #[tokio::test(start_paused = true)]
 async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     let sink = Sink::new();
-    let (go, wait) = mpsc::channel();
-    let slow = Slow { sink: sink.clone(), go: wait };
+    let ((go, wait), (hangs, hung)) = (mpsc::channel(), mpsc::channel());
+    let slow = Slow { sink: sink.clone(), hangs, go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
     let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
-    // Twice as much as may wait: this would hang if it could.
+    // Twice as much as may wait: this would hang if it could. And again, when
+    // nothing is taken from it any more.
+    for _ in 0..12_000 {
+        recorder.record(&item).unwrap();
+    }
+    hung.recv_timeout(Duration::from_secs(60)).unwrap();
     for _ in 0..12_000 {
         recorder.record(&item).unwrap();
     }
     let progress = recorder.progress();
     assert!(progress.lost > 4_000, "{progress:?}");
-    assert_eq!((progress.scans + progress.lost, progress.lost_replies), (12_000, 0));
+    assert_eq!((progress.scans + progress.lost, progress.lost_replies), (24_000, 0));
     // Replies are no scans.
     sensor.scan(Window::DETECTION).await.unwrap();
     let (lost, progress) = (progress.lost, recorder.progress());
@@ -170,8 +177,8 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
 #[tokio::test]
 async fn who_waits_for_room_loses_nothing_to_a_disk_that_hangs() {
     let sink = Sink::new();
-    let (go, wait) = mpsc::channel();
-    let slow = Slow { sink: sink.clone(), go: wait };
+    let ((go, wait), (hangs, _hung)) = (mpsc::channel(), mpsc::channel());
+    let slow = Slow { sink: sink.clone(), hangs, go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
