@@ -4,7 +4,7 @@
 use std::fs::{self, File};
 use std::io::{Cursor, Read};
 use std::os::unix::fs::symlink;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use serde_json::Value;
@@ -281,11 +281,14 @@ fn a_pipe_that_nobody_reads_can_be_given_up() {
     assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
     // Ignored until the program listens.
     let script = format!(
-        "trap '' INT; exec {} record emulated {} --force",
+        "trap '' INT; echo; exec {} record emulated {} --force",
         env!("CARGO_BIN_EXE_urg"),
         pipe.path()
     );
-    let mut record = Command::new("sh").args(["-c", &script]).spawn().unwrap();
+    let mut record =
+        Command::new("sh").args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut trapped = [0];
+    record.stdout.as_mut().unwrap().read_exact(&mut trapped).unwrap();
     let began = Instant::now();
     let status = loop {
         let id = record.id().to_string();
