@@ -14,7 +14,7 @@ use common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::timeout;
 use tokio_scip::emulator::Link;
-use tokio_scip::{Error, Rate, Window};
+use tokio_scip::{Connect, Error, Port, Rate, Window};
 
 /// A link to a sensor, until it is opened: then `pattern` comes without end,
 /// and reading never has to wait.
@@ -58,6 +58,27 @@ impl AsyncWrite for Hose {
     }
 }
 
+impl Port for Hose {
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<std::io::Result<usize>> {
+        let open = self.open.load(Ordering::Relaxed);
+        open.then(|| {
+            buffer.iter_mut().zip(self.pattern.iter().cycle()).for_each(|(to, from)| *to = *from);
+            Ok(buffer.len())
+        })
+    }
+}
+
+/// Opens it once.
+struct Once(Option<Hose>);
+
+impl Connect for Once {
+    type Port = Hose;
+
+    async fn connect(&mut self) -> Result<Hose, Error> {
+        self.0.take().ok_or(Error::NoSuchPort { port: "hose".to_owned() })
+    }
+}
+
 /// Without an end of a reply, with nothing but ends, and with replies.
 const PATTERNS: [&[u8]; 4] = [b"x", b"\0", b"\n\n", b"L1\n0\n\n"];
 
@@ -83,6 +104,20 @@ async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
         open.store(true, Ordering::Relaxed);
         // Wakes the reader.
         emulator.inject(b"x".as_slice());
+        let answer = timeout(ms(60_000), sensor.scan(Window::FULL)).await.unwrap();
+        assert!(matches!(answer, Err(Error::Disconnected { .. })), "{answer:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flood_from_a_port_that_asks_the_system_ends_the_session() {
+    for pattern in PATTERNS {
+        let emulator = truthful().build();
+        let open = Arc::new(AtomicBool::new(false));
+        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let sensor = builder().reconnect(false).connect(Once(Some(hose))).await.unwrap();
+        // Nobody reads before the next command.
+        open.store(true, Ordering::Relaxed);
         let answer = timeout(ms(60_000), sensor.scan(Window::FULL)).await.unwrap();
         assert!(matches!(answer, Err(Error::Disconnected { .. })), "{answer:?}");
     }

@@ -123,15 +123,33 @@ async fn a_long_stream_in_pieces_of_all_sizes_is_read_to_its_end() {
 }
 
 #[tokio::test]
-async fn a_read_sees_what_has_come_since_the_last_one_though_the_runtime_does_not() {
+async fn what_has_come_is_read_though_the_runtime_has_not_seen_it() {
     let (mut far, path) = blocking_line();
     let mut port = SerialPort::open(&path).await.unwrap();
-    std::io::Write::write_all(&mut far, b"V\n0\n\n").unwrap();
-    assert!(port.asks_system());
     let mut bytes = [0; 16];
+    let quiet = port.try_read(&mut bytes).unwrap().unwrap_err();
+    assert_eq!(quiet.kind(), std::io::ErrorKind::WouldBlock);
+    std::io::Write::write_all(&mut far, b"V\n0\n\n").unwrap();
     assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
     std::io::Write::write_all(&mut far, b"late").unwrap();
-    assert_eq!(port.read(&mut bytes).now_or_never().expect("unseen").unwrap(), 4);
+    assert_eq!(port.try_read(&mut bytes).unwrap().unwrap(), 4);
+    std::io::Write::write_all(&mut far, b"later").unwrap();
+    assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
+}
+
+/// A reply comes in pieces, and after each of them is nothing to be had.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn a_read_does_not_ask_again_before_the_system_tells_of_more() {
+    let (mut far, path) = blocking_line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut bytes = [0; 16];
+    for piece in [b"first".as_slice(), b"next", b"last"] {
+        std::io::Write::write_all(&mut far, piece).unwrap();
+        // The runtime has not looked since.
+        assert!(port.read(&mut bytes).now_or_never().is_none());
+        assert_eq!(port.read(&mut bytes).await.unwrap(), piece.len());
+    }
 }
 
 #[tokio::test]

@@ -35,8 +35,7 @@ const WRITE_BUFFER: usize = 32;
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
 pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, Intake> {
     let intake = Intake::new(tap.is_some());
-    let line =
-        Line { port, arrival: None, received: 0, first: [0; 2], before: 0, flowing: false, tap };
+    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
     let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
@@ -54,8 +53,6 @@ pub(crate) struct Line {
     first: [u8; 2],
     /// How many of them had arrived when the latest command was written.
     before: u64,
-    /// The latest read gave bytes.
-    flowing: bool,
     tap: Tap,
 }
 
@@ -93,11 +90,12 @@ impl Line {
     /// Throws away what the system has by now, and gives how many bytes that were;
     /// `None` at the end of the stream.
     pub(super) async fn drain(&mut self) -> io::Result<Option<u64>> {
-        if !(self.flowing && self.port.asks_system()) {
-            // Lets the runtime see what the system has.
-            tokio::task::yield_now().await;
-        }
         let before = self.received;
+        if let Some(end) = self.drain_now() {
+            return end.map(|open| open.then(|| self.received - before));
+        }
+        // Lets the runtime see what the system has.
+        tokio::task::yield_now().await;
         let drained = poll_fn(|cx| {
             let mut scratch = [0; SCRATCH];
             loop {
@@ -114,6 +112,36 @@ impl Line {
         });
         // A task that has used up its budget must not take that for a quiet line.
         unconstrained(drained).await
+    }
+
+    /// Throws away what the system has, where the port can ask it; whether there is
+    /// more to come.
+    fn drain_now(&mut self) -> Option<io::Result<bool>> {
+        let mut scratch = [0; SCRATCH];
+        loop {
+            match self.port.try_read(&mut scratch)? {
+                Ok(0) => return Some(Ok(false)),
+                Ok(read) => {
+                    if let Err(flood) = self.count(scratch.get(..read).unwrap_or_default()) {
+                        return Some(Err(flood));
+                    }
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(Ok(true)),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+
+    /// Notes what has come, and fails once it is a flood.
+    fn count(&mut self, fresh: &[u8]) -> io::Result<()> {
+        if !fresh.is_empty() {
+            let seen = self.received.min(2) as usize;
+            self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
+            self.received += fresh.len() as u64;
+            self.arrival.get_or_insert_with(|| self.port.wall_clock());
+        }
+        if self.received - self.before > FLOOD { Err(flood()) } else { Ok(()) }
     }
 
     /// Whether the first thing that ever came was a telnet command, as from a
@@ -146,19 +174,7 @@ impl AsyncRead for Line {
         let before = buffer.filled().len();
         let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
         let outcome = again_if_interrupted(outcome, cx);
-        let read = buffer.filled().len() - before;
-        self.flowing = read > 0;
-        if read > 0 {
-            let seen = self.received.min(2) as usize;
-            let fresh = buffer.filled().get(before..).unwrap_or_default();
-            self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
-            self.received += read as u64;
-            let Self { arrival, port, .. } = &mut *self;
-            arrival.get_or_insert_with(|| port.wall_clock());
-        }
-        if self.received - self.before > FLOOD {
-            return Poll::Ready(Err(flood()));
-        }
+        self.count(buffer.filled().get(before..).unwrap_or_default())?;
         outcome
     }
 }

@@ -72,11 +72,16 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         SystemTime::now()
     }
 
-    /// Whether a read that follows one that gave bytes asks the system for more,
-    /// whatever the runtime has been told. The driver can do without a turn of the
-    /// runtime then, before it takes a line for quiet. `false` unless implemented.
-    fn asks_system(&self) -> bool {
-        false
+    /// Reads what the system has by now, whatever the runtime has been told of it,
+    /// so that the driver needs no turn of the runtime to know that a line is
+    /// quiet. `None` (the default): this port cannot.
+    ///
+    /// # Errors
+    ///
+    /// `ErrorKind::WouldBlock` if the system has nothing; otherwise as a read.
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
+        let _ = buffer;
+        None
     }
 
     /// Throws away what was written and is not on the line yet, so that closing
@@ -97,8 +102,8 @@ impl<P: Port + ?Sized> Port for Box<P> {
         (**self).wall_clock()
     }
 
-    fn asks_system(&self) -> bool {
-        (**self).asks_system()
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
+        (**self).try_read(buffer)
     }
 
     fn discard_output(&mut self) {

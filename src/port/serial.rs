@@ -137,8 +137,9 @@ impl Port for SerialPort {
         }
     }
 
-    fn asks_system(&self) -> bool {
-        cfg!(unix)
+    #[cfg(unix)]
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
+        Some(self.inner.try_read(buffer))
     }
 
     fn discard_output(&mut self) {

@@ -15,6 +15,9 @@ use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 /// How much is read at once, at most. All of it is initialised first, and no
 /// reply of a sensor is longer.
 const MAX_READ: usize = 2048;
+/// Whether a read that fills less than its room has taken all there was, and what
+/// comes later is told of: so it is with ttys and epoll.
+const SHORT_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
 /// When a port that takes no more is tried again: about as long as the slowest
 /// line takes for a command.
 const RETRY: Duration = Duration::from_millis(5);
@@ -53,6 +56,11 @@ impl Tty {
         self.fd.get_ref().clear(buffer)
     }
 
+    /// Reads what the system has by now, whatever the runtime has been told.
+    pub(super) fn try_read(&self, bytes: &mut [u8]) -> io::Result<usize> {
+        self.fd.get_ref().read(bytes)
+    }
+
     /// As [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read).
     pub(super) fn poll_read(
         self: Pin<&mut Self>,
@@ -64,9 +72,11 @@ impl Tty {
             let mut guard = ready!(self.fd.poll_read_ready(cx))?;
             let read = guard.try_io(|fd| fd.get_ref().read(buffer.initialize_unfilled_to(room)));
             match read {
-                // Ready still, so that the next read asks the system (`asks_system`).
                 Ok(Ok(read)) => {
                     buffer.advance(read);
+                    if SHORT_IS_ALL && (1..room).contains(&read) {
+                        guard.clear_ready();
+                    }
                     return Poll::Ready(Ok(()));
                 }
                 Ok(Err(error)) => return Poll::Ready(Err(error)),
