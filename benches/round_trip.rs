@@ -26,10 +26,10 @@ mod prompt;
 #[path = "support/mod.rs"]
 mod support;
 
-const ROUNDS: usize = 7;
+const ROUNDS: usize = 15;
 
 /// The sensors in the other process, and how often to poll them in a round.
-const SENSORS: [(&str, usize); 2] = [("prompt", 20_000), ("emulated", 500)];
+const SENSORS: [(&str, usize); 2] = [("prompt", 8_000), ("emulated", 200)];
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
