@@ -81,11 +81,12 @@ async fn latency_of_scans() -> Vec<Duration> {
     let written = serve_and_tell(terminal.master);
     let sensor = Sensor::open(terminal.path.to_str().unwrap()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::every(PERIOD)).await.unwrap();
-    let mut samples = Vec::new();
+    let (mut samples, mut times) = (Vec::new(), Vec::new());
     while samples.len() < SAMPLES {
-        stream.next().await.unwrap().unwrap();
+        let sequence = stream.next().await.unwrap().unwrap().sequence();
         let held = Instant::now();
-        samples.push(held - written.try_iter().last().unwrap());
+        times.extend(written.try_iter());
+        samples.push(held - times[sequence as usize]);
     }
     samples
 }
@@ -97,7 +98,7 @@ async fn latency_of_reads() -> Vec<Duration> {
     let mut port = SerialStream::open(&tokio_serial::new(path, 19_200)).unwrap();
     let (mut ticks, mut buffer) = (interval(PERIOD), vec![0; 4096]);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let mut samples = Vec::new();
+    let (mut samples, mut times) = (Vec::new(), Vec::new());
     while samples.len() < SAMPLES {
         ticks.tick().await;
         AsyncWriteExt::write_all(&mut port, b"G04472501\n").await.unwrap();
@@ -106,13 +107,14 @@ async fn latency_of_reads() -> Vec<Duration> {
             length += port.read(&mut buffer[length..]).await.unwrap();
         }
         let held = Instant::now();
-        samples.push(held - written.try_iter().last().unwrap());
+        times.extend(written.try_iter());
+        samples.push(held - times[samples.len()]);
     }
     samples
 }
 
 /// A sensor on a thread of its own, which tells when it has written the last
-/// byte of each reply. That byte comes alone, when the rest was read.
+/// byte of each scan. That byte comes alone, when the rest was read.
 fn serve_and_tell(mut master: File) -> mpsc::Receiver<Instant> {
     let (tell, written) = mpsc::channel();
     std::thread::spawn(move || {
@@ -124,7 +126,11 @@ fn serve_and_tell(mut master: File) -> mpsc::Receiver<Instant> {
             master.write_all(rest).unwrap();
             std::thread::sleep(Duration::from_micros(300));
             let now = Instant::now();
-            if tell.send(now).is_err() || master.write_all(&[*last]).is_err() {
+            // Not the G with which the driver begins.
+            if command.starts_with(b"G04") && tell.send(now).is_err() {
+                return;
+            }
+            if master.write_all(&[*last]).is_err() {
                 return;
             }
         }
