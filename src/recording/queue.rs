@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -97,7 +98,14 @@ impl Queue {
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
-            move || queue.end(write_all(writer, &receiver, &queue))
+            move || {
+                // What is written to is anybody's.
+                let write = AssertUnwindSafe(|| write_all(writer, &receiver, &queue));
+                let outcome = catch_unwind(write);
+                queue.end(
+                    outcome.unwrap_or_else(|_| Err(io::Error::other("the writer panicked").into())),
+                );
+            }
         };
         std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -140,6 +148,12 @@ impl Queue {
         // No thread: no need.
         let _ = self.entries.send(Entry::Finish(done));
         finished
+    }
+
+    /// Waits until nobody writes any more.
+    pub(super) async fn ended(&self) {
+        // The sender is here.
+        let _ = self.waiting.subscribe().wait_for(Option::is_none).await;
     }
 
     pub(super) fn progress(&self) -> Progress {

@@ -213,6 +213,43 @@ async fn nobody_waits_for_room_on_a_disk_that_is_full() {
     }
 }
 
+/// Takes the head of a file, and panics at what comes then.
+struct Panics(usize);
+
+impl Write for Panics {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0 = self.0.checked_sub(bytes.len()).expect("room");
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_writer_that_panics_fails_the_recording_and_holds_up_nobody() {
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let item = sensor.scan(Window::DETECTION).await;
+    // One scan is written at the end, and many before.
+    for scans in [1, 12_000] {
+        let mut recorder = Recorder::builder().write_to(Panics(4_000)).unwrap();
+        for _ in 0..scans {
+            // Fails from some time on.
+            let _ = recorder.record(&item);
+        }
+        if scans > 1 {
+            recorder.room().await;
+        }
+        match recorder.finish().await.unwrap_err() {
+            RecordingError::Write { source } => {
+                assert_eq!(source.to_string(), "the writer panicked")
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
 /// On the real clock, since a file has to be there in real time.
 #[tokio::test]
 async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
