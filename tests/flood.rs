@@ -13,7 +13,7 @@ use std::task::{Context, Poll};
 use common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::timeout;
-use tokio_scip::emulator::Link;
+use tokio_scip::emulator::{Emulator, Link};
 use tokio_scip::{Connect, Error, Port, Rate, Window};
 
 /// A link to a sensor, until it is opened: then `pattern` comes without end,
@@ -79,15 +79,22 @@ impl Connect for Once {
     }
 }
 
+/// A hose, the sensor behind it, and what opens it.
+fn hose(pattern: &'static [u8]) -> (Emulator, Arc<AtomicBool>, Hose) {
+    let emulator = truthful().build();
+    let open = Arc::new(AtomicBool::new(false));
+    let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+    (emulator, open, hose)
+}
+
 /// Without an end of a reply, with nothing but ends, and with replies.
 const PATTERNS: [&[u8]; 4] = [b"x", b"\0", b"\n\n", b"L1\n0\n\n"];
 
 #[tokio::test(start_paused = true)]
 async fn a_flood_from_the_beginning_is_no_sensor() {
     for pattern in PATTERNS {
-        let emulator = truthful().build();
-        let open = Arc::new(AtomicBool::new(true));
-        let hose = Hose { link: emulator.link(), open, pattern };
+        let (emulator, open, hose) = hose(pattern);
+        open.store(true, Ordering::Relaxed);
         let error = builder().attach(hose).await.unwrap_err();
         assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
         assert!(!emulator.is_connected());
@@ -97,9 +104,7 @@ async fn a_flood_from_the_beginning_is_no_sensor() {
 #[tokio::test(start_paused = true)]
 async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
     for pattern in PATTERNS {
-        let emulator = truthful().build();
-        let open = Arc::new(AtomicBool::new(false));
-        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let (emulator, open, hose) = hose(pattern);
         let sensor = builder().attach(hose).await.unwrap();
         open.store(true, Ordering::Relaxed);
         // Wakes the reader.
@@ -112,9 +117,7 @@ async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
 #[tokio::test(start_paused = true)]
 async fn a_flood_from_a_port_that_asks_the_system_ends_the_session() {
     for pattern in PATTERNS {
-        let emulator = truthful().build();
-        let open = Arc::new(AtomicBool::new(false));
-        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let (_emulator, open, hose) = hose(pattern);
         let sensor = builder().reconnect(false).connect(Once(Some(hose))).await.unwrap();
         // Nobody reads before the next command.
         open.store(true, Ordering::Relaxed);
@@ -126,9 +129,7 @@ async fn a_flood_from_a_port_that_asks_the_system_ends_the_session() {
 #[tokio::test(start_paused = true)]
 async fn a_flood_under_a_stream_ends_it() {
     for pattern in PATTERNS {
-        let emulator = truthful().build();
-        let open = Arc::new(AtomicBool::new(false));
-        let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
+        let (_emulator, open, hose) = hose(pattern);
         let sensor = builder().attach(hose).await.unwrap();
         let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
         stream.next().await.unwrap().unwrap();

@@ -98,14 +98,7 @@ impl Queue {
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
-            move || {
-                // What is written to is anybody's.
-                let write = AssertUnwindSafe(|| write_all(writer, &receiver, &queue));
-                let outcome = catch_unwind(write);
-                queue.end(
-                    outcome.unwrap_or_else(|_| Err(io::Error::other("the writer panicked").into())),
-                );
-            }
+            move || queue.end(write_all(writer, &receiver, &queue))
         };
         std::thread::Builder::new()
             .name("recorder".to_owned())
@@ -148,12 +141,6 @@ impl Queue {
         // No thread: no need.
         let _ = self.entries.send(Entry::Finish(done));
         finished
-    }
-
-    /// Waits until nobody writes any more.
-    pub(super) async fn ended(&self) {
-        // The sender is here.
-        let _ = self.waiting.subscribe().wait_for(Option::is_none).await;
     }
 
     pub(super) fn progress(&self) -> Progress {
@@ -229,21 +216,29 @@ fn write_all<W: Write>(
     }
 }
 
-/// Counts the bytes that get through.
+/// Counts the bytes that get through. What they go to is anybody's: that it panics
+/// is a failure to write.
 struct Counted<W> {
     out: W,
     queue: Arc<Queue>,
 }
 
+impl<W: Write> Counted<W> {
+    fn caught<T>(&mut self, work: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
+        let done = catch_unwind(AssertUnwindSafe(|| work(&mut self.out)));
+        done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
+    }
+}
+
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.out.write(bytes)?;
+        let written = self.caught(|out| out.write(bytes))?;
         self.queue.bytes.fetch_add(written as u64, Ordering::Relaxed);
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.out.flush()
+        self.caught(W::flush)
     }
 }
 

@@ -181,10 +181,8 @@ impl Recorder {
     ///
     /// [`RecordingError::Write`] if that, or any writing before it, failed.
     pub async fn finish(self) -> Result<(), RecordingError> {
-        if self.queue.finish().await.is_err() {
-            // The thread has failed, or is about to say so.
-            self.queue.ended().await;
-        }
+        // A thread that has failed is gone.
+        let _ = self.queue.finish().await;
         self.queue.failure().map_or(Ok(()), Err)
     }
 
