@@ -7,8 +7,10 @@ set -euo pipefail
 crate=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# The figures are those of cargo's defaults, and of the versions in Cargo.lock.
+# The figures are those of cargo's defaults, which a service has, not of what urg
+# is released with; and of the versions in Cargo.lock.
 unset CARGO_TARGET_DIR CARGO_INCREMENTAL RUSTFLAGS
+export CARGO_PROFILE_RELEASE_LTO=false CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
 
 package() {
     local name=$1
