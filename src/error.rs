@@ -82,13 +82,13 @@ pub enum Error {
     /// The port opened, and no sensor answers.
     #[error(
         "no sensor answers{}: check its power and the wiring (after power-up it is silent for some seconds){}",
-        match speed { Some(speed) => format!(" at {speed} baud"), None if *searched => " at any line speed".to_owned(), None => String::new() },
+        match baud_rate { Some(baud_rate) => format!(" at {baud_rate} baud"), None if *searched => " at any baud rate".to_owned(), None => String::new() },
         if *bytes > 0 { format!("; {bytes} bytes came that are no reply of SCIP 1.1") } else { String::new() },
     )]
     NoAnswer {
-        /// The only line speed that was tried, where the port cannot change it.
-        speed: Option<BaudRate>,
-        /// Whether all six line speeds were tried.
+        /// The only baud rate that was tried, where the port cannot change it.
+        baud_rate: Option<BaudRate>,
+        /// Whether all six baud rates were tried.
         searched: bool,
         /// How many bytes came that made no reply.
         bytes: u64,
@@ -158,11 +158,11 @@ pub enum Error {
         /// What was sent.
         command: Command,
     },
-    /// The port cannot be set to this line speed.
-    #[error("the port cannot be set to {speed} baud{}", if source.is_some() { "" } else { ": its speed is fixed at the other end" })]
-    UnsupportedSpeed {
-        /// The speed that was asked for.
-        speed: BaudRate,
+    /// The port cannot be set to this baud rate.
+    #[error("the port cannot be set to {baud_rate} baud{}", if source.is_some() { "" } else { ": its speed is fixed at the other end" })]
+    UnsupportedBaudRate {
+        /// The baud rate that was asked for.
+        baud_rate: BaudRate,
         /// Why not.
         #[source]
         source: Option<Arc<io::Error>>,
@@ -203,7 +203,7 @@ impl Error {
             | Self::AnotherSensor { .. }
             | Self::Refused { .. }
             | Self::LaserOff
-            | Self::UnsupportedSpeed { .. }
+            | Self::UnsupportedBaudRate { .. }
             | Self::Closed => false,
         }
     }

@@ -71,7 +71,7 @@
 //! - [`port`] has the ways to reach a sensor, [`protocol`] and [`codec`] the
 //!   protocol itself, for those who want to speak it on their own.
 //! - The [`guide`] explains polling and freshness, why a scan can be trusted,
-//!   recovery, line speeds, geometry, testing, operating, logging, has
+//!   recovery, baud rates, geometry, testing, operating, logging, has
 //!   [recipes](guide::recipes), and tells [how the crate is built](guide::design).
 //!
 //! # Features
@@ -120,6 +120,7 @@ pub mod emulator;
 mod error;
 #[cfg(any(doc, doctest))]
 pub mod guide;
+mod observer;
 pub mod port;
 pub mod protocol;
 mod rate;
@@ -130,18 +131,17 @@ mod scan;
 mod sensor;
 mod state;
 mod stream;
-mod tap;
 
 pub use driver::Driver;
 pub use error::Error;
+pub use observer::RawReply;
 pub use port::{Connect, Endpoint, Port};
 pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowError};
 pub use rate::{InvalidRate, Rate};
 pub use scan::{Point, Scan};
 pub use sensor::{Sensor, SensorBuilder};
-pub use state::{Latency, MalformedCounts, ScheduleStats, State, Stats};
+pub use state::{LatencyStats, MalformedCounts, ScheduleStats, State, Stats};
 pub use stream::{OnlyScans, ScanStream};
-pub use tap::Heard;
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

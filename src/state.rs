@@ -13,7 +13,7 @@ use crate::{BaudRate, Error, Rate, Window};
 /// watch of it. [`Closed`](Self::Closed) is the last one, whatever came before.
 ///
 /// As data (feature `serde`) it is an object whose `state` says which one it is,
-/// in snake case, beside its fields: `line_speed` in baud, `since` as the seconds
+/// in snake case, beside its fields: `baud_rate` in baud, `since` as the seconds
 /// that have gone by, `error` as the text of the error and its causes. Such as
 /// `{"state":"disconnected","since":1.5,"error":"..."}`.
 #[derive(Debug, Clone)]
@@ -31,13 +31,13 @@ pub enum State {
     /// The sensor answers.
     Connected {
         /// The speed of the line to it, or `None` where none matters (USB).
-        line_speed: Option<BaudRate>,
+        baud_rate: Option<BaudRate>,
         /// Whether scans are polled: a stream is open, and the laser was not
         /// switched off.
         streaming: bool,
     },
     /// The sensor fell silent on a port that is still open, and is looked for at
-    /// every line speed.
+    /// every baud rate.
     Recovering,
     /// The link is lost; the driver tries to get it back.
     Disconnected {
@@ -128,7 +128,7 @@ pub struct Stats {
     /// still was when the next one was.
     pub polls_skipped: u64,
     /// From a `G` sent to the last byte of its reply.
-    pub reply_latency: Latency,
+    pub reply_latency: LatencyStats,
     /// What is polled now, and how fast.
     pub schedules: Vec<ScheduleStats>,
 }
@@ -176,7 +176,7 @@ impl MalformedCounts {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
-pub struct Latency {
+pub struct LatencyStats {
     /// The latest.
     #[cfg_attr(feature = "serde", serde(serialize_with = "seconds"))]
     pub last: Duration,
@@ -193,7 +193,7 @@ pub struct Latency {
     pub count: u64,
 }
 
-impl Latency {
+impl LatencyStats {
     /// The mean, or zero before the first reply.
     pub fn mean(&self) -> Duration {
         if self.count == 0 { Duration::ZERO } else { self.total.div_f64(self.count as f64) }
@@ -258,9 +258,9 @@ impl Telemetry {
                 tracing::debug!(%error, "waiting for the sensor");
             }
             State::Connecting { error: None } => tracing::debug!("looking for the sensor"),
-            State::Connected { line_speed, streaming } => {
-                let line_speed = line_speed.map(u32::from);
-                tracing::info!(line_speed, streaming, "connected");
+            State::Connected { baud_rate, streaming } => {
+                let baud_rate = baud_rate.map(u32::from);
+                tracing::info!(baud_rate, streaming, "connected");
             }
             State::Recovering => tracing::warn!("the sensor is silent: looking for it"),
             State::Disconnected { error, .. } => tracing::warn!(%error, "disconnected"),
@@ -274,10 +274,10 @@ impl Telemetry {
     }
 
     /// Notes the speed after a change of it.
-    pub(crate) fn set_line_speed(&self, now: Option<BaudRate>) {
+    pub(crate) fn set_baud_rate(&self, now: Option<BaudRate>) {
         self.state.send_if_modified(|state| match state {
-            State::Connected { line_speed, .. } if *line_speed != now => {
-                *line_speed = now;
+            State::Connected { baud_rate, .. } if *baud_rate != now => {
+                *baud_rate = now;
                 true
             }
             _ => false,

@@ -39,7 +39,7 @@ async fn drop_after<F: Future>(
 /// over the wire.
 async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
     for steps in 0.. {
-        let emulator = truthful().line_speed(BaudRate::B19200).build();
+        let emulator = truthful().baud_rate(BaudRate::B19200).build();
         let (sensor, driver) = builder().build(emulator.clone());
         let mut driver = pin!(driver);
         let opened = pin!(sensor.opened());
@@ -50,7 +50,7 @@ async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
         let window = Window::new(100..=110).unwrap();
         let scan = with(&mut driver, pin!(sensor.scan(window))).await;
         // After laser_off the answer is that it is off.
-        if emulator.laser() {
+        if emulator.is_laser_on() {
             assert_eq!(scan.unwrap().len(), 11, "dropped after {steps} steps");
         }
         with(&mut driver, pin!(sensor.version())).await.unwrap();
@@ -133,7 +133,7 @@ async fn a01_a_request_that_was_dropped_before_its_turn_is_not_written() {
     assert!(dropped.is_err());
     busy.await.unwrap().unwrap();
     sensor.scan(Window::FULL).await.unwrap();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     assert!(emulator.log().iter().all(|line| line.line != b"L0"));
     assert!(emulator.counts().commands > before);
 }

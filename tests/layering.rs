@@ -9,7 +9,7 @@ use std::path::Path;
 
 /// From the top down: a module uses those behind it in this list, and no other.
 const ORDER: [&str; 12] = [
-    "sensor", "stream", "driver", "ring", "state", "tap", "port", "codec", "scan", "rate", "error",
+    "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "scan", "rate", "error",
     "protocol",
 ];
 

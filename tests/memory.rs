@@ -23,7 +23,7 @@ fn runtime() -> Runtime {
 }
 
 fn sensor() -> Emulator {
-    Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).log(0).build()
+    Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).log_capacity(0).build()
 }
 
 /// The driver's use of the heap over some time, nothing else's.

@@ -104,7 +104,7 @@ fn calls(counter: &CallCounter, failure: Option<(Call, u64, Failure)>) -> u64 {
     match failure.map(|(call, ..)| call) {
         Some(Call::Read) => counter.reads(),
         Some(Call::Write) => counter.writes(),
-        _ => counter.speed_changes(),
+        _ => counter.baud_rate_changes(),
     }
 }
 
@@ -115,7 +115,8 @@ async fn with_failure(
     failure: Option<(Call, u64, Failure)>,
     reconnect: bool,
 ) -> [u64; 3] {
-    let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).log(0).build();
+    let emulator =
+        truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).log_capacity(0).build();
     let counters: Arc<Mutex<Vec<CallCounter>>> = Arc::default();
     let builder = builder().wait_for_sensor().reconnect(reconnect);
     let (sensor, driver) = builder.build(connect(&emulator, writes, failure, &counters));
@@ -123,14 +124,14 @@ async fn with_failure(
     let outcome = timeout(Duration::from_secs(60), run(scenario, &sensor, &emulator)).await;
     let outcome = outcome.unwrap_or_else(|_| panic!("{scenario:?} hangs after {failure:?}"));
     if let Err(error) = &outcome {
-        use Error::{Closed, Disconnected, NoAnswer, NotConfirmed, Timeout, UnsupportedSpeed};
+        use Error::{Closed, Disconnected, NoAnswer, NotConfirmed, Timeout, UnsupportedBaudRate};
         let typed = matches!(
             error,
             Disconnected { .. }
                 | Timeout { .. }
                 | NoAnswer { .. }
                 | NotConfirmed { .. }
-                | UnsupportedSpeed { .. }
+                | UnsupportedBaudRate { .. }
         );
         assert!(typed && !matches!(error, Closed), "{scenario:?} {failure:?}: {error:?}");
         assert!(failure.is_some() || matches!(scenario, Scenario::Reconnect), "{error:?}");
@@ -149,7 +150,11 @@ async fn with_failure(
     }
     let totals =
         counters.lock().unwrap().iter().fold([0; 3], |[reads, writes, speeds], counter| {
-            [reads + counter.reads(), writes + counter.writes(), speeds + counter.speed_changes()]
+            [
+                reads + counter.reads(),
+                writes + counter.writes(),
+                speeds + counter.baud_rate_changes(),
+            ]
         });
     sensor.close().await;
     let ended = timeout(Duration::from_secs(1), &mut driver).await;

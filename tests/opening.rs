@@ -17,9 +17,9 @@ async fn fails(emulator: &Emulator) -> Error {
     builder().connect(emulator.clone()).await.unwrap_err()
 }
 
-fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
+fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
     match &*sensor.state().borrow() {
-        State::Connected { line_speed, .. } => *line_speed,
+        State::Connected { baud_rate, .. } => *baud_rate,
         other => panic!("{other:?}"),
     }
 }
@@ -27,11 +27,11 @@ fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
 #[tokio::test(start_paused = true)]
 async fn o08_a_sensor_is_found_at_each_speed_and_left_there() {
     for speed in BaudRate::ALL {
-        let emulator = truthful().line_speed(speed).build();
+        let emulator = truthful().baud_rate(speed).build();
         let start = Instant::now();
         let sensor = builder().connect(emulator.clone()).await.unwrap();
         assert!(start.elapsed() < ms(4000), "{speed}: {:?}", start.elapsed());
-        assert_eq!((line_speed(&sensor), emulator.line_speed()), (Some(speed), Some(speed)));
+        assert_eq!((baud_rate(&sensor), emulator.baud_rate()), (Some(speed), Some(speed)));
         assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().len(), 682);
     }
 }
@@ -40,9 +40,9 @@ async fn o08_a_sensor_is_found_at_each_speed_and_left_there() {
 async fn a_sensor_is_moved_from_each_speed_to_each() {
     for from in BaudRate::ALL {
         for to in BaudRate::ALL {
-            let emulator = truthful().line_speed(from).build();
+            let emulator = truthful().baud_rate(from).build();
             let sensor = builder().baud_rate(to).connect(emulator.clone()).await.unwrap();
-            assert_eq!((line_speed(&sensor), emulator.line_speed()), (Some(to), Some(to)));
+            assert_eq!((baud_rate(&sensor), emulator.baud_rate()), (Some(to), Some(to)));
             assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().len(), 682);
         }
     }
@@ -53,7 +53,7 @@ async fn a_sensor_on_usb_has_no_line_speed_and_needs_none() {
     for firmware in [Firmware::Text, Firmware::V3] {
         let emulator = truthful().firmware(firmware).build();
         let sensor = builder().connect(emulator.clone()).await.unwrap();
-        assert_eq!(line_speed(&sensor), None);
+        assert_eq!(baud_rate(&sensor), None);
         sensor.scan(Window::FULL).await.unwrap();
     }
 }
@@ -78,19 +78,18 @@ async fn the_sensor_says_who_it_is_in_both_characters() {
 
 #[tokio::test(start_paused = true)]
 async fn nobody_answers_at_any_speed() {
-    let emulator =
-        truthful().line_speed(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
+    let emulator = truthful().baud_rate(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
     let start = Instant::now();
     let error = fails(&emulator.build()).await;
-    assert!(matches!(error, Error::NoAnswer { speed: None, searched: true, .. }), "{error:?}");
+    assert!(matches!(error, Error::NoAnswer { baud_rate: None, searched: true, .. }), "{error:?}");
     assert!(start.elapsed() >= Duration::from_secs(5) && start.elapsed() < ms(5600));
-    assert!(error.to_string().starts_with("no sensor answers at any line speed"));
+    assert!(error.to_string().starts_with("no sensor answers at any baud rate"));
 }
 
 #[tokio::test(start_paused = true)]
 async fn nobody_answers_on_usb() {
     let error = fails(&truthful().faults(Faults::none().every(Fault::Lost)).build()).await;
-    assert!(matches!(error, Error::NoAnswer { speed: None, searched: false, .. }), "{error:?}");
+    assert!(matches!(error, Error::NoAnswer { baud_rate: None, searched: false, .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -232,16 +231,19 @@ async fn o11_a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
             Ok(self.0.bridge(self.1))
         }
     }
-    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let bridge = |speed| Bridge(emulator.clone(), speed);
     let error = builder().connect(bridge(BaudRate::B19200)).await.unwrap_err();
-    assert!(matches!(error, Error::NoAnswer { speed: Some(BaudRate::B19200), .. }), "{error:?}");
+    assert!(
+        matches!(error, Error::NoAnswer { baud_rate: Some(BaudRate::B19200), .. }),
+        "{error:?}"
+    );
 
     let sensor = builder().connect(bridge(BaudRate::B57600)).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
-    assert!(matches!(error, Error::UnsupportedSpeed { source: None, .. }), "{error:?}");
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B57600));
+    assert!(matches!(error, Error::UnsupportedBaudRate { source: None, .. }), "{error:?}");
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B57600));
     sensor.scan(Window::FULL).await.unwrap();
 }
 

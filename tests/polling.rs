@@ -61,7 +61,7 @@ async fn polls_lie_on_the_grid_without_drift() {
 
 #[tokio::test(start_paused = true)]
 async fn t06_a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
-    let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let start = Instant::now();

@@ -6,8 +6,8 @@ use tokio::net::TcpListener;
 use tokio_scip::port::{EndpointConnector, TcpPort};
 use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
 
-fn tcp(host: &str, port: u16, line_speed: BaudRate) -> Endpoint {
-    Endpoint::Tcp { host: host.to_owned(), port, line_speed }
+fn tcp(host: &str, port: u16, baud_rate: BaudRate) -> Endpoint {
+    Endpoint::Tcp { host: host.to_owned(), port, baud_rate }
 }
 
 #[test]
@@ -126,10 +126,10 @@ async fn bytes_go_both_ways_over_tcp() {
         port.read_exact(&mut reply).await.unwrap();
         assert_eq!(reply.as_slice(), every_byte);
 
-        assert_eq!(port.line_speed(), Some(BaudRate::B57600));
-        let refused = port.set_line_speed(BaudRate::B115200).unwrap_err();
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
         assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
-        assert_eq!(port.line_speed(), Some(BaudRate::B57600));
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
         assert!(!connector.has_more());
         assert_eq!(connector.expected_serial_number(), None);
 

@@ -63,11 +63,11 @@ impl Drop for Scratch {
 async fn all_six_line_speeds_are_set_and_in_force() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
-    assert_eq!(port.line_speed(), Some(BaudRate::B19200), "as a sensor after power-up");
+    assert_eq!(port.baud_rate(), Some(BaudRate::B19200), "as a sensor after power-up");
     assert_eq!(line.near.baud_rate().unwrap(), 19_200);
     for speed in BaudRate::ALL.into_iter().rev() {
-        port.set_line_speed(speed).unwrap();
-        assert_eq!(port.line_speed(), Some(speed));
+        port.set_baud_rate(speed).unwrap();
+        assert_eq!(port.baud_rate(), Some(speed));
         assert_eq!(line.near.baud_rate().unwrap(), speed.bits_per_second());
     }
 }
@@ -288,8 +288,8 @@ async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
         }
     }
     assert!(port.write(b"V\n").await.unwrap_err().raw_os_error().is_some());
-    assert!(port.set_line_speed(BaudRate::B57600).is_err());
-    assert_eq!(port.line_speed(), Some(BaudRate::B19200));
+    assert!(port.set_baud_rate(BaudRate::B57600).is_err());
+    assert_eq!(port.baud_rate(), Some(BaudRate::B19200));
     port.discard_output();
 }
 

@@ -79,8 +79,7 @@ async fn a10_a_request_made_while_disconnected_is_answered_when_the_sensor_is_ba
 
 #[tokio::test(start_paused = true)]
 async fn d01_d02_line_speed_and_laser_are_restored_after_a_reset() {
-    let emulator =
-        truthful().line_speed(BaudRate::B19200).boot_time(Duration::from_secs(2)).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).boot_time(Duration::from_secs(2)).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await.unwrap();
@@ -97,18 +96,18 @@ async fn d01_d02_line_speed_and_laser_are_restored_after_a_reset() {
     };
     assert_eq!(scan.len(), 682);
     assert!(!errors.is_empty());
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
     // Two seconds of boot, and at most five to be found.
     assert!(start.elapsed() < Duration::from_secs(7), "{:?}", start.elapsed());
 
     sensor.laser_off().await.unwrap();
     emulator.power_cycle();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     // Nothing is polled: the loss shows when something is asked for.
     tokio::time::sleep(Duration::from_secs(10)).await;
     let _ = sensor.set_baud_rate(BaudRate::B57600).await;
     sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
@@ -119,12 +118,12 @@ async fn d02_a_laser_that_was_switched_off_stays_off_after_a_replug() {
     sensor.laser_off().await.unwrap();
     emulator.unplug();
     emulator.power_cycle();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     emulator.plug_in();
     let mut state = sensor.state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
     let scans = emulator.counts().scans;
     tokio::time::sleep(Duration::from_secs(10)).await;
     assert_eq!(emulator.counts().scans, scans);
@@ -217,7 +216,7 @@ async fn a_sensor_that_is_silent_for_a_while_is_found_again_on_the_same_port() {
     for speed in [None, Some(BaudRate::B115200)] {
         let mut sensor_builder = truthful();
         if let Some(speed) = speed {
-            sensor_builder = sensor_builder.line_speed(speed);
+            sensor_builder = sensor_builder.baud_rate(speed);
         }
         let emulator = sensor_builder.build();
         let sensor = open(&emulator).await;
@@ -362,11 +361,11 @@ async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
     sensor.laser_off().await.unwrap();
     let scans = emulator.counts().scans;
     emulator.power_cycle();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     // Powering up leaves a break on the line; nothing is asked of the sensor.
     emulator.inject(b"\0".as_slice());
     tokio::time::sleep(ms(1000)).await;
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
     // Fences count as scans there: one for the break, those that confirm.
     assert!(emulator.counts().scans - scans <= 2);
 }

@@ -1,4 +1,4 @@
-//! Laser and line speed: told, confirmed, and restored.
+//! Laser and baud rate: told, confirmed, and restored.
 #![cfg(feature = "emulator")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -18,12 +18,12 @@ async fn the_laser_is_switched_and_switching_it_twice_is_no_error() {
         let emulator = truthful().firmware(firmware).build();
         let sensor = open(&emulator).await;
         sensor.laser_on().await.unwrap();
-        assert!(emulator.laser());
+        assert!(emulator.is_laser_on());
         sensor.laser_off().await.unwrap();
         sensor.laser_off().await.unwrap();
-        assert!(!emulator.laser());
+        assert!(!emulator.is_laser_on());
         sensor.laser_on().await.unwrap();
-        assert!(emulator.laser());
+        assert!(emulator.is_laser_on());
     }
 }
 
@@ -33,14 +33,14 @@ async fn w04_a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(0, Fault::Lost));
     sensor.laser_off().await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
 
     sensor.laser_on().await.unwrap();
     // The sensor refuses, and a flipped bit makes success of it.
     emulator
         .set_faults(Faults::none().at(0, Fault::Status(b'1')).at(0, Fault::Flip(3, b'1' ^ b'0')));
     sensor.laser_off().await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
@@ -67,23 +67,23 @@ async fn a_laser_that_somebody_else_switched_off_is_switched_on() {
     link.write_all(b"L0\n").await.unwrap();
     drop(link);
     let sensor = open(&emulator).await;
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
 async fn a08_the_speed_changes_under_a_stream_and_back() {
-    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     for speed in BaudRate::ALL.into_iter().rev() {
         sensor.set_baud_rate(speed).await.unwrap();
-        assert_eq!(emulator.line_speed(), Some(speed));
+        assert_eq!(emulator.baud_rate(), Some(speed));
         let state = sensor.state().borrow().clone();
-        assert!(matches!(state, State::Connected { line_speed, .. } if line_speed == Some(speed)));
+        assert!(matches!(state, State::Connected { baud_rate, .. } if baud_rate == Some(speed)));
         stream.next().await.unwrap().unwrap();
     }
     assert_eq!(sensor.stats().disconnects, 0);
@@ -91,7 +91,7 @@ async fn a08_the_speed_changes_under_a_stream_and_back() {
 
 #[tokio::test(start_paused = true)]
 async fn o10_a_speed_that_is_there_already_is_no_error() {
-    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
     for firmware in [Firmware::Text, Firmware::V3] {
@@ -103,7 +103,7 @@ async fn o10_a_speed_that_is_there_already_is_no_error() {
 #[tokio::test(start_paused = true)]
 async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
     for fault in [Fault::Lost, Fault::CommandLost, Fault::Drop(3..4), Fault::Late(ms(900))] {
-        let emulator = truthful().line_speed(BaudRate::B19200).pace(Pace::AtOnce).build();
+        let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
         let sensor = open(&emulator).await;
         // Reply 0 is the fence that follows the trial of the port's speed.
         emulator.set_faults(Faults::none().at(1, fault.clone()));
@@ -111,14 +111,14 @@ async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
         let lost = fault == Fault::CommandLost;
         assert_eq!(outcome.is_err(), lost, "{fault:?}: {outcome:?}");
         let expected = if lost { BaudRate::B19200 } else { BaudRate::B115200 };
-        assert_eq!(emulator.line_speed(), Some(expected));
+        assert_eq!(emulator.baud_rate(), Some(expected));
         sensor.scan(Window::DETECTION).await.unwrap();
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_refused_speed_leaves_both_where_they_were() {
-    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
@@ -128,7 +128,7 @@ async fn a_refused_speed_leaves_both_where_they_were() {
 
 #[tokio::test(start_paused = true)]
 async fn d01_the_speed_that_was_set_is_proven_when_it_is_asked_for_again() {
-    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
     // Nothing is polled, so that nobody notices.
@@ -136,5 +136,5 @@ async fn d01_the_speed_that_was_set_is_proven_when_it_is_asked_for_again() {
     let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
     assert!(outcome.is_err());
     sensor.scan(Window::DETECTION).await.unwrap();
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
 }

@@ -57,12 +57,12 @@ impl Connect for Counting {
 }
 
 impl Port for Counted {
-    fn line_speed(&self) -> Option<BaudRate> {
-        self.port.line_speed()
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.port.baud_rate()
     }
 
-    fn set_line_speed(&mut self, speed: BaudRate) -> std::io::Result<()> {
-        self.port.set_line_speed(speed)
+    fn set_baud_rate(&mut self, speed: BaudRate) -> std::io::Result<()> {
+        self.port.set_baud_rate(speed)
     }
 
     fn discard_output(&mut self) {
@@ -144,10 +144,10 @@ async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_
 
 #[tokio::test]
 async fn a_sensor_at_another_speed_is_found_and_moved_on_a_real_terminal() {
-    let emulator = truthful().line_speed(BaudRate::B57600).build();
+    let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let (path, _serving) = serve(&emulator, "speed");
     let sensor = builder().baud_rate(BaudRate::B250000).open(path.to_str().unwrap()).await.unwrap();
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B250000));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
     assert!(emulator.counts().garbled > 0, "the wrong speed was not garbled");
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
     Truth::of(&emulator.log()).check(&scan).unwrap();
@@ -175,5 +175,5 @@ async fn scans_through_a_tcp_bridge_are_right() {
     let mut truth = Truth::of(&emulator.log());
     assert!(scans.iter().all(|scan| truth.check(scan).is_ok()));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
-    assert!(matches!(error, Error::UnsupportedSpeed { .. }), "{error:?}");
+    assert!(matches!(error, Error::UnsupportedBaudRate { .. }), "{error:?}");
 }

@@ -1,5 +1,5 @@
-//! At every line speed the driver gets what the line can carry: on the paused
-//! clock, against a sensor that sends at line speed and answers at once.
+//! At every baud rate the driver gets what the line can carry: on the paused
+//! clock, against a sensor that sends at baud rate and answers at once.
 #![cfg(feature = "emulator")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -15,7 +15,7 @@ const SCANS: u32 = 200;
 /// Scans a second of `window`, polled as fast as it goes.
 async fn rate(window: Window, speed: BaudRate) -> f64 {
     let world = Fixed::filled(1234);
-    let emulator = Emulator::builder().world(world).line_speed(speed).pace(Pace::AtOnce).build();
+    let emulator = Emulator::builder().world(world).baud_rate(speed).pace(Pace::AtOnce).build();
     let sensor = builder().connect(emulator).await.unwrap();
     let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
     stream.next().await.unwrap().unwrap();

@@ -27,7 +27,7 @@ impl Session {
     /// the status of that answer.
     pub(crate) async fn fence(&mut self) -> Result<Status, Failure> {
         let mut failure = Failure::Silent(Error::disconnected(None));
-        let adjustable = self.is_adjustable() && self.line_speed().is_some();
+        let adjustable = self.is_adjustable() && self.baud_rate().is_some();
         for _ in 0..if adjustable { FENCES_AT_A_SPEED } else { FENCES } {
             match self.fence_once(self.latency(&Command::Distances(Window::single(0)))).await {
                 Err(Failure::Command(error)) => failure = Failure::Silent(error),
@@ -39,7 +39,7 @@ impl Session {
 
     /// One fence, answered within `latency`.
     pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, Failure> {
-        let command = Command::Distances(self.echoes.fence());
+        let command = Command::Distances(self.unique_requests.fence());
         self.dirty = true;
         self.telemetry.stats().fences += 1;
         let deadline = self.deadline(&command, latency);
@@ -48,7 +48,7 @@ impl Session {
         match &answer {
             Ok(_) => {
                 self.dirty = false;
-                self.echoes.settled();
+                self.unique_requests.clear();
             }
             Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
                 self.telemetry.stats().fence_timeouts += 1;

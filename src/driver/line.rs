@@ -15,9 +15,9 @@ use tokio_util::codec::Framed;
 
 use super::intake::Intake;
 use crate::BaudRate;
+use crate::observer::{RawReply, ReplyObserver};
 use crate::port::Port;
 use crate::protocol::Command;
-use crate::tap::{Heard, Tap};
 
 /// How many bytes may arrive between two commands. A sensor answers each with
 /// 1,576 at most; a line that always has more to read would never let anybody
@@ -33,9 +33,9 @@ pub(super) const SCRATCH: usize = 512;
 const WRITE_BUFFER: usize = 32;
 
 /// A port, framed, with buffers no larger than SCIP 1.1 needs.
-pub(super) fn framed(port: Box<dyn Port>, tap: Tap) -> Framed<Line, Intake> {
-    let intake = Intake::new(tap.is_some());
-    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, tap };
+pub(super) fn framed(port: Box<dyn Port>, observer: ReplyObserver) -> Framed<Line, Intake> {
+    let intake = Intake::new(observer.is_some());
+    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, observer };
     let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
     // The capacity above is that of both.
     *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
@@ -53,32 +53,32 @@ pub(crate) struct Line {
     first: [u8; 2],
     /// How many of them had arrived when the latest command was written.
     before: u64,
-    tap: Tap,
+    observer: ReplyObserver,
 }
 
 impl Line {
     /// A command is written: what comes from now on counts anew.
-    pub(crate) fn command(&mut self) {
+    pub(crate) fn begin_command(&mut self) {
         self.before = self.received;
-        self.expect();
+        self.begin_reply();
     }
 
     /// Expects a reply: the next byte counts as its first.
-    pub(crate) fn expect(&mut self) {
+    pub(crate) fn begin_reply(&mut self) {
         self.arrival = None;
     }
 
-    /// When the first byte since [`expect`](Self::expect) arrived.
+    /// When the first byte since [`begin_reply`](Self::begin_reply) arrived.
     pub(crate) fn stamp(&self) -> SystemTime {
         self.arrival.unwrap_or_else(|| self.port.wall_clock())
     }
 
-    /// Lets the tap hear a frame that answers `command`, which is `None` for the
+    /// Lets the observer hear a frame that answers `command`, which is `None` for the
     /// answer to a fence and for what nobody asked for.
     pub(crate) fn hear(&self, command: Option<Command>, bytes: &[u8]) {
-        self.tap.hear(|| {
+        self.observer.observe(|| {
             let received_at = Instant::now().into_std();
-            Heard { command, bytes, received_at, stamp: self.stamp() }
+            RawReply { command, bytes, received_at, stamp: self.stamp() }
         });
     }
 
@@ -150,12 +150,12 @@ impl Line {
         matches!(self.first, [0xff, 0xfb..=0xfe])
     }
 
-    pub(crate) fn line_speed(&self) -> Option<BaudRate> {
-        self.port.line_speed()
+    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
+        self.port.baud_rate()
     }
 
-    pub(crate) fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        self.port.set_line_speed(speed)
+    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.port.set_baud_rate(baud_rate)
     }
 }
 

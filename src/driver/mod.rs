@@ -5,22 +5,22 @@
 //! `session` (one exchange; what the sensor is told is in `settings`), and back by
 //! its promise. The way of a scan: `line` (bytes), `intake` (a reply), `session`
 //! (is it the answer?), `serve`, `schedule`, which puts it into a ring. `fence` and
-//! `echoes` see to it that no other reply is taken for it; `supervisor` and
-//! `opener` see to it that there is a session.
+//! `unique_requests` see to it that no other reply is taken for it; `supervisor` and
+//! `open` see to it that there is a session.
 
-mod alarm;
-mod echoes;
+mod deadline;
 mod fence;
 mod intake;
 mod line;
-mod opener;
+mod open;
+mod rate_meter;
 mod request;
 mod schedule;
 mod serve;
 mod session;
 mod settings;
-mod speedometer;
 mod supervisor;
+mod unique_requests;
 
 use std::fmt;
 use std::future::Future;
@@ -33,13 +33,13 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
-use self::request::{Letter, Mailbox};
 pub(crate) use self::request::{Promise, Request};
+use self::request::{QueuedRequest, RequestQueue};
 use self::supervisor::Supervisor;
+use crate::observer::ReplyObserver;
 use crate::port::Connect;
 use crate::protocol::Text;
 use crate::state::Telemetry;
-use crate::tap::Tap;
 use crate::{BaudRate, Error};
 
 /// How many requests wait in the queue before those who ask have to.
@@ -57,7 +57,7 @@ pub(crate) struct Config {
     pub(crate) serial_number: Option<Text>,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
-    pub(crate) tap: Tap,
+    pub(crate) observer: ReplyObserver,
 }
 
 impl Config {
@@ -80,7 +80,7 @@ impl Default for Config {
             serial_number: None,
             ring_depth: 1,
             reply_latency: None,
-            tap: Tap::default(),
+            observer: ReplyObserver::default(),
         }
     }
 }
@@ -116,9 +116,9 @@ impl fmt::Debug for Driver {
 /// The handles' end of the queue. The driver goes on while one is left.
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
-    sender: mpsc::Sender<Letter>,
+    sender: mpsc::Sender<QueuedRequest>,
     telemetry: Arc<Telemetry>,
-    patience: Duration,
+    request_timeout: Duration,
 }
 
 impl Client {
@@ -130,8 +130,8 @@ impl Client {
         request: impl FnOnce(Promise<T>) -> Request,
     ) -> Result<T, Error> {
         let (promise, answer) = oneshot::channel();
-        let expires = Instant::now() + self.patience;
-        let letter = Letter { request: request(promise), expires };
+        let expires = Instant::now() + self.request_timeout;
+        let letter = QueuedRequest { request: request(promise), expires };
         if self.sender.send(letter).await.is_err() {
             return Err(self.telemetry.cause());
         }
@@ -147,9 +147,9 @@ impl Client {
 pub(crate) fn new<C: Connect>(connect: C, config: Config) -> (Client, Driver) {
     let (sender, receiver) = mpsc::channel(QUEUE);
     let telemetry = Arc::new(Telemetry::new());
-    let patience = config.open_timeout;
+    let request_timeout = config.open_timeout;
     let supervisor =
-        Supervisor::new(connect, config, Mailbox::new(receiver), Arc::clone(&telemetry));
-    let client = Client { sender, telemetry, patience };
+        Supervisor::new(connect, config, RequestQueue::new(receiver), Arc::clone(&telemetry));
+    let client = Client { sender, telemetry, request_timeout };
     (client, Driver { run: Box::pin(supervisor.run()) })
 }

@@ -18,7 +18,7 @@ pub(crate) type Promise<T> = oneshot::Sender<Result<T, Error>>;
 pub(crate) enum Request {
     Version(Promise<Version>),
     Laser { on: bool, promise: Promise<()> },
-    BaudRate { speed: BaudRate, promise: Promise<()> },
+    BaudRate { baud_rate: BaudRate, promise: Promise<()> },
     Scan { window: Window, promise: Promise<Scan> },
     Subscribe { window: Window, rate: Rate, promise: Promise<Cursor> },
     Close(Promise<()>),
@@ -52,7 +52,7 @@ impl Request {
 
 /// A request on its way to the driver.
 #[derive(Debug)]
-pub(crate) struct Letter {
+pub(crate) struct QueuedRequest {
     pub(crate) request: Request,
     /// When to give up if there is no link by then.
     pub(crate) expires: Instant,
@@ -71,14 +71,14 @@ pub(crate) struct Abandoned;
 
 /// The driver's end of the queue, first come, first served.
 #[derive(Debug)]
-pub(crate) struct Mailbox {
-    receiver: mpsc::Receiver<Letter>,
+pub(crate) struct RequestQueue {
+    receiver: mpsc::Receiver<QueuedRequest>,
     /// Taken out of the channel and not served yet.
-    waiting: VecDeque<Letter>,
+    waiting: VecDeque<QueuedRequest>,
 }
 
-impl Mailbox {
-    pub(crate) fn new(receiver: mpsc::Receiver<Letter>) -> Self {
+impl RequestQueue {
+    pub(crate) fn new(receiver: mpsc::Receiver<QueuedRequest>) -> Self {
         Self { receiver, waiting: VecDeque::new() }
     }
 
@@ -113,7 +113,7 @@ impl Mailbox {
     pub(crate) async fn next_unlinked(&mut self) -> Result<Unlinked, Abandoned> {
         loop {
             self.waiting.retain(|letter| !letter.request.is_abandoned());
-            let unlinked = |letter: &Letter| {
+            let unlinked = |letter: &QueuedRequest| {
                 matches!(letter.request, Request::Subscribe { .. } | Request::Close(_))
             };
             let place = self.waiting.iter().position(unlinked);

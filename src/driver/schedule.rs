@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::speedometer::Speedometer;
+use super::rate_meter::RateMeter;
 use crate::ring::{Cursor, Ring};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::ScheduleStats;
@@ -39,7 +39,7 @@ struct Schedule {
     spare: Option<Arc<[u16]>>,
     /// The kind of the last error since the last scan.
     condition: Option<Discriminant<Error>>,
-    speed: Speedometer,
+    speed: RateMeter,
 }
 
 /// A poll that is due.
@@ -120,7 +120,7 @@ impl Schedules {
         meta.repeat = schedule.previous.as_deref() == Some(values);
         schedule.sequence += 1;
         schedule.condition = None;
-        let values = schedule.keep(values);
+        let values = schedule.reuse_block(values);
         schedule.ring.push(Scan::new(poll.window, values, 0, meta));
         let now = Instant::now();
         if schedule.rate.period().is_none() {
@@ -215,7 +215,7 @@ impl Schedule {
             previous: None,
             spare: None,
             condition: None,
-            speed: Speedometer::new(now),
+            speed: RateMeter::new(now),
         }
     }
 
@@ -251,7 +251,7 @@ impl Schedule {
     }
 
     /// Shares `values`, as those of the latest scan.
-    fn keep(&mut self, values: &[u16]) -> Arc<[u16]> {
+    fn reuse_block(&mut self, values: &[u16]) -> Arc<[u16]> {
         let reused = self.spare.take().and_then(|mut spare| {
             let place = Arc::get_mut(&mut spare).filter(|place| place.len() == values.len())?;
             place.copy_from_slice(values);

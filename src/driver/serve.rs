@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until};
 
-use super::opener::Wanted;
-use super::request::{Abandoned, Mailbox, Promise, Request};
+use super::open::Wanted;
+use super::request::{Abandoned, Promise, Request, RequestQueue};
 use super::schedule::{Poll, Schedules};
 use super::session::{Failure, Session, Timing};
 use crate::protocol::Status;
@@ -48,7 +48,7 @@ impl From<Abandoned> for Stop {
 
 /// What serving needs besides the session.
 pub(crate) struct Service<'a> {
-    pub(crate) mailbox: &'a mut Mailbox,
+    pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
     pub(crate) wanted: &'a mut Wanted,
     pub(crate) telemetry: &'a Telemetry,
@@ -73,14 +73,14 @@ impl Service<'_> {
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
         // A doubt is best cleared up while there is time.
         if session.is_dirty() {
-            survive(self.clear_up(session).await)?;
+            ignore_command_errors(self.resynchronise(session).await)?;
         }
         let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
         self.telemetry.set_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
         let poll_is_due = due.is_some_and(|due| due <= Instant::now());
         if !(*request_served && poll_is_due)
-            && let Some(request) = self.mailbox.pop()?
+            && let Some(request) = self.queue.pop()?
         {
             *request_served = true;
             return self.answer(session, request).await;
@@ -91,8 +91,8 @@ impl Service<'_> {
         }
         tokio::select! {
             biased;
-            outcome = session.idle() => survive(outcome)?,
-            outcome = self.mailbox.ready() => outcome?,
+            outcome = session.idle() => ignore_command_errors(outcome)?,
+            outcome = self.queue.ready() => outcome?,
             () = sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => {}
         }
         Ok(())
@@ -100,7 +100,7 @@ impl Service<'_> {
 
     /// Raises a fence. If it is answered with a distance while the laser should
     /// be off, the sensor was reset: it is told again.
-    async fn clear_up(&mut self, session: &mut Session) -> Result<(), Failure> {
+    async fn resynchronise(&mut self, session: &mut Session) -> Result<(), Failure> {
         let status = session.settle().await?;
         if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
             session.set_laser(false).await?;
@@ -124,23 +124,23 @@ impl Service<'_> {
                 if on {
                     self.schedules.resume(Instant::now());
                 }
-                self.keep(promise, outcome)
+                self.respond(promise, outcome)
             }
-            Request::BaudRate { speed, promise } => {
-                let mut outcome = session.change_speed(speed).await;
+            Request::BaudRate { baud_rate, promise } => {
+                let mut outcome = session.change_baud_rate(baud_rate).await;
                 if outcome.is_ok() {
-                    self.wanted.speed = Some(speed);
+                    self.wanted.baud_rate = Some(baud_rate);
                     if self.wanted.laser == Some(false) {
                         // The sensor may have restarted unseen.
                         outcome = session.set_laser(false).await;
                     }
                 }
-                self.telemetry.set_line_speed(session.line_speed());
-                self.keep(promise, outcome)
+                self.telemetry.set_baud_rate(session.baud_rate());
+                self.respond(promise, outcome)
             }
             Request::Scan { window, promise } => {
                 let outcome = self.scan(session, window).await;
-                self.keep(promise, outcome)
+                self.respond(promise, outcome)
             }
             Request::Subscribe { window, rate, promise } => {
                 // A stream that nobody took is a stream that was dropped.
@@ -195,7 +195,7 @@ impl Service<'_> {
         if let Some(slow) = delivered.slow {
             tracing::warn!(
                 window = %poll.window, asked = %poll.rate, reached = slow.reached,
-                "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher line speed"
+                "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
             );
         }
         delivered.repeat
@@ -219,7 +219,7 @@ impl Service<'_> {
     }
 
     /// Answers a request; a failure of the line is also a reason to stop.
-    fn keep<T>(&self, promise: Promise<T>, outcome: Result<T, Failure>) -> Result<(), Stop> {
+    fn respond<T>(&self, promise: Promise<T>, outcome: Result<T, Failure>) -> Result<(), Stop> {
         let (answer, stop) = match outcome {
             Ok(answer) => (Ok(answer), Ok(())),
             Err(failure) => match survivable(failure) {
@@ -246,7 +246,7 @@ fn survivable(failure: Failure) -> Result<Error, Stop> {
     }
 }
 
-fn survive(outcome: Result<(), Failure>) -> Result<(), Stop> {
+fn ignore_command_errors(outcome: Result<(), Failure>) -> Result<(), Stop> {
     outcome.or_else(|failure| survivable(failure).map(drop))
 }
 

@@ -18,10 +18,10 @@ use tokio::time::Instant;
 use tokio_util::codec::Framed;
 use tracing::Instrument;
 
-use super::alarm::Alarm;
-use super::echoes::Echoes;
+use super::deadline::DeadlineTimer;
 use super::intake::{Intake, Item};
 use super::line::{Line, READ_BUFFER, SCRATCH, flood};
+use super::unique_requests::UniqueRequests;
 use crate::codec::Frame;
 use crate::protocol::{Command, Reply, ReplyError, Status};
 use crate::state::Telemetry;
@@ -58,7 +58,7 @@ pub(crate) struct Timing {
 
 pub(crate) struct Session {
     pub(super) framed: Framed<Line, Intake>,
-    alarm: Alarm,
+    deadline_timer: DeadlineTimer,
     /// How long the sensor may take to begin its answer, where not the default.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
@@ -67,7 +67,7 @@ pub(crate) struct Session {
     pub(super) interrupted: bool,
     /// Whether the port can change its speed.
     adjustable: bool,
-    pub(super) echoes: Echoes,
+    pub(super) unique_requests: UniqueRequests,
     /// Which part of what the last poll brought was asked for.
     polled: Range<usize>,
     pub(super) telemetry: Arc<Telemetry>,
@@ -77,38 +77,38 @@ impl Session {
     pub(crate) fn new(
         framed: Framed<Line, Intake>,
         latency: Option<Duration>,
-        echoes: Echoes,
+        unique_requests: UniqueRequests,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         Self {
             framed,
-            alarm: Alarm::default(),
+            deadline_timer: DeadlineTimer::default(),
             latency,
             // Whatever the last user of the port left behind.
             dirty: true,
             interrupted: true,
             adjustable: false,
-            echoes,
+            unique_requests,
             polled: 0..0,
             telemetry,
         }
     }
 
     /// Closes the port, and gives what the next session has to know.
-    pub(crate) fn close(self) -> Echoes {
-        self.echoes
+    pub(crate) fn close(self) -> UniqueRequests {
+        self.unique_requests
     }
 
-    pub(crate) fn line_speed(&self) -> Option<BaudRate> {
-        self.framed.get_ref().line_speed()
+    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
+        self.framed.get_ref().baud_rate()
     }
 
     /// Sets this side's speed. What arrived at another one is worth nothing.
-    pub(crate) fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.dirty = true;
         self.interrupted = true;
         self.reset_input();
-        let outcome = self.framed.get_mut().set_line_speed(speed);
+        let outcome = self.framed.get_mut().set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
@@ -204,7 +204,7 @@ impl Session {
     pub(crate) async fn poll(&mut self, window: Window) -> Result<Timing, Failure> {
         // First: what a fence clears must not be this poll.
         self.settle().await?;
-        let (asked, surplus) = self.echoes.poll(window);
+        let (asked, surplus) = self.unique_requests.poll(window);
         self.telemetry.stats().polls += 1;
         let ((), timing) = self.ask(Command::Distances(asked), |_| ()).await?;
         let mut stats = self.telemetry.stats();
@@ -297,10 +297,10 @@ impl Session {
         if self.interrupted {
             self.framed.write_buffer_mut().put_u8(b'\n');
         }
-        self.framed.get_mut().command();
+        self.framed.get_mut().begin_command();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        match self.alarm.limit(deadline, self.framed.send(command)).await {
+        match self.deadline_timer.run(deadline, self.framed.send(command)).await {
             Some(outcome) => outcome?,
             None => {
                 self.framed.write_buffer_mut().clear();
@@ -315,7 +315,7 @@ impl Session {
     /// What comes next, or `None` at the deadline.
     pub(super) async fn receive(&mut self, deadline: Instant) -> Result<Option<Item>, Failure> {
         // Looks at the line before it looks at the clock.
-        match self.alarm.limit(deadline, self.framed.next()).await {
+        match self.deadline_timer.run(deadline, self.framed.next()).await {
             Some(Some(item)) => Ok(Some(item?)),
             Some(None) => Err(Failure::Line(Error::disconnected(None))),
             None => {
@@ -343,7 +343,7 @@ impl Session {
 
     /// Counts a frame that nobody asked for, and waits for the next.
     pub(super) fn skip(&mut self, frame: &Frame) {
-        self.framed.get_mut().expect();
+        self.framed.get_mut().begin_reply();
         let mut stats = self.telemetry.stats();
         stats.bytes_skipped += match frame {
             Frame::Reply(bytes) => bytes.len() as u64 + 2,
@@ -364,7 +364,7 @@ impl Session {
 
     pub(super) fn deadline(&self, command: &Command, latency: Duration) -> Instant {
         let bytes = command.bytes().len() + 1 + command.reply_len();
-        let wire = self.line_speed().map_or(Duration::ZERO, |speed| speed.wire_time(bytes));
+        let wire = self.baud_rate().map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes));
         Instant::now() + wire + latency
     }
 

@@ -1,4 +1,4 @@
-//! What a sensor can be told, laser and line speed, and how to find out at
+//! What a sensor can be told, laser and baud rate, and how to find out at
 //! which speed it listens. A single status `0` is never believed: the sensor's
 //! behaviour has to confirm it.
 
@@ -25,17 +25,17 @@ impl Session {
     /// has none.
     pub(crate) async fn find(
         &mut self,
-        speeds: &[BaudRate],
+        baud_rates: &[BaudRate],
         deadline: Instant,
     ) -> Result<(), Failure> {
         let before = self.received();
         let mut damaged = None;
         loop {
             let mut usable = false;
-            for &speed in speeds {
+            for &baud_rate in baud_rates {
                 let mut latency = SEARCH_LATENCY;
-                if self.line_speed().is_some() {
-                    match self.set_line_speed(speed) {
+                if self.baud_rate().is_some() {
+                    match self.set_baud_rate(baud_rate) {
                         Ok(()) => {}
                         Err(error) if error.kind() == io::ErrorKind::Unsupported => {
                             latency = self.latency(&Command::Distances(Window::FULL));
@@ -63,15 +63,15 @@ impl Session {
                     Err(lost) => return Err(lost),
                 }
                 if Instant::now() >= deadline {
-                    let searched = self.is_adjustable() && self.line_speed().is_some();
-                    let speed = self.line_speed().filter(|_| !searched);
+                    let searched = self.is_adjustable() && self.baud_rate().is_some();
+                    let baud_rate = self.baud_rate().filter(|_| !searched);
                     let bytes = self.received() - before;
-                    let silence = Error::NoAnswer { speed, searched, bytes };
+                    let silence = Error::NoAnswer { baud_rate, searched, bytes };
                     return Err(Failure::Silent(damaged.unwrap_or(silence)));
                 }
             }
             if !usable {
-                let text = "the port takes none of the six line speeds";
+                let text = "the port takes none of the six baud rates";
                 return Err(io::Error::new(io::ErrorKind::InvalidInput, text).into());
             }
         }
@@ -92,37 +92,37 @@ impl Session {
 
     /// Moves sensor and port to another speed. If that fails both are at the
     /// old one again, or the sensor has to be looked for.
-    pub(crate) async fn change_speed(&mut self, speed: BaudRate) -> Result<(), Failure> {
-        let old = self.line_speed();
-        if old == Some(speed) {
+    pub(crate) async fn change_baud_rate(&mut self, baud_rate: BaudRate) -> Result<(), Failure> {
+        let old = self.baud_rate();
+        if old == Some(baud_rate) {
             // The sensor may have restarted unseen.
             return self.fence().await.map(drop);
         }
         // The sensor must not go where the port cannot follow.
-        if let Err(error) = self.set_line_speed(speed) {
+        if let Err(error) = self.set_baud_rate(baud_rate) {
             let source = self.is_adjustable().then(|| Arc::new(error));
             if let Some(old) = old.filter(|_| self.is_adjustable()) {
-                self.set_line_speed(old)?;
+                self.set_baud_rate(old)?;
             }
-            return Err(Failure::Command(Error::UnsupportedSpeed { speed, source }));
+            return Err(Failure::Command(Error::UnsupportedBaudRate { baud_rate, source }));
         }
-        let command = Command::BaudRate(speed);
+        let command = Command::BaudRate(baud_rate);
         let Some(old) = old else {
             // USB: accepted without effect (C-42-3320-A p. 5).
             return self.command_twice(command, |_| ()).await.map(drop);
         };
-        self.set_line_speed(old)?;
+        self.set_baud_rate(old)?;
         match self.command(command, |_| ()).await {
             // Without a reply the sensor may or may not have changed.
             Ok(_) | Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {}
             Err(failure) => return Err(failure),
         }
         sleep(CHANGE_TIME).await;
-        self.set_line_speed(speed)?;
+        self.set_baud_rate(baud_rate)?;
         if self.answers(3).await? {
             return Ok(());
         }
-        self.set_line_speed(old)?;
+        self.set_baud_rate(old)?;
         if self.answers(3).await? {
             return Err(Failure::Command(Error::NotConfirmed { command }));
         }

@@ -9,8 +9,8 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
 use super::Config;
-use super::opener::Opener;
-use super::request::{Mailbox, Promise, Unlinked};
+use super::open::Opener;
+use super::request::{Promise, RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
@@ -24,15 +24,15 @@ pub(crate) struct Supervisor<C> {
     /// who wait find out why.
     _closing: Closing,
     opener: Opener<C>,
-    desk: Desk,
+    offline: OfflineQueue,
     backoff: Backoff,
     config: Config,
     telemetry: Arc<Telemetry>,
 }
 
 /// What is served whether there is a link or not.
-struct Desk {
-    mailbox: Mailbox,
+struct OfflineQueue {
+    queue: RequestQueue,
     schedules: Schedules,
 }
 
@@ -46,7 +46,7 @@ impl<C: Connect> Supervisor<C> {
     pub(crate) fn new(
         connect: C,
         config: Config,
-        mailbox: Mailbox,
+        queue: RequestQueue,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
@@ -54,7 +54,7 @@ impl<C: Connect> Supervisor<C> {
         Self {
             _closing: Closing(Arc::clone(&telemetry)),
             opener,
-            desk: Desk { mailbox, schedules },
+            offline: OfflineQueue { queue, schedules },
             backoff: Backoff::new(&config),
             config,
             telemetry,
@@ -68,8 +68,8 @@ impl<C: Connect> Supervisor<C> {
             End::Failed(error) => (Some(error), None),
         };
         self.telemetry.enter(State::Closed { error: error.clone() });
-        self.desk.schedules.end(error.as_ref());
-        self.desk.mailbox.end(error.as_ref().unwrap_or(&Error::Closed));
+        self.offline.schedules.end(error.as_ref());
+        self.offline.queue.end(error.as_ref().unwrap_or(&Error::Closed));
         if let Some(promise) = promise {
             // Nobody waits any more: it is closed all the same.
             let _ = promise.send(Ok(()));
@@ -100,12 +100,12 @@ impl<C: Connect> Supervisor<C> {
     }
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
-        let line_speed = session.line_speed();
-        self.telemetry.enter(State::Connected { line_speed, streaming: false });
+        let baud_rate = session.baud_rate();
+        self.telemetry.enter(State::Connected { baud_rate, streaming: false });
         let scan_time = self.opener.scan_time();
         let mut service = Service {
-            mailbox: &mut self.desk.mailbox,
-            schedules: &mut self.desk.schedules,
+            queue: &mut self.offline.queue,
+            schedules: &mut self.offline.schedules,
             wanted: self.opener.wanted(),
             telemetry: &self.telemetry,
             scan_time,
@@ -116,7 +116,7 @@ impl<C: Connect> Supervisor<C> {
     async fn open_first(&mut self) -> Result<Session, End> {
         let mut latest = None;
         loop {
-            let error = match self.desk.attend(None, self.opener.open()).await? {
+            let error = match self.offline.attend(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(error) => error,
             };
@@ -127,7 +127,7 @@ impl<C: Connect> Supervisor<C> {
                 return Err(End::Failed(error));
             }
             self.telemetry.enter(State::Connecting { error: Some(error) });
-            self.desk.attend(None, sleep(self.backoff.next())).await?;
+            self.offline.attend(None, sleep(self.backoff.next())).await?;
         }
     }
 
@@ -135,7 +135,7 @@ impl<C: Connect> Supervisor<C> {
     /// reset, and speak at another speed.
     async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, End> {
         self.telemetry.enter(State::Recovering);
-        let found = self.desk.attend(Some(&error), self.opener.find_again(&mut session)).await?;
+        let found = self.offline.attend(Some(&error), self.opener.find_again(&mut session)).await?;
         match found {
             Ok(()) => {
                 self.telemetry.stats().reconnects += 1;
@@ -159,14 +159,14 @@ impl<C: Connect> Supervisor<C> {
         if !self.config.reconnect {
             return Err(End::Failed(error));
         }
-        self.desk.schedules.fail_all(&error);
-        self.desk.schedules.note(&mut self.telemetry.stats().schedules);
+        self.offline.schedules.fail_all(&error);
+        self.offline.schedules.note(&mut self.telemetry.stats().schedules);
         let since = Instant::now().into_std();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
         loop {
-            self.desk.attend(Some(&latest), sleep(self.backoff.next())).await?;
-            let error = match self.desk.attend(Some(&latest), self.opener.open()).await? {
+            self.offline.attend(Some(&latest), sleep(self.backoff.next())).await?;
+            let error = match self.offline.attend(Some(&latest), self.opener.open()).await? {
                 Ok(session) => {
                     self.telemetry.stats().reconnects += 1;
                     return Ok(session);
@@ -177,14 +177,14 @@ impl<C: Connect> Supervisor<C> {
                 self.telemetry.enter(State::Disconnected { since, error: error.clone() });
             } else if !error.is_transient() {
                 // What does not get better by itself is told.
-                self.desk.schedules.fail_all(&error);
+                self.offline.schedules.fail_all(&error);
             }
             latest = error;
         }
     }
 }
 
-impl Desk {
+impl OfflineQueue {
     /// Does `work` while there is no link, and serves what needs none.
     async fn attend<T>(
         &mut self,
@@ -196,7 +196,7 @@ impl Desk {
             tokio::select! {
                 biased;
                 done = &mut work => return Ok(done),
-                request = self.mailbox.next_unlinked() => match request {
+                request = self.queue.next_unlinked() => match request {
                     Ok(Unlinked::Subscribe { window, rate, promise }) => {
                         // A stream that nobody took is a stream that was dropped.
                         let _ = promise.send(Ok(self.schedules.subscribe(window, rate, trouble)));

@@ -90,7 +90,7 @@ impl Builder {
         self
     }
 
-    /// The sensor is on USB, which has no line speed: so it is unless set.
+    /// The sensor is on USB, which has no baud rate: so it is unless set.
     pub fn usb(mut self) -> Self {
         self.device.speed = None;
         self
@@ -98,7 +98,7 @@ impl Builder {
 
     /// The sensor is on RS-232, and at this speed now. After a power cycle it
     /// is at 19,200 baud.
-    pub fn line_speed(mut self, speed: BaudRate) -> Self {
+    pub fn baud_rate(mut self, speed: BaudRate) -> Self {
         self.device.speed = Some(speed);
         self
     }
@@ -156,7 +156,7 @@ impl Builder {
         self
     }
 
-    /// Whether one byte 0x00 comes when the line speed has changed: it does
+    /// Whether one byte 0x00 comes when the baud rate has changed: it does
     /// unless set.
     pub fn stray_byte(mut self, stray_byte: bool) -> Self {
         self.timing.stray_byte = stray_byte;
@@ -184,7 +184,7 @@ impl Builder {
 
     /// How many of the last command lines [`Emulator::log`] keeps: 32 unless
     /// set.
-    pub fn log(mut self, commands: usize) -> Self {
+    pub fn log_capacity(mut self, commands: usize) -> Self {
         self.log = commands;
         self
     }

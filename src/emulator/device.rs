@@ -3,7 +3,7 @@
 
 use super::encode;
 use super::request::{Refusal, Request};
-use super::world::{Codes, FAR};
+use super::world::{FAR, Values};
 use crate::BaudRate;
 
 /// Which sensor is played.
@@ -56,7 +56,7 @@ pub(super) enum Effect {
     None,
     /// The laser went on, which takes a revolution.
     LaserOn,
-    /// The line speed changes a revolution later.
+    /// The baud rate changes a revolution later.
     Speed(BaudRate),
     /// Distance data went out.
     Scan,
@@ -101,7 +101,7 @@ impl Device {
         &mut self,
         line: &[u8],
         request: &Request,
-        measure: impl FnOnce(&mut Codes),
+        measure: impl FnOnce(&mut Values),
     ) -> (Vec<u8>, Effect) {
         if *request == Request::Empty {
             return (self.empty_reply(), Effect::None);
@@ -179,7 +179,14 @@ impl Device {
         encode::lines(echo, text.split('\n').map(str::as_bytes))
     }
 
-    fn distances(&self, echo: &[u8], codes: &Codes, start: u16, end: u16, cluster: u16) -> Vec<u8> {
+    fn distances(
+        &self,
+        echo: &[u8],
+        codes: &Values,
+        start: u16,
+        end: u16,
+        cluster: u16,
+    ) -> Vec<u8> {
         let first = usize::from(start);
         let points =
             usize::from(end.saturating_add_signed(self.miscount.into()) + 1).saturating_sub(first);

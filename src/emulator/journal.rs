@@ -41,7 +41,7 @@ pub struct Received {
 pub struct Counts {
     /// Command lines that arrived, of any kind.
     pub commands: u64,
-    /// Of these, lines that were garbled because of a wrong line speed.
+    /// Of these, lines that were garbled because of a wrong baud rate.
     pub garbled: u64,
     /// Lines that were not garbled and no well-formed command.
     pub malformed: u64,

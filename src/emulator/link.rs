@@ -18,7 +18,7 @@ use super::sensor::Sensor;
 use crate::{BaudRate, Port};
 
 /// The speed of the host's end of the line.
-pub(super) enum HostSpeed {
+pub(super) enum HostBaudRate {
     /// Always that of the sensor.
     Follows,
     /// One that the host sets.
@@ -30,7 +30,7 @@ pub(super) enum HostSpeed {
     Probed(Box<dyn Fn() -> Option<u32> + Send + Sync>),
 }
 
-impl HostSpeed {
+impl HostBaudRate {
     pub(super) fn bits_per_second(&self) -> Option<u32> {
         match self {
             Self::Follows => None,
@@ -58,7 +58,7 @@ impl HostSpeed {
 pub struct Link {
     shared: Arc<Shared>,
     id: u64,
-    speed: HostSpeed,
+    speed: HostBaudRate,
     timer: Option<Pin<Box<Sleep>>>,
 }
 
@@ -69,7 +69,7 @@ impl fmt::Debug for Link {
 }
 
 impl Link {
-    pub(super) fn new(shared: Arc<Shared>, id: u64, speed: HostSpeed) -> Self {
+    pub(super) fn new(shared: Arc<Shared>, id: u64, speed: HostBaudRate) -> Self {
         Self { shared, id, speed, timer: None }
     }
 
@@ -163,18 +163,18 @@ impl AsyncWrite for Link {
 
 impl Port for Link {
     /// This end's speed; `None` where the sensor is on USB.
-    fn line_speed(&self) -> Option<BaudRate> {
+    fn baud_rate(&self) -> Option<BaudRate> {
         match self.speed {
-            HostSpeed::Set(speed) | HostSpeed::Fixed(speed) => Some(speed),
-            HostSpeed::Follows | HostSpeed::Probed(_) => None,
+            HostBaudRate::Set(speed) | HostBaudRate::Fixed(speed) => Some(speed),
+            HostBaudRate::Follows | HostBaudRate::Probed(_) => None,
         }
     }
 
     /// Sets this end's speed. On USB it does nothing; on a
     /// [`bridge`](super::Emulator::bridge) it is unsupported.
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
         match self.speed {
-            HostSpeed::Set(_) => {
+            HostBaudRate::Set(_) => {
                 let mut state = self.shared.lock();
                 if state.link == Some(self.id) {
                     // What has arrived until now arrived at the old speed.
@@ -183,11 +183,13 @@ impl Port for Link {
                     state.host = Some(speed.bits_per_second());
                 }
                 drop(state);
-                self.speed = HostSpeed::Set(speed);
+                self.speed = HostBaudRate::Set(speed);
                 Ok(())
             }
-            HostSpeed::Follows => Ok(()),
-            HostSpeed::Fixed(_) | HostSpeed::Probed(_) => Err(io::ErrorKind::Unsupported.into()),
+            HostBaudRate::Follows => Ok(()),
+            HostBaudRate::Fixed(_) | HostBaudRate::Probed(_) => {
+                Err(io::ErrorKind::Unsupported.into())
+            }
         }
     }
 

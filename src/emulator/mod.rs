@@ -3,7 +3,7 @@
 //!
 //! [`Emulator`] plays a URG sensor after the protocol text and after what real
 //! sensors do. It answers `V`, `L`, `S` and `G`, keeps its laser's state and its
-//! line speed, sees a room with people in it (or a [`World`] of yours), takes
+//! baud rate, sees a room with people in it (or a [`World`] of yours), takes
 //! its time as a real one does, and goes wrong on demand ([`Faults`]). The same
 //! seed and the same commands at the same times give the same bytes.
 //!
@@ -26,7 +26,7 @@
 //! # How to reach it
 //!
 //! - [`Emulator::link`]: in memory, for tests. The [`Link`] is a
-//!   [`Port`](crate::Port) with a line speed.
+//!   [`Port`](crate::Port) with a baud rate.
 //! - `Emulator` is a [`Connect`]: each connection is a new link to the same
 //!   sensor, which can be unplugged and plugged in again.
 //! - [`Emulator::serve`]: on any stream; [`Emulator::serve_tcp`]: on TCP;
@@ -39,11 +39,11 @@
 //! | command | status |
 //! |---|---|
 //! | `L` for what the laser does already | `2` |
-//! | `S` for the line speed that is set already, or on USB ([`Firmware::V3`]) | `3` |
+//! | `S` for the baud rate that is set already, or on USB ([`Firmware::V3`]) | `3` |
 //! | `G` while the laser is off | `6` |
 //! | undefined ([`Firmware::V3`]; no answer from [`Firmware::Text`]) | `E` |
 //! | a wrong number of bytes | `1` |
-//! | a control code, line speed, step or cluster that does not exist | `4` |
+//! | a control code, baud rate, step or cluster that does not exist | `4` |
 //! | starting point bigger than end point | `5` |
 //!
 //! The first four are what real sensors are known to answer; the other three
@@ -56,7 +56,7 @@ mod damage;
 mod device;
 mod encode;
 mod faults;
-mod faulty;
+mod faulty_link;
 mod journal;
 mod link;
 #[cfg(all(unix, feature = "serial"))]
@@ -80,14 +80,14 @@ use std::task::Waker;
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
-use self::link::HostSpeed;
+use self::link::HostBaudRate;
 use self::sensor::Sensor;
 use crate::{BaudRate, Connect, Error};
 
 pub use self::builder::Builder;
 pub use self::device::{EmptyCommand, Firmware, Mode};
 pub use self::faults::{Fault, FaultCounts, Faults};
-pub use self::faulty::{Call, CallCounter, Failure, FaultyLink};
+pub use self::faulty_link::{Call, CallCounter, Failure, FaultyLink};
 pub use self::journal::{Counts, Received, Verdict};
 pub use self::link::Link;
 #[cfg(all(unix, feature = "serial"))]
@@ -97,7 +97,7 @@ pub use self::room::Room;
 pub(crate) use self::script::Script;
 pub use self::spec::InvalidFaults;
 pub use self::timing::Pace;
-pub use self::world::{Codes, Fixed, Look, STEPS, World};
+pub use self::world::{Fixed, STEPS, Values, World, WorldTime};
 
 /// A handle to an emulated sensor.
 ///
@@ -173,22 +173,22 @@ impl Emulator {
     /// Opens a link in memory. One that is open is hung up: there is one cable.
     ///
     /// A sensor on RS-232 hears the link at 19,200 baud until
-    /// [`set_line_speed`](crate::Port::set_line_speed). While the sensor is
+    /// [`set_baud_rate`](crate::Port::set_baud_rate). While the sensor is
     /// unplugged the link is hung up from the start.
     pub fn link(&self) -> Link {
-        self.open(match self.line_speed() {
-            Some(_) => HostSpeed::Set(BaudRate::B19200),
-            None => HostSpeed::Follows,
+        self.open(match self.baud_rate() {
+            Some(_) => HostBaudRate::Set(BaudRate::B19200),
+            None => HostBaudRate::Follows,
         })
     }
 
     /// Opens a link as [`link`](Self::link) does, through a bridge whose line
     /// speed cannot be changed from here.
     pub fn bridge(&self, speed: BaudRate) -> Link {
-        self.open(HostSpeed::Fixed(speed))
+        self.open(HostBaudRate::Fixed(speed))
     }
 
-    fn open(&self, speed: HostSpeed) -> Link {
+    fn open(&self, speed: HostBaudRate) -> Link {
         let mut state = self.shared.lock();
         state.links += 1;
         let id = state.links;
@@ -284,12 +284,12 @@ impl Emulator {
     }
 
     /// Whether the laser is on.
-    pub fn laser(&self) -> bool {
+    pub fn is_laser_on(&self) -> bool {
         self.inspect(|state| state.sensor.device.laser)
     }
 
-    /// The sensor's line speed, `None` on USB.
-    pub fn line_speed(&self) -> Option<BaudRate> {
+    /// The sensor's baud rate, `None` on USB.
+    pub fn baud_rate(&self) -> Option<BaudRate> {
         self.inspect(|state| state.sensor.device.speed)
     }
 

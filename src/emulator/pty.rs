@@ -7,14 +7,14 @@ use std::sync::Arc;
 use tokio_serial::{SerialPort, SerialStream};
 
 use super::Emulator;
-use super::link::HostSpeed;
+use super::link::HostBaudRate;
 use super::serve::pump;
 
 /// A pseudo-terminal with an emulated sensor at the other end.
 ///
 /// Programs open [`path`](Self::path) as they would a serial port. They may come
 /// and go: the terminal stays, and with it what was not read. A sensor on RS-232
-/// sees which line speed the client has set, and both hear garbage where it is
+/// sees which baud rate the client has set, and both hear garbage where it is
 /// another than the sensor's. Bytes take their time on the line.
 ///
 /// It uses the wall clock in the end: do not mix it with tokio's paused clock.
@@ -70,7 +70,7 @@ impl Pty {
             let Terminal { master, slave, path: _, _symlink } = terminal;
             let shared = Arc::new(slave);
             let slave = shared.clone();
-            let speed = HostSpeed::Probed(Box::new(move || slave.baud_rate().ok()));
+            let speed = HostBaudRate::Probed(Box::new(move || slave.baud_rate().ok()));
             pump(master, emulator.open(speed)).await?;
             drop((shared, _symlink));
             emulator.wait_until_plugged_in().await;

@@ -36,7 +36,7 @@ pub(super) enum Request {
 pub(super) enum Refusal {
     /// The number of bytes.
     Length,
-    /// A control code, line speed, step or cluster count that does not exist.
+    /// A control code, baud rate, step or cluster count that does not exist.
     Parameter,
     /// The starting point is bigger than the end point.
     Order,

@@ -5,7 +5,7 @@
 //! defines to the last bit: the scans are the same on every machine.
 
 use super::random::{Random, fraction, mix};
-use super::world::{Codes, Look, World};
+use super::world::{Values, World, WorldTime};
 
 /// The first and the last step that a sensor measures at.
 const WINDOW: std::ops::RangeInclusive<usize> = 44..=725;
@@ -133,7 +133,7 @@ impl Default for Room {
 }
 
 impl World for Room {
-    fn look(&mut self, look: Look, codes: &mut Codes) {
+    fn look(&mut self, look: WorldTime, codes: &mut Values) {
         let legs: Vec<Thing> = self
             .people
             .iter()
@@ -159,7 +159,7 @@ impl World for Room {
 }
 
 /// A point between two without a distance is not believed by the sensor: 7.
-fn hide_lone_points(codes: &mut Codes) {
+fn hide_lone_points(codes: &mut Values) {
     let mut before = true;
     for step in WINDOW {
         let after = codes.get(step + 1).is_none_or(|&code| code < 20);

@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
 use super::request::Request;
-use super::world::Codes;
+use super::world::Values;
 
 /// For this long the sensor holds a reply that is not due yet; a `G` that comes
 /// still earlier gets none. It is less than a driver waits.
@@ -34,7 +34,7 @@ pub(crate) trait Script: Send {
     fn failure(&self) -> Option<io::Error>;
 
     /// The latest distances, at every step that was ever seen.
-    fn look(&self, codes: &mut Codes);
+    fn look(&self, codes: &mut Values);
 }
 
 /// A script that is played.
@@ -87,7 +87,7 @@ impl Performance {
         self.script.advance(asked)
     }
 
-    pub(super) fn look(&self, codes: &mut Codes) {
+    pub(super) fn look(&self, codes: &mut Values) {
         self.script.look(codes);
     }
 

@@ -17,7 +17,7 @@ use super::script::{Cue, Performance};
 use super::timing::{Pace, Timing};
 use super::transmitter::Transmitter;
 use super::wire::{byte_time, garble};
-use super::world::{FAR, Look, World};
+use super::world::{FAR, World, WorldTime};
 use crate::BaudRate;
 
 /// Commands that wait to be served. A real sensor's input buffer is small too.
@@ -238,10 +238,10 @@ impl Sensor {
         performance.map_or(Cue::None, |performance| performance.cue(request, at))
     }
 
-    fn look(&self, at: Instant) -> Look {
+    fn look(&self, at: Instant) -> WorldTime {
         let revolution = self.timing.revolutions_before(self.powered_at, at).saturating_sub(1);
         let at = self.timing.turns(revolution + 1);
-        Look { revolution, request: self.journal.counts.scans, at }
+        WorldTime { revolution, request: self.journal.counts.scans, at }
     }
 
     fn happen(&mut self, at: Instant) {

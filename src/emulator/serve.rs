@@ -6,7 +6,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpListener;
 
 use super::Emulator;
-use super::link::{HostSpeed, Link};
+use super::link::{HostBaudRate, Link};
 use crate::BaudRate;
 
 impl Emulator {
@@ -14,7 +14,7 @@ impl Emulator {
     /// [`tokio::io::duplex`], until the client leaves or the sensor is
     /// unplugged.
     ///
-    /// The stream carries no line speed, so that nothing is ever garbled; bytes
+    /// The stream carries no baud rate, so that nothing is ever garbled; bytes
     /// still take their time. The client that is served replaces any other
     /// link to this sensor.
     ///
@@ -26,7 +26,7 @@ impl Emulator {
     ///
     /// The stream's.
     pub async fn serve<S: AsyncRead + AsyncWrite>(&self, stream: S) -> io::Result<()> {
-        pump(stream, self.open(HostSpeed::Follows)).await
+        pump(stream, self.open(HostBaudRate::Follows)).await
     }
 
     /// Serves the sensor behind a bridge with a line of its own at a fixed

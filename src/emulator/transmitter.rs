@@ -25,7 +25,7 @@ struct Segment {
     byte_time: Duration,
     bytes: Vec<u8>,
     taken: usize,
-    /// The sensor's line speed, until it was seen what the host makes of it.
+    /// The sensor's baud rate, until it was seen what the host makes of it.
     sent_at: Option<u32>,
 }
 

@@ -9,7 +9,7 @@ pub const STEPS: usize = 769;
 
 /// One 12-bit code (0..=4095) for each step, at its number: a distance in
 /// millimetres from 20, an error code from 0 to 19 (C-42-3320-A p. 7).
-pub type Codes = [u16; STEPS];
+pub type Values = [u16; STEPS];
 
 /// Error code 19, "Non-Measurable Distance": what a sensor sends for the steps
 /// outside its window, 0..=43 and 726..=768.
@@ -18,7 +18,7 @@ pub(super) const FAR: u16 = 19;
 /// When a world is looked at.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Look {
+pub struct WorldTime {
     /// The revolution whose distances are asked for, from 0 at power-up: the
     /// last one that was finished when the command was served.
     pub revolution: u64,
@@ -38,11 +38,11 @@ pub struct Look {
 /// Implemented for closures, too:
 ///
 /// ```
-/// use tokio_scip::emulator::{Codes, Emulator, Look};
+/// use tokio_scip::emulator::{Values, Emulator, WorldTime};
 ///
 /// // Every scan carries its own number in its first point.
 /// let emulator = Emulator::builder()
-///     .world(|look: Look, codes: &mut Codes| {
+///     .world(|look: WorldTime, codes: &mut Values| {
 ///         codes.fill(1234);
 ///         codes[44] = 20 + (look.request % 4000) as u16;
 ///     })
@@ -51,18 +51,18 @@ pub struct Look {
 pub trait World: Send {
     /// Fills in all codes. They hold 19 for every step when it is called; only
     /// the low 12 bits are sent.
-    fn look(&mut self, look: Look, codes: &mut Codes);
+    fn look(&mut self, look: WorldTime, codes: &mut Values);
 }
 
-impl<F: FnMut(Look, &mut Codes) + Send> World for F {
-    fn look(&mut self, look: Look, codes: &mut Codes) {
+impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {
+    fn look(&mut self, look: WorldTime, codes: &mut Values) {
         self(look, codes);
     }
 }
 
 /// A world that is always the same, code by code.
 #[derive(Clone, PartialEq, Eq)]
-pub struct Fixed(pub Codes);
+pub struct Fixed(pub Values);
 
 impl Fixed {
     /// The same code at every step.
@@ -78,7 +78,7 @@ impl fmt::Debug for Fixed {
 }
 
 impl World for Fixed {
-    fn look(&mut self, _: Look, codes: &mut Codes) {
+    fn look(&mut self, _: WorldTime, codes: &mut Values) {
         *codes = self.0;
     }
 }

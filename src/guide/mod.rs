@@ -5,7 +5,7 @@
 //! 2. [`trust`]: why a scan is the answer to its request, and what cannot be
 //!    known
 //! 3. [`recovery`]: what happens when the link is lost
-//! 4. [`speeds`]: line speeds, and what rate each can carry
+//! 4. [`baud_rates`]: baud rates, and what rate each can carry
 //! 5. [`geometry`]: steps, angles, ranges
 //! 6. [`testing`]: your service without a sensor
 //! 7. [`operating`]: permissions, names, systemd, Docker, a Raspberry Pi, Windows
@@ -25,5 +25,5 @@ macro_rules! chapters {
 }
 
 chapters! {
-    polling trust recovery speeds geometry testing operating logging common_issues recipes recording design
+    polling trust recovery baud_rates geometry testing operating logging common_issues recipes recording design
 }

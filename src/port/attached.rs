@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
-use super::{Connect, Plain};
+use super::{Connect, StreamPort};
 use crate::Error;
 
 /// Gives out its stream once.
@@ -22,11 +22,11 @@ impl<T> Connect for Attached<T>
 where
     T: AsyncRead + AsyncWrite + Send + Unpin + 'static,
 {
-    type Port = Plain<T>;
+    type Port = StreamPort<T>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let gone =
             || Error::Disconnected { source: Some(Arc::new(io::ErrorKind::BrokenPipe.into())) };
-        self.0.take().map(Plain::new).ok_or_else(gone)
+        self.0.take().map(StreamPort::new).ok_or_else(gone)
     }
 }

@@ -37,7 +37,7 @@ enum Route {
     Tcp {
         host: String,
         port: u16,
-        line_speed: BaudRate,
+        baud_rate: BaudRate,
     },
 }
 
@@ -50,7 +50,7 @@ impl EndpointConnector {
             Endpoint::SerialNumber(number) => {
                 Route::SerialNumber(Search::new(number, SystemPorts::default()))
             }
-            Endpoint::Tcp { host, port, line_speed } => Route::Tcp { host, port, line_speed },
+            Endpoint::Tcp { host, port, baud_rate } => Route::Tcp { host, port, baud_rate },
         };
         Self { route }
     }
@@ -65,8 +65,8 @@ impl Connect for EndpointConnector {
             Route::Serial { path, opener } => Ok(Box::new(opener.open(path).await?)),
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => Ok(Box::new(search.next_port().await?)),
-            Route::Tcp { host, port, line_speed } => {
-                Ok(Box::new(TcpPort::connect(host, *port, *line_speed).await?))
+            Route::Tcp { host, port, baud_rate } => {
+                Ok(Box::new(TcpPort::connect(host, *port, *baud_rate).await?))
             }
         }
     }

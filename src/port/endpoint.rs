@@ -26,7 +26,7 @@ use crate::{BaudRate, Error};
 /// let endpoint: Endpoint = "tcp://bridge:4001?baud=57600".parse()?;
 /// assert_eq!(
 ///     endpoint,
-///     Endpoint::Tcp { host: "bridge".to_owned(), port: 4001, line_speed: BaudRate::B57600 },
+///     Endpoint::Tcp { host: "bridge".to_owned(), port: 4001, baud_rate: BaudRate::B57600 },
 /// );
 /// assert!("tcp://bridge".parse::<Endpoint>().is_err(), "which port?");
 /// # Ok::<(), tokio_scip::Error>(())
@@ -49,7 +49,7 @@ pub enum Endpoint {
         port: u16,
         /// The speed of the serial line behind the server. It cannot be changed
         /// from here.
-        line_speed: BaudRate,
+        baud_rate: BaudRate,
     },
 }
 
@@ -71,14 +71,14 @@ impl fmt::Display for Endpoint {
             Self::Serial(path) => f.write_str(path),
             #[cfg(feature = "serial")]
             Self::SerialNumber(number) => write!(f, "serial:{number}"),
-            Self::Tcp { host, port, line_speed } => {
+            Self::Tcp { host, port, baud_rate } => {
                 if host.contains(':') {
                     write!(f, "tcp://[{host}]:{port}")?;
                 } else {
                     write!(f, "tcp://{host}:{port}")?;
                 }
-                if *line_speed != DEFAULT_BRIDGE_SPEED {
-                    write!(f, "?baud={line_speed}")?;
+                if *baud_rate != DEFAULT_BRIDGE_SPEED {
+                    write!(f, "?baud={baud_rate}")?;
                 }
                 Ok(())
             }
@@ -178,7 +178,7 @@ const NO_SERIAL: &str =
     "serial ports need the feature `serial` of tokio-scip, which this program was built without";
 
 fn parse_tcp(address: &str) -> Parsed {
-    let (authority, line_speed) = match address.split_once('?') {
+    let (authority, baud_rate) = match address.split_once('?') {
         None => (address, DEFAULT_BRIDGE_SPEED),
         Some((authority, query)) => (authority, parse_query(query)?),
     };
@@ -213,7 +213,7 @@ fn parse_tcp(address: &str) -> Parsed {
     };
     let port =
         port.ok_or("the TCP port is a number from 1 to 65535, with only ?baud=N after it")?;
-    Ok(Endpoint::Tcp { host: host.to_owned(), port, line_speed })
+    Ok(Endpoint::Tcp { host: host.to_owned(), port, baud_rate })
 }
 
 const MISSING_PORT: &str = "the TCP port is missing, as in tcp://HOST:PORT";
@@ -226,7 +226,7 @@ fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
         .ok_or("baud is one of 19200, 57600, 115200, 250000, 500000 and 750000")
 }
 
-/// Plain digits: `parse` alone would take a sign, too.
+/// StreamPort digits: `parse` alone would take a sign, too.
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }

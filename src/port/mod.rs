@@ -6,13 +6,13 @@ mod connector;
 mod endpoint;
 #[cfg(feature = "serial")]
 mod list;
-mod plain;
 #[cfg(feature = "serial")]
-mod refusal;
+mod open_error;
 #[cfg(feature = "serial")]
 mod search;
 #[cfg(feature = "serial")]
 mod serial;
+mod stream_port;
 mod tcp;
 #[cfg(all(feature = "serial", unix))]
 mod tty;
@@ -30,38 +30,38 @@ pub use connector::EndpointConnector;
 pub use endpoint::Endpoint;
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
-pub use plain::Plain;
 #[cfg(feature = "serial")]
 pub use serial::SerialPort;
+pub use stream_port::StreamPort;
 pub use tcp::TcpPort;
 
 /// A byte stream to a sensor.
 ///
-/// Any `AsyncRead + AsyncWrite` can be one: [`Plain`] makes one of it, and
+/// Any `AsyncRead + AsyncWrite` can be one: [`StreamPort`] makes one of it, and
 /// [`Sensor::attach`](crate::Sensor::attach) does so by itself. Implement this
-/// trait where the stream has a line speed that the driver should know of or
+/// trait where the stream has a baud rate that the driver should know of or
 /// change.
 ///
 /// The driver never calls `poll_flush`, so that what is written has to go out by
 /// itself; it stops using a port after the first `Ok(0)` or error, and then drops
 /// it. All methods are called in the driver's task and must not block.
 pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
-    /// The speed of the serial line to the sensor, or `None` where none
+    /// The baud_rate of the serial line to the sensor, or `None` where none
     /// matters, as on USB. Deadlines are computed from it.
-    fn line_speed(&self) -> Option<BaudRate> {
+    fn baud_rate(&self) -> Option<BaudRate> {
         None
     }
 
-    /// Sets this side's line speed. The driver calls it when the sensor was
+    /// Sets this side's baud rate. The driver calls it when the sensor was
     /// told to change its own, and to find out which one the sensor has.
     ///
     /// # Errors
     ///
-    /// Any, if the speed is not in force afterwards; it must be in force after
+    /// Any, if the baud_rate is not in force afterwards; it must be in force after
     /// `Ok`. `ErrorKind::Unsupported` (the default) means that this port cannot
-    /// change its speed at all; the sensor's is then left alone, too.
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        let _ = speed;
+    /// change its baud_rate at all; the sensor's is then left alone, too.
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        let _ = baud_rate;
         Err(io::ErrorKind::Unsupported.into())
     }
 
@@ -90,12 +90,12 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
 }
 
 impl<P: Port + ?Sized> Port for Box<P> {
-    fn line_speed(&self) -> Option<BaudRate> {
-        (**self).line_speed()
+    fn baud_rate(&self) -> Option<BaudRate> {
+        (**self).baud_rate()
     }
 
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        (**self).set_line_speed(speed)
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        (**self).set_baud_rate(baud_rate)
     }
 
     fn wall_clock(&self) -> SystemTime {
@@ -118,21 +118,21 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// use std::path::PathBuf;
 /// use std::sync::Arc;
 /// use tokio::net::UnixStream;
-/// use tokio_scip::port::{Connect, Plain};
+/// use tokio_scip::port::{Connect, StreamPort};
 /// use tokio_scip::{Error, Sensor};
 ///
 /// /// A sensor behind a Unix socket.
 /// struct Socket(PathBuf);
 ///
 /// impl Connect for Socket {
-///     type Port = Plain<UnixStream>;
+///     type Port = StreamPort<UnixStream>;
 ///
-///     async fn connect(&mut self) -> Result<Plain<UnixStream>, Error> {
+///     async fn connect(&mut self) -> Result<StreamPort<UnixStream>, Error> {
 ///         let stream = UnixStream::connect(&self.0).await.map_err(|error| Error::Open {
 ///             port: self.0.display().to_string(),
 ///             source: Arc::new(error),
 ///         })?;
-///         Ok(Plain::new(stream))
+///         Ok(StreamPort::new(stream))
 ///     }
 /// }
 ///

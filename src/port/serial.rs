@@ -14,7 +14,7 @@ use tokio_serial::{SerialPort as _, SerialStream as Tty};
 
 #[cfg(unix)]
 use super::tty::Tty;
-use super::{Port, list, refusal};
+use super::{Port, list, open_error};
 use crate::{BaudRate, Error};
 
 /// A serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control
@@ -35,15 +35,15 @@ use crate::{BaudRate, Error};
 #[derive(Debug)]
 pub struct SerialPort {
     inner: Tty,
-    speed: BaudRate,
-    /// A USB sensor itself, where the speed means nothing; not an RS-232
+    baud_rate: BaudRate,
+    /// A USB sensor itself, where the baud_rate means nothing; not an RS-232
     /// adapter, where it does.
     is_usb_sensor: bool,
 }
 
 impl SerialPort {
     /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the
-    /// speed of a sensor after power-up. Nothing is sent.
+    /// baud_rate of a sensor after power-up. Nothing is sent.
     ///
     /// Opening blocks and so runs on a thread of its own. Cancel-safe: if the
     /// future is dropped, the port is closed as soon as it is open; until then
@@ -69,68 +69,68 @@ impl SerialPort {
     }
 
     fn open_blocking(path: &str) -> Result<Self, Error> {
-        refusal::check_before_opening(path)?;
-        let speed = BaudRate::B19200;
-        let builder = tokio_serial::new(path, speed.bits_per_second())
+        open_error::check_before_opening(path)?;
+        let baud_rate = BaudRate::B19200;
+        let builder = tokio_serial::new(path, baud_rate.bits_per_second())
             .data_bits(DataBits::Eight)
             .parity(Parity::None)
             .stop_bits(StopBits::One)
             .flow_control(FlowControl::None);
         #[cfg(unix)]
         let builder = builder.exclusive(true);
-        let inner = Tty::open(&builder).map_err(|error| refusal::explain(path, error))?;
-        let port = Self { inner, speed, is_usb_sensor: list::is_usb_sensor(path) };
-        port.verify(speed).map_err(|source| open_error(path, source))?;
+        let inner = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
+        let port = Self { inner, baud_rate, is_usb_sensor: list::is_usb_sensor(path) };
+        port.verify(baud_rate).map_err(|source| open_error(path, source))?;
         Ok(port)
     }
 
-    /// Checks that the port runs at `speed`. Some adapters accept what they
-    /// cannot do and take the nearest speed they can.
-    fn verify(&self, speed: BaudRate) -> io::Result<()> {
+    /// Checks that the port runs at `baud_rate`. Some adapters accept what they
+    /// cannot do and take the nearest baud_rate they can.
+    fn verify(&self, baud_rate: BaudRate) -> io::Result<()> {
         let actual = self.inner.baud_rate()?;
-        if is_close(speed, actual) {
+        if is_close(baud_rate, actual) {
             Ok(())
         } else {
-            Err(io::Error::other(format!("asked for {speed} baud, the port took {actual}")))
+            Err(io::Error::other(format!("asked for {baud_rate} baud, the port took {actual}")))
         }
     }
 
-    fn change_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        self.inner.set_baud_rate(speed.bits_per_second())?;
-        self.verify(speed)
+    fn change_speed(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.inner.set_baud_rate(baud_rate.bits_per_second())?;
+        self.verify(baud_rate)
     }
 }
 
-/// Whether a line at `actual` bits per second is one at `speed`.
+/// Whether a line at `actual` bits per second is one at `baud_rate`.
 ///
-/// Adapters report what their divider makes of a speed (a CP2104 has 115,384
+/// Adapters report what their divider makes of a baud_rate (a CP2104 has 115,384
 /// for 115,200), and a receiver samples a byte correctly as long as both sides
 /// together are off by less than half a bit in ten. 2 % leaves the sensor its
-/// share; the nearest other speed an adapter could take instead (256,000 for
+/// share; the nearest other baud_rate an adapter could take instead (256,000 for
 /// 250,000) is farther away.
-fn is_close(speed: BaudRate, actual: u32) -> bool {
-    let wanted = speed.bits_per_second();
+fn is_close(baud_rate: BaudRate, actual: u32) -> bool {
+    let wanted = baud_rate.bits_per_second();
     u64::from(wanted.abs_diff(actual)) * 50 <= u64::from(wanted)
 }
 
 impl Port for SerialPort {
-    /// The speed in force; `None` for a sensor's own USB port (id 15d1:0000).
-    fn line_speed(&self) -> Option<BaudRate> {
-        if self.is_usb_sensor { None } else { Some(self.speed) }
+    /// The baud_rate in force; `None` for a sensor's own USB port (id 15d1:0000).
+    fn baud_rate(&self) -> Option<BaudRate> {
+        if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }
 
-    /// Sets the speed, and reads it back. After an error the speed is what it
+    /// Sets the baud_rate, and reads it back. After an error the baud_rate is what it
     /// was before, if the port can still be set at all.
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        match self.change_speed(speed) {
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        match self.change_speed(baud_rate) {
             Ok(()) => {
-                self.speed = speed;
+                self.baud_rate = baud_rate;
                 Ok(())
             }
             Err(error) => {
-                let before = self.speed;
+                let before = self.baud_rate;
                 if let Err(error) = self.change_speed(before) {
-                    tracing::debug!(%error, speed = %before, "cannot go back to the line speed");
+                    tracing::debug!(%error, baud_rate = %before, "cannot go back to the baud rate");
                 }
                 Err(error)
             }
@@ -231,11 +231,11 @@ mod tests {
 
     #[test]
     fn o12_a_speed_that_an_adapter_rounds_is_the_speed_and_another_is_not() {
-        for speed in BaudRate::ALL {
-            assert!(is_close(speed, speed.bits_per_second()));
-            assert!(!is_close(speed, 0));
+        for baud_rate in BaudRate::ALL {
+            assert!(is_close(baud_rate, baud_rate.bits_per_second()));
+            assert!(!is_close(baud_rate, 0));
             for other in BaudRate::ALL {
-                assert_eq!(is_close(speed, other.bits_per_second()), speed == other);
+                assert_eq!(is_close(baud_rate, other.bits_per_second()), baud_rate == other);
             }
         }
         assert!(is_close(BaudRate::B115200, 115_384));

@@ -17,7 +17,7 @@ use crate::{BaudRate, Error};
 ///
 /// Telnet servers are not such: they double the byte 0xFF and send commands of
 /// their own. The speed of the line behind the server is the server's affair,
-/// so [`set_line_speed`](Port::set_line_speed) is refused with
+/// so [`set_baud_rate`](Port::set_baud_rate) is refused with
 /// [`io::ErrorKind::Unsupported`].
 ///
 /// What is written goes out at once (`TCP_NODELAY`), and the system probes an
@@ -28,12 +28,12 @@ use crate::{BaudRate, Error};
 #[derive(Debug)]
 pub struct TcpPort {
     stream: TcpStream,
-    line_speed: BaudRate,
+    baud_rate: BaudRate,
 }
 
 impl TcpPort {
     /// Connects to `host` (a name or an address) and `port`, behind which is a
-    /// line at `line_speed`. A name's addresses are tried one after the other.
+    /// line at `baud_rate`. A name's addresses are tried one after the other.
     ///
     /// There is no time limit but the system's. Cancel-safe: dropping the
     /// future closes what it has opened.
@@ -42,11 +42,11 @@ impl TcpPort {
     ///
     /// [`Error::Open`], which is transient, with the last address's failure as
     /// its source: refused, unreachable, no such host.
-    pub async fn connect(host: &str, port: u16, line_speed: BaudRate) -> Result<Self, Error> {
+    pub async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
         match connect(host, port).await {
-            Ok(stream) => Ok(Self { stream, line_speed }),
+            Ok(stream) => Ok(Self { stream, baud_rate }),
             Err(source) => {
-                let endpoint = Endpoint::Tcp { host: host.to_owned(), port, line_speed };
+                let endpoint = Endpoint::Tcp { host: host.to_owned(), port, baud_rate };
                 Err(Error::Open { port: endpoint.to_string(), source: Arc::new(source) })
             }
         }
@@ -81,8 +81,8 @@ async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
 
 impl Port for TcpPort {
     /// What the address says.
-    fn line_speed(&self) -> Option<BaudRate> {
-        Some(self.line_speed)
+    fn baud_rate(&self) -> Option<BaudRate> {
+        Some(self.baud_rate)
     }
 }
 

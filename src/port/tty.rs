@@ -48,8 +48,8 @@ impl Tty {
         self.fd.get_ref().baud_rate()
     }
 
-    pub(super) fn set_baud_rate(&mut self, speed: u32) -> tokio_serial::Result<()> {
-        self.fd.get_mut().set_baud_rate(speed)
+    pub(super) fn set_baud_rate(&mut self, baud_rate: u32) -> tokio_serial::Result<()> {
+        self.fd.get_mut().set_baud_rate(baud_rate)
     }
 
     pub(super) fn clear(&self, buffer: ClearBuffer) -> tokio_serial::Result<()> {

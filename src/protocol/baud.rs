@@ -1,9 +1,9 @@
-//! The six line speeds of RS-232.
+//! The six baud rates of RS-232.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// A line speed that a sensor knows (C-42-3320-A p. 2 and 5).
+/// A baud rate that a sensor knows (C-42-3320-A p. 2 and 5).
 ///
 /// A sensor speaks [`BaudRate::B19200`] after power-up. As text, as a `u32` and as
 /// data (feature `serde`) it is the number of bits per second: 115200.
@@ -11,7 +11,7 @@ use std::str::FromStr;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u32", try_from = "u32"))]
 pub enum BaudRate {
-    /// 19,200 bit/s, the speed after power-up.
+    /// 19,200 bit/s, the baud_rate after power-up.
     B19200,
     /// 57,600 bit/s.
     B57600,
@@ -59,9 +59,9 @@ impl BaudRate {
     /// parity, one start and one stop bit, p. 2).
     pub const fn wire_time(self, bytes: usize) -> std::time::Duration {
         let bits = (bytes as u64).saturating_mul(10);
-        let speed = self.bits_per_second() as u64;
-        let nanos = bits % speed * 1_000_000_000 / speed;
-        std::time::Duration::new(bits / speed, nanos as u32)
+        let baud_rate = self.bits_per_second() as u64;
+        let nanos = bits % baud_rate * 1_000_000_000 / baud_rate;
+        std::time::Duration::new(bits / baud_rate, nanos as u32)
     }
 }
 
@@ -71,10 +71,10 @@ impl fmt::Display for BaudRate {
     }
 }
 
-/// A number that is none of the six line speeds.
+/// A number that is none of the six baud rates.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{found:?} is no line speed of SCIP 1.1: use 19200, 57600, 115200, 250000, 500000 or 750000"
+    "{found:?} is no baud rate of SCIP 1.1: use 19200, 57600, 115200, 250000, 500000 or 750000"
 )]
 pub struct UnknownBaudRate {
     found: String,
@@ -86,14 +86,14 @@ impl TryFrom<u32> for BaudRate {
     fn try_from(bits_per_second: u32) -> Result<Self, UnknownBaudRate> {
         Self::ALL
             .into_iter()
-            .find(|speed| speed.bits_per_second() == bits_per_second)
+            .find(|baud_rate| baud_rate.bits_per_second() == bits_per_second)
             .ok_or_else(|| UnknownBaudRate { found: bits_per_second.to_string() })
     }
 }
 
 impl From<BaudRate> for u32 {
-    fn from(speed: BaudRate) -> Self {
-        speed.bits_per_second()
+    fn from(baud_rate: BaudRate) -> Self {
+        baud_rate.bits_per_second()
     }
 }
 

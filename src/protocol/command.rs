@@ -28,7 +28,7 @@ pub enum Command {
     LaserOn,
     /// `L0`: switch the laser off (p. 4).
     LaserOff,
-    /// `S`: change the line speed of RS-232 (p. 5).
+    /// `S`: change the baud rate of RS-232 (p. 5).
     BaudRate(BaudRate),
     /// `G`: the distances in the sensor's memory (p. 5).
     Distances(Window),
@@ -43,9 +43,9 @@ impl Command {
             Self::Version => out.push(b"V"),
             Self::LaserOn => out.push(b"L1"),
             Self::LaserOff => out.push(b"L0"),
-            Self::BaudRate(speed) => {
+            Self::BaudRate(baud_rate) => {
                 out.push(b"S");
-                out.push(&speed.digits());
+                out.push(&baud_rate.digits());
                 out.push(RESERVED);
             }
             Self::Distances(window) => {

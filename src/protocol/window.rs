@@ -234,11 +234,11 @@ impl Window {
         10 + 2 + data + data.div_ceil(BLOCK) + 1
     }
 
-    /// How long one poll of this window keeps a line of this speed busy:
+    /// How long one poll of this window keeps a line at this baud rate busy:
     /// command and reply, without the time that the sensor takes to answer.
-    pub fn wire_time(&self, speed: BaudRate) -> Duration {
+    pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
         let command = Command::Distances(*self).bytes().len() + 1;
-        speed.wire_time(command + self.reply_len())
+        baud_rate.wire_time(command + self.reply_len())
     }
 
     /// The direction of the first point in radians: the middle of its steps.

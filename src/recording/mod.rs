@@ -16,7 +16,7 @@
 //! # let path = folder.join("run.mcap");
 //! // Records ten scans; instead of the emulator, `open("/dev/ttyACM0")`.
 //! let mut recorder = Recorder::create(&path)?;
-//! let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1024);
+//! let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1024);
 //! let sensor = builder.connect(Emulator::default()).await?;
 //! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
 //! recorder.describe(&sensor, &scans).await?;

@@ -133,7 +133,7 @@ impl Recording {
 
     /// What was written down of the sensor, by
     /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`,
-    /// `firmware`, `protocol`, `serial_number`, `status`, `line_speed` (`none` on
+    /// `firmware`, `protocol`, `serial_number`, `status`, `baud_rate` (`none` on
     /// USB), `start`, `end`, `cluster`, `rate`. Empty if nothing was.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata

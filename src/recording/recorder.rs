@@ -11,7 +11,7 @@ use std::time::SystemTime;
 use super::queue::{Entry, Queue};
 use super::writer::Times;
 use super::{Event, RecordingError};
-use crate::tap::Heard;
+use crate::observer::RawReply;
 use crate::{Error, Scan, ScanStream, Sensor, State};
 
 /// Records what a [`ScanStream`] gives and what a sensor sends, into an MCAP
@@ -75,9 +75,9 @@ impl Recorder {
         RecorderBuilder { frame_id: "laser".to_owned(), overwrite: false }
     }
 
-    /// For [`SensorBuilder::tap`](crate::SensorBuilder::tap): records each reply's
+    /// For [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply): records each reply's
     /// bytes, so that the recording can be replayed.
-    pub fn tap(&self) -> impl Fn(Heard<'_>) + Send + Sync + 'static {
+    pub fn observer(&self) -> impl Fn(RawReply<'_>) + Send + Sync + 'static {
         let queue = Arc::clone(&self.queue);
         move |heard| {
             let command = heard.command.map_or_else(String::new, |command| command.to_string());
@@ -96,8 +96,8 @@ impl Recorder {
     /// Those of [`Sensor::version`].
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
-        let line_speed = match &*sensor.state().borrow() {
-            State::Connected { line_speed: Some(speed), .. } => speed.to_string(),
+        let baud_rate = match &*sensor.state().borrow() {
+            State::Connected { baud_rate: Some(speed), .. } => speed.to_string(),
             _ => "none".to_owned(),
         };
         let window = scans.window();
@@ -107,7 +107,7 @@ impl Recorder {
             ("firmware", version.firmware.to_string()),
             ("protocol", version.protocol.to_string()),
             ("serial_number", version.serial_number.to_string()),
-            ("line_speed", line_speed),
+            ("baud_rate", baud_rate),
             ("start", window.start().to_string()),
             ("end", window.end().to_string()),
             ("cluster", window.cluster_count().to_string()),
@@ -165,7 +165,7 @@ impl Recorder {
     /// lost to a slow disk. A sensor does not wait.
     ///
     /// Cancel-safe.
-    pub async fn room(&self) {
+    pub async fn ready(&self) {
         self.queue.room().await;
     }
 

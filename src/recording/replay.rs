@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 use super::reader::{Entry, Reply, command_named};
 use super::{Recording, RecordingError};
 use crate::Window;
-use crate::emulator::{Codes, Emulator, Script};
+use crate::emulator::{Emulator, Script, Values};
 use crate::protocol::{Command, Reply as Parsed};
 
 /// By how many groups a driver widens a window so that polls differ.
@@ -79,7 +79,7 @@ struct Replies {
     /// When the first of them came.
     began: SystemTime,
     /// The latest value of each step.
-    memory: Box<Codes>,
+    memory: Box<Values>,
     /// Why the file could not be read any further.
     failure: Option<RecordingError>,
 }
@@ -208,7 +208,7 @@ impl Script for Replies {
         Some(io::Error::new(io::ErrorKind::InvalidData, error))
     }
 
-    fn look(&self, codes: &mut Codes) {
+    fn look(&self, codes: &mut Values) {
         *codes = *self.memory;
     }
 }

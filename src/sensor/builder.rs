@@ -7,9 +7,9 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::Sensor;
 use crate::driver::{self, Config, Driver};
+use crate::observer::{RawReply, ReplyObserver};
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Text;
-use crate::tap::{Heard, Tap};
 use crate::{BaudRate, Error};
 
 /// The longest time that can be set: long enough to mean for ever, and no
@@ -42,16 +42,16 @@ pub struct SensorBuilder {
 }
 
 impl SensorBuilder {
-    /// The line speed to run at. The sensor is found at whatever speed it has,
+    /// The baud rate to run at. The sensor is found at whatever baud_rate it has,
     /// and moved to this one. Unless set, it is left at the one it has (19,200
     /// baud after power-up). Without effect on USB.
-    pub fn baud_rate(mut self, speed: BaudRate) -> Self {
-        self.config.baud_rate = Some(speed);
+    pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
+        self.config.baud_rate = Some(baud_rate);
         self
     }
 
     /// How long to look for a sensor on a port, and how long a request waits
-    /// for a link. 5 s unless set: two passes over the six line speeds.
+    /// for a link. 5 s unless set: two passes over the six baud rates.
     ///
     /// At most a day.
     pub fn open_timeout(mut self, timeout: Duration) -> Self {
@@ -121,19 +121,19 @@ impl SensorBuilder {
         self
     }
 
-    /// Hands every reply to `tap`, its bytes as the sensor sent them: to record
+    /// Hands every reply to `observer`, its bytes as the sensor sent them: to record
     /// it, or to log it. Unless set, nobody keeps them, and nothing is paid.
     ///
     /// It is called in the driver's task, once for each frame, fences and damaged
     /// replies included, and before a scan is delivered: it must not block. There
-    /// is one tap: a second one takes the place of the first.
+    /// is one observer: a second one takes the place of the first.
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), tokio_scip::Error> {
     /// let (sender, mut replies) = tokio::sync::mpsc::unbounded_channel();
-    /// let builder = Sensor::builder().tap(move |heard| {
+    /// let builder = Sensor::builder().on_reply(move |heard| {
     ///     // Nobody listens any more: that is fine.
     ///     let _ = sender.send((heard.command, heard.bytes.to_vec()));
     /// });
@@ -145,8 +145,8 @@ impl SensorBuilder {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn tap(mut self, tap: impl Fn(Heard<'_>) + Send + Sync + 'static) -> Self {
-        self.config.tap = Tap::new(tap);
+    pub fn on_reply(mut self, observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
+        self.config.observer = ReplyObserver::new(observer);
         self
     }
 

@@ -69,7 +69,7 @@ impl Sensor {
     }
 
     /// Uses a stream that is open already: a socket, a pipe, an emulated
-    /// sensor. It is taken to have no line speed, and is never reopened: when
+    /// sensor. It is taken to have no baud rate, and is never reopened: when
     /// it ends, the driver ends.
     ///
     /// # Errors
@@ -141,19 +141,19 @@ impl Sensor {
         self.client.ask(|promise| Request::Laser { on: false, promise }).await
     }
 
-    /// Moves sensor and port to another line speed (`S`, p. 5), and makes sure
+    /// Moves sensor and port to another baud rate (`S`, p. 5), and makes sure
     /// that they meet there; about half a second. The driver restores it
     /// whenever the sensor was away. A sensor on USB accepts it without effect.
     ///
     /// # Errors
     ///
-    /// [`Error::UnsupportedSpeed`] before the sensor is told anything, if the
+    /// [`Error::UnsupportedBaudRate`] before the sensor is told anything, if the
     /// port cannot be set to this speed or, as a TCP connection, to any.
     /// [`Error::NotConfirmed`] if the sensor accepted and stayed where it was, or,
     /// with `L0` as its command, if the laser was off by request and will not go
     /// off at the new speed.
-    pub async fn set_baud_rate(&self, speed: BaudRate) -> Result<(), Error> {
-        self.client.ask(|promise| Request::BaudRate { speed, promise }).await
+    pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
+        self.client.ask(|promise| Request::BaudRate { baud_rate, promise }).await
     }
 
     /// A single scan of `window`, asked for now (`G`, p. 5). It may come between

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Builder, Codes, Emulator, Look, Received, Verdict};
+use tokio_scip::emulator::{Builder, Emulator, Received, Values, Verdict, WorldTime};
 use tokio_scip::{Connect, Error, Port, Scan, Sensor, SensorBuilder};
 
 /// The code that carries digit `place` of a request's number, in base 4000:
@@ -21,7 +21,7 @@ fn code(request: u64, step: usize) -> u16 {
 
 /// An emulated sensor whose every scan tells which `G` it answers.
 pub(crate) fn truthful() -> Builder {
-    Emulator::builder().log(1 << 20).world(|look: Look, codes: &mut Codes| {
+    Emulator::builder().log_capacity(1 << 20).world(|look: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
             *slot = code(look.request, step);
         }

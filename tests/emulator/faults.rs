@@ -53,7 +53,7 @@ async fn a_lost_reply_is_of_a_command_that_was_done_and_a_lost_command_is_not() 
     {
         let emulator = prompt().faults(Faults::none().at(0, fault)).build();
         ask(&mut emulator.link(), "L0").await;
-        assert_eq!(emulator.laser(), laser);
+        assert_eq!(emulator.is_laser_on(), laser);
     }
 }
 
@@ -108,13 +108,13 @@ async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
     let speed = BaudRate::B115200;
     for after in 0..=1399 {
         let emulator = prompt()
-            .line_speed(speed)
+            .baud_rate(speed)
             .boot_time(S)
             .laser(false)
             .faults(Faults::none().at(1, Fault::Reset(after)))
             .build();
         let mut link = emulator.link();
-        link.set_line_speed(speed).unwrap();
+        link.set_baud_rate(speed).unwrap();
         sleep(S).await;
         assert_eq!(ask(&mut link, "L1").await, "L1\n0\n\n");
         link.write_all(b"G04472501\n").await.unwrap();
@@ -123,9 +123,9 @@ async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
         // Silent while it starts, and then at another speed.
         link.write_all(b"V\n").await.unwrap();
         sleep(2 * S).await;
-        assert_eq!(emulator.line_speed(), Some(BaudRate::B19200));
-        assert!(emulator.laser());
-        link.set_line_speed(BaudRate::B19200).unwrap();
+        assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
+        assert!(emulator.is_laser_on());
+        link.set_baud_rate(BaudRate::B19200).unwrap();
         assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n", "after {after}");
         assert_eq!((emulator.counts().resets, emulator.fault_counts().reset), (1, 1));
     }
@@ -149,9 +149,9 @@ async fn a_hang_up_ends_the_link_after_its_byte() {
 #[tokio::test(start_paused = true)]
 async fn endless_bytes_go_on_until_the_faults_are_others() {
     let faults = Faults::none().at(0, Fault::Endless(b"\n\n".to_vec()));
-    let emulator = prompt().line_speed(BaudRate::B750000).faults(faults).build();
+    let emulator = prompt().baud_rate(BaudRate::B750000).faults(faults).build();
     let mut link = emulator.link();
-    link.set_line_speed(BaudRate::B750000).unwrap();
+    link.set_baud_rate(BaudRate::B750000).unwrap();
     link.write_all(b"V\n").await.unwrap();
     let start = Instant::now();
     let mut flood = vec![0; 1_000_000];

@@ -126,13 +126,13 @@ async fn flushes_are_counted() {
 
 #[tokio::test(start_paused = true)]
 async fn a_change_of_speed_fails_when_it_is_told_to() {
-    let emulator = prompt().line_speed(BaudRate::B57600).build();
+    let emulator = prompt().baud_rate(BaudRate::B57600).build();
     let mut link =
         FaultyLink::new(emulator.link()).fail(Call::SetSpeed, 0, Failure::Kind(ErrorKind::Other));
     let counter = link.counter();
-    assert!(link.set_line_speed(BaudRate::B57600).is_err());
-    assert_eq!(link.line_speed(), Some(BaudRate::B19200));
-    link.set_line_speed(BaudRate::B57600).unwrap();
+    assert!(link.set_baud_rate(BaudRate::B57600).is_err());
+    assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
+    link.set_baud_rate(BaudRate::B57600).unwrap();
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
-    assert_eq!(counter.speed_changes(), 2);
+    assert_eq!(counter.baud_rate_changes(), 2);
 }

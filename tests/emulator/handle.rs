@@ -11,7 +11,7 @@ use super::{ask, listen, prompt};
 
 #[tokio::test(start_paused = true)]
 async fn the_log_holds_the_last_commands_and_what_they_were_worth() {
-    let emulator = prompt().log(3).build();
+    let emulator = prompt().log_capacity(3).build();
     let mut link = emulator.link();
     let start = Instant::now();
     for command in ["V", "", "X", "G00000001"] {
@@ -143,7 +143,7 @@ async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
 
 #[tokio::test(start_paused = true)]
 async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
-    let emulator = prompt().line_speed(tokio_scip::BaudRate::B19200).laser(false).build();
+    let emulator = prompt().baud_rate(tokio_scip::BaudRate::B19200).laser(false).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
     // Two bytes in, ten bytes out, at 0.52 ms each.
@@ -151,7 +151,7 @@ async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
     emulator.power_cycle();
     let heard = listen(&mut link).await;
     assert!((9..=12).contains(&heard.len()), "{heard:?}");
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
@@ -169,7 +169,7 @@ fn a_sensor_can_be_had_outside_of_a_runtime() {
     let emulator = Emulator::default();
     let link = emulator.link();
     emulator.power_cycle();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     drop(link);
 }
 

@@ -2,7 +2,7 @@
 
 use tokio::io::AsyncWriteExt;
 use tokio_scip::BaudRate;
-use tokio_scip::emulator::{Codes, EmptyCommand, Firmware, Fixed, Look, Mode};
+use tokio_scip::emulator::{EmptyCommand, Firmware, Fixed, Mode, Values, WorldTime};
 
 use super::{ask, listen, prompt};
 
@@ -44,7 +44,7 @@ async fn version_lines_can_be_anything() {
 async fn the_laser_is_on_at_first_and_switches_off_and_on() {
     let emulator = prompt().build();
     let mut link = emulator.link();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     for (command, reply, laser) in [
         ("L1", "L1\n2\n\n", true),
         ("L0", "L0\n0\n\n", false),
@@ -54,7 +54,7 @@ async fn the_laser_is_on_at_first_and_switches_off_and_on() {
         ("G38438401", "G38438401\n0\nCB\n\n", true),
     ] {
         assert_eq!(ask(&mut link, command).await, reply);
-        assert_eq!(emulator.laser(), laser);
+        assert_eq!(emulator.is_laser_on(), laser);
     }
 }
 
@@ -195,12 +195,12 @@ async fn on_usb_a_change_of_speed_has_no_effect() {
     assert_eq!(ask(&mut text.link(), "S1152000000000").await, "S1152000000000\n0\n\n");
     let third = prompt().build();
     assert_eq!(ask(&mut third.link(), "S1152000000000").await, "S1152000000000\n3\n\n");
-    assert_eq!((text.line_speed(), third.line_speed()), (None, None));
+    assert_eq!((text.baud_rate(), third.baud_rate()), (None, None));
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_rs232_the_reserved_area_is_echoed_and_ignored() {
-    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).build();
     let mut link = emulator.link();
     assert_eq!(ask(&mut link, "S019200abc!xyz").await, "S019200abc!xyz\n3\n\n");
     assert_eq!(ask(&mut link, "S057600abc!xyz").await, "S057600abc!xyz\n0\n\n");
@@ -254,7 +254,7 @@ async fn in_scip_2_scans_stream_unasked_until_they_are_stopped() {
 
 #[tokio::test(start_paused = true)]
 async fn the_request_number_counts_scans_only() {
-    let world = |look: Look, codes: &mut Codes| codes.fill(100 + look.request as u16);
+    let world = |look: WorldTime, codes: &mut Values| codes.fill(100 + look.request as u16);
     let mut link = prompt().world(world).build().link();
     for (command, reply) in [
         ("G00000001", "G00000001\n0\n1T\n\n"),

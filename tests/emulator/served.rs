@@ -52,7 +52,7 @@ async fn unplugging_ends_a_client_that_does_not_read() {
 
 #[tokio::test(start_paused = true)]
 async fn behind_a_bridge_at_another_speed_nothing_is_understood() {
-    let emulator = prompt().line_speed(BaudRate::B115200).build();
+    let emulator = prompt().baud_rate(BaudRate::B115200).build();
     let (mut client, server) = duplex(64);
     tokio::spawn(async move { emulator.serve_at(server, BaudRate::B19200).await });
     client.write_all(b"V\n").await.unwrap();
@@ -159,7 +159,7 @@ mod terminal {
     #[tokio::test]
     async fn a_wrong_line_speed_garbles_both_ways() {
         let latency = Duration::from_millis(200);
-        let emulator = prompt().line_speed(BaudRate::B19200).latency(latency).build();
+        let emulator = prompt().baud_rate(BaudRate::B19200).latency(latency).build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 57_600);
         client.write_all(b"L0\n").await.unwrap();
@@ -167,7 +167,7 @@ mod terminal {
         client.set_baud_rate(19_200).unwrap();
         client.write_all(b"\n").await.unwrap();
         let heard = received(&emulator).await;
-        assert!(heard.garbled && heard.line != b"L0" && emulator.laser());
+        assert!(heard.garbled && heard.line != b"L0" && emulator.is_laser_on());
         while listen_bytes(&mut client).await.is_empty() {}
 
         // A command is understood, and the answer comes at another speed.
@@ -193,13 +193,13 @@ mod terminal {
 
     #[tokio::test]
     async fn all_six_speeds_can_be_set_on_both_sides() {
-        let emulator = prompt().line_speed(BaudRate::B19200).stray_byte(false).build();
+        let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
         for speed in BaudRate::ALL.into_iter().skip(1) {
             let command = format!("S{:06}0000000", speed.bits_per_second());
             assert_eq!(ask(&mut client, &command).await, format!("{command}\n0\n\n"));
-            while emulator.line_speed() != Some(speed) {
+            while emulator.baud_rate() != Some(speed) {
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
             client.set_baud_rate(speed.bits_per_second()).unwrap();

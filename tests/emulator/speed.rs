@@ -1,4 +1,4 @@
-//! Line speeds, and what comes of different ones.
+//! Baud rates, and what comes of different ones.
 
 use std::time::Duration;
 
@@ -12,19 +12,19 @@ use super::{ask, listen, listen_bytes, prompt};
 const MS: Duration = Duration::from_millis(1);
 
 fn serial(speed: BaudRate) -> Emulator {
-    prompt().line_speed(speed).build()
+    prompt().baud_rate(speed).build()
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_link_starts_at_19200_baud_and_has_none_on_usb() {
     let mut link = serial(BaudRate::B750000).link();
-    assert_eq!(link.line_speed(), Some(BaudRate::B19200));
-    link.set_line_speed(BaudRate::B750000).unwrap();
-    assert_eq!(link.line_speed(), Some(BaudRate::B750000));
+    assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
+    link.set_baud_rate(BaudRate::B750000).unwrap();
+    assert_eq!(link.baud_rate(), Some(BaudRate::B750000));
     let mut usb = prompt().build().link();
-    assert_eq!(usb.line_speed(), None);
-    usb.set_line_speed(BaudRate::B115200).unwrap();
-    assert_eq!(usb.line_speed(), None);
+    assert_eq!(usb.baud_rate(), None);
+    usb.set_baud_rate(BaudRate::B115200).unwrap();
+    assert_eq!(usb.baud_rate(), None);
     assert_eq!(ask(&mut usb, "L0").await, "L0\n0\n\n");
 }
 
@@ -35,9 +35,9 @@ async fn at_a_wrong_speed_the_sensor_hears_no_command() {
         let mut link = emulator.link();
         link.write_all(b"L0\nL0\nL0\n").await.unwrap();
         assert_ne!(listen_bytes(&mut link).await, b"L0\n0\n\n");
-        assert!(emulator.laser(), "{speed}");
+        assert!(emulator.is_laser_on(), "{speed}");
         assert_eq!(emulator.counts().malformed, 0, "garbled lines are counted apart");
-        link.set_line_speed(*speed).unwrap();
+        link.set_baud_rate(*speed).unwrap();
         link.write_all(b"\n").await.unwrap();
         listen_bytes(&mut link).await;
         assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
@@ -48,13 +48,13 @@ async fn at_a_wrong_speed_the_sensor_hears_no_command() {
 async fn at_a_wrong_speed_the_host_reads_no_reply() {
     for sensor in BaudRate::ALL {
         for host in BaudRate::ALL.into_iter().filter(|host| *host != sensor) {
-            let emulator = prompt().line_speed(sensor).latency(10 * MS).build();
+            let emulator = prompt().baud_rate(sensor).latency(10 * MS).build();
             let mut link = emulator.link();
-            link.set_line_speed(sensor).unwrap();
+            link.set_baud_rate(sensor).unwrap();
             link.write_all(b"V\n").await.unwrap();
             // The command is through, and the reply has not begun.
             sleep(5 * MS).await;
-            link.set_line_speed(host).unwrap();
+            link.set_baud_rate(host).unwrap();
             let heard = listen_bytes(&mut link).await;
             assert!(!heard.starts_with(b"V\n0\nVEND:"), "{sensor} {host}");
         }
@@ -67,24 +67,24 @@ async fn an_accepted_speed_is_in_force_one_revolution_later_and_brings_a_stray_b
     let mut link = emulator.link();
     let start = Instant::now();
     assert_eq!(ask(&mut link, "S1152000000000").await, "S1152000000000\n0\n\n");
-    link.set_line_speed(BaudRate::B115200).unwrap();
+    link.set_baud_rate(BaudRate::B115200).unwrap();
     // 15 bytes took 7.8 ms; the revolution counts from then.
     sleep(100 * MS - start.elapsed()).await;
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B19200));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
     assert_eq!(link.read_u8().await.unwrap(), 0);
     assert!((107..=109).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn the_stray_byte_can_be_left_out() {
-    let emulator = prompt().line_speed(BaudRate::B19200).stray_byte(false).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
     let mut link = emulator.link();
     ask(&mut link, "S5000000000000").await;
-    link.set_line_speed(BaudRate::B500000).unwrap();
+    link.set_baud_rate(BaudRate::B500000).unwrap();
     assert_eq!(listen(&mut link).await, "");
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B500000));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B500000));
 }
 
 #[tokio::test(start_paused = true)]
@@ -92,29 +92,29 @@ async fn a_command_that_comes_before_the_change_is_served_after_it() {
     let mut link = serial(BaudRate::B19200).link();
     link.write_all(b"S0576000000000\nL0\n").await.unwrap();
     assert_eq!(listen(&mut link).await, "S0576000000000\n0\n\n");
-    link.set_line_speed(BaudRate::B57600).unwrap();
+    link.set_baud_rate(BaudRate::B57600).unwrap();
     assert_eq!(listen(&mut link).await, "\0L0\n0\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_speed_survives_the_link_and_not_a_power_cycle() {
-    let emulator = prompt().line_speed(BaudRate::B19200).stray_byte(false).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
     ask(&mut emulator.link(), "S2500000000000").await;
     sleep(200 * MS).await;
     let mut link = emulator.link();
-    link.set_line_speed(BaudRate::B250000).unwrap();
+    link.set_baud_rate(BaudRate::B250000).unwrap();
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
     emulator.power_cycle();
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B19200));
-    assert!(emulator.laser());
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
+    assert!(emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_bridge_keeps_its_own_speed() {
     let emulator = serial(BaudRate::B19200);
     let mut link = emulator.bridge(BaudRate::B19200);
-    assert_eq!(link.line_speed(), Some(BaudRate::B19200));
-    assert!(link.set_line_speed(BaudRate::B57600).is_err());
+    assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
+    assert!(link.set_baud_rate(BaudRate::B57600).is_err());
     assert_eq!(ask(&mut link, "S0576000000000").await, "S0576000000000\n0\n\n");
     sleep(200 * MS).await;
     link.write_all(b"V\n").await.unwrap();
@@ -128,11 +128,11 @@ async fn a_bridge_keeps_its_own_speed() {
 #[tokio::test(start_paused = true)]
 async fn a_change_of_speed_waits_for_the_motor_too() {
     let emulator =
-        Emulator::builder().line_speed(BaudRate::B19200).pace(Pace::PerRevolution).build();
+        Emulator::builder().baud_rate(BaudRate::B19200).pace(Pace::PerRevolution).build();
     let mut link = emulator.link();
     let start = Instant::now();
     ask(&mut link, "S5000000000000").await;
-    link.set_line_speed(BaudRate::B500000).unwrap();
+    link.set_baud_rate(BaudRate::B500000).unwrap();
     assert_eq!(link.read_u8().await.unwrap(), 0);
     assert!((200..=202).contains(&start.elapsed().as_millis()), "{:?}", start.elapsed());
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep, sleep_until};
-use tokio_scip::emulator::{Codes, Emulator, Fixed, Link, Look, Pace};
+use tokio_scip::emulator::{Emulator, Fixed, Link, Pace, Values, WorldTime};
 use tokio_scip::{BaudRate, Port};
 
 use super::{ask, listen, prompt};
@@ -92,7 +92,7 @@ async fn commands_that_come_together_are_served_one_a_revolution() {
 
 #[tokio::test(start_paused = true)]
 async fn a_scan_shows_the_revolution_finished_last() {
-    let world = |look: Look, codes: &mut Codes| {
+    let world = |look: WorldTime, codes: &mut Values| {
         assert_eq!(look.at, 100 * MS * (look.revolution as u32 + 1));
         codes.fill(100 + look.revolution as u16);
     };
@@ -123,8 +123,8 @@ async fn a_reply_takes_its_time_on_the_line() {
         (BaudRate::B500000, 31_520),
         (BaudRate::B750000, 21_013),
     ] {
-        let mut link = prompt().line_speed(speed).build().link();
-        link.set_line_speed(speed).unwrap();
+        let mut link = prompt().baud_rate(speed).build().link();
+        link.set_baud_rate(speed).unwrap();
         let start = Instant::now();
         let (first, last) = times(&mut link, "G00076801", start).await;
         // The command's ten bytes come before it.
@@ -138,8 +138,8 @@ async fn a_reply_takes_its_time_on_the_line() {
 #[tokio::test(start_paused = true)]
 async fn a_reply_longer_than_a_revolution_costs_whole_revolutions() {
     for (speed, scans) in [(BaudRate::B19200, 125), (BaudRate::B115200, 500)] {
-        let mut link = Emulator::builder().line_speed(speed).world(Fixed::filled(1)).build().link();
-        link.set_line_speed(speed).unwrap();
+        let mut link = Emulator::builder().baud_rate(speed).world(Fixed::filled(1)).build().link();
+        link.set_baud_rate(speed).unwrap();
         let start = Instant::now();
         for _ in 0..scans {
             ask(&mut link, "G04472501").await;
@@ -151,7 +151,7 @@ async fn a_reply_longer_than_a_revolution_costs_whole_revolutions() {
 
 #[tokio::test(start_paused = true)]
 async fn replies_come_in_order_behind_each_other() {
-    let mut link = prompt().line_speed(BaudRate::B19200).build().link();
+    let mut link = prompt().baud_rate(BaudRate::B19200).build().link();
     let start = Instant::now();
     link.write_all(b"G00003101\nV\nL0\n").await.unwrap();
     assert!(listen(&mut link).await.starts_with("G"));

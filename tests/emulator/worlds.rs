@@ -2,14 +2,14 @@
 
 use std::time::Duration;
 
-use tokio_scip::emulator::{Codes, Emulator, Look, Room, STEPS, World};
+use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 
 use super::ask;
 
 /// The room at ten looks a second, as a sensor would ask for them.
-fn looks(mut room: Room, count: usize) -> Vec<Codes> {
+fn looks(mut room: Room, count: usize) -> Vec<Values> {
     let (sender, receiver) = std::sync::mpsc::channel();
-    let world = move |look: Look, codes: &mut Codes| {
+    let world = move |look: WorldTime, codes: &mut Values| {
         room.look(look, codes);
         sender.send(*codes).unwrap();
     };

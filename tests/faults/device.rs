@@ -16,7 +16,7 @@ const WINDOW: Window = Window::DETECTION;
 async fn d01_a_reset_at_each_byte_of_a_reply_is_found_and_the_line_speed_restored() {
     let window = Window::new(300..=360).unwrap();
     for at in 0..=window.reply_len() {
-        let emulator = prompt().line_speed(BaudRate::B19200).build();
+        let emulator = prompt().baud_rate(BaudRate::B19200).build();
         let sensor =
             builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
@@ -29,25 +29,25 @@ async fn d01_a_reset_at_each_byte_of_a_reply_is_found_and_the_line_speed_restore
         delivered.extend(scans(&mut stream, 3).await);
         assert!(start.elapsed() < Duration::from_secs(5), "byte {at}: {:?}", start.elapsed());
         assert_eq!(lies(&emulator, &delivered), [""; 0], "byte {at}");
-        assert_eq!(emulator.line_speed(), Some(BaudRate::B115200), "byte {at}");
+        assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200), "byte {at}");
         assert_eq!(sensor.stats().reconnects, 1, "byte {at}: not told");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_goes_off_again() {
-    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     sensor.laser_off().await.unwrap();
     for _ in 0..5 {
         emulator.power_cycle();
-        assert!(emulator.laser());
+        assert!(emulator.is_laser_on());
         // What is asked for next finds the sensor at another speed.
         while sensor.set_baud_rate(BaudRate::B57600).await.is_err() {}
         while sensor.set_baud_rate(BaudRate::B115200).await.is_err() {}
-        assert!(!emulator.laser());
+        assert!(!emulator.is_laser_on());
         tokio::time::sleep(Duration::from_secs(5)).await;
     }
     let polls = emulator.log().into_iter().filter(|line| line.line == b"G04472501");
@@ -67,27 +67,27 @@ async fn d02_a_sensor_that_comes_back_from_a_reset_has_its_laser_off_again() {
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     emulator.power_cycle();
     emulator.plug_in();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
 async fn d02_a_restart_that_a_change_of_speed_cannot_show_leaves_the_laser_off() {
-    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
     emulator.power_cycle();
-    assert!(emulator.laser());
+    assert!(emulator.is_laser_on());
     // Where it is after a restart, too.
     sensor.set_baud_rate(BaudRate::B19200).await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
 async fn d03_an_hour_without_power_costs_few_attempts() {
     // The port stays: its adapter has power.
-    let emulator = prompt().line_speed(BaudRate::B115200).build();
+    let emulator = prompt().baud_rate(BaudRate::B115200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
@@ -112,7 +112,7 @@ async fn d03_an_hour_without_power_costs_few_attempts() {
 #[tokio::test(start_paused = true)]
 async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
     for period in [ms(150), ms(700), ms(1900)] {
-        let emulator = prompt().line_speed(BaudRate::B19200).boot_time(ms(100)).build();
+        let emulator = prompt().baud_rate(BaudRate::B19200).boot_time(ms(100)).build();
         let sensor =
             builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -166,7 +166,7 @@ async fn d08_only_the_four_commands_are_ever_sent_to_a_sensor_of_either_kind() {
             let emulator = prompt()
                 .firmware(firmware)
                 .empty_command(empty)
-                .line_speed(BaudRate::B57600)
+                .baud_rate(BaudRate::B57600)
                 .build();
             let sensor = open(&emulator).await;
             let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();

@@ -78,12 +78,12 @@ impl AsyncWrite for Kept {
 }
 
 impl Port for Kept {
-    fn line_speed(&self) -> Option<BaudRate> {
-        self.link.line_speed()
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.link.baud_rate()
     }
 
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
-        self.link.set_line_speed(speed)
+    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
+        self.link.set_baud_rate(speed)
     }
 
     fn discard_output(&mut self) {
@@ -164,13 +164,13 @@ async fn o10_s_on_usb_changes_neither_side() {
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
     let state = sensor.state().borrow().clone();
-    assert!(matches!(state, State::Connected { line_speed: None, .. }), "{state:?}");
+    assert!(matches!(state, State::Connected { baud_rate: None, .. }), "{state:?}");
     sensor.scan(WINDOW).await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]
 async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
-    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
     let connect = Rigged(move || {
         let link = FaultyLink::new(inner.link());
@@ -179,16 +179,16 @@ async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
     });
     let sensor = builder().connect(connect).await.unwrap();
     let error = sensor.set_baud_rate(BaudRate::B750000).await.unwrap_err();
-    assert!(matches!(error, Error::UnsupportedSpeed { source: Some(_), .. }), "{error:?}");
+    assert!(matches!(error, Error::UnsupportedBaudRate { source: Some(_), .. }), "{error:?}");
     assert!(emulator.log().iter().all(|line| !line.line.starts_with(b"S")));
     sensor.scan(WINDOW).await.unwrap();
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
-    assert_eq!(emulator.line_speed(), Some(BaudRate::B115200));
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
 }
 
 #[tokio::test(start_paused = true)]
 async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
-    let emulator = prompt().line_speed(BaudRate::B19200).build();
+    let emulator = prompt().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
     let connect = Rigged(move || {
         let refuse = |link: FaultyLink<_>, call| {
@@ -198,7 +198,7 @@ async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
     });
     let error = builder().connect(connect).await.unwrap_err();
     let source = std::error::Error::source(&error).map(ToString::to_string);
-    assert_eq!(source.as_deref(), Some("the port takes none of the six line speeds"), "{error:?}");
+    assert_eq!(source.as_deref(), Some("the port takes none of the six baud rates"), "{error:?}");
     assert!(emulator.log().is_empty(), "nothing was sent at a speed of chance");
 }
 
@@ -239,7 +239,7 @@ async fn o13_a_write_that_stalls_is_given_up_in_time_and_the_port_reopened() {
 #[tokio::test(start_paused = true)]
 async fn o14_commands_arrive_whole_through_a_port_that_takes_a_few_bytes_at_a_time() {
     for most in [1, 2, 3, 7] {
-        let emulator = prompt().line_speed(BaudRate::B19200).build();
+        let emulator = prompt().baud_rate(BaudRate::B19200).build();
         let inner = emulator.clone();
         let connect = Rigged(move || Ok(FaultyLink::new(inner.link()).partial_writes(most)));
         let sensor = builder().baud_rate(BaudRate::B500000).connect(connect).await.unwrap();
@@ -253,7 +253,7 @@ async fn o14_commands_arrive_whole_through_a_port_that_takes_a_few_bytes_at_a_ti
 #[tokio::test(start_paused = true)]
 async fn o15_an_interrupted_call_is_made_again_and_told_to_no_one() {
     for kind in [io::ErrorKind::Interrupted, io::ErrorKind::WouldBlock] {
-        let emulator = prompt().line_speed(BaudRate::B115200).build();
+        let emulator = prompt().baud_rate(BaudRate::B115200).build();
         let connect = first_faulty(&emulator, move |mut link| {
             for call in 0..1000 {
                 link = link.fail(Call::Read, call, Failure::Kind(kind));
@@ -283,7 +283,7 @@ fn o18_programs_that_probe_new_ports_are_named_where_they_are_met() {
 #[tokio::test(start_paused = true)]
 async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
     for delay in [16, 40, 100] {
-        let emulator = prompt().line_speed(BaudRate::B115200).latency(ms(delay)).build();
+        let emulator = prompt().baud_rate(BaudRate::B115200).latency(ms(delay)).build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
         for _ in 0..10 {

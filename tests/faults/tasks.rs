@@ -44,7 +44,7 @@ fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
     let mut working = 0;
     for steps in 0..120 {
         let first = runtime();
-        let emulator = first.block_on(async { prompt().line_speed(BaudRate::B115200).build() });
+        let emulator = first.block_on(async { prompt().baud_rate(BaudRate::B115200).build() });
         let connected = first.block_on(async {
             let opening = tokio::spawn(builder().connect(emulator.clone()));
             let at = tokio::time::sleep(ms(10 * steps));
@@ -144,7 +144,7 @@ async fn a06_a_driver_that_panics_leaves_nobody_waiting() {
 
 #[tokio::test(start_paused = true)]
 async fn a08_a_change_of_speed_that_fails_under_a_stream_leaves_it_at_the_old_one() {
-    let emulator = prompt().line_speed(BaudRate::B57600).build();
+    let emulator = prompt().baud_rate(BaudRate::B57600).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 2).await;
@@ -155,7 +155,7 @@ async fn a08_a_change_of_speed_that_fails_under_a_stream_leaves_it_at_the_old_on
     assert!(matches!(error, Error::NotConfirmed { .. }), "{error:?}");
     delivered.extend(scans(&mut stream, 3).await);
     assert_eq!(lies(&emulator, &delivered), [""; 0]);
-    assert_eq!((emulator.line_speed(), sensor.stats().disconnects), (Some(BaudRate::B57600), 0));
+    assert_eq!((emulator.baud_rate(), sensor.stats().disconnects), (Some(BaudRate::B57600), 0));
 }
 
 #[test]
@@ -246,9 +246,9 @@ async fn a16_what_a_killed_process_has_left_behind_is_found_by_the_next_one() {
         (b"S2500000000000\n", BaudRate::B115200),
         (b"G04472501\nV\nL0\nG0007", BaudRate::B57600),
     ] {
-        let emulator: Emulator = prompt().line_speed(speed).build();
+        let emulator: Emulator = prompt().baud_rate(speed).build();
         let mut link = emulator.link();
-        link.set_line_speed(speed).unwrap();
+        link.set_baud_rate(speed).unwrap();
         link.write_all(left).await.unwrap();
         tokio::time::sleep(ms(10)).await;
         drop(link);

@@ -82,7 +82,7 @@ async fn t03_a_second_copy_that_comes_after_the_next_poll_is_not_its_answer() {
 
 #[tokio::test(start_paused = true)]
 async fn t04_a_lost_command_is_given_again_and_counted() {
-    let emulator = prompt().line_speed(BaudRate::B115200).build();
+    let emulator = prompt().baud_rate(BaudRate::B115200).build();
     let sensor = open(&emulator).await;
     for fault in [Fault::CommandLost, Fault::Lost] {
         let before = sensor.stats().timeouts;
@@ -92,7 +92,7 @@ async fn t04_a_lost_command_is_given_again_and_counted() {
         sensor.laser_off().await.unwrap();
         emulator.set_faults(Faults::none().at(0, fault.clone()));
         sensor.laser_on().await.unwrap();
-        assert!(emulator.laser());
+        assert!(emulator.is_laser_on());
         assert_eq!(sensor.stats().timeouts - before, 3, "{fault:?}");
     }
     // Twice in a row (with a fence between) it is an error.
@@ -132,7 +132,7 @@ async fn t05_half_a_command_left_by_a_stalled_write_is_ended_before_the_next_one
 
 #[tokio::test(start_paused = true)]
 async fn t06_a_slow_line_is_polled_without_overlap_and_without_a_backlog() {
-    let emulator = truthful().line_speed(BaudRate::B19200).build();
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     let delivered = scans(&mut stream, 50).await;
@@ -210,7 +210,7 @@ async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
         let boot = Duration::from_secs(7);
         let mut sensor = prompt().boot_time(boot);
         if let Some(speed) = speed {
-            sensor = sensor.line_speed(speed);
+            sensor = sensor.baud_rate(speed);
         }
         let emulator = sensor.build();
         let sensor = builder().wait_for_sensor().connect(emulator.clone()).await.unwrap();

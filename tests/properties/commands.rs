@@ -158,5 +158,5 @@ async fn talk(mut script: Script<'_>) {
     }
     let counts = emulator.counts();
     assert_eq!((counts.commands, counts.overrun, counts.garbled), (commands, 0, 0));
-    assert_eq!(emulator.laser(), model.laser);
+    assert_eq!(emulator.is_laser_on(), model.laser);
 }

@@ -1,4 +1,4 @@
-//! What a value means, and the six line speeds.
+//! What a value means, and the six baud rates.
 
 use std::time::Duration;
 

@@ -14,7 +14,8 @@ async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 14).jitter_seed(7);
+    let builder =
+        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 14).jitter_seed(7);
     let began = (Instant::now(), std::time::SystemTime::now());
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -72,7 +73,8 @@ async fn a_replay_at_its_own_pace_has_the_gap_where_it_was() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 14).jitter_seed(7);
+    let builder =
+        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 14).jitter_seed(7);
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     for n in 0..40 {
@@ -109,7 +111,7 @@ async fn a_replay_at_its_own_pace_has_the_gap_where_it_was() {
 async fn scans_that_were_missed_are_told_and_their_replies_are_there() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
+    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     recorder.record(&scans.next().await.unwrap()).unwrap();
     sleep(Duration::from_secs(1)).await;

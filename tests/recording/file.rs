@@ -63,7 +63,7 @@ async fn what_the_driver_delivered_is_what_is_read() {
     assert_eq!(recording.window(), Some(Window::DETECTION));
     assert_eq!(recording.rate(), Some(Rate::hz(10.0)));
     assert_eq!(recording.metadata()["serial_number"], "H0713090");
-    assert_eq!(recording.metadata()["line_speed"], "none");
+    assert_eq!(recording.metadata()["baud_rate"], "none");
 
     let records: Vec<_> = recording.by_ref().collect::<Result<_, _>>().unwrap();
     assert!(!recording.is_truncated());
@@ -132,7 +132,7 @@ async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
     let sink = Sink::new();
     let mut length = sink.length();
     let recorder = Recorder::builder().frame_id("front").write_to(sink.clone()).unwrap();
-    let tap = recorder.tap();
+    let tap = recorder.observer();
     drop(recorder);
     length
         .wait_for(|_| sink.bytes().ends_with(b"\x89MCAP0\r\n") && sink.bytes().len() > 1000)

@@ -4,8 +4,8 @@
 #![cfg(feature = "mcap")]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
+mod crash_and_full_disk;
 mod events;
 mod file;
-mod hardship;
 mod replay;
 mod sink;

@@ -154,7 +154,7 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     assert_eq!(sensor.version().await.unwrap().serial_number.to_string(), "42");
     // Fences take no scan away.
     sensor.laser_off().await.unwrap();
-    assert!(!emulator.laser());
+    assert!(!emulator.is_laser_on());
     sensor.laser_on().await.unwrap();
     for expected in values(&recorded) {
         assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().values(), expected);
@@ -209,7 +209,8 @@ async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
 async fn a_replay_is_that_of_the_stream_that_was_described_and_knows_what_others_saw() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let original = Sensor::builder().tap(recorder.tap()).ring_depth(64).connect(sensor()).await;
+    let original =
+        Sensor::builder().on_reply(recorder.observer()).ring_depth(64).connect(sensor()).await;
     let original = original.unwrap();
     let rate = Rate::hz(4.0);
     let mut scans = original.scans(window(100, 199, 1), rate).await.unwrap();

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
-use tokio_scip::emulator::{Codes, Emulator, Look};
+use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
@@ -63,7 +63,7 @@ impl Write for Sink {
 
 /// A sensor no two scans of which are the same.
 pub(crate) fn sensor() -> Emulator {
-    let world = |look: Look, codes: &mut Codes| {
+    let world = |look: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
             *slot = ((look.request * 7 + step as u64 * 3) % 4096) as u16;
         }
@@ -79,7 +79,8 @@ pub(crate) async fn record(
     count: usize,
 ) -> Vec<Result<Scan, Error>> {
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 16).jitter_seed(7);
+    let builder =
+        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 16).jitter_seed(7);
     let sensor = builder.connect(emulator).await.unwrap();
     let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();

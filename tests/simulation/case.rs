@@ -56,9 +56,10 @@ impl Case {
         let speed = random.once_in(2).then(|| *random.pick(&BaudRate::ALL));
         let boot = if random.once_in(3) { Duration::from_millis(1500) } else { Duration::ZERO };
         let truth = Truth::default();
-        let builder = Emulator::builder().serial_number(SERIAL_NUMBER).boot_time(boot).log(256);
+        let builder =
+            Emulator::builder().serial_number(SERIAL_NUMBER).boot_time(boot).log_capacity(256);
         let builder = match speed {
-            Some(speed) => builder.line_speed(speed),
+            Some(speed) => builder.baud_rate(speed),
             None => builder.usb(),
         };
         let empty = [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds];

@@ -266,11 +266,11 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
 async fn check_rest(run: &Run, sensor: &Sensor) {
     sleep(Duration::from_secs(2)).await;
     let emulator = &run.case.emulator;
-    let State::Connected { line_speed, streaming } = sensor.state().borrow().clone() else {
+    let State::Connected { baud_rate, streaming } = sensor.state().borrow().clone() else {
         panic!("not connected: {:?}", sensor.state().borrow());
     };
-    assert_eq!(line_speed, emulator.line_speed());
-    assert!(!streaming && emulator.laser());
+    assert_eq!(baud_rate, emulator.baud_rate());
+    assert!(!streaming && emulator.is_laser_on());
     let counts = emulator.counts();
     assert!(run.case.torn || counts.malformed == 0, "{counts:?}: {:?}", emulator.log());
     // What is garbled while the speed is looked for is answered, too.

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 
 use tokio::time::Instant;
 use tokio_scip::Scan;
-use tokio_scip::emulator::{Codes, Look, World};
+use tokio_scip::emulator::{Values, World, WorldTime};
 
 /// When the sensor looked at the world for each `G`.
 #[derive(Clone, Default)]
@@ -19,7 +19,7 @@ fn code(request: u64, step: usize) -> u16 {
 impl Truth {
     pub(crate) fn world(&self) -> impl World + 'static {
         let looks = Arc::clone(&self.0);
-        move |look: Look, codes: &mut Codes| {
+        move |look: WorldTime, codes: &mut Values| {
             let mut looks = looks.lock().unwrap();
             assert_eq!(looks.len() as u64, look.request);
             looks.push(Instant::now());

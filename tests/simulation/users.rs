@@ -98,7 +98,7 @@ pub(crate) async fn asker(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Switches the laser and the line speed. There is only one, so that it knows
+/// Switches the laser and the baud rate. There is only one, so that it knows
 /// what to expect.
 pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
@@ -118,7 +118,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
             1 | 2 if run.call("speed", sensor.set_baud_rate(speed)).await.is_ok() => {
                 if undisturbed(emulator.counts().resets) {
                     let expected = run.case.speed.map(|_| speed);
-                    assert_eq!(emulator.line_speed(), expected, "after a change of speed");
+                    assert_eq!(emulator.baud_rate(), expected, "after a change of speed");
                 }
             }
             3 => {
@@ -128,7 +128,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
             4 => {
                 run.dark.store(true, Ordering::Relaxed);
                 if run.call("laser off", sensor.laser_off()).await.is_ok() {
-                    assert!(!undisturbed(emulator.counts().resets) || !emulator.laser());
+                    assert!(!undisturbed(emulator.counts().resets) || !emulator.is_laser_on());
                     stay_dark(&run, &sensor, random.ms(20_000)).await;
                 }
             }
@@ -136,7 +136,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 if run.call("laser on", sensor.laser_on()).await.is_ok() {
                     run.dark.store(false, Ordering::Relaxed);
                     if undisturbed(emulator.counts().resets) {
-                        assert!(emulator.laser(), "after laser_on");
+                        assert!(emulator.is_laser_on(), "after laser_on");
                     }
                 }
             }
@@ -161,7 +161,7 @@ async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
         // asked for something.
         let since = restarted.elapsed() > Duration::from_millis(500);
         if latest.0 > reconnects && since && !run.case.does.rival {
-            assert!(!emulator.laser(), "the laser is on after a recovery");
+            assert!(!emulator.is_laser_on(), "the laser is on after a recovery");
             run.coverage.lock().unwrap().darkened += 1;
         }
         (reconnects, resets) = latest;

@@ -129,12 +129,12 @@ fn a_scan_can_be_a_table_json_or_csv() {
 fn info_tells_who_the_sensor_is_for_eyes_and_for_programs() {
     let text = run("info emulated", 0).stdout;
     assert!(text.contains("serial number  H0713090"), "{text}");
-    assert!(text.contains("line speed     none (USB)"), "{text}");
+    assert!(text.contains("baud rate      none (USB)"), "{text}");
     assert!(text.contains("600 rpm, 10 scans a second"), "{text}");
     let json = run("info emulated --baud 115200 --format json", 0).stdout;
     let info: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(info["port"], "emulated");
-    assert_eq!(info["line_speed"], 115_200);
+    assert_eq!(info["baud_rate"], 115_200);
     assert_eq!(info["version"]["serial_number"], "H0713090");
 }
 
@@ -143,7 +143,7 @@ fn laser_and_line_speed_are_switched_and_said_on_standard_error() {
     for (arguments, said) in [
         ("laser emulated off", "urg: emulated: the laser is off\n"),
         ("laser emulated on", "urg: emulated: the laser is on\n"),
-        ("baud emulated 115200", "urg: emulated: the sensor is on USB, which has no line speed\n"),
+        ("baud emulated 115200", "urg: emulated: the sensor is on USB, which has no baud rate\n"),
     ] {
         let output = run(arguments, 0);
         assert_eq!((output.stdout.as_str(), output.stderr.as_str()), ("", said));

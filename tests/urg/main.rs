@@ -6,8 +6,8 @@
 mod check;
 mod ends;
 mod formats;
-mod handed_on;
 mod http;
+mod packaging;
 mod picture;
 mod program;
 mod recorded;

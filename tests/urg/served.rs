@@ -5,7 +5,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use serde_json::Value;
-use tokio_scip::emulator::{Codes, Emulator, Look, Room, STEPS, World};
+use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 use tokio_scip::{Sensor, Window};
 
 use super::formats::{check, scans, values};
@@ -16,9 +16,9 @@ use super::program::{Emulated, Running, Scratch, run};
 pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
-    let world = move |mut look: Look, codes: &mut Codes| {
+    let world = move |mut look: WorldTime, codes: &mut Values| {
         for revolution in 0..1500_u32 {
-            let mut codes: Codes = [19; STEPS];
+            let mut codes: Values = [19; STEPS];
             look.revolution = revolution.into();
             look.at = Duration::from_millis(100) * (revolution + 1);
             room.look(look, &mut codes);
@@ -80,9 +80,9 @@ async fn fifty_scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
     check_fifty(&output.stdout, &held(9).await);
     // It stays there, and is found there.
     let info = run(&format!("info {}", sensor.port), 0).stdout;
-    assert!(info.contains("line speed     115200 baud"), "{info}");
+    assert!(info.contains("baud rate      115200 baud"), "{info}");
     let output = run(&format!("baud {} 57600", sensor.port), 0);
-    assert!(output.stderr.contains("the line speed is 57600 baud"), "{}", output.stderr);
+    assert!(output.stderr.contains("the baud rate is 57600 baud"), "{}", output.stderr);
     let output = run(&format!("stream {} --count 1", sensor.port), 0);
     assert_eq!(scans(&output.stdout).len(), 1);
 }

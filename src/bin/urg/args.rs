@@ -74,7 +74,7 @@ fn help() -> String {
 PORT is one of
   /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
   serial:H0713090         the sensor of this serial number, wherever it is plugged in
-  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its line speed{recording}
+  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its baud rate{recording}
   emulated                a sensor in software, to try things out
 
 Examples:
@@ -90,7 +90,7 @@ Examples:
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Link")]
 pub(crate) struct LinkArgs {
-    /// Line speed to run at; without it the sensor is left at the one it has
+    /// Baud rate to run at; without it the sensor is left at the one it has
     ///
     /// One of 19200, 57600, 115200, 250000, 500000 and 750000. The sensor is
     /// found at whatever speed it has, and moved to this one. A sensor on USB

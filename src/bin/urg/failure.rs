@@ -88,8 +88,8 @@ mod tests {
         assert_eq!(line(open), "cannot open /dev/ttyACM0: on fire");
         let lost = tokio_scip::Error::Disconnected { source: Some(source()) };
         assert_eq!(line(lost), "/dev/ttyACM0: the link to the sensor is lost: on fire");
-        let speed = tokio_scip::BaudRate::B250000;
-        let fixed = tokio_scip::Error::UnsupportedSpeed { speed, source: Some(source()) };
+        let baud_rate = tokio_scip::BaudRate::B250000;
+        let fixed = tokio_scip::Error::UnsupportedBaudRate { baud_rate, source: Some(source()) };
         assert_eq!(line(fixed), "/dev/ttyACM0: the port cannot be set to 250000 baud: on fire");
     }
 }

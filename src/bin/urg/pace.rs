@@ -58,7 +58,7 @@ impl PaceWatch {
         (reached > 0.0 && reached < ENOUGH * asked).then(|| {
             self.said = true;
             let speed = match &*sensor.state().borrow() {
-                State::Connected { line_speed, .. } => *line_speed,
+                State::Connected { baud_rate, .. } => *baud_rate,
                 _ => None,
             };
             self.text(asked, reached, speed)

@@ -189,9 +189,9 @@ pub(crate) fn begin(
         PortName::Endpoint(endpoint) => start(builder, endpoint.clone().into_connector()),
         PortName::Emulated => {
             let emulator = Emulator::builder();
-            // To ask for a line speed is to ask for a sensor that has one.
+            // To ask for a baud rate is to ask for a sensor that has one.
             let emulator = match link.baud {
-                Some(_) => emulator.line_speed(BaudRate::B19200),
+                Some(_) => emulator.baud_rate(BaudRate::B19200),
                 None => emulator.usb(),
             };
             start(builder, emulator.build())

@@ -56,7 +56,7 @@ impl fmt::Display for Step {
 
 /// That the sensor was found, `after` so long.
 pub(crate) fn link(sensor: &Sensor, after: Duration) -> Step {
-    let place = match line_speed(sensor) {
+    let place = match baud_rate(sensor) {
         Some(speed) => format!("at {speed} baud"),
         None => "on USB".to_owned(),
     };
@@ -113,7 +113,7 @@ pub(crate) async fn scans(
 #[derive(Debug)]
 struct Measured {
     window: Window,
-    line_speed: Option<BaudRate>,
+    baud_rate: Option<BaudRate>,
     /// Scans a second.
     asked: f64,
     scans: Vec<Seen>,
@@ -161,8 +161,8 @@ impl Measured {
             after.polls = after.polls.saturating_sub(1);
             after.disconnects = before.disconnects;
         }
-        let line_speed = line_speed(sensor);
-        Ok(Self { window, line_speed, asked, scans, before, after })
+        let baud_rate = baud_rate(sensor);
+        Ok(Self { window, baud_rate, asked, scans, before, after })
     }
 
     fn steps(&self) -> Vec<Step> {
@@ -225,7 +225,7 @@ impl Measured {
         let text = format!("{reached:.1} scans a second of {asked:.1}");
         // What the line carries, where it has a speed.
         let carried = self
-            .line_speed
+            .baud_rate
             .map_or(f64::INFINITY, |speed| 1.0 / self.window.wire_time(speed).as_secs_f64());
         if reached >= ENOUGH * asked {
             Step::new(NAME, Verdict::Ok, text)
@@ -245,7 +245,7 @@ impl Measured {
         let mean = self.scans.iter().map(took).sum::<Duration>() / self.scans.len().max(1) as u32;
         let (mean, most) = (mean.as_millis(), longest.as_millis());
         let text = format!("a whole scan comes in {mean} ms, {most} ms at most");
-        let wire = self.line_speed.map(|speed| self.window.wire_time(speed));
+        let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
         let good = Duration::from_secs_f64(TURNS / self.asked) + wire.unwrap_or_default();
         if longest <= good {
             return Step::new("latency", Verdict::Ok, text);
@@ -283,16 +283,16 @@ impl Seen {
     }
 }
 
-fn line_speed(sensor: &Sensor) -> Option<BaudRate> {
+fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
     match &*sensor.state().borrow() {
-        State::Connected { line_speed, .. } => *line_speed,
+        State::Connected { baud_rate, .. } => *baud_rate,
         _ => None,
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::{Builder, Codes, Emulator, Fault, Faults, Look};
+    use tokio_scip::emulator::{Builder, Emulator, Fault, Faults, Values, WorldTime};
 
     use super::*;
 
@@ -315,14 +315,14 @@ mod tests {
         assert_eq!(bad, [], "{text}");
         assert_eq!(text.lines().count(), 7, "{text}");
         assert!(text.contains("10.0 scans a second of 10.0"), "{text}");
-        let fast = Emulator::builder().line_speed(BaudRate::B750000);
+        let fast = Emulator::builder().baud_rate(BaudRate::B750000);
         let (bad, text) = test(fast, Faults::none()).await;
         assert_eq!(bad, [], "{text}");
     }
 
     #[tokio::test(start_paused = true)]
     async fn a_slow_line_is_weak_and_told_what_helps() {
-        let slow = Emulator::builder().line_speed(BaudRate::B19200);
+        let slow = Emulator::builder().baud_rate(BaudRate::B19200);
         let (bad, text) = test(slow, Faults::none()).await;
         assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
         assert!(text.contains("--baud 250000"), "{text}");
@@ -351,10 +351,10 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_sensor_that_sees_nothing_or_always_the_same_is_weak() {
-        let dark = |_: Look, codes: &mut Codes| codes.fill(3);
+        let dark = |_: WorldTime, codes: &mut Values| codes.fill(3);
         let (bad, text) = test(Emulator::builder().usb().world(dark), Faults::none()).await;
         assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
-        let wall = |_: Look, codes: &mut Codes| codes.fill(1000);
+        let wall = |_: WorldTime, codes: &mut Values| codes.fill(1000);
         let (bad, text) = test(Emulator::builder().usb().world(wall), Faults::none()).await;
         assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
     }

@@ -1,4 +1,4 @@
-//! `urg baud`: moves the sensor to another line speed.
+//! `urg baud`: moves the sensor to another baud rate.
 
 use tokio_scip::{BaudRate, State};
 
@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::notice::notice;
 use crate::port::{PortArg, open};
 
-/// Move the sensor to another line speed
+/// Move the sensor to another baud rate
 ///
 /// It stays there when the program has ended, until it is powered up anew: then
 /// it is at 19200 baud. Programs of this crate find it at any speed.
@@ -31,10 +31,10 @@ impl Baud {
         let moved = sensor.set_baud_rate(self.speed).await;
         moved.map_err(|error| Failure::at(&port.to_string(), &error))?;
         match &*sensor.state().borrow() {
-            State::Connected { line_speed: Some(speed), .. } => {
-                notice(format_args!("{port}: the line speed is {speed} baud"));
+            State::Connected { baud_rate: Some(speed), .. } => {
+                notice(format_args!("{port}: the baud rate is {speed} baud"));
             }
-            _ => notice(format_args!("{port}: the sensor is on USB, which has no line speed")),
+            _ => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
         }
         Ok(())
     }

@@ -36,10 +36,10 @@ pub(crate) struct Emulate {
     #[arg(long, value_name = "ADDR")]
     #[cfg_attr(unix, arg(conflicts_with = "link"))]
     tcp: Option<String>,
-    /// Be on RS-232, at this line speed: 19200 after power-up on a real one
+    /// Be on RS-232, at this baud rate: 19200 after power-up on a real one
     #[arg(long, value_name = "SPEED")]
     baud: Option<BaudRate>,
-    /// Be on USB, which has no line speed: so it is unless --baud is given
+    /// Be on USB, which has no baud rate: so it is unless --baud is given
     #[arg(long, conflicts_with = "baud")]
     usb: bool,
     /// What kind of sensor to be
@@ -92,7 +92,7 @@ impl Emulate {
             .seed(self.seed)
             .faults(self.faults.clone().unwrap_or_default());
         match self.baud {
-            Some(speed) => builder.line_speed(speed),
+            Some(speed) => builder.baud_rate(speed),
             None => builder.usb(),
         }
         .build()

@@ -14,7 +14,7 @@ use crate::port::{PortArg, PortName, open};
 
 /// Show who the sensor is, and how it is set
 ///
-/// Finds the sensor at whatever line speed it has. SCIP 1.1 has no way to ask
+/// Finds the sensor at whatever baud rate it has. SCIP 1.1 has no way to ask
 /// whether the laser is on. Of a recording it also tells how many scans are in it,
 /// and where there are gaps.
 #[derive(Debug, clap::Args)]
@@ -44,7 +44,7 @@ impl Info {
         let version =
             sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
         let speed = match &*sensor.state().borrow() {
-            State::Connected { line_speed, .. } => *line_speed,
+            State::Connected { baud_rate, .. } => *baud_rate,
             _ => None,
         };
         let contents = match port.recorded() {
@@ -61,7 +61,7 @@ impl Info {
             }
             Format::Json => {
                 let port = port.to_string();
-                let mut info = json!({ "port": port, "line_speed": speed, "version": version });
+                let mut info = json!({ "port": port, "baud_rate": speed, "version": version });
                 if let Value::Object(info) = &mut info {
                     info.extend(
                         contents.into_iter().map(|(name, data, _)| (name.to_owned(), data)),
@@ -77,7 +77,7 @@ fn text(port: &PortName, version: &Version, speed: Option<BaudRate>) -> String {
     let mut text = String::new();
     let mut row = |name, value: String| row(&mut text, name, &value);
     row("port", port.to_string());
-    row("line speed", line_speed(speed));
+    row("baud rate", baud_rate(speed));
     row("product", version.product.to_string());
     row("vendor", version.vendor.to_string());
     row("serial number", version.serial_number.to_string());
@@ -120,7 +120,7 @@ fn window(start: u16, end: u16) -> String {
     }
 }
 
-fn line_speed(speed: Option<BaudRate>) -> String {
+fn baud_rate(speed: Option<BaudRate>) -> String {
     match speed {
         None => "none (USB)".to_owned(),
         Some(speed) => {

@@ -109,7 +109,7 @@ impl Record {
         recorder: &Recorder,
     ) -> Result<(Sensor, ScanStream), Failure> {
         let failed = |error| Failure::at(&port.to_string(), &error);
-        let builder = Sensor::builder().tap(recorder.tap());
+        let builder = Sensor::builder().on_reply(recorder.observer());
         let sensor = open_with(port, &self.link, DEPTH, builder).await?;
         let scans = sensor.scans(window, rate).await.map_err(failed)?;
         recorder.describe(&sensor, &scans).await.map_err(failed)?;
@@ -155,7 +155,7 @@ impl Run {
             if reporter.port.recorded().is_some() {
                 // What plays it waits for this.
                 tokio::select! {
-                    () = recorder.room() => {}
+                    () = recorder.ready() => {}
                     _ = interrupt.requested() => {}
                 }
             }

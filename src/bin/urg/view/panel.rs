@@ -52,8 +52,8 @@ impl Panel<'_> {
             _ => ("closed".to_owned(), palette.bad()),
         };
         let speed = match &model.state {
-            State::Connected { line_speed: Some(speed), .. } => format!("{speed} baud"),
-            State::Connected { line_speed: None, .. } => "USB".to_owned(),
+            State::Connected { baud_rate: Some(speed), .. } => format!("{speed} baud"),
+            State::Connected { baud_rate: None, .. } => "USB".to_owned(),
             _ => "-".to_owned(),
         };
         let laser = if model.laser {
@@ -188,7 +188,7 @@ pub(crate) fn trouble(state: &State) -> Option<String> {
             Some(format!("{}; it goes on when the sensor is back", crate::failure::chain(error)))
         }
         State::Recovering => {
-            Some("the sensor is silent: looking for it at every line speed".to_owned())
+            Some("the sensor is silent: looking for it at every baud rate".to_owned())
         }
         State::Connecting { .. } => Some("looking for the sensor".to_owned()),
         _ => None,

@@ -7,7 +7,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::Color;
-use tokio_scip::emulator::{Codes, Emulator, Look, STEPS};
+use tokio_scip::emulator::{Emulator, STEPS, Values, WorldTime};
 use tokio_scip::{BaudRate, Rate, Sensor, State, Window};
 
 use super::draw::draw;
@@ -18,7 +18,7 @@ use super::palette::Palette;
 type Sight = [u16; STEPS];
 
 fn seen(sight: Sight) -> Emulator {
-    let world = move |_: Look, codes: &mut Codes| *codes = sight;
+    let world = move |_: WorldTime, codes: &mut Values| *codes = sight;
     Emulator::builder().usb().world(world).build()
 }
 
@@ -275,7 +275,7 @@ async fn any_number_of_arrows_leaves_a_window_that_the_sensor_has() {
 
 #[tokio::test(start_paused = true)]
 async fn a_lost_link_is_said_as_long_as_it_lasts() {
-    let emulator = Emulator::builder().line_speed(BaudRate::B19200).build();
+    let emulator = Emulator::builder().baud_rate(BaudRate::B19200).build();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
     let mut model = model_for(&sensor, sensor.version().await.unwrap());

@@ -122,8 +122,8 @@ impl Hub {
             return Health { link: "waiting", why: Some("looking for the sensor".to_owned()) };
         };
         let (link, why) = match &*sensor.state().borrow() {
-            State::Connected { line_speed, .. } => {
-                let wire = line_speed.map_or(Duration::ZERO, |speed| self.window.wire_time(speed));
+            State::Connected { baud_rate, .. } => {
+                let wire = baud_rate.map_or(Duration::ZERO, |speed| self.window.wire_time(speed));
                 let period = self.rate.period().unwrap_or_default().max(wire);
                 let why = self.live().map_or_else(
                     || Some("no scan yet".to_owned()),

@@ -65,7 +65,7 @@ function tell() {
     say("product", sensor.product);
     document.title = `${sensor.product} – urg`;
   }
-  say("identity", [sensor?.serial_number, report.port, report.line_speed ? `${report.line_speed} baud` : null].filter(Boolean).join(" · "));
+  say("identity", [sensor?.serial_number, report.port, report.baud_rate ? `${report.baud_rate} baud` : null].filter(Boolean).join(" · "));
   figure("rate", report.reached && !report.why ? report.reached.toFixed(1) : "–", report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
   if (latency) figure("latency", (latency.last * 1000).toFixed(0), "ms");
   const damaged = Object.values(stats.malformed).reduce((sum, count) => sum + count, 0);
@@ -73,7 +73,7 @@ function tell() {
   figure("lost", String(lost), lost === 1 ? "reply" : "replies");
   rows([
     ["Link", report.link],
-    ["Line", report.line_speed ? `${report.line_speed} baud` : report.link === "connected" ? "no line speed (USB)" : null],
+    ["Line", report.baud_rate ? `${report.baud_rate} baud` : report.link === "connected" ? "no baud rate (USB)" : null],
     ["Window", `steps ${report.window.start} to ${report.window.end}` + (report.window.cluster > 1 ? `, by ${report.window.cluster}` : "")],
     ["Scans", stats.scans],
     ["Not answered", stats.timeouts],

@@ -21,7 +21,7 @@ struct Report {
     link: &'static str,
     /// Why no scans flow; null while they do.
     why: Option<String>,
-    line_speed: Option<tokio_scip::BaudRate>,
+    baud_rate: Option<tokio_scip::BaudRate>,
     window: Window,
     /// Scans a second; null for as many as the sensor gives.
     asked: Option<f64>,
@@ -50,8 +50,8 @@ pub(super) async fn state(State(app): State<App>) -> Response {
     let live = hub.live();
     let sensor = live.as_ref().map(|live| &live.sensor);
     let stats = sensor.map(|sensor| sensor.stats()).unwrap_or_default();
-    let line_speed = sensor.and_then(|sensor| match &*sensor.state().borrow() {
-        tokio_scip::State::Connected { line_speed, .. } => *line_speed,
+    let baud_rate = sensor.and_then(|sensor| match &*sensor.state().borrow() {
+        tokio_scip::State::Connected { baud_rate, .. } => *baud_rate,
         _ => None,
     });
     let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
@@ -62,7 +62,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
             port: hub.port().to_string(),
             link: health.link,
             why: health.why,
-            line_speed,
+            baud_rate,
             window: hub.window(),
             asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
             reached: stats.schedules.first().map_or(0.0, |schedule| schedule.reached),

@@ -14,13 +14,13 @@ use tokio::time::{Instant, Sleep, sleep_until};
 /// own thread too. Moving a timer to a later time costs next to nothing, and is
 /// done only where there is something to wait for.
 #[derive(Debug, Default)]
-pub(crate) struct Alarm {
+pub(crate) struct DeadlineTimer {
     timer: Option<Pin<Box<Sleep>>>,
 }
 
-impl Alarm {
+impl DeadlineTimer {
     /// What `work` gives, or `None` at the deadline. Looks at the work first.
-    pub(crate) async fn limit<T>(
+    pub(crate) async fn run<T>(
         &mut self,
         deadline: Instant,
         work: impl Future<Output = T>,
@@ -57,11 +57,11 @@ mod tests {
     async fn work_that_is_done_is_seen_by_a_task_without_budget_though_it_is_late() {
         let (sender, mut receiver) = mpsc::channel(1);
         assert!(sender.send(7).await.is_ok());
-        let mut alarm = Alarm::default();
+        let mut timer = DeadlineTimer::default();
         while has_budget_remaining() {
             consume_budget().await;
         }
-        assert_eq!(alarm.limit(Instant::now(), receiver.recv()).await, Some(Some(7)));
-        assert_eq!(alarm.limit(Instant::now(), receiver.recv()).await, None);
+        assert_eq!(timer.run(Instant::now(), receiver.recv()).await, Some(Some(7)));
+        assert_eq!(timer.run(Instant::now(), receiver.recv()).await, None);
     }
 }

@@ -8,14 +8,16 @@ use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
-use tokio_scip::emulator::{Codes, Emulator, Look};
+use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::port::UsbId;
 use tokio_scip::{Error, Measurement, Rate, Scan, Sensor, State, Window};
 
 /// A distance, a code for nothing in range, one for no echo, and saturation.
 async fn sensor() -> (Sensor, Emulator) {
     let emulator = Emulator::builder()
-        .world(|_: Look, codes: &mut Codes| codes[382..=385].copy_from_slice(&[1234, 0, 7, 4095]))
+        .world(|_: WorldTime, codes: &mut Values| {
+            codes[382..=385].copy_from_slice(&[1234, 0, 7, 4095])
+        })
         .build();
     (Sensor::builder().connect(emulator.clone()).await.unwrap(), emulator)
 }
@@ -97,7 +99,7 @@ fn an_error_in_a_state_is_told_with_all_its_causes() {
 async fn a_state_is_an_object_that_needs_no_clock_to_be_read() {
     let data = |state: &State| serde_json::to_value(state).unwrap();
     let (sensor, emulator) = sensor().await;
-    let connected = json!({"state": "connected", "line_speed": null, "streaming": false});
+    let connected = json!({"state": "connected", "baud_rate": null, "streaming": false});
     assert_eq!(data(&sensor.state().borrow()), connected);
     let mut state = sensor.state();
     emulator.unplug();

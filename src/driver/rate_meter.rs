@@ -9,7 +9,7 @@ const RATE_SPAN: Duration = Duration::from_secs(3);
 
 /// Measures the rate that is reached.
 #[derive(Debug)]
-pub(crate) struct Speedometer {
+pub(crate) struct RateMeter {
     since: Instant,
     scans: u32,
     pub(crate) reached: f64,
@@ -17,7 +17,7 @@ pub(crate) struct Speedometer {
     pub(crate) told: bool,
 }
 
-impl Speedometer {
+impl RateMeter {
     pub(crate) fn new(now: Instant) -> Self {
         Self { since: now, scans: 0, reached: 0.0, told: false }
     }

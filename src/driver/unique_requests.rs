@@ -8,7 +8,7 @@ const STEPS: u16 = 769;
 
 /// What was asked for lately.
 #[derive(Debug, Default)]
-pub(crate) struct Echoes {
+pub(crate) struct UniqueRequests {
     /// The windows of the last `G`s, polls and fences, the newest first.
     recent: [Option<Window>; 3],
     /// The steps that were asked for alone since the last answered fence: a
@@ -18,7 +18,7 @@ pub(crate) struct Echoes {
     fence: u16,
 }
 
-impl Echoes {
+impl UniqueRequests {
     /// Begins anywhere: what a program that has ended asked for may still be
     /// answered, and must not be answered to the first fence of the next one.
     pub(crate) fn starting(seed: u64) -> Self {
@@ -62,7 +62,7 @@ impl Echoes {
     }
 
     /// A fence was answered: no older reply is on its way.
-    pub(crate) fn settled(&mut self) {
+    pub(crate) fn clear(&mut self) {
         self.single = Default::default();
     }
 
@@ -91,31 +91,31 @@ mod tests {
 
     #[test]
     fn a_fence_is_no_step_that_was_asked_for_since_the_last_answered_one() {
-        let mut echoes = Echoes::default();
-        assert_eq!(echoes.fence(), Window::single(0));
+        let mut unique_requests = UniqueRequests::default();
+        assert_eq!(unique_requests.fence(), Window::single(0));
         // Widened to the right there is a second step; to the left there is one.
-        assert_eq!(echoes.poll(Window::single(1)), (Window::single(1), 0));
-        assert_eq!(echoes.poll(Window::single(3)), (Window::single(3), 0));
-        assert_eq!(echoes.fence(), Window::single(2));
-        assert_eq!(echoes.fence(), Window::single(4));
-        echoes.settled();
-        echoes.fence = 1;
-        assert_eq!(echoes.fence(), Window::single(1));
+        assert_eq!(unique_requests.poll(Window::single(1)), (Window::single(1), 0));
+        assert_eq!(unique_requests.poll(Window::single(3)), (Window::single(3), 0));
+        assert_eq!(unique_requests.fence(), Window::single(2));
+        assert_eq!(unique_requests.fence(), Window::single(4));
+        unique_requests.clear();
+        unique_requests.fence = 1;
+        assert_eq!(unique_requests.fence(), Window::single(1));
     }
 
     #[test]
     fn fences_go_round_all_steps_even_if_all_were_asked_for() {
-        let mut echoes = Echoes::default();
-        let round: Vec<Window> = (0..STEPS).map(|_| echoes.fence()).collect();
+        let mut unique_requests = UniqueRequests::default();
+        let round: Vec<Window> = (0..STEPS).map(|_| unique_requests.fence()).collect();
         assert_eq!(round, (0..STEPS).map(Window::single).collect::<Vec<_>>());
-        assert_eq!(echoes.fence(), Window::single(0));
+        assert_eq!(unique_requests.fence(), Window::single(0));
     }
 
     #[test]
     fn a_poll_differs_from_the_fence_before_it() {
-        let mut echoes = Echoes::default();
-        let fence = echoes.fence();
-        let (asked, surplus) = echoes.poll(fence);
+        let mut unique_requests = UniqueRequests::default();
+        let fence = unique_requests.fence();
+        let (asked, surplus) = unique_requests.poll(fence);
         assert_ne!(asked, fence);
         assert_eq!(asked.points(), 2);
         assert_eq!(surplus, 0);

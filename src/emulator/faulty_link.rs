@@ -19,7 +19,7 @@ pub enum Call {
     Read,
     /// `poll_write`.
     Write,
-    /// [`Port::set_line_speed`].
+    /// [`Port::set_baud_rate`].
     SetSpeed,
 }
 
@@ -91,7 +91,7 @@ impl CallCounter {
     }
 
     /// Changes of speed, failed ones included.
-    pub fn speed_changes(&self) -> u64 {
+    pub fn baud_rate_changes(&self) -> u64 {
         self.0.speeds.load(Ordering::Relaxed)
     }
 
@@ -313,15 +313,15 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for FaultyLink<S> {
 }
 
 impl<S: Port> Port for FaultyLink<S> {
-    fn line_speed(&self) -> Option<BaudRate> {
-        self.inner.line_speed()
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.inner.baud_rate()
     }
 
-    fn set_line_speed(&mut self, speed: BaudRate) -> io::Result<()> {
+    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
         let done = self.counter.0.speeds.fetch_add(1, Ordering::Relaxed);
         match self.failure(Call::SetSpeed, done).and_then(Failure::error) {
             Some(error) => Err(error),
-            None => self.inner.set_line_speed(speed),
+            None => self.inner.set_baud_rate(speed),
         }
     }
 

@@ -7,9 +7,9 @@ use std::time::Duration;
 use tokio::time::{Instant, timeout};
 
 use super::Config;
-use super::echoes::Echoes;
 use super::line;
 use super::session::{Failure, Session};
+use super::unique_requests::UniqueRequests;
 use crate::port::Connect;
 use crate::protocol::{Command, Text, Version};
 use crate::state::Telemetry;
@@ -33,7 +33,7 @@ pub(crate) struct Opener<C> {
     identity: Option<Text>,
     /// What earlier sessions asked for: the system keeps what arrives while a
     /// port is closed, so that the next session may get answers to it.
-    echoes: Echoes,
+    unique_requests: UniqueRequests,
     /// Whether a sensor was ever opened.
     opened: bool,
     scan_time: Duration,
@@ -44,17 +44,17 @@ pub(crate) struct Opener<C> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) laser: Option<bool>,
-    pub(crate) speed: Option<BaudRate>,
+    pub(crate) baud_rate: Option<BaudRate>,
 }
 
 impl<C: Connect> Opener<C> {
     pub(crate) fn new(connect: C, config: Config, telemetry: Arc<Telemetry>) -> Self {
         let asked = connect.expected_serial_number().map(Text::from);
         Self {
-            wanted: Wanted { laser: None, speed: config.baud_rate },
+            wanted: Wanted { laser: None, baud_rate: config.baud_rate },
             found: None,
             identity: config.serial_number.clone().or(asked),
-            echoes: Echoes::starting(config.seed()),
+            unique_requests: UniqueRequests::starting(config.seed()),
             opened: false,
             scan_time: TURN,
             connect,
@@ -94,9 +94,10 @@ impl<C: Connect> Opener<C> {
 
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
         let telemetry = Arc::clone(&self.telemetry);
-        let echoes = std::mem::take(&mut self.echoes);
-        let framed = line::framed(Box::new(port), self.config.tap.clone());
-        let mut session = Session::new(framed, self.config.reply_latency, echoes, telemetry);
+        let unique_requests = std::mem::take(&mut self.unique_requests);
+        let framed = line::framed(Box::new(port), self.config.observer.clone());
+        let mut session =
+            Session::new(framed, self.config.reply_latency, unique_requests, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {
@@ -108,7 +109,7 @@ impl<C: Connect> Opener<C> {
 
     /// Closes the port of a session that is of no use any more.
     pub(crate) fn close(&mut self, session: Session) {
-        self.echoes = session.close();
+        self.unique_requests = session.close();
     }
 
     /// Finds the sensor again on a port that is still open.
@@ -119,7 +120,7 @@ impl<C: Connect> Opener<C> {
 
     async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), Error> {
         let outcome = async {
-            session.find(&self.speeds(), Instant::now() + limit).await?;
+            session.find(&self.baud_rates(), Instant::now() + limit).await?;
             let version = self.identify(session).await?;
             self.restore(session).await?;
             Ok(version)
@@ -129,35 +130,35 @@ impl<C: Connect> Opener<C> {
         })?;
         self.telemetry.set_version(version);
         self.connect.found();
-        self.found = session.line_speed();
+        self.found = session.baud_rate();
         self.opened = true;
         Ok(())
     }
 
     /// All six, the likeliest first.
-    fn speeds(&self) -> Vec<BaudRate> {
-        let likely = self.found.into_iter().chain(self.wanted.speed).chain([BaudRate::B19200]);
-        let mut speeds = Vec::with_capacity(BaudRate::ALL.len());
-        for speed in likely.chain(BaudRate::ALL) {
-            if !speeds.contains(&speed) {
-                speeds.push(speed);
+    fn baud_rates(&self) -> Vec<BaudRate> {
+        let likely = self.found.into_iter().chain(self.wanted.baud_rate).chain([BaudRate::B19200]);
+        let mut baud_rates = Vec::with_capacity(BaudRate::ALL.len());
+        for baud_rate in likely.chain(BaudRate::ALL) {
+            if !baud_rates.contains(&baud_rate) {
+                baud_rates.push(baud_rate);
             }
         }
-        speeds
+        baud_rates
     }
 
     /// Asks who the sensor is, and makes sure that it is the right one.
     async fn identify(&mut self, session: &mut Session) -> Result<Version, Failure> {
-        let version = self.introduce(session).await?;
+        let version = self.confirm_identity(session).await?;
         let found = &version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
             return Err(Failure::Line(Error::AnotherSensor { expected, found }));
         }
-        let speed =
+        let motor_speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);
-        if let Some(turns_a_minute) = speed {
-            self.scan_time = Duration::from_secs(60) / u32::from(turns_a_minute.max(1));
+        if let Some(revolutions_per_minute) = motor_speed {
+            self.scan_time = Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1));
         }
         Ok(version)
     }
@@ -165,7 +166,7 @@ impl<C: Connect> Opener<C> {
     /// Asks until the serial number can be believed, for a while: it is the
     /// expected one, or comes twice in a row. Nothing else protects it, and one
     /// flipped bit must neither turn a sensor away nor be expected ever after.
-    async fn introduce(&mut self, session: &mut Session) -> Result<Version, Failure> {
+    async fn confirm_identity(&mut self, session: &mut Session) -> Result<Version, Failure> {
         let mut version = ask_version(session).await?;
         for _ in 1..INTRODUCTIONS {
             if self.identity.as_ref() == Some(&version.serial_number) {
@@ -187,13 +188,13 @@ impl<C: Connect> Opener<C> {
 
     /// Sets the sensor as the service has asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), Failure> {
-        if let Some(speed) = self.wanted.speed
-            && session.line_speed().is_some_and(|now| now != speed)
+        if let Some(baud_rate) = self.wanted.baud_rate
+            && session.baud_rate().is_some_and(|now| now != baud_rate)
         {
-            match session.change_speed(speed).await {
+            match session.change_baud_rate(baud_rate).await {
                 // Scans at another speed are better than none.
                 Err(Failure::Command(error)) if self.opened => {
-                    tracing::warn!(%error, "the line speed is not restored");
+                    tracing::warn!(%error, "the baud rate is not restored");
                 }
                 outcome => outcome?,
             }

@@ -13,7 +13,7 @@ async fn the_tap_hears_good_and_damaged_replies_fences_and_foreign_frames() {
     let emulator = Emulator::builder().world(Fixed::filled(1234)).build();
     let heard = Arc::new(Mutex::new(Vec::new()));
     let listener = Arc::clone(&heard);
-    let builder = Sensor::builder().tap(move |frame| {
+    let builder = Sensor::builder().on_reply(move |frame| {
         let text = String::from_utf8(frame.bytes.to_vec()).unwrap();
         listener.lock().unwrap().push((frame.command, text, frame.stamp));
     });

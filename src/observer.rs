@@ -1,4 +1,4 @@
-//! [`Heard`]: what a sensor sent, byte by byte, for those who want to keep it.
+//! [`RawReply`]: what a sensor sent, byte by byte, for those who want to keep it.
 
 use std::fmt;
 use std::sync::Arc;
@@ -7,11 +7,11 @@ use std::time::{Instant, SystemTime};
 use crate::protocol::Command;
 
 /// A frame that came from the sensor while something was asked of it, as
-/// [`SensorBuilder::tap`](crate::SensorBuilder::tap) gets it. What comes at other
+/// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) gets it. What comes at other
 /// times is thrown away as it comes, before it is a frame.
 #[derive(Debug, Clone, Copy)]
 #[non_exhaustive]
-pub struct Heard<'a> {
+pub struct RawReply<'a> {
     /// The command that it answers, well or badly (a reply may be damaged), or
     /// `None` for the reply to a fence and for what was not asked for.
     pub command: Option<Command>,
@@ -28,13 +28,13 @@ pub struct Heard<'a> {
 
 /// Who listens, if anybody does.
 #[derive(Clone, Default)]
-pub(crate) struct Tap(Option<Arc<Listener>>);
+pub(crate) struct ReplyObserver(Option<Arc<Listener>>);
 
-type Listener = dyn Fn(Heard<'_>) + Send + Sync;
+type Listener = dyn Fn(RawReply<'_>) + Send + Sync;
 
-impl Tap {
-    pub(crate) fn new(tap: impl Fn(Heard<'_>) + Send + Sync + 'static) -> Self {
-        Self(Some(Arc::new(tap)))
+impl ReplyObserver {
+    pub(crate) fn new(observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
+        Self(Some(Arc::new(observer)))
     }
 
     /// Whether anybody listens.
@@ -42,16 +42,16 @@ impl Tap {
         self.0.is_some()
     }
 
-    /// Tells what was heard, which is made only if somebody listens.
-    pub(crate) fn hear<'a>(&self, heard: impl FnOnce() -> Heard<'a>) {
-        if let Some(tap) = &self.0 {
-            tap(heard());
+    /// Tells what was reply, which is made only if somebody listens.
+    pub(crate) fn observe<'a>(&self, reply: impl FnOnce() -> RawReply<'a>) {
+        if let Some(observer) = &self.0 {
+            observer(reply());
         }
     }
 }
 
-impl fmt::Debug for Tap {
+impl fmt::Debug for ReplyObserver {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("Tap").field(&self.is_some()).finish()
+        f.debug_tuple("ReplyObserver").field(&self.is_some()).finish()
     }
 }

@@ -4,7 +4,7 @@
 use std::fmt::Debug;
 
 use futures::stream::{FusedStream, Stream};
-use tokio_scip::port::Plain;
+use tokio_scip::port::StreamPort;
 use tokio_scip::{
     Connect, Driver, Endpoint, Error, OnlyScans, Point, Rate, Scan, ScanStream, Sensor,
     SensorBuilder, State, Stats, Version, Window,
@@ -19,7 +19,7 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<Sensor>();
     shared::<SensorBuilder>();
     shared::<Endpoint>();
-    shared::<Plain<tokio::io::Empty>>();
+    shared::<StreamPort<tokio::io::Empty>>();
     shared::<ScanStream>();
     shared::<OnlyScans>();
     shared::<Scan>();

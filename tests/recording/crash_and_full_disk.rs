@@ -75,7 +75,7 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
             assert_eq!(room, 1_000, "no room for the head");
             continue;
         };
-        let builder = Sensor::builder().tap(recorder.tap()).ring_depth(1 << 16);
+        let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 16);
         let sensor = builder.connect(sensor()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
         let item = scans.next().await.unwrap();
@@ -151,7 +151,7 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     let ((go, wait), (hangs, hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
-    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
+    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     // Twice as much as may wait: this would hang if it could. And again, when
     // nothing is taken from it any more.
@@ -187,12 +187,12 @@ async fn who_waits_for_room_loses_nothing_to_a_disk_that_hangs() {
         recorder.record(&item).unwrap();
         let must_wait = tokio::select! {
             biased;
-            () = recorder.room() => false,
+            () = recorder.ready() => false,
             () = async {} => true,
         };
         if must_wait {
             drop(go.take());
-            tokio::time::timeout(Duration::from_secs(60), recorder.room()).await.unwrap();
+            tokio::time::timeout(Duration::from_secs(60), recorder.ready()).await.unwrap();
         }
     }
     assert!(go.is_none(), "there was always room");
@@ -209,7 +209,7 @@ async fn nobody_waits_for_room_on_a_disk_that_is_full() {
     while recorder.record(&item).is_ok() {}
     for _ in 0..12_000 {
         assert!(recorder.record(&item).is_err());
-        recorder.room().await;
+        recorder.ready().await;
     }
 }
 
@@ -239,7 +239,7 @@ async fn a_writer_that_panics_fails_the_recording_and_holds_up_nobody() {
             let _ = recorder.record(&item);
         }
         if scans > 1 {
-            recorder.room().await;
+            recorder.ready().await;
         }
         match recorder.finish().await.unwrap_err() {
             RecordingError::Write { source } => {
@@ -255,7 +255,7 @@ async fn a_writer_that_panics_fails_the_recording_and_holds_up_nobody() {
 async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let sensor = Sensor::builder().tap(recorder.tap()).connect(sensor()).await.unwrap();
+    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
     let mut length = sink.length();
     // Comes after a second, unless it never comes.

@@ -1,4 +1,4 @@
-//! [`Plain`]: any stream, as a port.
+//! [`StreamPort`]: any stream, as a port.
 
 use std::io;
 use std::pin::Pin;
@@ -9,23 +9,23 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use super::Port;
 
 /// A stream of which nothing is known but that bytes go in and out, as a
-/// [`Port`]: without a line speed, and with nothing to do before it is closed.
+/// [`Port`]: without a baud rate, and with nothing to do before it is closed.
 ///
 /// For a [`Connect`](super::Connect) of one's own, whose docs have an example.
 /// Dropping it drops the stream.
 #[derive(Debug)]
-pub struct Plain<T>(T);
+pub struct StreamPort<T>(T);
 
-impl<T> Plain<T> {
+impl<T> StreamPort<T> {
     /// Makes a port of `stream`.
     pub fn new(stream: T) -> Self {
         Self(stream)
     }
 }
 
-impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Port for Plain<T> {}
+impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Port for StreamPort<T> {}
 
-impl<T: AsyncRead + Unpin> AsyncRead for Plain<T> {
+impl<T: AsyncRead + Unpin> AsyncRead for StreamPort<T> {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -35,7 +35,7 @@ impl<T: AsyncRead + Unpin> AsyncRead for Plain<T> {
     }
 }
 
-impl<T: AsyncWrite + Unpin> AsyncWrite for Plain<T> {
+impl<T: AsyncWrite + Unpin> AsyncWrite for StreamPort<T> {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
