@@ -1,5 +1,6 @@
 //! What can go wrong, for the crate's users.
 
+use std::fmt;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -208,13 +209,76 @@ impl Error {
         }
     }
 
+    /// Formats the error and its causes on one line, for a log or a message.
+    ///
+    /// ```
+    /// use tokio_scip::Error;
+    ///
+    /// let source = std::sync::Arc::new(std::io::Error::other("device removed"));
+    /// let error = Error::Disconnected { source: Some(source) };
+    /// assert_eq!(error.to_string(), "the link to the sensor is lost");
+    /// assert_eq!(error.chain().to_string(), "the link to the sensor is lost: device removed");
+    /// ```
+    pub fn chain(&self) -> ErrorChain<'_> {
+        ErrorChain::new(self)
+    }
+
     pub(crate) fn disconnected(source: Option<io::Error>) -> Self {
         Self::Disconnected { source: source.map(Arc::new) }
+    }
+}
+
+/// An error and its causes, as one line: `Display` joins them with `: `.
+///
+/// A cause whose text already ends the line is not repeated: some errors include
+/// the text of their cause in their own.
+#[derive(Debug, Clone, Copy)]
+pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
+
+impl<'a> ErrorChain<'a> {
+    /// Wraps any error; [`Error::chain`] is the short way for those of this crate.
+    pub fn new(error: &'a (dyn std::error::Error + 'a)) -> Self {
+        Self(error)
+    }
+}
+
+impl fmt::Display for ErrorChain<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut last = self.0.to_string();
+        f.write_str(&last)?;
+        let mut cause = self.0.source();
+        while let Some(error) = cause {
+            let text = error.to_string();
+            if !last.ends_with(&text) {
+                write!(f, ": {text}")?;
+                last = text;
+            }
+            cause = error.source();
+        }
+        Ok(())
     }
 }
 
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_chain_names_each_cause_once() {
+        #[derive(Debug, thiserror::Error)]
+        #[error("cannot start: {0}")]
+        struct Outer(#[source] Error);
+
+        let source = Some(Arc::new(io::Error::other("device removed")));
+        let lost = Error::Disconnected { source };
+        let text = "cannot start: the link to the sensor is lost: device removed";
+        assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
+        assert_eq!(Error::Closed.chain().to_string(), Error::Closed.to_string());
     }
 }

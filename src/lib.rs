@@ -133,7 +133,7 @@ mod state;
 mod stream;
 
 pub use driver::Driver;
-pub use error::Error;
+pub use error::{Error, ErrorChain};
 pub use observer::RawReply;
 pub use port::{Connect, Endpoint, Port};
 pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowError};

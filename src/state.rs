@@ -56,16 +56,21 @@ pub enum State {
     },
 }
 
-/// An error and its causes, as one text.
+impl State {
+    /// Returns the baud rate of the line to the sensor: `None` unless
+    /// [connected](Self::Connected), and where the link has none (USB).
+    pub fn baud_rate(&self) -> Option<BaudRate> {
+        match self {
+            Self::Connected { baud_rate, .. } => *baud_rate,
+            _ => None,
+        }
+    }
+}
+
+/// Serialises an error and its causes as one text.
 #[cfg(feature = "serde")]
 fn chain<S: serde::Serializer>(error: &Error, serializer: S) -> Result<S::Ok, S::Error> {
-    let mut text = error.to_string();
-    let mut cause = std::error::Error::source(error);
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    serializer.serialize_str(&text)
+    serializer.collect_str(&error.chain())
 }
 
 #[cfg(feature = "serde")]

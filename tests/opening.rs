@@ -18,10 +18,7 @@ async fn fails(emulator: &Emulator) -> Error {
 }
 
 fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
-    match &*sensor.state().borrow() {
-        State::Connected { baud_rate, .. } => *baud_rate,
-        other => panic!("{other:?}"),
-    }
+    sensor.state().borrow().baud_rate()
 }
 
 #[tokio::test(start_paused = true)]

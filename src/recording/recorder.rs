@@ -12,7 +12,7 @@ use super::queue::{Entry, Queue};
 use super::writer::Times;
 use super::{Event, RecordingError};
 use crate::observer::RawReply;
-use crate::{Error, Scan, ScanStream, Sensor, State};
+use crate::{Error, Scan, ScanStream, Sensor};
 
 /// Records what a [`ScanStream`] gives and what a sensor sends, into an MCAP
 /// file.
@@ -96,10 +96,8 @@ impl Recorder {
     /// Those of [`Sensor::version`].
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
-        let baud_rate = match &*sensor.state().borrow() {
-            State::Connected { baud_rate: Some(speed), .. } => speed.to_string(),
-            _ => "none".to_owned(),
-        };
+        let baud_rate = sensor.state().borrow().baud_rate();
+        let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
         let window = scans.window();
         let mut metadata: BTreeMap<_, _> = [
             ("vendor", version.vendor.to_string()),

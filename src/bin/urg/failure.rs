@@ -52,18 +52,7 @@ impl Failure {
 
 /// An error and its causes, joined by ": ".
 pub(crate) fn chain(error: &dyn Error) -> String {
-    let mut line = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        let text = error.to_string();
-        // Some errors tell their cause's text as their own.
-        if !line.ends_with(&text) {
-            line.push_str(": ");
-            line.push_str(&text);
-        }
-        cause = error.source();
-    }
-    line
+    tokio_scip::ErrorChain::new(error).to_string()
 }
 
 #[cfg(test)]

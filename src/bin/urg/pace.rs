@@ -4,7 +4,7 @@
 use std::fmt::Write;
 use std::time::{Duration, Instant};
 
-use tokio_scip::{BaudRate, Endpoint, Rate, Sensor, State, Window};
+use tokio_scip::{BaudRate, Endpoint, Rate, Sensor, Window};
 
 use crate::port::PortName;
 
@@ -57,10 +57,7 @@ impl PaceWatch {
         // Zero until there is something to average.
         (reached > 0.0 && reached < ENOUGH * asked).then(|| {
             self.said = true;
-            let speed = match &*sensor.state().borrow() {
-                State::Connected { baud_rate, .. } => *baud_rate,
-                _ => None,
-            };
+            let speed = sensor.state().borrow().baud_rate();
             self.text(asked, reached, speed)
         })
     }

@@ -284,10 +284,7 @@ impl Seen {
 }
 
 fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
-    match &*sensor.state().borrow() {
-        State::Connected { baud_rate, .. } => *baud_rate,
-        _ => None,
-    }
+    sensor.state().borrow().baud_rate()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! `urg baud`: moves the sensor to another baud rate.
 
-use tokio_scip::{BaudRate, State};
+use tokio_scip::BaudRate;
 
 use crate::args::LinkArgs;
 use crate::failure::Failure;
@@ -30,11 +30,10 @@ impl Baud {
         let sensor = open(&port, &link, 1).await?;
         let moved = sensor.set_baud_rate(self.speed).await;
         moved.map_err(|error| Failure::at(&port.to_string(), &error))?;
-        match &*sensor.state().borrow() {
-            State::Connected { baud_rate: Some(speed), .. } => {
-                notice(format_args!("{port}: the baud rate is {speed} baud"));
-            }
-            _ => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
+        let baud_rate = sensor.state().borrow().baud_rate();
+        match baud_rate {
+            Some(baud_rate) => notice(format_args!("{port}: the baud rate is {baud_rate} baud")),
+            None => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
         }
         Ok(())
     }

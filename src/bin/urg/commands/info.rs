@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
-use tokio_scip::{BaudRate, State, Version, Window};
+use tokio_scip::{BaudRate, Version, Window};
 
 use crate::args::LinkArgs;
 use crate::failure::Failure;
@@ -43,10 +43,7 @@ impl Info {
         let sensor = open(&port, &self.link, 1).await?;
         let version =
             sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
-        let speed = match &*sensor.state().borrow() {
-            State::Connected { baud_rate, .. } => *baud_rate,
-            _ => None,
-        };
+        let speed = sensor.state().borrow().baud_rate();
         let contents = match port.recorded() {
             Some(recorded) => recorded.contents().await?,
             None => Vec::new(),

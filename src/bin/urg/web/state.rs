@@ -50,10 +50,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
     let live = hub.live();
     let sensor = live.as_ref().map(|live| &live.sensor);
     let stats = sensor.map(|sensor| sensor.stats()).unwrap_or_default();
-    let baud_rate = sensor.and_then(|sensor| match &*sensor.state().borrow() {
-        tokio_scip::State::Connected { baud_rate, .. } => *baud_rate,
-        _ => None,
-    });
+    let baud_rate = sensor.and_then(|sensor| sensor.state().borrow().baud_rate());
     let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
     respond(
         StatusCode::OK,
