@@ -1,18 +1,18 @@
-//! The guide: how the driver works, how to use it well, and how to run it. Docs
-//! only; there is no code in here.
+//! The guide: how the driver works, how to use it well, and how to run it. It has
+//! documentation only, no code.
 //!
-//! 1. [`polling`]: how scans are asked for, and what a slow consumer gets
+//! 1. [`polling`]: when scans are requested, and what a slow consumer gets
 //! 2. [`trust`]: why a scan is the answer to its request, and what cannot be
 //!    known
 //! 3. [`recovery`]: what happens when the link is lost
-//! 4. [`baud_rates`]: baud rates, and what rate each can carry
-//! 5. [`geometry`]: steps, angles, ranges
-//! 6. [`testing`]: your service without a sensor
-//! 7. [`operating`]: permissions, names, systemd, Docker, a Raspberry Pi, Windows
+//! 4. [`baud_rates`]: baud rates, and the scan rate that each can carry
+//! 5. [`geometry`]: steps, angles, ranges, error codes
+//! 6. [`testing`]: how to test a service without a sensor
+//! 7. [`operating`]: set-up on Linux, systemd, Docker, a Raspberry Pi, Windows
 //! 8. [`logging`]: what is logged, and what to attach to a report
-//! 9. [`common_issues`]: what people stumble over
-//! 10. [`recipes`]: short programs for what people do with a scanner
-//! 11. [`recording`]: keeping what a sensor said, and replaying it
+//! 9. [`common_issues`]: messages and symptoms, their causes and remedies
+//! 10. [`recipes`]: short programs for common uses of a scanner
+//! 11. [`recording`]: how to record a sensor and replay it
 //! 12. [`design`]: how the crate is built
 
 macro_rules! chapters {

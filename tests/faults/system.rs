@@ -276,8 +276,8 @@ fn o18_programs_that_probe_new_ports_are_named_where_they_are_met() {
     // That they probe cannot be prevented from here, only said.
     let busy = Error::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
     assert!(busy.contains("ModemManager") && busy.contains("fuser /dev/ttyACM0"), "{busy}");
-    let readme = include_str!("../../README.md");
-    assert!(readme.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the udev rule is gone");
+    let guide = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/guide/operating.md"));
+    assert!(guide.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the udev rule is gone");
 }
 
 #[tokio::test(start_paused = true)]
