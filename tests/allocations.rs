@@ -1,12 +1,7 @@
 //! What a scan costs in heap allocations, from the port to its consumers. The
 //! sensor here answers from memory and allocates nothing itself.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-#[path = "common/prompt.rs"]
-mod prompt;
-
-use prompt::Prompt;
+use crate::common::prompt::Prompt;
 use tokio::runtime::{Builder, Runtime};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
 

@@ -1,14 +1,10 @@
 //! Dropping any future at any await loses nothing and disturbs nothing.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::future::{Future, poll_fn};
 use std::pin::pin;
 use std::task::Poll;
 
-use common::{builder, truthful};
+use crate::common::{builder, truthful};
 use tokio_scip::emulator::{Emulator, Verdict};
 use tokio_scip::{BaudRate, Driver, Rate, Sensor, Window};
 
@@ -129,7 +125,7 @@ async fn a01_a_request_that_was_dropped_before_its_turn_is_not_written() {
     });
     tokio::task::yield_now().await;
     let before = emulator.counts().commands;
-    let dropped = tokio::time::timeout(common::ms(5), sensor.laser_off()).await;
+    let dropped = tokio::time::timeout(crate::common::ms(5), sensor.laser_off()).await;
     assert!(dropped.is_err());
     busy.await.unwrap().unwrap();
     sensor.scan(Window::FULL).await.unwrap();
@@ -184,7 +180,7 @@ async fn a_driver_that_never_ran_leaves_nobody_waiting() {
     tokio::task::yield_now().await;
     drop(driver);
     for answer in [asked, opened] {
-        let answer = tokio::time::timeout(common::ms(60_000), answer).await;
+        let answer = tokio::time::timeout(crate::common::ms(60_000), answer).await;
         assert!(matches!(answer.unwrap().unwrap(), Err(tokio_scip::Error::Closed)));
     }
     sensor.close().await;

@@ -1,6 +1,5 @@
 //! The framing: where replies end, however their bytes are cut up. That any
 //! bytes in any chunks are framed alike is in `properties`.
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 use bytes::BytesMut;
 use tokio_scip::Window;

@@ -1,8 +1,4 @@
 //! A line that brings far more than any sensor sends, and always has more.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -10,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Poll};
 
-use common::{builder, ms, truthful};
+use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::timeout;
 use tokio_scip::emulator::{Emulator, Link};

@@ -1,11 +1,7 @@
 //! A long time on the grid at 10 Hz, on the paused clock: no poll is missing and none
-//! drifts. `cargo test --release --test grid` plays a whole day.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+//! drifts. `cargo test --release --test it grid::` plays a whole day.
 
-mod common;
-
-use common::{builder, ms};
+use crate::common::{builder, ms};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};

@@ -2,8 +2,6 @@
 //! file never needs the files above it, and the protocol can be used without
 //! an async runtime, a clock or a log.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 use std::collections::BTreeMap;
 use std::path::Path;
 

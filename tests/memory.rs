@@ -1,15 +1,11 @@
 //! What a driver takes of the heap, counted to the byte: whatever its sensor
 //! sends, and thousands of them together.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::time::Duration;
 
+use crate::common::fountain::Fountain;
+use crate::common::{Rigged, builder};
 use allocation_counter::{AllocationInfo, measure};
-use common::fountain::Fountain;
-use common::{Rigged, builder};
 use futures::StreamExt;
 use tokio::runtime::Runtime;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};

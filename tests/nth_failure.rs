@@ -2,16 +2,12 @@
 //! system has: what the service asked for is an error with a kind of its own
 //! or succeeds, in time; afterwards all is well again, and nothing is left
 //! open.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::io;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use common::{Rigged, builder, request_of, truthful};
+use crate::common::{Rigged, builder, request_of, truthful};
 use tokio::time::{Instant, timeout};
 use tokio_scip::emulator::{Call, CallCounter, Emulator, Failure, FaultyLink, Pace};
 use tokio_scip::{BaudRate, Connect, Error, Rate, Sensor, Window};

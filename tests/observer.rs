@@ -1,7 +1,5 @@
 //! The tap hears every frame that comes, as it came.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 use std::sync::{Arc, Mutex};
 
 use tokio_scip::emulator::{Emulator, Fault, Faults, Fixed};

@@ -1,13 +1,9 @@
 //! Opening: finding the sensor, moving it to the wanted speed, and each way to
 //! fail.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{builder, ms, truthful};
+use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults, FaultyLink, Firmware, Mode};

@@ -1,12 +1,8 @@
 //! Polls on a grid, and what streams make of them.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{builder, ms, request_of, truthful};
+use crate::common::{builder, ms, request_of, truthful};
 use futures::StreamExt;
 use futures::stream::FusedStream;
 use tokio::time::{Instant, advance, timeout};

@@ -1,5 +1,4 @@
 //! Endpoints as text, TCP ports, and listing: what needs no pseudo-terminal.
-#![allow(clippy::unwrap_used, clippy::panic)]
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;

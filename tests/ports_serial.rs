@@ -1,7 +1,5 @@
 //! Serial ports, on pseudo-terminals and on real files that are none. In real
 //! time, and without sleeping: every wait is for bytes.
-#![cfg(all(unix, feature = "serial"))]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::path::PathBuf;
 use std::time::Duration;

@@ -1,5 +1,4 @@
 //! How often: bounds and text of `Rate`.
-#![allow(clippy::unwrap_used)]
 
 use std::time::Duration;
 

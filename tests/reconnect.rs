@@ -1,12 +1,8 @@
 //! The link is lost and comes back, with what the service had asked for.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::time::Duration;
 
-use common::{Truth, builder, ms, truthful};
+use crate::common::{Truth, builder, ms, truthful};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};

@@ -1,9 +1,6 @@
 //! Scans and what belongs to them as data (feature `serde`), in the shape that
 //! the documentation promises.
 
-#![cfg(all(feature = "serde", feature = "emulator", feature = "cli"))]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 

@@ -1,10 +1,6 @@
 //! Laser and baud rate: told, confirmed, and restored.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
-mod common;
-
-use common::{builder, ms, truthful};
+use crate::common::{builder, ms, truthful};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Pace};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
 

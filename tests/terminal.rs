@@ -1,9 +1,5 @@
 //! The driver on a pseudo-terminal, in real time: what only a real terminal
 //! does.
-#![cfg(all(unix, feature = "emulator", feature = "serial"))]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
-mod common;
 
 use std::path::PathBuf;
 use std::pin::Pin;
@@ -12,7 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
-use common::{Truth, builder, truthful};
+use crate::common::{Truth, builder, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::JoinHandle;
 use tokio_scip::emulator::{Emulator, Pty};

@@ -1,10 +1,6 @@
 //! A late or doubled reply never becomes another poll's scan.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
-mod common;
-
-use common::{Truth, builder, ms, truthful};
+use crate::common::{Truth, builder, ms, truthful};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{Rate, Scan, State, Stats, Window};
 

@@ -1,11 +1,7 @@
 //! At every baud rate the driver gets what the line can carry: on the paused
 //! clock, against a sensor that sends at baud rate and answers at once.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
-mod common;
-
-use common::builder;
+use crate::common::builder;
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{BaudRate, Rate, Window};

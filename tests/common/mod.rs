@@ -1,9 +1,8 @@
 //! What the driver's tests share: an emulated sensor that puts the truth into
 //! its data, and a check of scans against that truth.
 
-#![allow(dead_code, reason = "each test file uses a part of it")]
-
 pub(crate) mod fountain;
+pub(crate) mod prompt;
 
 use std::collections::HashMap;
 use std::time::Duration;

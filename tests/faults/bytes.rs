@@ -8,8 +8,8 @@ use tokio_scip::protocol::{Command, Malformed, Reply};
 use tokio_scip::{Error, Rate, Window};
 use tokio_util::codec::Decoder;
 
+use super::rig::{Outcome, lies, prompt, scans, second_poll};
 use crate::common::{builder, request_of};
-use crate::rig::{Outcome, lies, prompt, scans, second_poll};
 
 const WINDOW: Window = Window::DETECTION;
 /// Echo, LF, status, LF: where the data begin.
@@ -112,7 +112,7 @@ async fn w16_a_reply_split_at_each_place() {
 /// reply was taken, and in how many points it differs from what was sent.
 async fn flip(at: usize, bit: u8) -> Option<usize> {
     let emulator = prompt().build();
-    let sensor = crate::rig::open(&emulator).await;
+    let sensor = super::rig::open(&emulator).await;
     let window = Window::new(300..=340).unwrap();
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
@@ -130,7 +130,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
 async fn w03_w04_w08_w11_w13_each_bit_flipped() {
     let window = Window::new(300..=340).unwrap();
     let emulator = prompt().build();
-    let sensor = crate::rig::open(&emulator).await;
+    let sensor = super::rig::open(&emulator).await;
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     // What the second poll's reply looks like: it asks one step to the left.
@@ -163,7 +163,7 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
     // 26 * 64 + 26: "JJ", and 'J' with one bit flipped is LF.
     let emulator =
         Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
-    let sensor = crate::rig::open(&emulator).await;
+    let sensor = super::rig::open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     for at in DATA..length() - 2 {
         scans(&mut stream, 1).await;
@@ -219,7 +219,7 @@ fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
 async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between_them() {
     // No one can see it: this says what it does, and that it does no more.
     let emulator = prompt().build();
-    let sensor = crate::rig::open(&emulator).await;
+    let sensor = super::rig::open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     let faults = tokio_scip::emulator::Faults::none();

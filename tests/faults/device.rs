@@ -7,8 +7,8 @@ use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixe
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{BaudRate, Error, Measurement, Rate, State, Window};
 
+use super::rig::{lies, open, prompt, scans};
 use crate::common::{builder, ms, request_of};
-use crate::rig::{lies, open, prompt, scans};
 
 const WINDOW: Window = Window::DETECTION;
 

@@ -13,8 +13,8 @@ use tokio_scip::{Connect, Driver, Error, Rate, Window};
 use tracing::field::{Field, Visit};
 use tracing::span;
 
+use super::rig::{open, prompt, scans};
 use crate::common::builder;
-use crate::rig::{open, prompt, scans};
 
 const WINDOW: Window = Window::DETECTION;
 

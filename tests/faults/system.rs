@@ -12,8 +12,8 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Call, Emulator, Failure, Fault, Faults, FaultyLink, Link};
 use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
 
+use super::rig::{lies, open, prompt, scans};
 use crate::common::{Rigged, builder, ms};
-use crate::rig::{lies, open, prompt, scans};
 
 const WINDOW: Window = Window::DETECTION;
 

@@ -13,9 +13,9 @@ use tokio::runtime::Builder;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{BaudRate, Error, Port, Rate, Sensor, State, Window};
 
+use super::rig::{lies, open, prompt, scans};
 use crate::common::fountain::Fountain;
 use crate::common::{Rigged, builder, ms, request_of};
-use crate::rig::{lies, open, prompt, scans};
 
 const WINDOW: Window = Window::DETECTION;
 

@@ -1,6 +1,5 @@
 //! Row O19: a serial port must not become the terminal that a process belongs
 //! to, or its hang-up would end the process.
-#![cfg(all(target_os = "linux", feature = "serial"))]
 
 use tokio_scip::port::SerialPort;
 use tokio_serial::{SerialPort as _, SerialStream};
@@ -35,7 +34,7 @@ async fn o19_an_opened_port_is_not_the_processs_terminal() {
         return;
     }
     let test = std::env::current_exe().unwrap();
-    let name = "terminal::o19_an_opened_port_is_not_the_processs_terminal";
+    let name = "faults::terminal::o19_an_opened_port_is_not_the_processs_terminal";
     let child = std::process::Command::new("setsid")
         .arg("--wait")
         .arg(test)

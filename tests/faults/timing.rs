@@ -6,8 +6,8 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Call, EmptyCommand, Failure, Fault, Faults, FaultyLink, Verdict};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
+use super::rig::{lies, open, prompt, scans, second_poll};
 use crate::common::{Rigged, builder, ms, truthful};
-use crate::rig::{lies, open, prompt, scans, second_poll};
 
 const WINDOW: Window = Window::DETECTION;
 

@@ -8,8 +8,8 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
 use tokio_scip::{Error, Rate, State, Window};
 
+use super::rig::{lies, open, prompt, scans, second_poll};
 use crate::common::{builder, ms};
-use crate::rig::{lies, open, prompt, scans, second_poll};
 
 const WINDOW: Window = Window::DETECTION;
 

@@ -6,7 +6,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::timeout;
 use tokio_scip::emulator::{EmptyCommand, Emulator, Firmware, Fixed, Pace};
 
-use crate::script::Script;
+use super::script::Script;
 
 const PARTS: [&[u8]; 16] = [
     b"V",

@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::time::{sleep, timeout};
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
 
-use crate::peer::Peer;
-use crate::script::Script;
+use super::peer::Peer;
+use super::script::Script;
 
 /// No call takes longer: a fence may be sent six times, a command twice, the
 /// laser be switched and confirmed twice, and a lost sensor be waited for.

@@ -4,7 +4,7 @@ use bytes::BytesMut;
 use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
 use tokio_util::codec::Decoder;
 
-use crate::script::Script;
+use super::script::Script;
 
 /// The framing as one would write it without any thought of speed or memory.
 fn reference(mut bytes: &[u8]) -> Vec<Frame> {

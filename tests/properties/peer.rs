@@ -17,7 +17,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep, sleep_until};
 use tokio_scip::{Connect, Error, Port, Scan};
 
-use crate::script::Script;
+use super::script::Script;
 
 /// A handle to the sensor; opens ports to it.
 #[derive(Clone)]

@@ -6,7 +6,7 @@ use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command, Reply, Window};
 use tokio_util::codec::Decoder;
 
-use crate::script::Script;
+use super::script::Script;
 
 /// Status and values of a reply (C-42-3320-A p. 3 to 6), or nothing if it is
 /// none.

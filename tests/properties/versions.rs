@@ -3,7 +3,7 @@
 
 use tokio_scip::protocol::{Command, Reply, Text, Version};
 
-use crate::script::Script;
+use super::script::Script;
 
 const PARTS: [&[u8]; 16] = [
     b"VEND:",

@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError, ReplayPace};
 use tokio_scip::{Error, Rate, Sensor, Window};
 
-use crate::sink::{Sink, polls, record, sensor, window};
+use super::sink::{Sink, polls, record, sensor, window};
 
 /// Where `part` ends in `whole`.
 fn end_of(part: &[u8], whole: &[u8]) -> usize {

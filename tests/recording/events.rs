@@ -7,7 +7,7 @@ use tokio_scip::recording::Recorder;
 use tokio_scip::recording::{Entry, ReplayPace};
 use tokio_scip::{Error, Rate, Sensor, Window};
 
-use crate::sink::{Sink, events, sensor};
+use super::sink::{Sink, events, sensor};
 
 #[tokio::test(start_paused = true)]
 async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
@@ -121,5 +121,5 @@ async fn scans_that_were_missed_are_told_and_their_replies_are_there() {
     let missed = item.unwrap().sequence() - 1;
     let records = sink.records();
     assert_eq!(events(&records), [format!(r#"{{"event":"missed","scans":{missed}}}"#)]);
-    assert!(crate::sink::polls(&records).len() as u64 >= missed + 2);
+    assert!(super::sink::polls(&records).len() as u64 >= missed + 2);
 }

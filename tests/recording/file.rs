@@ -8,7 +8,7 @@ use tokio_scip::protocol::{Command, Reply as Parsed};
 use tokio_scip::recording::{Entry, LaserScan, Recorder, Recording, RecordingError};
 use tokio_scip::{Rate, Scan, Sensor, Window};
 
-use crate::sink::{Sink, polls, record, sensor};
+use super::sink::{Sink, polls, record, sensor};
 
 /// An empty folder that goes with the test.
 struct Folder(PathBuf);

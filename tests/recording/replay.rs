@@ -8,7 +8,7 @@ use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::recording::{Entry, Record, Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
-use crate::sink::{Sink, polls, record, sensor, window};
+use super::sink::{Sink, polls, record, sensor, window};
 
 /// All that a sensor gives until it is over.
 async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {

@@ -7,8 +7,8 @@ use tokio_scip::emulator::{
 };
 use tokio_scip::{BaudRate, Connect, Error};
 
-use crate::random::Random;
-use crate::truth::Truth;
+use super::random::Random;
+use super::truth::Truth;
 
 pub(crate) const SERIAL_NUMBER: &str = "H0713090";
 

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tokio_scip::emulator::{Emulator, FaultCounts};
 use tokio_scip::{Error, State, Stats};
 
-use crate::case::Does;
+use super::case::Does;
 
 /// Counters by name.
 #[derive(Default)]

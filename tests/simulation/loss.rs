@@ -6,7 +6,7 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{Rate, Sensor, Window};
 
-use crate::truth::Truth;
+use super::truth::Truth;
 
 /// What came of polling for some time.
 #[derive(Debug, Default)]

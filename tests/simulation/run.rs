@@ -11,10 +11,10 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::emulator::Faults;
 use tokio_scip::{Error, Rate, Sensor, State, Window};
 
-use crate::case::{Case, Opener, SERIAL_NUMBER};
-use crate::coverage::Coverage;
-use crate::random::Random;
-use crate::users;
+use super::case::{Case, Opener, SERIAL_NUMBER};
+use super::coverage::Coverage;
+use super::random::Random;
+use super::users;
 
 /// Longer than any call takes. Each of the users may wait for one another's
 /// exchanges, and each exchange for six fences.

@@ -1,5 +1,4 @@
 //! As much of an HTTP client as the tests need.
-#![cfg(feature = "web")]
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;

@@ -1,5 +1,4 @@
 //! Recording with the program, and recordings in the place of a port.
-#![cfg(feature = "mcap")]
 
 use std::fs::{self, File};
 use std::io::{Cursor, Read};

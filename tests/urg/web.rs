@@ -1,5 +1,4 @@
 //! `urg serve`: what it serves to whom, over real sockets.
-#![cfg(feature = "web")]
 
 use std::collections::HashMap;
 use std::time::Instant;

@@ -1,9 +1,6 @@
 //! Recordings: what was delivered is in the file, whatever became of the file,
 //! and comes out of it again byte for byte.
 
-#![cfg(feature = "mcap")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 mod crash_and_full_disk;
 mod events;
 mod file;

@@ -1,7 +1,5 @@
 //! What holds for any bytes. Each property takes a script of bytes, so that
 //! these tests and the fuzzer (`tests/fuzz`) run the same code.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod commands;
 mod driver;

@@ -1,8 +1,6 @@
 //! Driver, line and emulated sensor on a paused clock: a seed picks faults and
 //! users, and everything that happens is held against the truth. README.md
 //! tells what was run and how to run more.
-#![cfg(feature = "emulator")]
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod case;
 mod coverage;

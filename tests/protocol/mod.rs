@@ -2,8 +2,6 @@
 //! real sensors send. The bytes here are written by hand from the text, or
 //! built by [`encoder`], which shares nothing with the crate.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 mod arbitrary;
 mod damage;
 mod encoder;

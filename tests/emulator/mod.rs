@@ -1,8 +1,6 @@
 //! The emulated sensor against the protocol text: what it says, when, and what
 //! goes wrong on demand. Expected bytes are written by hand.
 
-#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
-
 mod faults;
 mod faulty_link;
 mod handle;

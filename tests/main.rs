@@ -1,0 +1,41 @@
+//! All tests of the crate and its program from outside, one module for each
+//! concern: README.md has the list. They are one executable because linking
+//! takes longer than compiling; `cargo test --all-features polling::` runs the
+//! tests of one module.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod allocations;
+mod auto_traits;
+mod cancel;
+mod codec;
+mod common;
+mod emulator;
+mod faults;
+mod flood;
+mod grid;
+mod layering;
+mod memory;
+mod nth_failure;
+mod observer;
+mod opening;
+mod polling;
+mod ports;
+#[cfg(all(unix, feature = "serial"))]
+mod ports_serial;
+mod properties;
+mod protocol;
+mod rate;
+mod reconnect;
+#[cfg(feature = "mcap")]
+mod recording;
+#[cfg(all(feature = "serde", feature = "cli"))]
+mod serde;
+mod settings;
+mod simulation;
+#[cfg(all(unix, feature = "serial"))]
+mod terminal;
+mod truth;
+#[cfg(all(unix, feature = "cli"))]
+mod urg;
+mod wire;
