@@ -1,5 +1,5 @@
-//! What it costs to make values of the bytes of a full scan, beside copying the
-//! same bytes and beside a decoder that goes byte by byte.
+//! The cost of decoding the bytes of a full scan into values, beside copying the
+//! same bytes and beside a byte-wise decoder.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -27,7 +27,7 @@ fn full_scan() -> Vec<u8> {
     reply
 }
 
-/// The bytes are copied into a buffer that is there and warm, no more.
+/// Copies the bytes into a warm, allocated buffer.
 #[divan::bench(sample_size = 100)]
 fn copy(bencher: Bencher) {
     let reply = full_scan();
@@ -38,16 +38,16 @@ fn copy(bencher: Bencher) {
     });
 }
 
-/// The bytes are copied into a block of their own: `to_vec`.
+/// Copies the bytes into a new block: `to_vec`.
 #[divan::bench(sample_size = 100)]
 fn copy_to_new_block(bencher: Bencher) {
     let reply = full_scan();
     bencher.bench_local(|| drop(black_box(black_box(&reply).to_vec())));
 }
 
-/// Into the read buffer, and with all checks to the shared values that a `Scan`
-/// holds, in the block of an older scan that nobody holds any more: what the
-/// driver does with a reply.
+/// Does what the driver does with a reply: copies it into the read buffer, checks it,
+/// and decodes it into the shared values of a `Scan`, in the block of an older scan
+/// that nobody holds any more.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
     let reply = full_scan();
@@ -64,7 +64,7 @@ fn crate_decoder(bencher: Bencher) {
     });
 }
 
-/// The same into a new block, as where consumers keep their scans.
+/// Does the same into a new block, as when consumers keep their scans.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_to_new_block(bencher: Bencher) {
     let reply = full_scan();
@@ -79,7 +79,8 @@ fn crate_decoder_to_new_block(bencher: Bencher) {
     });
 }
 
-/// To a new block through the general way, which tells what is wrong with a reply.
+/// Decodes into a new block by the general steps, which report what is wrong with a
+/// reply.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_in_steps(bencher: Bencher) {
     let reply = full_scan();
@@ -97,7 +98,7 @@ fn crate_decoder_in_steps(bencher: Bencher) {
     });
 }
 
-/// The same checks, byte by byte, to a new block.
+/// Makes the same checks byte by byte, into a new block.
 #[divan::bench(sample_size = 100)]
 fn naive_decoder(bencher: Bencher) {
     let reply = full_scan();
@@ -109,7 +110,8 @@ fn naive_decoder(bencher: Bencher) {
     });
 }
 
-/// Takes one byte after the other, with no thought of speed.
+/// Returns the values of a reply, decoded one byte after the other, or `None` if it is
+/// malformed.
 fn naive(command: &[u8], points: usize, bytes: &[u8]) -> Option<Arc<[u16]>> {
     let mut lines: Vec<Vec<u8>> = vec![Vec::new()];
     for &byte in bytes {

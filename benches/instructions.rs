@@ -1,6 +1,6 @@
-//! Work to be counted in instructions by `.ci/callgrind`: so many scans, full
-//! ones, decoded (`decode`) or brought from port to consumer by the driver
-//! (`driver`, on the paused clock, at 10 Hz).
+//! Work whose instructions `.ci/callgrind` counts: a number of full scans, decoded
+//! (`decode`) or brought from port to consumer by the driver (`driver`, at 10 Hz on the
+//! paused clock).
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 

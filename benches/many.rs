@@ -1,7 +1,7 @@
-//! Many sensors at 10 Hz on one current-thread runtime: share of a core, how
-//! late polls leave, heap for each sensor. Once with emulated sensors on
-//! in-memory links, whose work counts too, and once with a peer that answers
-//! from memory, which leaves little but the driver.
+//! Many sensors at 10 Hz on one current-thread runtime: share of a core, lateness of
+//! polls, heap for each sensor. Once with emulated sensors on in-memory links, whose
+//! work counts too, and once with a peer that answers from memory, so that little is
+//! measured but the driver.
 //!
 //! `cargo bench --bench many -- emulated 8000` measures one row.
 
@@ -38,7 +38,7 @@ fn main() {
     }
 }
 
-/// How late each poll left, while it is recorded.
+/// The lateness of each poll, while it is recorded.
 type Lateness = Arc<Mutex<Option<Vec<Duration>>>>;
 
 fn row(kind: &str, sensors: usize) {
@@ -69,8 +69,8 @@ fn row(kind: &str, sensors: usize) {
     );
 }
 
-/// Opens the sensors, spreads them over the period, and leaves each with a task
-/// that consumes its scans.
+/// Opens the sensors, spreads them over the period, and spawns a task for each that
+/// consumes its scans.
 async fn open(kind: &str, sensors: usize, lateness: &Lateness) {
     let opening: JoinSet<Sensor> = (0..sensors).map(|_| sensor(kind.to_owned())).collect();
     let opened = opening.join_all().await;
@@ -93,7 +93,7 @@ async fn sensor(kind: String) -> Sensor {
     Sensor::builder().connect(emulator).await.unwrap()
 }
 
-/// The first poll was due between `start` and a moment later.
+/// Records the lateness of each poll. The first one was due just after `start`.
 async fn consume(mut stream: ScanStream, start: Instant, lateness: Lateness) {
     while let Some(scan) = stream.next().await {
         let since = scan.unwrap().requested_at() - start;

@@ -1,10 +1,10 @@
-//! Polls as fast as a sensor answers, on a pseudo-terminal with the sensor in
-//! another process: scans a second and CPU time a scan, beside a floor that
-//! writes a command and reads until the reply has ended, no more.
+//! Scans a second and CPU time a scan, polled as fast as a sensor answers, on a
+//! pseudo-terminal with the sensor in another process. Beside it a floor, which only
+//! writes a command and reads until the reply has ended.
 //!
-//! `cargo bench --bench round_trip` prints a table; with a way of polling
-//! (`floor`, `tokio`, `current` or `multi`) and a sensor (`prompt` or `emulated`)
-//! it does only that, for `strace -cf`.
+//! `cargo bench --bench round_trip` prints a table. With the arguments of one poller
+//! (`floor`, `tokio`, `current` or `multi`) and one sensor (`prompt` or `emulated`) it
+//! runs only these, for `strace -cf`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -28,7 +28,7 @@ mod support;
 
 const ROUNDS: usize = 15;
 
-/// The sensors in the other process, and how often to poll them in a round.
+/// The sensors in the other process, and the number of polls in a round.
 const SENSORS: [(&str, usize); 2] = [("prompt", 8_000), ("emulated", 200)];
 
 fn main() {
@@ -36,30 +36,30 @@ fn main() {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match arguments[..] {
         ["serve", sensor] => serve(sensor),
-        [way, sensor] => {
+        [poller, sensor] => {
             let (_, polls) = SENSORS.into_iter().find(|(name, _)| *name == sensor).unwrap();
             let server = Server::start(sensor);
-            println!("{way}: {:?}", poll(way, &server.path, polls));
+            println!("{poller}: {:?}", poll(poller, &server.path, polls));
         }
         _ => table(),
     }
 }
 
 fn table() {
-    println!("sensor    way      scans/s  of floor  CPU us/scan  of floor");
+    println!("sensor    poller   scans/s  of floor  CPU us/scan  of floor");
     for (sensor, polls) in SENSORS {
         let server = Server::start(sensor);
-        let ways = ["floor", "tokio", "current", "multi"];
-        // Side by side in each round: what disturbs one disturbs all.
+        let pollers = ["floor", "tokio", "current", "multi"];
+        // Side by side in each round: a load that disturbs one disturbs all.
         let rounds: Vec<[Cost; 4]> =
-            (0..ROUNDS).map(|_| ways.map(|way| poll(way, &server.path, polls))).collect();
-        for (index, way) in ways.into_iter().enumerate() {
+            (0..ROUNDS).map(|_| pollers.map(|poller| poll(poller, &server.path, polls))).collect();
+        for (index, poller) in pollers.into_iter().enumerate() {
             let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
             let to_floor = |figure: fn(&Cost) -> f64| {
                 median(rounds.iter().map(|r| figure(&r[index]) / figure(&r[0])))
             };
             println!(
-                "{sensor:9} {way:8} {:7.0}  {:8.2}  {:11.1}  {:8.2}",
+                "{sensor:9} {poller:8} {:7.0}  {:8.2}  {:11.1}  {:8.2}",
                 of(Cost::rate),
                 to_floor(Cost::rate),
                 of(Cost::cpu),
@@ -69,7 +69,7 @@ fn table() {
     }
 }
 
-/// What some scans took.
+/// The time and CPU time of a number of scans.
 #[derive(Debug)]
 struct Cost {
     scans: usize,
@@ -82,25 +82,25 @@ impl Cost {
         self.scans as f64 / self.time.as_secs_f64()
     }
 
-    /// Microseconds a scan.
+    /// Returns microseconds of CPU time a scan.
     fn cpu(&self) -> f64 {
         us(self.cpu) / self.scans as f64
     }
 }
 
-fn poll(way: &str, path: &Path, scans: usize) -> Cost {
-    match way {
+fn poll(poller: &str, path: &Path, scans: usize) -> Cost {
+    match poller {
         "floor" => floor(path, scans),
         "tokio" => tokio(path, scans),
         "current" => {
             driver(Builder::new_current_thread().enable_all().build().unwrap(), path, scans)
         }
         "multi" => driver(Builder::new_multi_thread().enable_all().build().unwrap(), path, scans),
-        _ => panic!("{way}: use floor, tokio, current or multi"),
+        _ => panic!("{poller}: use floor, tokio, current or multi"),
     }
 }
 
-/// One write and as few reads as possible, no decoding.
+/// Polls with one write and as few reads as possible, without decoding.
 fn floor(path: &Path, scans: usize) -> Cost {
     let mut port = terminal::open(path);
     let mut buffer = [0; 4096];
@@ -118,8 +118,8 @@ fn floor(path: &Path, scans: usize) -> Cost {
     Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
 }
 
-/// The floor on tokio: its serial port, a deadline for each reply, and no
-/// decoding, all in one task.
+/// Does the same on tokio: a port of tokio-serial, a deadline for each read, no decoding,
+/// one task.
 fn tokio(path: &Path, scans: usize) -> Cost {
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let path = path.to_str().unwrap().to_owned();
@@ -145,8 +145,8 @@ fn tokio(path: &Path, scans: usize) -> Cost {
     runtime.block_on(polling).unwrap()
 }
 
-/// The driver, with its consumer in a task of its own. All scans count: a
-/// consumer on another thread may be too slow to see each of them.
+/// Polls through the driver, with the consumer in a task of its own. Scans that the
+/// consumer missed count too: on another thread it may be too slow to see each of them.
 fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
     let path = path.to_str().unwrap().to_owned();
     let polling = runtime.spawn(async move {
@@ -192,7 +192,7 @@ impl Drop for Server {
     }
 }
 
-/// Plays the sensor, and tells on standard output where it is.
+/// Plays the sensor, and prints the path of its pseudo-terminal.
 fn serve(sensor: &str) {
     if sensor == "prompt" {
         let terminal = terminal::Terminal::open();

@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# What the crate adds to a service: crates in the tree, time of a clean release
-# build, size of the program. Beside it a program that opens the same port with
-# tokio and tokio-serial alone. Then what each feature adds to crates and to a
-# clean release build of this crate. bash benches/size.sh
+# The size of a service on this crate: dependencies, time of a clean release build,
+# size of the program. Beside it a program that opens the same port with tokio and
+# tokio-serial alone. Then the dependencies and the build time that each feature adds to
+# this crate. bash benches/size.sh
 set -euo pipefail
 crate=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-# The figures are those of cargo's defaults, which a service has, not of what urg
-# is released with; and of the versions in Cargo.lock.
+# Cargo's defaults, which a service has, and not the profile that urg is released with;
+# the versions in Cargo.lock.
 unset CARGO_TARGET_DIR CARGO_INCREMENTAL RUSTFLAGS
 export CARGO_PROFILE_RELEASE_LTO=false CARGO_PROFILE_RELEASE_CODEGEN_UNITS=16
 
@@ -65,7 +65,7 @@ for name in bare service; do
     cd "$work/$name"
     cargo fetch --quiet
     crates=$(cargo tree --edges normal --prefix none --no-dedupe | sort -u | wc -l)
-    # Seconds on the clock, and of CPU time: the second is less noisy.
+    # Seconds on the clock and of CPU time; CPU time varies less.
     read -r seconds cpu < <({ time cargo build --quiet --release --offline; } 2>&1)
     program=target/release/$name
     size=$(stat -c %s "$program")

@@ -1,7 +1,7 @@
-//! How late polls leave on the real clock, beside the ticks of a bare
-//! `tokio::time::interval`; and how long after the last byte of a reply its
-//! consumer holds the scan, beside a task that waits in a bare read. All four
-//! run side by side on one current-thread runtime.
+//! The lateness of polls on the real clock, beside the ticks of a bare
+//! `tokio::time::interval`; and the time from the last byte of a reply until its
+//! consumer has the scan, beside a task that waits in a bare read. All four run side by
+//! side on one current-thread runtime.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -78,7 +78,7 @@ async fn lateness_of_ticks() -> Vec<Duration> {
 
 async fn latency_of_scans() -> Vec<Duration> {
     let terminal = Terminal::open();
-    let written = serve_and_tell(terminal.master);
+    let written = serve_and_report(terminal.master);
     let sensor = Sensor::open(terminal.path.to_str().unwrap()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::every(PERIOD)).await.unwrap();
     let (mut samples, mut times) = (Vec::new(), Vec::new());
@@ -93,7 +93,7 @@ async fn latency_of_scans() -> Vec<Duration> {
 
 async fn latency_of_reads() -> Vec<Duration> {
     let terminal = Terminal::open();
-    let written = serve_and_tell(terminal.master);
+    let written = serve_and_report(terminal.master);
     let path = terminal.path.to_str().unwrap();
     let mut port = SerialStream::open(&tokio_serial::new(path, 19_200)).unwrap();
     let (mut ticks, mut buffer) = (interval(PERIOD), vec![0; 4096]);
@@ -113,10 +113,10 @@ async fn latency_of_reads() -> Vec<Duration> {
     samples
 }
 
-/// A sensor on a thread of its own, which tells when it has written the last
-/// byte of each scan. That byte comes alone, when the rest was read.
-fn serve_and_tell(mut master: File) -> mpsc::Receiver<Instant> {
-    let (tell, written) = mpsc::channel();
+/// Plays a sensor on a thread of its own, and reports when it has written the last byte
+/// of each scan. That byte is sent alone, after the rest was read.
+fn serve_and_report(mut master: File) -> mpsc::Receiver<Instant> {
+    let (report, written) = mpsc::channel();
     std::thread::spawn(move || {
         let (mut command, mut reply) = (Vec::new(), Vec::new());
         while terminal::read_command(&mut master, &mut command).is_some() {
@@ -126,8 +126,8 @@ fn serve_and_tell(mut master: File) -> mpsc::Receiver<Instant> {
             master.write_all(rest).unwrap();
             std::thread::sleep(Duration::from_micros(300));
             let now = Instant::now();
-            // Not the G with which the driver begins.
-            if command.starts_with(b"G04") && tell.send(now).is_err() {
+            // Not the fence that opens the port.
+            if command.starts_with(b"G04") && report.send(now).is_err() {
                 return;
             }
             if master.write_all(&[*last]).is_err() {

@@ -112,6 +112,8 @@
 //! The minimum Rust is 1.88. It is at least half a year old whenever it is raised,
 //! and raising it raises the second number before 1.0, the minor one after.
 #![cfg_attr(not(feature = "emulator"), allow(rustdoc::broken_intra_doc_links))]
+// docs.rs builds with nightly and this cfg: each item shows the feature that it needs.
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod codec;
 mod driver;

@@ -1,4 +1,4 @@
-//! What the benchmarks share: CPU time, percentiles, and medians of several
+//! Helpers that the benchmarks share: CPU time, percentiles, and medians of several
 //! runs.
 
 #![allow(dead_code, reason = "each benchmark uses a part of it")]
@@ -8,8 +8,8 @@ use std::time::Duration;
 #[path = "terminal.rs"]
 pub(crate) mod terminal;
 
-/// The CPU time that this process has used so far, all threads that still run
-/// together (Linux).
+/// Returns the CPU time of this process so far, summed over all threads that still run
+/// (Linux).
 pub(crate) fn cpu_time() -> Duration {
     let tasks = std::fs::read_dir("/proc/self/task").expect("a Linux /proc");
     let nanos = tasks.map(|task| {
@@ -21,21 +21,22 @@ pub(crate) fn cpu_time() -> Duration {
     Duration::from_nanos(nanos.sum())
 }
 
-/// Sorts, and gives what a `share` of all values, 0.0..=1.0, is not above.
+/// Sorts the values, and returns the smallest that a `share` of them, 0.0..=1.0, does not
+/// exceed.
 pub(crate) fn percentile<T: Copy + Ord>(values: &mut [T], share: f64) -> T {
     values.sort_unstable();
     let place = (values.len() as f64 * share).ceil() as usize;
     values[place.clamp(1, values.len()) - 1]
 }
 
-/// The median of figures.
+/// Returns the median.
 pub(crate) fn median(figures: impl IntoIterator<Item = f64>) -> f64 {
     let mut figures: Vec<f64> = figures.into_iter().collect();
     figures.sort_unstable_by(f64::total_cmp);
     figures[figures.len() / 2]
 }
 
-/// Microseconds, for a table.
+/// Returns microseconds, for a table.
 pub(crate) fn us(time: Duration) -> f64 {
     time.as_secs_f64() * 1e6
 }

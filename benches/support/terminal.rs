@@ -1,5 +1,5 @@
-//! A pseudo-terminal with a sensor at its other end that answers at once, on a
-//! thread or in a process that does nothing else.
+//! A pseudo-terminal with a sensor at its other end that answers at once, on a thread or
+//! in a process of its own.
 
 #![allow(dead_code, reason = "each benchmark uses a part of it")]
 
@@ -14,7 +14,7 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 pub(crate) struct Terminal {
     /// The sensor's end.
     pub(crate) master: File,
-    /// Kept open: the terminal survives its clients.
+    /// Kept open, so that the terminal outlives its clients.
     pub(crate) slave: File,
     pub(crate) path: PathBuf,
 }
@@ -39,7 +39,7 @@ pub(crate) fn open(path: &std::path::Path) -> File {
     OpenOptions::new().read(true).write(true).open(path).expect("the terminal")
 }
 
-/// Reads the next command, without its terminator; `None` at the end.
+/// Reads the next command, without its terminator. Returns `None` at the end.
 pub(crate) fn read_command(master: &mut File, command: &mut Vec<u8>) -> Option<()> {
     command.clear();
     let mut buffer = [0; 64];
@@ -48,7 +48,7 @@ pub(crate) fn read_command(master: &mut File, command: &mut Vec<u8>) -> Option<(
         command.extend_from_slice(&buffer[..count]);
         if command.ends_with(b"\n") {
             command.pop();
-            // The driver may end a command of somebody else's first.
+            // The driver sends an LF first, which ends a command of an earlier program.
             let start = command.iter().rposition(|&byte| byte == b'\n').map_or(0, |at| at + 1);
             command.drain(..start);
             return Some(());
@@ -56,7 +56,7 @@ pub(crate) fn read_command(master: &mut File, command: &mut Vec<u8>) -> Option<(
     }
 }
 
-/// Answers commands for ever, each reply in one piece.
+/// Answers commands until the terminal is closed, each reply in one piece.
 pub(crate) fn serve(mut master: File) {
     let (mut command, mut reply) = (Vec::new(), Vec::new());
     while read_command(&mut master, &mut command).is_some() {
