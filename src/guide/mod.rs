@@ -14,6 +14,7 @@
 //! 10. [`recipes`]: short programs for common uses of a scanner
 //! 11. [`recording`]: how to record a sensor and replay it
 //! 12. [`design`]: how the crate is built
+//! 13. [`rationale`]: why it is built so: decisions, alternatives, evidence
 
 macro_rules! chapters {
     ($($name:ident)*) => {
@@ -26,4 +27,5 @@ macro_rules! chapters {
 
 chapters! {
     polling trust recovery baud_rates geometry testing operating logging common_issues recipes recording design
+    rationale
 }
