@@ -1,17 +1,18 @@
 //! An async driver for Hokuyo URG laser range sensors that speak SCIP 1.1.
 //!
-//! A URG is a small spinning laser scanner: ten times a second it measures the
-//! distance, 20 mm to 4 m, in each of 682 directions around it. This crate lets
-//! an async service await its scans, day and night, unattended: every scan is
-//! whole and is the answer to the request it is attached to, and scans keep
-//! coming after a cable is pulled and put back.
+//! A URG is a small laser scanner. Ten times a second it measures the distance, 20
+//! mm to 4 m, in each of 682 directions around it. With this crate an async service
+//! awaits its scans, day and night, unattended. Every scan is whole and is the answer
+//! to the request it is attached to. Scans continue by themselves after a cable was
+//! pulled and put back.
 //!
 //! # Which sensors
 //!
 //! Those that speak SCIP 1.1, the protocol of Hokuyo's document C-42-3320-A: the
-//! URG-04LX and its like, over USB or RS-232. Later models (UTM-30LX, UST-10LX)
-//! know only SCIP 2 and are told apart when they are opened. A URG-04LX that some
-//! other program has switched to SCIP 2 is back in SCIP 1.1 after a power-cycle.
+//! URG-04LX and URGs of its time, over USB or RS-232. Later models (UTM-30LX,
+//! UST-10LX) know only SCIP 2; opening one fails with [`Error::WrongProtocol`]. A
+//! URG-04LX that another program has switched to SCIP 2 is back in SCIP 1.1 after a
+//! power-cycle.
 //!
 //! # A first program
 //!
@@ -31,15 +32,15 @@
 //!                 println!("{:.3} {:.3}", point.x, point.y); // metres; x forward, y left
 //!             }
 //!         }
-//!         Err(error) => eprintln!("no scan: {error}"), // and the stream goes on
+//!         Err(error) => eprintln!("no scan: {error}"), // the stream continues
 //!     }
 //! }
 //! # Ok(())
 //! # }
 //! ```
 //!
-//! No sensor at hand? With feature `emulator` the same program runs on one in
-//! software, [`emulator::Emulator`]:
+//! Without a sensor, the same program runs on one in software (feature `emulator`),
+//! an [`emulator::Emulator`]:
 //!
 //! ```
 //! # #[cfg(feature = "emulator")] {
@@ -61,56 +62,56 @@
 //!
 //! # Where to find what
 //!
-//! - [`Sensor`] opens a sensor and asks it things; [`SensorBuilder`] for all that
-//!   `open` takes for granted.
+//! - [`Sensor`] is the handle to a sensor: open it, send requests, make streams.
+//!   [`SensorBuilder`] sets everything that `open` has a default for.
 //! - [`ScanStream`] is a `Stream` of [`Scan`]s of a [`Window`] at a [`Rate`].
-//! - [`Scan`] has values, measurements, ranges and points, with the fields of
-//!   ROS's `sensor_msgs/LaserScan` by name.
-//! - [`State`] and [`Stats`] tell how it goes; [`Error`] what went wrong and what
-//!   to do about it.
-//! - [`port`] has the ways to reach a sensor, [`protocol`] and [`codec`] the
-//!   protocol itself, for those who want to speak it on their own.
-//! - The [`guide`] explains polling and freshness, why a scan can be trusted,
-//!   recovery, baud rates, geometry, testing, operating, logging, has
-//!   [recipes](guide::recipes), and tells [how the crate is built](guide::design).
+//! - [`Scan`] has values, measurements, ranges and points. Methods named after the
+//!   fields of ROS's `sensor_msgs/LaserScan` return these fields.
+//! - [`State`] is the state of the connection, [`Stats`] are its counters. [`Error`]
+//!   states what failed and what to do about it.
+//! - [`port`] has the ways to reach a sensor. [`protocol`] and [`codec`] are the
+//!   protocol itself, for programs that speak it without this driver.
+//! - The [`guide`] explains polling, trust, recovery, baud rates, geometry, testing,
+//!   operating and logging. It has [recipes](guide::recipes), [how the crate is
+//!   built](guide::design), and [why](guide::rationale).
 //!
 //! # Features
 //!
-//! | feature | brings |
+//! | feature | adds |
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
 //! | `serde` | scans, windows, versions, states and counters as data |
 //! | `emulator` | a sensor in software, to test a service without hardware |
-//! | `mcap` | recordings that ROS 2's tools open, and replaying them |
+//! | `mcap` | recordings that ROS 2's tools open, and their replay |
 //! | `cli` | the program `urg` |
 //! | `web` | `urg serve`: a live page for any browser, and scans over HTTP |
 //!
-//! Without default features only `serial` is gone: TCP, [`Sensor::attach`] and
-//! one's own [`Connect`] are always there.
+//! `serial` is the only default feature. TCP, [`Sensor::attach`] and your own
+//! [`Connect`] need no feature.
 //!
 //! # Cancel safety
 //!
-//! A future is *cancel-safe* if it can be dropped at any await with nothing lost
-//! and nothing disturbed. All futures of this crate are, but for
-//! [`Driver`], whose dropping ends it, as its docs say.
+//! A future is *cancel-safe* if dropping it at any await loses nothing and disturbs
+//! nothing. All futures of this crate are, except [`Driver`]: dropping it ends the
+//! driver.
 //!
 //! # Runtime
 //!
-//! Tokio with its timer, and I/O for serial ports and TCP. One task for each
-//! sensor, no thread of its own; opening a serial port uses the runtime's
-//! blocking threads for a moment.
+//! Tokio with its timer, and with I/O for serial ports and TCP. Each sensor has one
+//! task and no thread. Opening a serial port, looking through the ports, and resolving
+//! a host name each use one of the runtime's blocking threads meanwhile.
 //!
 //! # Versions
 //!
-//! Semantic versioning: before 1.0 a change that breaks code raises the second
-//! number, any other the third. What counts is the public API with its documented
-//! behaviour, the options and output formats of `urg`, and the serialised forms;
-//! texts of errors and lines of log may change at any time. Enums and structs that
-//! may grow are `#[non_exhaustive]`. The types of `tokio`, `tokio-util`, `futures`,
-//! `bytes` and `serde` in the API are part of it.
+//! Versions are semantic. Before 1.0 a breaking change raises the second number, any
+//! other change the third. Covered are the public API with its documented behaviour,
+//! the options and output formats of `urg`, and the serialised forms. Texts of errors
+//! and log lines may change at any time. Enums and structs that may grow are
+//! `#[non_exhaustive]`. The types of `tokio`, `tokio-util`, `futures`, `bytes` and
+//! `serde` in the API are part of it.
 //!
-//! The minimum Rust is 1.88. It is at least half a year old whenever it is raised,
-//! and raising it raises the second number before 1.0, the minor one after.
+//! The minimum Rust is 1.88. A new minimum is at least half a year old when it is
+//! raised. Raising it raises the second number before 1.0, and the minor one after.
 #![cfg_attr(not(feature = "emulator"), allow(rustdoc::broken_intra_doc_links))]
 // docs.rs builds with nightly and this cfg: each item shows the feature that it needs.
 #![cfg_attr(docsrs, feature(doc_cfg))]
