@@ -130,6 +130,8 @@ mod rate;
 #[cfg(feature = "mcap")]
 pub mod recording;
 mod ring;
+#[cfg(feature = "mcap")]
+mod ros;
 mod scan;
 mod sensor;
 mod state;

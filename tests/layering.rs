@@ -6,9 +6,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// From the top down: a module uses those behind it in this list, and no other.
-const ORDER: [&str; 12] = [
-    "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "scan", "rate",
-    "error", "protocol",
+const ORDER: [&str; 13] = [
+    "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "ros", "scan",
+    "rate", "error", "protocol",
 ];
 
 /// They may use all of the crate, and only the program and tests use them.

@@ -10,7 +10,7 @@ const STEPS: u16 = 769;
 #[derive(Debug, Default)]
 pub(crate) struct UniqueRequests {
     /// The windows of the last `G`s, polls and fences, the newest first.
-    recent: [Option<Window>; 3],
+    recent: [Option<Window>; Window::MAX_EXTRA_POINTS as usize],
     /// The steps that were asked for alone since the last answered fence: a
     /// fence must be none of them.
     single: [u64; STEPS.div_ceil(64) as usize],

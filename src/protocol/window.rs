@@ -252,6 +252,10 @@ impl Window {
         f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_TURN
     }
 
+    /// By how many points at most a poll is widened so that it differs from the
+    /// polls before it. The driver chooses, and a replay recognises its choice.
+    pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
+
     /// One step alone.
     pub(crate) const fn single(step: u16) -> Self {
         let step = Step(if step > LAST { LAST } else { step });

@@ -1,4 +1,4 @@
-//! What can go wrong with a recording.
+//! [`RecordingError`].
 
 use std::io;
 use std::path::PathBuf;
@@ -6,14 +6,14 @@ use std::sync::Arc;
 
 use mcap::McapError;
 
-/// What went wrong with a recording. As all errors of this crate: `Display`
-/// tells its own layer, the cause is in
-/// [`source`](std::error::Error::source), and clones are cheap.
+/// An error of recording, reading or replaying. As in all errors of this crate,
+/// `Display` covers its own layer, [`source`](std::error::Error::source) returns
+/// the cause, and clones are cheap.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
-    /// The file exists, and was not to be written over.
-    #[error("{} exists already, and is not written over: use another name", path.display())]
+    /// The file exists, and overwriting was not asked for.
+    #[error("{} exists already and is not overwritten: choose another name", path.display())]
     Exists {
         /// The file.
         path: PathBuf,
@@ -23,34 +23,34 @@ pub enum RecordingError {
     Open {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: Arc<io::Error>,
     },
-    /// Nothing more can be written; what was written before can be read.
-    #[error("the recording has ended: writing failed; what was recorded before can be read")]
+    /// Writing failed, and the recording has ended. What was written before can
+    /// be read.
+    #[error("writing the recording failed: it has ended, and what was written before can be read")]
     Write {
-        /// Why.
+        /// The system's error.
         source: Arc<io::Error>,
     },
-    /// The file cannot be read any further.
+    /// Reading failed, and the rest of the file was not read.
     #[error("reading the recording failed")]
     Read {
-        /// Why.
+        /// The system's error.
         source: Arc<io::Error>,
     },
-    /// It is not an MCAP file.
-    #[error("this is no MCAP file: only recordings can be replayed")]
+    /// The file is not MCAP.
+    #[error("not a recording: expected an MCAP file, found other bytes at its start")]
     NotMcap,
-    /// It is an MCAP file, and from here on it is not as it should be. That its
-    /// end is missing is no error.
+    /// The file is MCAP and malformed from here on. A missing end is no error.
     #[error("the recording is damaged: {reason}")]
     Damaged {
-        /// What is wrong.
+        /// The failed check.
         reason: String,
     },
-    /// There are no replies of a sensor in it.
+    /// The file has no replies of a sensor.
     #[error(
-        "there are no replies of a sensor in this recording: only what `urg record` or a Recorder with a tap has written can be replayed"
+        "no replies of a sensor in this recording: only a file of `urg record`, or of a Recorder with its observer set, can be replayed"
     )]
     NoReplies,
 }

@@ -73,23 +73,26 @@
 //! A recording's bytes are read when they are asked for, in small pieces, on
 //! the runtime's thread.
 
-mod cdr;
 mod error;
 mod event;
+mod progress;
 mod queue;
 mod reader;
+mod record;
 mod recorder;
 mod records;
 mod replay;
-mod ros;
+mod topics;
 mod writer;
 
 pub use self::error::RecordingError;
-pub use self::event::Event;
-pub use self::reader::{Entry, Record, Recording, Reply};
-pub use self::recorder::{Progress, Recorder, RecorderBuilder};
+pub use self::event::{Event, InvalidEvent};
+pub use self::progress::Progress;
+pub use self::reader::Recording;
+pub use self::record::{Entry, Record, Reply};
+pub use self::recorder::{Recorder, RecorderBuilder};
 pub use self::replay::ReplayPace;
-pub use self::ros::LaserScan;
+pub use crate::ros::LaserScan;
 
 /// The name of the metadata record.
 const METADATA: &str = "tokio_scip";

@@ -1,5 +1,5 @@
-//! [`Queue`]: what waits for the thread that writes the file, how much may wait,
-//! and that thread.
+//! [`Queue`]: hands messages from async code to the thread that writes the file,
+//! and bounds how many bytes wait. The thread is here, too.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufWriter, Write};
@@ -13,25 +13,25 @@ use mcap::McapResult;
 use tokio::sync::{oneshot, watch};
 
 use super::RecordingError;
-use super::recorder::Progress;
+use super::progress::Progress;
 use super::writer::{LogClock, Times, Writer};
 use crate::Scan;
 
-/// How long what was recorded may stay in memory.
-const FLUSH: Duration = Duration::from_secs(1);
-/// How many bytes wait for a disk that is slow; at 10 scans a second that
-/// is some four minutes.
-const MOST: usize = 8 << 20;
-/// How many are so few that a source that can wait goes on.
-const FEW: usize = 1 << 20;
-/// What an entry costs besides what it carries.
-const OVERHEAD: usize = 128;
+/// A message is in the file after this time at the latest.
+const FLUSH_INTERVAL: Duration = Duration::from_secs(1);
+/// How many bytes wait for a slow disk at most. At 10 scans a second that is
+/// some four minutes.
+const HIGH_WATER_BYTES: usize = 8 << 20;
+/// [`Queue::ready`] waits until at most this many bytes wait.
+const LOW_WATER_BYTES: usize = 1 << 20;
+/// The bytes that a queued item takes besides its content.
+const ITEM_OVERHEAD_BYTES: usize = 128;
 
-/// What is on its way into the file.
+/// The items on their way into the file.
 #[derive(Debug)]
 pub(super) struct Queue {
-    entries: mpsc::Sender<Entry>,
-    /// How many bytes wait; nothing once nobody writes any more.
+    items: mpsc::Sender<WriteItem>,
+    /// How many bytes wait; `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
     scans: AtomicU64,
     replies: AtomicU64,
@@ -42,7 +42,7 @@ pub(super) struct Queue {
 }
 
 #[derive(Debug)]
-pub(super) enum Entry {
+pub(super) enum WriteItem {
     Scan(Scan),
     Reply {
         command: String,
@@ -54,13 +54,14 @@ pub(super) enum Entry {
         times: Times,
     },
     Metadata(BTreeMap<String, String>),
-    /// The end, and who is to be told that it was written.
+    /// Ends the file, and reports that it was written.
     Finish(oneshot::Sender<()>),
 }
 
-impl Entry {
+impl WriteItem {
+    /// Returns how many of the bytes that may wait this item takes.
     fn weight(&self) -> usize {
-        OVERHEAD
+        ITEM_OVERHEAD_BYTES
             + match self {
                 Self::Scan(scan) => scan.len() * size_of::<u16>(),
                 Self::Reply { bytes, .. } => bytes.len(),
@@ -71,10 +72,10 @@ impl Entry {
 }
 
 impl Queue {
-    fn new() -> (Self, mpsc::Receiver<Entry>) {
-        let (entries, receiver) = mpsc::channel();
+    fn new() -> (Self, mpsc::Receiver<WriteItem>) {
+        let (items, receiver) = mpsc::channel();
         let queue = Self {
-            entries,
+            items,
             waiting: watch::Sender::new(Some(0)),
             scans: AtomicU64::new(0),
             replies: AtomicU64::new(0),
@@ -86,7 +87,7 @@ impl Queue {
         (queue, receiver)
     }
 
-    /// Begins a file, and the thread that writes it.
+    /// Starts a file, and the thread that writes it.
     pub(super) fn into_file(
         out: impl Write + Send + 'static,
         frame_id: String,
@@ -107,39 +108,41 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Queues an entry, unless too much is queued already or nobody writes any
-    /// more: then it is lost.
-    pub(super) fn push(&self, entry: Entry) {
-        let weight = entry.weight();
-        let counters = match &entry {
-            Entry::Scan(_) => Some((&self.scans, &self.lost)),
-            Entry::Reply { .. } => Some((&self.replies, &self.lost_replies)),
+    /// Queues an item. If too many bytes wait already, or the thread has ended,
+    /// the item is lost, and counted.
+    pub(super) fn push(&self, item: WriteItem) {
+        let weight = item.weight();
+        let counters = match &item {
+            WriteItem::Scan(_) => Some((&self.scans, &self.lost)),
+            WriteItem::Reply { .. } => Some((&self.replies, &self.lost_replies)),
             _ => None,
         };
-        let room = self.waiting.send_if_modified(|waiting| {
-            let more = waiting.map(|waiting| waiting + weight).filter(|more| *more <= MOST);
+        let fits = self.waiting.send_if_modified(|waiting| {
+            let more =
+                waiting.map(|waiting| waiting + weight).filter(|more| *more <= HIGH_WATER_BYTES);
             *waiting = more.or(*waiting);
             more.is_some()
         });
-        let queued = room && self.entries.send(entry).is_ok();
+        let queued = fits && self.items.send(item).is_ok();
         if let Some((kept, lost)) = counters {
             if queued { kept } else { lost }.fetch_add(1, Ordering::Relaxed);
         }
     }
 
-    /// Waits until only few bytes wait, or nobody writes any more.
-    pub(super) async fn room(&self) {
-        // The sender is here.
-        let few = |waiting: &Option<usize>| waiting.is_none_or(|waiting| waiting <= FEW);
+    /// Waits until at most [`LOW_WATER_BYTES`] wait, or the thread has ended.
+    pub(super) async fn ready(&self) {
+        let few =
+            |waiting: &Option<usize>| waiting.is_none_or(|waiting| waiting <= LOW_WATER_BYTES);
+        // Fails only without a sender, and `self` has it.
         let _ = self.waiting.subscribe().wait_for(few).await;
     }
 
-    /// Ends the file behind what is queued; the receiver is told, or dropped where
-    /// the thread has failed.
+    /// Ends the file after all queued items. The receiver resolves once that is
+    /// written, or with an error if the thread has failed.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
         let (done, finished) = oneshot::channel();
-        // No thread: no need.
-        let _ = self.entries.send(Entry::Finish(done));
+        // Fails if the thread has ended, and the file with it.
+        let _ = self.items.send(WriteItem::Finish(done));
         finished
     }
 
@@ -154,18 +157,18 @@ impl Queue {
         }
     }
 
-    /// Why writing failed, if it did.
+    /// Returns the error of writing, if it failed.
     pub(super) fn failure(&self) -> Option<RecordingError> {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Nobody writes any more, so that nothing is waited for.
+    /// Marks the thread as ended, so that nobody waits for it.
     fn end(&self, outcome: McapResult<()>) {
         self.fail(outcome);
         self.waiting.send_replace(None);
     }
 
-    /// Keeps why writing failed, for the recorder to tell; one line of log.
+    /// Keeps and logs the error, if `outcome` is one.
     fn fail(&self, outcome: McapResult<()>) {
         if let Err(error) = outcome.map_err(RecordingError::write) {
             let cause = std::error::Error::source(&error);
@@ -178,26 +181,28 @@ impl Queue {
 /// Writes the file until it is finished.
 fn write_all<W: Write>(
     mut writer: Writer<W>,
-    entries: &mpsc::Receiver<Entry>,
+    items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
 ) -> McapResult<()> {
-    // When the oldest thing came that is not in the file.
+    // When the oldest message came that is not in the file.
     let mut unwritten: Option<Instant> = None;
     loop {
-        let entry = match unwritten {
-            None => entries.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            Some(since) => entries.recv_timeout(FLUSH.saturating_sub(since.elapsed())),
+        let item = match unwritten {
+            None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            Some(since) => items.recv_timeout(FLUSH_INTERVAL.saturating_sub(since.elapsed())),
         };
-        let weight = entry.as_ref().map_or(0, Entry::weight);
-        match entry {
-            Ok(Entry::Scan(scan)) => writer.scan(&scan)?,
-            Ok(Entry::Reply { command, bytes, times }) => writer.reply(&command, &bytes, times)?,
-            Ok(Entry::Event { json, times }) => writer.event(&json, times)?,
-            Ok(Entry::Metadata(metadata)) => writer.metadata(metadata)?,
-            Ok(Entry::Finish(done)) => {
-                // Before whoever waits looks for it.
+        let weight = item.as_ref().map_or(0, WriteItem::weight);
+        match item {
+            Ok(WriteItem::Scan(scan)) => writer.scan(&scan)?,
+            Ok(WriteItem::Reply { command, bytes, times }) => {
+                writer.reply(&command, &bytes, times)?
+            }
+            Ok(WriteItem::Event { json, times }) => writer.event(&json, times)?,
+            Ok(WriteItem::Metadata(metadata)) => writer.metadata(metadata)?,
+            Ok(WriteItem::Finish(done)) => {
+                // Kept first: the waiting recorder looks for it at once.
                 queue.fail(writer.finish());
-                // They may have given up.
+                // Fails if the recorder's future was dropped.
                 let _ = done.send(());
                 return Ok(());
             }
@@ -209,22 +214,22 @@ fn write_all<W: Write>(
             Err(RecvTimeoutError::Disconnected) => return writer.finish(),
         }
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
-        if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH {
+        if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH_INTERVAL {
             writer.flush()?;
             unwritten = None;
         }
     }
 }
 
-/// Counts the bytes that get through. What they go to is anybody's: that it panics
-/// is a failure to write.
+/// Counts the bytes written. A panic of the user's writer becomes an error, so
+/// that it ends the recording and not this thread.
 struct Counted<W> {
     out: W,
     queue: Arc<Queue>,
 }
 
 impl<W: Write> Counted<W> {
-    fn caught<T>(&mut self, work: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
+    fn catch_panic<T>(&mut self, work: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
         let done = catch_unwind(AssertUnwindSafe(|| work(&mut self.out)));
         done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
     }
@@ -232,13 +237,13 @@ impl<W: Write> Counted<W> {
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let written = self.caught(|out| out.write(bytes))?;
+        let written = self.catch_panic(|out| out.write(bytes))?;
         self.queue.bytes.fetch_add(written as u64, Ordering::Relaxed);
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.caught(W::flush)
+        self.catch_panic(W::flush)
     }
 }
 
@@ -250,18 +255,18 @@ mod tests {
 
     use super::*;
 
-    /// The thread is told to be gone before its end of the channel is.
+    /// The thread is marked as ended before its end of the channel closes.
     #[test]
-    fn nobody_waits_for_what_comes_while_the_thread_that_writes_ends() {
+    fn ready_returns_for_items_pushed_while_the_thread_ends() {
         let (queue, _receiver) = Queue::new();
         let times = Times { steady: Instant::now(), wall: SystemTime::now() };
-        let push = || queue.push(Entry::Event { json: "x".repeat(FEW), times });
+        let push = || queue.push(WriteItem::Event { json: "x".repeat(LOW_WATER_BYTES), times });
         push();
         push();
-        assert!(queue.room().now_or_never().is_none());
+        assert!(queue.ready().now_or_never().is_none());
         queue.end(Err(io::Error::from(io::ErrorKind::StorageFull).into()));
         push();
         push();
-        assert!(queue.room().now_or_never().is_some());
+        assert!(queue.ready().now_or_never().is_some());
     }
 }

@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
-use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -12,55 +11,16 @@ use std::time::{Duration, SystemTime};
 use mcap::parse_record;
 use mcap::records::{MessageHeader, Record as McapRecord};
 
+use super::record::{Entry, Record, Reply, parse_command};
 use super::records::Records;
-use super::ros::{self, EVENTS, LaserScan, REPLIES, SCAN};
-use super::{METADATA, RecordingError};
-use crate::emulator::Emulator;
-use crate::protocol::Command;
-use crate::recording::replay::{self, ReplayPace};
-use crate::{BaudRate, Rate, Window};
+use super::topics::Topic;
+use super::{Event, METADATA, RecordingError};
+use crate::ros;
+use crate::{Rate, Window};
 
 /// How many records are read to find the metadata: it stands near the
 /// beginning.
 const HEAD: usize = 256;
-
-/// One thing that was recorded.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub struct Record {
-    /// When it happened: the wall clock when the recording began, and from
-    /// there on a clock that is never set.
-    pub at: SystemTime,
-    /// Its number among those of its kind; for a scan, that of its schedule.
-    pub sequence: u32,
-    /// What happened.
-    pub entry: Entry,
-}
-
-/// What a [`Record`] holds.
-#[derive(Debug, Clone, PartialEq)]
-#[non_exhaustive]
-pub enum Entry {
-    /// A scan that the stream gave.
-    Scan(LaserScan),
-    /// What the sensor sent.
-    Reply(Reply),
-    /// Something else, as the JSON that an [`Event`](super::Event) writes.
-    Event(String),
-}
-
-/// Bytes that the sensor sent.
-#[derive(Debug, Clone, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct Reply {
-    /// The command that they answer, well or badly; `None` for the reply to a
-    /// fence and for what nobody asked for.
-    pub command: Option<Command>,
-    /// The bytes, with the two LFs that end a reply.
-    pub bytes: Vec<u8>,
-    /// The wall clock when the first of them arrived.
-    pub stamp: SystemTime,
-}
 
 /// A recording, read record by record, in the order in which they were written.
 ///
@@ -80,18 +40,11 @@ pub struct Reply {
 /// ```
 pub struct Recording {
     records: Records,
-    channels: HashMap<u16, Channel>,
+    channels: HashMap<u16, Topic>,
     metadata: BTreeMap<String, String>,
     /// Read, and not given out yet.
     ahead: VecDeque<Record>,
     ended: bool,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum Channel {
-    Scans,
-    Replies,
-    Events,
 }
 
 impl Recording {
@@ -157,17 +110,6 @@ impl Recording {
         self.records.is_truncated()
     }
 
-    /// An emulated sensor that plays the sensor which was recorded: see
-    /// [the module](super#replaying).
-    ///
-    /// # Errors
-    ///
-    /// [`RecordingError::NoReplies`] if there is nothing to replay, and those of
-    /// reading the file up to the first scan.
-    pub fn replay(self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
-        replay::emulator(self, pace)
-    }
-
     /// The next record of a kind that is known. Nothing comes after an error.
     fn advance(&mut self) -> Result<Option<Record>, RecordingError> {
         if self.ended {
@@ -182,7 +124,7 @@ impl Recording {
         while let Some((kind, content)) = self.records.next()? {
             match parse_record(kind, content).map_err(RecordingError::read)? {
                 McapRecord::Channel(channel) => {
-                    let known = Channel::named(&channel.topic);
+                    let known = Topic::ALL.into_iter().find(|topic| topic.name() == channel.topic);
                     self.channels.extend(known.map(|known| (channel.id, known)));
                 }
                 McapRecord::Metadata(metadata) if metadata.name == METADATA => {
@@ -190,10 +132,11 @@ impl Recording {
                 }
                 McapRecord::Message { header, data } => {
                     let Some(channel) = self.channels.get(&header.channel_id) else { continue };
-                    let entry =
-                        entry(*channel, &header, &data).ok_or_else(|| RecordingError::Damaged {
+                    let entry = decode(*channel, &header, &data).ok_or_else(|| {
+                        RecordingError::Damaged {
                             reason: "a message is not of its type".to_owned(),
-                        })?;
+                        }
+                    })?;
                     let (at, sequence) = (time(header.log_time), header.sequence);
                     return Ok(Some(Record { at, sequence, entry }));
                 }
@@ -218,69 +161,24 @@ impl fmt::Debug for Recording {
     }
 }
 
-impl Channel {
-    fn named(topic: &str) -> Option<Self> {
-        let known =
-            [(SCAN.name, Self::Scans), (REPLIES.name, Self::Replies), (EVENTS.name, Self::Events)];
-        known.into_iter().find(|(name, _)| *name == topic).map(|(_, channel)| channel)
-    }
-}
-
-fn entry(channel: Channel, header: &MessageHeader, message: &[u8]) -> Option<Entry> {
-    match channel {
-        Channel::Scans => ros::read_scan(message).map(Entry::Scan),
-        Channel::Events => ros::read_text(message).map(Entry::Event),
-        Channel::Replies => {
-            let (command, bytes) = ros::read_reply(message)?;
-            let command = command_named(&command);
-            Some(Entry::Reply(Reply { command, bytes, stamp: time(header.publish_time) }))
+/// Decodes a message, or returns `None` if it is not of its topic's type.
+fn decode(topic: Topic, header: &MessageHeader, message: &[u8]) -> Option<Entry> {
+    match topic {
+        Topic::Scans => ros::read_scan(message).map(Entry::Scan),
+        Topic::Events => {
+            let text = ros::read_text(message)?;
+            let unknown = || Event::Unknown { text: text.to_owned() };
+            Some(Entry::Event(text.parse().unwrap_or_else(|_| unknown())))
+        }
+        Topic::Replies => {
+            let (command, bytes) = ros::read_labelled_bytes(message)?;
+            let command = parse_command(command);
+            let stamp = time(header.publish_time);
+            Some(Entry::Reply(Reply { command, bytes: bytes.to_vec(), stamp }))
         }
     }
-}
-
-/// The command with this text.
-pub(super) fn command_named(text: &str) -> Option<Command> {
-    let digits = text.strip_prefix('G').unwrap_or_default();
-    if digits.len() == 8 && digits.bytes().all(|byte| byte.is_ascii_digit()) {
-        let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
-        let window = Window::new(number(0..3)?..=number(3..6)?).ok()?;
-        let cluster = number(6..8)?.try_into().ok()?;
-        return window.with_cluster_count(cluster).ok().map(Command::Distances);
-    }
-    let fixed = [Command::Version, Command::LaserOn, Command::LaserOff];
-    let speeds = BaudRate::ALL.into_iter().map(Command::BaudRate);
-    fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)
 }
 
 fn time(nanos: u64) -> SystemTime {
     SystemTime::UNIX_EPOCH + Duration::from_nanos(nanos)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_command_is_known_by_its_text() {
-        let window = Window::new(3..=768).and_then(|window| window.with_cluster_count(99)).unwrap();
-        let commands = [Command::Version, Command::LaserOn, Command::LaserOff]
-            .into_iter()
-            .chain(BaudRate::ALL.into_iter().map(Command::BaudRate))
-            .chain([Command::Distances(window), Command::Distances(Window::FULL)]);
-        for command in commands {
-            assert_eq!(command_named(&command.to_string()), Some(command));
-        }
-        for text in [
-            "",
-            "G",
-            "G00076800",
-            "G76800001",
-            "G+0076801",
-            "Gx0076801",
-            "G\u{e9}\u{e9}\u{e9}\u{e9}",
-            "X",
-        ] {
-            assert_eq!(command_named(text), None, "{text}");
-        }
-    }
 }

@@ -1,5 +1,5 @@
-//! [`Recorder`]: takes scans and replies from async code to the queue of the
-//! thread that writes the file.
+//! [`Recorder`] and its builder: the handle through which a service records. It
+//! turns scans, replies and errors into items of the [`Queue`].
 
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
@@ -8,31 +8,32 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::SystemTime;
 
-use super::queue::{Entry, Queue};
+use super::progress::Progress;
+use super::queue::{Queue, WriteItem};
 use super::writer::Times;
 use super::{Event, RecordingError};
 use crate::observer::RawReply;
 use crate::{Error, Scan, ScanStream, Sensor};
 
-/// Records what a [`ScanStream`] gives and what a sensor sends, into an MCAP
-/// file.
+/// Records the items of a [`ScanStream`] and the replies of a sensor into an
+/// MCAP file.
 ///
-/// Nothing here waits for a disk: a thread of its own writes the file, and ends
-/// a chunk of it at least each second. So what is older than a second survives
-/// a kill and a full disk (not a loss of power, which the system's buffers do
-/// not survive). The module's page shows how to use it.
+/// No method waits for a disk. A thread of its own writes the file, and ends a
+/// chunk of it at least each second. So a kill or a full disk costs the last
+/// second at most. A loss of power may cost more: the system's buffers are lost
+/// with it. The [module](super) has an example.
 ///
-/// Dropping it ends the file as [`finish`](Self::finish) does, without waiting
-/// for that.
+/// Dropping a recorder ends the file as [`finish`](Self::finish) does, without
+/// waiting for it.
 #[derive(Debug)]
 pub struct Recorder {
     queue: Arc<Queue>,
-    /// The number that the next scan should have.
+    /// The sequence number of the next scan, if none is missed.
     expected: Option<u64>,
     disconnected: bool,
 }
 
-/// How a file is recorded; made by [`Recorder::builder`].
+/// The settings of a [`Recorder`]; made by [`Recorder::builder`].
 #[derive(Debug, Clone)]
 #[must_use = "a builder does nothing until it creates a recorder"]
 pub struct RecorderBuilder {
@@ -40,60 +41,44 @@ pub struct RecorderBuilder {
     overwrite: bool,
 }
 
-/// How far a recording is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
-#[non_exhaustive]
-pub struct Progress {
-    /// Scans in the file, or on their way into it.
-    pub scans: u64,
-    /// Replies in the file, or on their way into it.
-    pub replies: u64,
-    /// Bytes that were written.
-    pub bytes: u64,
-    /// Scans that are not in the file, because the disk was too slow for too long
-    /// (8 MiB wait for it), or had failed.
-    pub lost: u64,
-    /// Replies that are not in the file, for the same reasons.
-    pub lost_replies: u64,
-}
-
 impl Recorder {
-    /// Records into a new file. Use [`builder`](Self::builder) for more choice.
+    /// Creates a new file and records into it. [`builder`](Self::builder) has more
+    /// options.
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Exists`] if there is such a file, [`RecordingError::Open`]
-    /// if it cannot be created, [`RecordingError::Write`] if its head cannot be
-    /// written.
+    /// Fails with [`RecordingError::Exists`] if there is such a file,
+    /// [`RecordingError::Open`] if it cannot be created, and
+    /// [`RecordingError::Write`] if its head cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
         Self::builder().create(path)
     }
 
-    /// Says how to record.
+    /// Returns a builder with the default settings.
     pub fn builder() -> RecorderBuilder {
         RecorderBuilder { frame_id: "laser".to_owned(), overwrite: false }
     }
 
-    /// For [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply): records each reply's
-    /// bytes, so that the recording can be replayed.
+    /// Returns an observer for
+    /// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply), which records
+    /// the bytes of each reply. Without it the recording cannot be replayed.
     pub fn observer(&self) -> impl Fn(RawReply<'_>) + Send + Sync + 'static {
         let queue = Arc::clone(&self.queue);
-        move |heard| {
-            let command = heard.command.map_or_else(String::new, |command| command.to_string());
-            let times = Times { steady: heard.received_at, wall: heard.stamp };
-            queue.push(Entry::Reply { command, bytes: heard.bytes.into(), times });
+        move |reply| {
+            let command = reply.command.map_or_else(String::new, |command| command.to_string());
+            let times = Times { steady: reply.received_at, wall: reply.stamp };
+            queue.push(WriteItem::Reply { command, bytes: reply.bytes.into(), times });
         }
     }
 
-    /// Writes down who the sensor is, what is asked of it and at which line
-    /// speed, as metadata. A replay takes the window and the rate from it.
+    /// Records the sensor's version, the window and rate of the stream, and the
+    /// baud rate, as metadata. A replay takes the window and the rate from it.
     ///
-    /// Cancel-safe: nothing is written then.
+    /// Cancel-safe: a dropped future has written nothing.
     ///
     /// # Errors
     ///
-    /// Those of [`Sensor::version`].
+    /// Fails as [`Sensor::version`] does.
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
         let baud_rate = sensor.state().borrow().baud_rate();
@@ -114,18 +99,18 @@ impl Recorder {
         .map(|(key, value)| (key.to_owned(), value))
         .into();
         metadata.extend(version.status.map(|status| ("status".to_owned(), status.to_string())));
-        self.queue.push(Entry::Metadata(metadata));
+        self.queue.push(WriteItem::Metadata(metadata));
         Ok(())
     }
 
-    /// Records an item of a [`ScanStream`]: a scan, or what kept it from coming.
-    /// A gap in the scans' numbers and the first scan after a disconnection are
-    /// recorded as events, too. Never waits.
+    /// Records an item of a [`ScanStream`]: a scan or an error. Also records an
+    /// event for missed scans and for the first scan after a lost link. Never
+    /// waits.
     ///
     /// # Errors
     ///
-    /// The reason, from the first time on that writing has failed: this
-    /// recording has ended. The stream is none the worse for it.
+    /// Fails with [`RecordingError::Write`] once writing has failed: the recording
+    /// has ended. The stream goes on.
     pub fn record(&mut self, item: &Result<Scan, Error>) -> Result<(), RecordingError> {
         match item {
             Ok(scan) => {
@@ -139,7 +124,7 @@ impl Recorder {
                 if missed > 0 {
                     self.event(&Event::Missed { scans: missed }, times);
                 }
-                self.queue.push(Entry::Scan(scan.clone()));
+                self.queue.push(WriteItem::Scan(scan.clone()));
             }
             Err(error) => {
                 let times = Times {
@@ -158,63 +143,66 @@ impl Recorder {
         self.queue.failure().map_or(Ok(()), Err)
     }
 
-    /// Waits until at most 1 MiB waits for the disk, or writing has failed. For
-    /// scans from what can be made to wait, such as a replay: none of them is
-    /// lost to a slow disk. A sensor does not wait.
+    /// Waits until at most 1 MiB is queued for the disk, or writing has failed.
+    ///
+    /// This is backpressure for a source that can wait, such as a replay: it
+    /// loses no scan to a slow disk. A sensor does not wait.
     ///
     /// Cancel-safe.
     pub async fn ready(&self) {
-        self.queue.room().await;
+        self.queue.ready().await;
     }
 
-    /// How far it is.
+    /// Returns the counts up to now.
     pub fn progress(&self) -> Progress {
         self.queue.progress()
     }
 
-    /// Writes what is left, the file's index and its end. If this future is
-    /// dropped that goes on all the same.
+    /// Writes all queued items, the file's index and its end.
+    ///
+    /// Dropping this future does not stop that.
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Write`] if that, or any writing before it, failed.
+    /// Fails with [`RecordingError::Write`] if this or any write before it failed.
     pub async fn finish(self) -> Result<(), RecordingError> {
-        // A thread that has failed is gone.
+        // An error means that the thread has ended; `failure` returns why.
         let _ = self.queue.finish().await;
         self.queue.failure().map_or(Ok(()), Err)
     }
 
     fn event(&self, event: &Event, times: Times) {
-        self.queue.push(Entry::Event { json: event.to_string(), times });
+        self.queue.push(WriteItem::Event { json: event.to_string(), times });
     }
 }
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // The tap may keep the queue open for longer. Nobody waits for the end.
+        // The observer may keep the queue open for longer, so the end is
+        // requested. Nobody waits for it.
         drop(self.queue.finish());
     }
 }
 
 impl RecorderBuilder {
-    /// The frame that the scans are in, `header.frame_id` in ROS: `laser`
-    /// unless set.
+    /// Sets the frame of the scans, `header.frame_id` in ROS. The default is
+    /// `laser`.
     pub fn frame_id(mut self, frame_id: impl Into<String>) -> Self {
         self.frame_id = frame_id.into();
         self
     }
 
-    /// Whether a file that exists is written over: it is not unless set.
+    /// Sets whether an existing file is overwritten. The default is `false`.
     pub fn overwrite(mut self, overwrite: bool) -> Self {
         self.overwrite = overwrite;
         self
     }
 
-    /// Records into a file.
+    /// Creates the file and records into it.
     ///
     /// # Errors
     ///
-    /// Those of [`Recorder::create`].
+    /// Fails as [`Recorder::create`] does.
     pub fn create(self, path: impl AsRef<Path>) -> Result<Recorder, RecordingError> {
         let path = path.as_ref();
         let mut options = OpenOptions::new();
@@ -235,12 +223,12 @@ impl RecorderBuilder {
         }
     }
 
-    /// Records into anything that can be written to, such as a pipe.
+    /// Records into any writer, such as a pipe.
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Write`] if the file's head cannot be written, or no
-    /// thread can be had.
+    /// Fails with [`RecordingError::Write`] if the file's head cannot be written,
+    /// or no thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
         let queue = Queue::into_file(out, self.frame_id)?;
         Ok(Recorder { queue, expected: None, disconnected: false })

@@ -1,45 +1,51 @@
-//! A recording as an emulated sensor: the replies in it, one for each poll.
+//! [`Recording::replay`]: a recording as an emulated sensor, which answers each
+//! poll with the next recorded reply.
 
 use std::io;
 use std::time::{Duration, SystemTime};
 
-use super::reader::{Entry, Reply, command_named};
+use super::record::{Entry, Reply, parse_command};
 use super::{Recording, RecordingError};
 use crate::Window;
 use crate::emulator::{Emulator, Script, Values};
 use crate::protocol::{Command, Reply as Parsed};
 
-/// By how many groups a driver widens a window so that polls differ.
-const WIDENED: u16 = 3;
-/// Error code 19, "Non-Measurable Distance": what was never measured.
+/// Error code 19, "Non-Measurable Distance": the value of a step that the
+/// recording does not cover.
 const UNKNOWN: u16 = 19;
 
-/// How fast a recording is replayed.
+/// The speed of a replay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ReplayPace {
-    /// As it was recorded: no reply comes before its time. In a gap of the
+    /// The recorded speed: no reply comes before its time. In a gap of the
     /// recording polls time out.
     #[default]
     Recorded,
-    /// As fast as replies are asked for. A stream that is to see every scan wants
-    /// a deep ring ([`ring_depth`](crate::SensorBuilder::ring_depth)).
+    /// As fast as polls come. A stream that must not miss a scan needs a deep
+    /// ring ([`ring_depth`](crate::SensorBuilder::ring_depth)).
     Max,
 }
 
-/// An emulated sensor that plays what was recorded.
-pub(super) fn emulator(
-    mut recording: Recording,
-    pace: ReplayPace,
-) -> Result<Emulator, RecordingError> {
-    let version = skip_to(&mut recording, |command| *command == Command::Version)?;
-    let replies = Replies::new(recording, version.stamp)?;
-    let lines = version.bytes.split(|&byte| byte == b'\n').skip(2).filter(|line| !line.is_empty());
-    let paced = pace == ReplayPace::Recorded;
-    Ok(Emulator::builder().version_lines(lines).script(replies, paced).build())
+impl Recording {
+    /// Returns an emulated sensor that answers as the recorded one did: see
+    /// [the module](super#replaying).
+    ///
+    /// # Errors
+    ///
+    /// Fails with [`RecordingError::NoReplies`] if there is nothing to replay, and
+    /// with the errors of reading the file up to the first scan.
+    pub fn replay(mut self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
+        let version = skip_to(&mut self, |command| *command == Command::Version)?;
+        let replies = Replies::new(self, version.stamp)?;
+        let lines = version.bytes.split(|&byte| byte == b'\n').skip(2);
+        let lines = lines.filter(|line| !line.is_empty());
+        let paced = pace == ReplayPace::Recorded;
+        Ok(Emulator::builder().version_lines(lines).script(replies, paced).build())
+    }
 }
 
-/// The first reply to such a command that was a success.
+/// Returns the first successful reply to a command that is `wanted`.
 fn skip_to(
     recording: &mut Recording,
     wanted: impl Fn(&Command) -> bool,
@@ -56,7 +62,8 @@ fn skip_to(
 }
 
 impl Reply {
-    /// The values of a success, none unless they are distances.
+    /// Returns the values of a successful reply to `G`, none for other commands,
+    /// and `None` if the reply is malformed or refused.
     fn values(&self) -> Option<Vec<u16>> {
         let command = self.command.as_ref()?;
         let reply = Parsed::parse(command, self.bytes.strip_suffix(b"\n\n")?).ok()?;
@@ -71,7 +78,7 @@ impl Reply {
 /// The replies to the polls of one stream, in the order in which they came.
 struct Replies {
     recording: Recording,
-    /// What the stream asked for.
+    /// The window of the stream.
     window: Window,
     next: Option<Due>,
     /// The wall clock when the latest reply came.
@@ -80,18 +87,19 @@ struct Replies {
     began: SystemTime,
     /// The latest value of each step.
     memory: Box<Values>,
-    /// Why the file could not be read any further.
+    /// The error that ended reading the file.
     failure: Option<RecordingError>,
 }
 
-/// A reply, and when it came.
+/// A reply and the time it was received.
 struct Due {
     at: SystemTime,
     reply: Reply,
 }
 
 impl Replies {
-    /// `stamp` is when the sensor said something before.
+    /// Reads up to the first reply to a poll. `stamp` is the wall clock until
+    /// then.
     fn new(recording: Recording, stamp: SystemTime) -> Result<Self, RecordingError> {
         let window = recording.window();
         let mut replies = Self {
@@ -114,7 +122,7 @@ impl Replies {
         Ok(replies)
     }
 
-    /// The first reply to any poll tells what was asked for.
+    /// Reads the first reply to any poll, and takes its window for the stream's.
     fn read_any(&mut self) -> Result<Option<Due>, RecordingError> {
         for record in &mut self.recording {
             let record = record?;
@@ -128,8 +136,8 @@ impl Replies {
         Ok(None)
     }
 
-    /// The next reply to the stream's polls. What others asked for is seen in
-    /// passing.
+    /// Reads the next reply to the stream's polls. The values of replies to other
+    /// polls are remembered.
     fn read(&mut self) -> Result<Option<Due>, RecordingError> {
         while let Some(record) = self.recording.next() {
             let record = record?;
@@ -145,19 +153,20 @@ impl Replies {
         Ok(None)
     }
 
-    /// Whether `window` is the stream's, or that with some groups more.
+    /// Checks if `window` is the stream's, or that widened by the driver.
     fn is_of_stream(&self, window: Window) -> bool {
-        let widened = (0..=WIDENED).filter_map(|groups| self.window.widened(groups));
+        let widened =
+            (0..=Window::MAX_EXTRA_POINTS).filter_map(|groups| self.window.widened(groups));
         widened.into_iter().any(|(widened, _)| widened == window)
     }
 
-    /// Takes in what a reply says. False if it says no distances.
+    /// Stores the values of a reply. Returns false if it has none.
     fn remember(&mut self, window: Window, reply: &Reply) -> bool {
         let Some(values) = reply.values() else { return false };
         let first = usize::from(window.start().number());
         let seen = self.memory.get_mut(first..first + window.steps()).unwrap_or_default();
-        // Each step of a group has the group's value, so that the smallest of
-        // them is that value again.
+        // Each step of a group gets the group's value, so that the emulated
+        // sensor, which sends the smallest of them, sends that value again.
         let groups = seen.chunks_mut(window.cluster_count().into());
         groups.zip(values).for_each(|(group, value)| group.fill(value));
         true
@@ -183,15 +192,16 @@ impl Script for Replies {
             None
         });
         let Some(Command::Distances(window)) = reply.command else { return None };
-        // Distances are sent as an answer to what is asked now: the driver's
-        // polls differ from each other, and it need not ask what was asked then.
+        // The emulated sensor encodes distances for the current poll: the driver's
+        // polls differ, so this one need not equal the recorded one.
         if self.remember(window, &reply) {
             return None;
         }
-        // What was refused or damaged is so again, and never distances by chance.
+        // A refused or malformed reply is sent as it was, with the echo of the
+        // current poll, unless it would parse as distances by chance.
         let echo = Command::Distances(window).bytes();
         let rest = reply.bytes.strip_prefix(&*echo);
-        let command = std::str::from_utf8(asked).ok().and_then(command_named);
+        let command = std::str::from_utf8(asked).ok().and_then(parse_command);
         let answer = rest.map(|rest| Reply { command, bytes: [asked, rest].concat(), ..reply });
         Some(match answer {
             Some(answer) if answer.values().is_none() => answer.bytes,

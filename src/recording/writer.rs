@@ -10,8 +10,9 @@ use mcap::write::NoSeek;
 use mcap::{McapResult, WriteOptions};
 
 use super::METADATA;
-use super::ros::{self, EVENTS, REPLIES, SCAN, Topic, since_1970};
+use super::topics::Topic;
 use crate::Scan;
+use crate::ros::{self, since_1970};
 
 /// The library as the file's header names it.
 const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
@@ -70,10 +71,12 @@ impl<W: Write> Writer<W> {
             .disable_seeking(true)
             .create(NoSeek::new(out))?;
         let mut channel = |topic: Topic| {
-            let schema = mcap.add_schema(topic.message, "ros2msg", topic.definition.as_bytes())?;
-            mcap.add_channel(schema, topic.name, "cdr", &BTreeMap::new())
+            let message = topic.message_type();
+            let schema = mcap.add_schema(message.name, "ros2msg", message.definition.as_bytes())?;
+            mcap.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())
         };
-        let (scans, replies, events) = (channel(SCAN)?, channel(REPLIES)?, channel(EVENTS)?);
+        let scans = channel(Topic::Scans)?;
+        let (replies, events) = (channel(Topic::Replies)?, channel(Topic::Events)?);
         let mut writer = Self {
             mcap,
             clock,
@@ -97,7 +100,7 @@ impl<W: Write> Writer<W> {
 
     /// `bytes` is a frame without its terminator.
     pub(super) fn reply(&mut self, command: &str, bytes: &[u8], times: Times) -> McapResult<()> {
-        ros::write_reply(&mut self.message, command, &[bytes, b"\n\n"]);
+        ros::write_labelled_bytes(&mut self.message, command, &[bytes, b"\n\n"]);
         let [number, _] = &mut self.numbers;
         let sequence = std::mem::replace(number, number.wrapping_add(1));
         self.write(self.replies, sequence, times)

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
-use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
+use tokio_scip::recording::{Entry, Event, Record, Recorder, Recording, Reply};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
 /// A file in memory. Clones are the same file.
@@ -104,9 +104,9 @@ pub(crate) fn polls(records: &[Record]) -> Vec<Reply> {
     replies.filter(|reply| reply.command.is_some()).collect()
 }
 
-pub(crate) fn events(records: &[Record]) -> Vec<&str> {
+pub(crate) fn events(records: &[Record]) -> Vec<Event> {
     let events = records.iter().filter_map(|record| match &record.entry {
-        Entry::Event(json) => Some(json.as_str()),
+        Entry::Event(event) => Some(event.clone()),
         _ => None,
     });
     events.collect()

@@ -1,20 +1,21 @@
 //! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, behind its
 //! encapsulation header. Knows no message.
 //!
-//! By hand, since what a recording needs is a dozen primitives, and the crates
-//! that know them bring serde and do not write the header.
+//! Written by hand: a message needs a dozen primitives. The crates for CDR bring
+//! serde, which writes an owned struct for each message; here a scan is encoded
+//! from where it lies.
 
 /// Plain CDR, little-endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
 
-/// Writes one message. Alignment counts from behind the header.
+/// Writes one message. Alignment counts from the end of the header.
 #[derive(Debug)]
 pub(super) struct CdrWriter<'a> {
     out: &'a mut Vec<u8>,
 }
 
 impl<'a> CdrWriter<'a> {
-    /// Begins a message in `out`, in place of what was there.
+    /// Starts a message in `out`, and drops what was there.
     pub(super) fn new(out: &'a mut Vec<u8>) -> Self {
         out.clear();
         out.extend_from_slice(&HEADER);
@@ -36,14 +37,14 @@ impl<'a> CdrWriter<'a> {
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// A string: its length with the NUL, its bytes, the NUL.
+    /// Writes a string: its length with the NUL, its bytes, the NUL.
     pub(super) fn string(&mut self, text: &str) {
         self.length(text.len() + 1);
         self.out.extend_from_slice(text.as_bytes());
         self.out.push(0);
     }
 
-    /// The length of a sequence, to be followed by its elements.
+    /// Writes the length of a sequence. Its elements follow.
     pub(super) fn length(&mut self, elements: usize) {
         self.u32(u32::try_from(elements).unwrap_or(u32::MAX));
     }
@@ -53,14 +54,15 @@ impl<'a> CdrWriter<'a> {
         parts.iter().for_each(|part| self.out.extend_from_slice(part));
     }
 
-    /// To a multiple of four, the size of every number here; the header has
-    /// four bytes itself.
+    /// Pads to a multiple of four, the size of every number here. The header has
+    /// four bytes, too.
     fn align(&mut self) {
         self.out.resize(self.out.len().next_multiple_of(4), 0);
     }
 }
 
-/// Reads one message; `None` as soon as it is not as it should be.
+/// Reads one message. Each method returns `None` if the message is too short or
+/// malformed.
 #[derive(Debug)]
 pub(super) struct CdrReader<'a> {
     message: &'a [u8],
@@ -84,9 +86,9 @@ impl<'a> CdrReader<'a> {
         self.number().map(f32::from_le_bytes)
     }
 
-    pub(super) fn string(&mut self) -> Option<String> {
+    pub(super) fn string(&mut self) -> Option<&'a str> {
         let (_, text) = self.bytes()?.split_last()?;
-        String::from_utf8(text.to_vec()).ok()
+        std::str::from_utf8(text).ok()
     }
 
     pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
@@ -94,7 +96,7 @@ impl<'a> CdrReader<'a> {
         self.take(length)
     }
 
-    /// A sequence of numbers.
+    /// Reads a sequence of numbers. Checks its length before it allocates.
     pub(super) fn f32s(&mut self) -> Option<Vec<f32>> {
         let length = usize::try_from(self.u32()?).ok()?;
         let (numbers, _) = self.take(length.checked_mul(4)?)?.as_chunks::<4>();
@@ -128,7 +130,7 @@ mod tests {
         cdr.f32(1.0);
         assert_eq!(out, b"\0\x01\0\0\x06\0\0\0laser\0\0\0\x07\0\0\0\x03\0\0\0abc\0\0\0\x80\x3f");
         let mut cdr = CdrReader::new(&out).unwrap();
-        assert_eq!(cdr.string().as_deref(), Some("laser"));
+        assert_eq!(cdr.string(), Some("laser"));
         assert_eq!(cdr.u32(), Some(7));
         assert_eq!(cdr.bytes(), Some(&b"abc"[..]));
         assert_eq!((cdr.f32(), cdr.f32()), (Some(1.0), None));

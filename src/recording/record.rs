@@ -1,0 +1,91 @@
+//! [`Record`]: one thing that a recording holds.
+
+use std::ops::Range;
+use std::time::SystemTime;
+
+use super::Event;
+use crate::protocol::Command;
+use crate::ros::LaserScan;
+use crate::{BaudRate, Window};
+
+/// One recorded message.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Record {
+    /// The time it happened: the wall clock at the start of the recording, and
+    /// from there on a steady clock, which nobody sets.
+    pub at: SystemTime,
+    /// Its number among the records of its kind; for a scan, that of its
+    /// schedule.
+    pub sequence: u32,
+    /// Its content.
+    pub entry: Entry,
+}
+
+/// The content of a [`Record`].
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum Entry {
+    /// A scan that the stream delivered.
+    Scan(LaserScan),
+    /// A reply of the sensor.
+    Reply(Reply),
+    /// Another event.
+    Event(Event),
+}
+
+/// A reply of the sensor, byte by byte.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Reply {
+    /// The command it answers, also where the reply is malformed; `None` for
+    /// the reply to a fence and for one that no command asked for.
+    pub command: Option<Command>,
+    /// The bytes, including the two LFs that end a reply.
+    pub bytes: Vec<u8>,
+    /// The wall clock when the first byte arrived.
+    pub stamp: SystemTime,
+}
+
+/// Parses a command as it is written on the wire.
+pub(super) fn parse_command(text: &str) -> Option<Command> {
+    let digits = text.strip_prefix('G').unwrap_or_default();
+    if digits.len() == 8 && digits.bytes().all(|byte| byte.is_ascii_digit()) {
+        let number = |range: Range<usize>| digits.get(range)?.parse::<u16>().ok();
+        let window = Window::new(number(0..3)?..=number(3..6)?).ok()?;
+        let cluster = number(6..8)?.try_into().ok()?;
+        return window.with_cluster_count(cluster).ok().map(Command::Distances);
+    }
+    let fixed = [Command::Version, Command::LaserOn, Command::LaserOff];
+    let speeds = BaudRate::ALL.into_iter().map(Command::BaudRate);
+    fixed.into_iter().chain(speeds).find(|command| command.to_string() == text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_command_parses_back_from_its_text() {
+        let window = Window::new(3..=768).and_then(|window| window.with_cluster_count(99)).unwrap();
+        let commands = [Command::Version, Command::LaserOn, Command::LaserOff]
+            .into_iter()
+            .chain(BaudRate::ALL.into_iter().map(Command::BaudRate))
+            .chain([Command::Distances(window), Command::Distances(Window::FULL)]);
+        for command in commands {
+            assert_eq!(parse_command(&command.to_string()), Some(command));
+        }
+        for text in [
+            "",
+            "G",
+            "G00076800",
+            "G76800001",
+            "G+0076801",
+            "Gx0076801",
+            "G\u{e9}\u{e9}\u{e9}\u{e9}",
+            "X",
+        ] {
+            assert_eq!(parse_command(text), None, "{text}");
+        }
+    }
+}

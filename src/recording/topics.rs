@@ -1,0 +1,34 @@
+//! [`Topic`]: the topics of a recording and their message types.
+
+use crate::ros::{self, MessageType};
+
+/// A topic of a recording. Each has one channel of the file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Topic {
+    /// The scans that the stream delivered.
+    Scans,
+    /// The sensor's replies, byte by byte.
+    Replies,
+    /// Other events, as JSON.
+    Events,
+}
+
+impl Topic {
+    pub(super) const ALL: [Self; 3] = [Self::Scans, Self::Replies, Self::Events];
+
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Scans => "/scan",
+            Self::Replies => "/scip/replies",
+            Self::Events => "/scip/events",
+        }
+    }
+
+    pub(super) const fn message_type(self) -> MessageType {
+        match self {
+            Self::Scans => ros::LASER_SCAN,
+            Self::Replies => ros::LABELLED_BYTES,
+            Self::Events => ros::TEXT,
+        }
+    }
+}

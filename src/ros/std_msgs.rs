@@ -1,0 +1,60 @@
+//! Messages of `std_msgs`: bytes with a label, and a text.
+
+use super::MessageType;
+use super::cdr::{CdrReader, CdrWriter};
+
+/// Carries a sensor's reply. A message type of our own would be plainer, but
+/// `ros2 bag play` needs each type installed. The label of the only dimension
+/// is the command that was answered.
+pub(super) const BYTES_TYPE: MessageType = MessageType {
+    name: "std_msgs/msg/UInt8MultiArray",
+    definition: "\
+std_msgs/MultiArrayLayout layout
+uint8[] data
+================================================================================
+MSG: std_msgs/MultiArrayLayout
+std_msgs/MultiArrayDimension[] dim
+uint32 data_offset
+================================================================================
+MSG: std_msgs/MultiArrayDimension
+string label
+uint32 size
+uint32 stride
+",
+};
+
+pub(super) const TEXT_TYPE: MessageType =
+    MessageType { name: "std_msgs/msg/String", definition: "string data\n" };
+
+/// Encodes the bytes in `parts`, one after the other.
+pub(crate) fn write_labelled_bytes(out: &mut Vec<u8>, label: &str, parts: &[&[u8]]) {
+    let mut cdr = CdrWriter::new(out);
+    let length = parts.iter().map(|part| part.len()).sum();
+    cdr.length(1);
+    cdr.string(label);
+    // Size and stride of the dimension, and where the data starts.
+    cdr.length(length);
+    cdr.length(length);
+    cdr.u32(0);
+    cdr.bytes(parts);
+}
+
+/// Returns the label and the bytes, or `None` if `message` is malformed.
+pub(crate) fn read_labelled_bytes(message: &[u8]) -> Option<(&str, &[u8])> {
+    let mut cdr = CdrReader::new(message)?;
+    if cdr.u32()? != 1 {
+        return None;
+    }
+    let label = cdr.string()?;
+    let (_size, _stride, _offset) = (cdr.u32()?, cdr.u32()?, cdr.u32()?);
+    Some((label, cdr.bytes()?))
+}
+
+pub(crate) fn write_text(out: &mut Vec<u8>, text: &str) {
+    CdrWriter::new(out).string(text);
+}
+
+/// Returns the text, or `None` if `message` is malformed.
+pub(crate) fn read_text(message: &[u8]) -> Option<&str> {
+    CdrReader::new(message)?.string()
+}
