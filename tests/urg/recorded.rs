@@ -194,7 +194,7 @@ fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
     let precious = b"precious".repeat(100_000);
     fs::write(file.path(), &precious).unwrap();
     let line = failure(&format!("record emulated {}", file.path()));
-    assert!(line.contains("exists already") && line.contains("--force"), "{line}");
+    assert!(line.contains("exists: use another name") && line.contains("--force"), "{line}");
     failure(&format!("record {} {} --force", nobody.path(), file.path()));
     assert!(fs::read(file.path()).unwrap() == precious);
     run(&format!("record emulated {} --force --count 1 --frame-id front", file.path()), 0);

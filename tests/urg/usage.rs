@@ -55,6 +55,46 @@ fn a_command_line_that_makes_no_sense_ends_with_2() {
 }
 
 #[test]
+#[cfg(not(all(feature = "mcap", feature = "web")))]
+fn a_command_that_this_build_lacks_names_the_feature_that_brings_it() {
+    for (feature, built, command) in [
+        ("mcap", cfg!(feature = "mcap"), "record emulated run.mcap --duration 10s"),
+        ("mcap", cfg!(feature = "mcap"), "record --help"),
+        ("web", cfg!(feature = "web"), "serve emulated --listen 8080"),
+    ] {
+        if !built {
+            let output = run(command, 2);
+            assert!(
+                output.stderr.contains(&format!("the feature `{feature}`")),
+                "{}",
+                output.stderr
+            );
+        }
+    }
+    let help = run("help", 0).stdout;
+    assert_eq!(help.contains("serve"), cfg!(feature = "web"), "{help}");
+    for command in COMMANDS {
+        let help = help.clone() + &run(&format!("{command} --help"), 0).stdout;
+        assert_eq!(help.contains(".mcap"), cfg!(feature = "mcap"), "{command}: {help}");
+    }
+}
+
+#[test]
+fn help_that_cannot_be_written_is_a_failure() {
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    for arguments in ["help", "--version", "stream --help"] {
+        let output = std::process::Command::new(env!("CARGO_BIN_EXE_urg"))
+            .args(arguments.split_whitespace())
+            .stdout(full.try_clone().unwrap())
+            .output()
+            .unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{arguments}: {stderr}");
+        assert!(stderr.contains("cannot write to standard output"), "{arguments}: {stderr}");
+    }
+}
+
+#[test]
 fn a_missing_port_is_asked_for() {
     for arguments in
         ["info", "scan --format csv", "stream --count 3", "check", "laser on", "baud 115200"]

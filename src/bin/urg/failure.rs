@@ -1,30 +1,27 @@
-//! Why the program ends without having done what it was asked for, and how it
-//! says so: one line and an exit code.
+//! The reasons why the program ends without having done what it was asked to,
+//! and an error with its causes as one line. `main` reports them.
 
 use std::error::Error;
-use std::process::ExitCode;
 
-use crate::notice::notice;
-
-/// Why the program ends.
+/// A reason to end.
 #[derive(Debug)]
 pub(crate) enum Failure {
-    /// What was asked for makes no sense; exit code 2, as for clap's own.
+    /// The command line makes no sense; exit code 2, as for clap's own errors.
     Usage(String),
     /// It did not work; exit code 1.
     Failed(String),
-    /// Whoever read standard output has had enough: no failure at all.
+    /// The reader of standard output has closed it, as `head` does: a success.
     PipeClosed,
 }
 
 impl Failure {
-    /// A failure with its causes, in one line.
+    /// Describes `error` and its causes after `what`, in one line.
     pub(crate) fn of(what: &str, error: &dyn Error) -> Self {
         Self::Failed(format!("{what}: {}", chain(error)))
     }
 
-    /// The failure of something done to `port`, which is named where the error
-    /// does not name it.
+    /// Describes an error on `port`, which is named where the error does not
+    /// name it.
     pub(crate) fn at(port: &str, error: &dyn Error) -> Self {
         let line = chain(error);
         if line.contains(port) {
@@ -33,24 +30,9 @@ impl Failure {
             Self::Failed(format!("{port}: {line}"))
         }
     }
-
-    /// Tells the user, and gives the exit code.
-    pub(crate) fn report(self) -> ExitCode {
-        match self {
-            Self::PipeClosed => ExitCode::SUCCESS,
-            Self::Failed(line) => {
-                notice(line);
-                ExitCode::FAILURE
-            }
-            Self::Usage(line) => {
-                notice(line);
-                ExitCode::from(2)
-            }
-        }
-    }
 }
 
-/// An error and its causes, joined by ": ".
+/// Returns an error and its causes, joined by ": ".
 pub(crate) fn chain(error: &dyn Error) -> String {
     tokio_scip::ErrorChain::new(error).to_string()
 }

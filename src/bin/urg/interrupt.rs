@@ -1,4 +1,4 @@
-//! Ctrl-C, SIGTERM and a terminal that is closed: they end the program in good
+//! Ctrl-C, SIGTERM and a terminal that is closed: each ends the program in good
 //! order.
 
 #[cfg(unix)]
@@ -10,34 +10,33 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-/// How long a command may take to end in good order.
-const GRACE: Duration = Duration::from_secs(1);
+use crate::failure::Failure;
 
-/// Tells whether the user wants the program to stop.
+/// A command that was interrupted ends by itself within this time.
+const COMMAND_GRACE: Duration = Duration::from_secs(1);
+
+/// The user's wish to stop the program.
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupt {
     since: watch::Receiver<Option<Instant>>,
 }
 
 impl Interrupt {
-    /// Listens from now on, on the current runtime.
-    ///
-    /// # Errors
-    ///
-    /// The system's.
+    /// Listens from now on, on the current runtime. Fails if the system allows
+    /// no signal handler.
     pub(crate) fn listen() -> io::Result<Self> {
         let (sender, since) = watch::channel(None);
         let signalled = signalled()?;
         tokio::spawn(async move {
             signalled.await;
             sender.send_replace(Some(Instant::now()));
-            // The receivers must not take a sender that is gone for a signal.
+            // A receiver would take a sender that is gone for a signal.
             sender.closed().await;
         });
         Ok(Self { since })
     }
 
-    /// Waits for it, and tells when it came.
+    /// Waits for the interrupt, and returns the time when it came.
     pub(crate) async fn requested(&self) -> Instant {
         let mut since = self.since.clone();
         // A guard held over an await would bind the future to one thread.
@@ -51,19 +50,33 @@ impl Interrupt {
         }
     }
 
-    /// Waits until the program should have ended because of it.
+    /// Waits until the program should have ended because of the interrupt.
     pub(crate) async fn overdue(&self) {
-        let deadline = self.requested().await + GRACE;
+        let deadline = self.requested().await + COMMAND_GRACE;
         tokio::time::sleep_until(deadline.into()).await;
+    }
+
+    /// Runs a command that may be dropped anywhere, until it is done or
+    /// interrupted.
+    pub(crate) async fn or(
+        &self,
+        command: impl Future<Output = Result<(), Failure>>,
+    ) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = command => outcome,
+            _ = self.requested() => Ok(()),
+        }
     }
 }
 
-/// Signals count from this call on, not only once the future is polled.
+/// Returns a future that ends with the first signal since this call, not since
+/// its first poll.
 #[cfg(unix)]
 fn signalled() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
-    let wanted = kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !nohup());
+    let wanted =
+        kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !ignores_hangup());
     let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;
     Ok(poll_fn(move |cx| {
         let mut came = signals.iter_mut().map(|signal| signal.poll_recv(cx));
@@ -71,10 +84,10 @@ fn signalled() -> io::Result<impl Future<Output = ()>> {
     }))
 }
 
-/// Whether the program was started so as to outlive its terminal, as `nohup`
-/// does: with SIGHUP ignored. Linux tells.
+/// Returns whether the program was started to outlive its terminal, as by
+/// `nohup`: with SIGHUP ignored. Known on Linux only.
 #[cfg(unix)]
-fn nohup() -> bool {
+fn ignores_hangup() -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     // SIGHUP is number 1: the lowest bit.

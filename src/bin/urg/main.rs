@@ -1,55 +1,116 @@
-//! The `urg` program: what a URG sensor can do, on the command line. Only the
-//! way from the arguments to the exit code is here.
+//! The `urg` program: a URG sensor on the command line. Here are the list of
+//! commands, and the way from the arguments to the exit code.
 
 mod args;
+mod check;
 mod commands;
-#[cfg(feature = "mcap")]
-mod contents;
+mod delivery;
 mod failure;
-mod feed;
-mod follow;
 mod format;
 mod interrupt;
-mod notice;
 mod output;
-mod pace;
 mod plot;
 mod port;
-#[cfg(feature = "mcap")]
-mod progress;
-#[cfg_attr(not(feature = "mcap"), path = "unrecorded.rs")]
-mod recorded;
-#[cfg(feature = "mcap")]
-mod recorder_file;
-mod selftest;
-mod stderr;
+mod recording;
+mod stream;
 mod view;
 #[cfg(feature = "web")]
 mod web;
 
-use std::io::{self, IsTerminal};
+use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
-use crate::args::Cli;
+use crate::commands::{
+    baud, check as self_test, completions, emulate, info, laser, list, man, record, scan, serve,
+    stream as streaming, view as radar,
+};
 use crate::failure::Failure;
-use crate::notice::notice;
+use crate::interrupt::Interrupt;
+use crate::output::notice::notice;
+use crate::output::stderr;
+
+/// Talks to Hokuyo URG laser range sensors that speak SCIP 1.1.
+///
+/// Data goes to standard output, everything else to standard error. Exit codes:
+/// 0 when done or stopped by Ctrl-C, 1 on failure, 2 for an invalid command line.
+/// RUST_LOG=debug logs what the driver does.
+#[derive(Debug, Parser)]
+#[command(name = "urg", version, arg_required_else_help = true, after_help = help())]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    List(list::List),
+    Info(info::Info),
+    Scan(scan::ScanOnce),
+    Stream(streaming::Stream),
+    View(radar::View),
+    Record(record::Record),
+    Check(self_test::Check),
+    Serve(serve::Serve),
+    Laser(laser::Laser),
+    Baud(baud::Baud),
+    Emulate(emulate::Emulate),
+    Completions(completions::Completions),
+    #[command(hide = true)]
+    Man(man::Manual),
+}
+
+/// Returns the help's last part: the forms of PORT, and examples.
+fn help() -> String {
+    let (recording, record) = match recording::AVAILABLE {
+        true => (
+            "\n  FILE.mcap               a recording: the sensor as it was",
+            "\n  urg record /dev/ttyACM0 run.mcap          record, then replay: urg view run.mcap",
+        ),
+        false => ("", ""),
+    };
+    format!(
+        "\
+PORT is one of
+  /dev/ttyACM0, COM3      a serial port; /dev/serial/by-path/... names stay the same
+  serial:H0713090         the sensor of this serial number, wherever it is plugged in
+  tcp://HOST:PORT         a raw TCP bridge to a serial port; ?baud=N for its baud rate{recording}
+  emulated                a sensor in software, to try things out
+
+Examples:
+  urg list                                  list the serial ports
+  urg info /dev/ttyACM0                     identify a sensor, and show its settings
+  urg view emulated                         a live radar, without any hardware
+  urg stream emulated --count 20            20 scans, without any hardware{record}
+  urg emulate --link /tmp/urg               an emulated sensor for other programs"
+    )
+}
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
-    if cli.command.draws() && io::stderr().is_terminal() {
-        // Its lines would be drawn across the picture.
-        if std::env::var_os(EnvFilter::DEFAULT_ENV).is_some() {
-            notice("no log on the terminal that is drawn on: add `2> urg.log`");
+    let outcome = match Cli::try_parse() {
+        Ok(cli) => {
+            start_log(&cli.command);
+            run(cli)
         }
-    } else {
-        log_to_stderr();
-    }
-    let code = match run(cli) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
+        Err(error) if error.use_stderr() => error.exit(),
+        // Help and the version are data: a full disk is reported.
+        Err(help) => help
+            .print()
+            .and_then(|()| io::stdout().flush())
+            .map_err(|error| output::stdout::failure(&error)),
+    };
+    let code = match outcome {
+        Ok(()) | Err(Failure::PipeClosed) => ExitCode::SUCCESS,
+        Err(Failure::Failed(line)) => {
+            notice(line);
+            ExitCode::FAILURE
+        }
+        Err(Failure::Usage(line)) => {
+            notice(line);
+            ExitCode::from(2)
+        }
     };
     stderr::finish();
     code
@@ -60,24 +121,61 @@ fn run(cli: Cli) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(|error| Failure::of("cannot start", &error))?;
-    let outcome = runtime.block_on(commands::run(cli.command));
-    // A write to a pipe that nobody reads may be under way: not waited for.
+    let outcome = runtime.block_on(run_command(cli.command));
+    // Does not wait for a write to a pipe that nobody reads.
     runtime.shutdown_background();
     outcome
 }
 
-/// Logs as `RUST_LOG` asks for, and not at all without it: what a user has to
-/// know is a notice.
-fn log_to_stderr() {
+/// Runs `command` until it is done or interrupted.
+async fn run_command(command: Command) -> Result<(), Failure> {
+    let interrupt =
+        Interrupt::listen().map_err(|error| Failure::of("cannot listen for signals", &error))?;
+    match command {
+        // These end in good order by themselves.
+        Command::Stream(stream) => stream.run(&interrupt).await,
+        Command::Check(check) => check.run(&interrupt).await,
+        Command::View(view) => view.run(&interrupt).await,
+        Command::Record(record) => record.run(&interrupt).await,
+        Command::Serve(serve) => serve.run(&interrupt).await,
+        // These can be stopped anywhere.
+        Command::List(list) => interrupt.or(list.run()).await,
+        Command::Info(info) => interrupt.or(info.run()).await,
+        Command::Scan(scan) => interrupt.or(scan.run()).await,
+        Command::Laser(laser) => interrupt.or(laser.run()).await,
+        Command::Baud(baud) => interrupt.or(baud.run()).await,
+        Command::Emulate(emulate) => interrupt.or(emulate.run()).await,
+        Command::Completions(completions) => interrupt.or(completions.run(Cli::command())).await,
+        Command::Man(man) => interrupt.or(man.run(Cli::command())).await,
+    }
+}
+
+/// Logs to standard error as `RUST_LOG` asks for, and not at all without it:
+/// whatever a user has to know is a notice.
+fn start_log(command: &Command) {
     if std::env::var_os(EnvFilter::DEFAULT_ENV).is_none() {
+        return;
+    }
+    if matches!(command, Command::View(_)) && io::stderr().is_terminal() {
+        notice("no log: its lines would cover the radar; add `2> urg.log` to log to a file");
         return;
     }
     match EnvFilter::try_from_default_env() {
         Ok(filter) => tracing_subscriber::fmt()
             .with_env_filter(filter)
-            .with_writer(|| stderr::Writer)
+            .with_writer(|| stderr::LogWriter)
             .with_ansi(io::stderr().is_terminal())
             .init(),
-        Err(error) => notice(format_args!("no log, RUST_LOG cannot be read: {error}")),
+        Err(error) => notice(format_args!("no log: RUST_LOG is invalid: {error}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_sound() {
+        Cli::command().debug_assert();
     }
 }

@@ -3,9 +3,11 @@
 use tokio_scip::BaudRate;
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::notice::notice;
-use crate::port::{PortArg, open};
+use crate::output::notice::notice;
+use crate::port::name::PortArg;
+use crate::port::open::open;
 
 /// Move the sensor to another baud rate
 ///
@@ -27,7 +29,7 @@ impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
         let link = LinkArgs { baud: None, wait: self.wait };
-        let sensor = open(&port, &link, 1).await?;
+        let sensor = open(&port, &link, Delivery::Newest).await?;
         let moved = sensor.set_baud_rate(self.speed).await;
         moved.map_err(|error| Failure::at(&port.to_string(), &error))?;
         let baud_rate = sensor.state().borrow().baud_rate();

@@ -3,11 +3,13 @@
 use std::time::{Duration, Instant};
 
 use crate::args::{LinkArgs, duration};
+use crate::check::{self, Step, Verdict};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::Output;
-use crate::port::{PortArg, open};
-use crate::selftest::{self, Step, Verdict};
+use crate::output::stdout::Output;
+use crate::port::name::PortArg;
+use crate::port::open::open;
 
 /// Test a sensor, with a verdict for each step
 ///
@@ -44,12 +46,14 @@ impl Check {
         let recorded = port.recorded().map(|_| rate);
         let mut report = Report { output: Output::new(), steps: Vec::new() };
         let begin = Instant::now();
-        match open(&port, &self.link, 1).await {
+        match open(&port, &self.link, Delivery::Newest).await {
             Ok(sensor) => {
-                report.add(selftest::link(&sensor, begin.elapsed())).await?;
-                report.add(selftest::version(&sensor).await).await?;
-                report.add(selftest::laser(&sensor).await).await?;
-                for step in selftest::scans(&sensor, port.window(), recorded, self.duration).await {
+                report.add(check::link(&sensor, begin.elapsed())).await?;
+                report.add(check::version(&sensor).await).await?;
+                report.add(check::laser(&sensor).await).await?;
+                for step in
+                    check::scans(&sensor, port.default_window(), recorded, self.duration).await
+                {
                     report.add(step).await?;
                 }
             }

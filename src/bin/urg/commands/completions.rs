@@ -1,11 +1,9 @@
 //! `urg completions`: what a shell needs to complete command lines.
 
-use clap::CommandFactory;
 use clap_complete::Shell;
 
-use crate::args::Cli;
 use crate::failure::Failure;
-use crate::output::print;
+use crate::output::stdout::print;
 
 /// Write completions for a shell
 #[derive(Debug, clap::Args)]
@@ -21,9 +19,10 @@ pub(crate) struct Completions {
 }
 
 impl Completions {
-    pub(crate) async fn run(self) -> Result<(), Failure> {
+    /// `program` is the whole command line.
+    pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
         let mut script = Vec::new();
-        clap_complete::generate(self.shell, &mut Cli::command(), "urg", &mut script);
+        clap_complete::generate(self.shell, &mut program, "urg", &mut script);
         print(&String::from_utf8_lossy(&script)).await
     }
 }

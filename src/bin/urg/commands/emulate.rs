@@ -11,9 +11,9 @@ use tokio_scip::BaudRate;
 use tokio_scip::emulator::Pty;
 use tokio_scip::emulator::{self, Emulator, Faults};
 
-use crate::args::{at_home, duration};
+use crate::args::{default_to_loopback, duration};
 use crate::failure::Failure;
-use crate::notice::notice;
+use crate::output::notice::notice;
 
 /// Be a sensor for other programs, until Ctrl-C
 ///
@@ -76,7 +76,7 @@ impl Emulate {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let emulator = self.emulator();
         match &self.tcp {
-            Some(address) => self.serve_tcp(&emulator, &at_home(address)).await,
+            Some(address) => self.serve_tcp(&emulator, &default_to_loopback(address)).await,
             None => self.serve_pty(&emulator).await,
         }
     }

@@ -7,10 +7,12 @@ use serde_json::{Value, json};
 use tokio_scip::{BaudRate, Version, Window};
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::format::json;
-use crate::output::print;
-use crate::port::{PortArg, PortName, open};
+use crate::output::stdout::print;
+use crate::port::name::{PortArg, PortName};
+use crate::port::open::open;
 
 /// Show who the sensor is, and how it is set
 ///
@@ -40,7 +42,7 @@ enum Format {
 impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
-        let sensor = open(&port, &self.link, 1).await?;
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let version =
             sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
         let speed = sensor.state().borrow().baud_rate();

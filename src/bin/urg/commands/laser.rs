@@ -3,9 +3,11 @@
 use clap::ValueEnum;
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::notice::notice;
-use crate::port::{PortArg, open};
+use crate::output::notice::notice;
+use crate::port::name::PortArg;
+use crate::port::open::open;
 
 /// Switch the laser on or off
 ///
@@ -32,7 +34,7 @@ enum Switch {
 impl Laser {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
-        let sensor = open(&port, &self.link, 1).await?;
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let (switched, state) = match self.switch {
             Switch::On => (sensor.laser_on().await, "on"),
             Switch::Off => (sensor.laser_off().await, "off"),

@@ -8,8 +8,8 @@ use tokio_scip::port::{self, PortInfo};
 
 use crate::failure::{Failure, chain};
 use crate::format::json;
-use crate::notice::notice;
-use crate::output::print;
+use crate::output::notice::notice;
+use crate::output::stdout::print;
 
 /// List the serial ports, likely sensors first
 ///
@@ -37,7 +37,7 @@ enum Format {
 
 /// A port for programs.
 #[derive(Debug, Serialize)]
-struct Entry<'a> {
+struct ListedPort<'a> {
     #[serde(flatten)]
     port: &'a PortInfo,
     likely_sensor: bool,
@@ -47,9 +47,10 @@ impl List {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let ports = port::list().await.map_err(|error| Failure::Failed(chain(&error)))?;
         if matches!(self.format, Format::Json) {
-            let entry = |port| Entry { port, likely_sensor: PortInfo::is_likely_sensor(port) };
-            let entries: Vec<_> = ports.iter().map(entry).collect();
-            return print(&json::line(&entries)?).await;
+            let listed =
+                |port| ListedPort { port, likely_sensor: PortInfo::is_likely_sensor(port) };
+            let ports: Vec<_> = ports.iter().map(listed).collect();
+            return print(&json::line(&ports)?).await;
         }
         if ports.is_empty() {
             notice("no serial ports here: plug a sensor in, or try `urg info emulated`");

@@ -1,11 +1,9 @@
 //! `urg man`: the manual pages, for packagers.
 
-use clap::CommandFactory;
 use clap_mangen::Man;
 
-use crate::args::Cli;
 use crate::failure::Failure;
-use crate::output::print;
+use crate::output::stdout::print;
 
 /// Write a manual page
 #[derive(Debug, clap::Args)]
@@ -19,9 +17,9 @@ pub(crate) struct Manual {
 }
 
 impl Manual {
-    pub(crate) async fn run(self) -> Result<(), Failure> {
+    /// `program` is the whole command line.
+    pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
         let failed = |error: std::io::Error| Failure::of("cannot write the page", &error);
-        let mut program = Cli::command();
         // Commands get their full names and the options that all have.
         program.build();
         let about = match &self.command {

@@ -8,20 +8,21 @@ use tokio_scip::recording::Recorder;
 use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
-use crate::contents::clock;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::feed::{Entry, Feed, Reporter};
-use crate::follow::{Ended, follow};
 use crate::interrupt::Interrupt;
-use crate::notice::notice;
-use crate::pace::PaceWatch;
-use crate::port::{PortArg, PortName, open_with};
-use crate::progress::Progress;
-use crate::recorded::Recorded;
-use crate::recorder_file::RecorderFile;
-
-/// How many scans may wait to be recorded. Nothing here makes them wait.
-const DEPTH: usize = 1024;
+use crate::output::notice::notice;
+use crate::port::missing;
+use crate::port::name::{PortArg, PortName};
+use crate::port::open::open_with;
+use crate::recording::contents::clock;
+use crate::recording::file::{Existing, RecorderFile};
+use crate::recording::progress::Progress;
+use crate::recording::recorded::Recorded;
+use crate::stream::feed::{Feed, Update};
+use crate::stream::follow::{Ended, follow};
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::Reporter;
 
 /// Record scans, and all that the sensor sends, into a file
 ///
@@ -61,9 +62,9 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Some(file) = &self.file else { return Err(self.port.alone().await) };
+        let Some(file) = &self.file else { return Err(self.without_file().await) };
         let (port, rate) = self.port.polled_at(self.pace.rate).await?;
-        let window = self.window.window(&port)?;
+        let window = self.window.window(port.default_window())?;
         let mut file = tokio::select! {
             file = self.file(&port, file) => file?,
             _ = interrupt.requested() => return Ok(()),
@@ -77,7 +78,7 @@ impl Record {
         file.begin()?;
         let run = Run {
             recorder,
-            watch: PaceWatch::new(&port, window, rate),
+            watch: RateWatch::new(&port, window, rate),
             feed: Feed::new(&port, scans),
             reporter: Reporter::new(port, sensor),
             progress: Progress::new(),
@@ -87,7 +88,18 @@ impl Record {
         run.run(&self.pace, interrupt, &file).await
     }
 
-    /// The file, if it is one to be written.
+    /// Returns the failure where one name was given instead of two: which FILE,
+    /// or, where that name is a recording, which PORT.
+    async fn without_file(&self) -> Failure {
+        match &self.port.name {
+            Some(port) if port.recorded().is_none() => Failure::Usage(format!(
+                "which FILE.mcap? The recording needs a name: `urg record {port} run.mcap`"
+            )),
+            _ => missing::failure().await,
+        }
+    }
+
+    /// Opens the file. Fails if it cannot be recorded into.
     async fn file(&self, port: &PortName, file: &Path) -> Result<RecorderFile, Failure> {
         let name = file.display();
         if !Recorded::is_name(file) {
@@ -98,7 +110,8 @@ impl Record {
         if port.recorded().is_some_and(|recorded| recorded.is(file)) {
             return Err(Failure::Usage(format!("{name} cannot be recorded into itself")));
         }
-        RecorderFile::open(file, self.force).await
+        let existing = if self.force { Existing::Overwrite } else { Existing::Refuse };
+        RecorderFile::open(file, existing).await
     }
 
     async fn open(
@@ -110,7 +123,7 @@ impl Record {
     ) -> Result<(Sensor, ScanStream), Failure> {
         let failed = |error| Failure::at(&port.to_string(), &error);
         let builder = Sensor::builder().on_reply(recorder.observer());
-        let sensor = open_with(port, &self.link, DEPTH, builder).await?;
+        let sensor = open_with(port, &self.link, Delivery::All, builder).await?;
         let scans = sensor.scans(window, rate).await.map_err(failed)?;
         recorder.describe(&sensor, &scans).await.map_err(failed)?;
         Ok((sensor, scans))
@@ -122,7 +135,7 @@ struct Run {
     recorder: Recorder,
     feed: Feed,
     reporter: Reporter,
-    watch: PaceWatch,
+    watch: RateWatch,
     progress: Progress,
     began: Instant,
     /// Scans of which only the replies are in the file.
@@ -137,16 +150,16 @@ impl Run {
         file: &RecorderFile,
     ) -> Result<(), Failure> {
         let Self { recorder, feed, reporter, watch, progress, began, missed } = &mut self;
-        let take = async |entry: Entry| {
-            reporter.tell(&entry);
-            let item = match entry {
-                Entry::Scan(scan) => Ok(scan),
-                Entry::Error(error) => Err(error),
-                Entry::Reconnected => {
+        let take = async |update: Update| {
+            reporter.report(&update);
+            let item = match update {
+                Update::Scan(scan) => Ok(scan),
+                Update::Error(error) => Err(error),
+                Update::Reconnected => {
                     watch.interrupted();
                     return Ok(());
                 }
-                Entry::Missed(scans) => {
+                Update::Missed(scans) => {
                     *missed += scans;
                     return Ok(());
                 }

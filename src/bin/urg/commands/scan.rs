@@ -3,10 +3,12 @@
 use clap::ValueEnum;
 
 use crate::args::{LinkArgs, WindowArgs};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::format::{csv, json, svg, table};
-use crate::output::print;
-use crate::port::{PortArg, open};
+use crate::output::stdout::print;
+use crate::port::name::PortArg;
+use crate::port::open::open;
 
 /// Take one scan
 ///
@@ -47,13 +49,13 @@ enum Format {
 impl ScanOnce {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
-        let window = self.window.window(&port)?;
-        let sensor = open(&port, &self.link, 1).await?;
+        let window = self.window.window(port.default_window())?;
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let at_port = |error| Failure::at(&port.to_string(), &error);
         let scan = sensor.scan(window).await.map_err(at_port)?;
         let text = match self.format {
             Format::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
-            Format::Json => json::scan(&scan)?,
+            Format::Json => json::line(&scan)?,
             Format::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
             Format::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };

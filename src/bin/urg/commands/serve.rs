@@ -5,11 +5,11 @@ use std::net::SocketAddr;
 
 use tokio::net::{TcpListener, TcpSocket};
 
-use crate::args::{LinkArgs, WindowArgs, at_home};
+use crate::args::{LinkArgs, WindowArgs, default_to_loopback};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::notice::notice;
-use crate::port::PortArg;
+use crate::output::notice::notice;
+use crate::port::name::PortArg;
 use crate::web::{self, Hub};
 
 /// What the system keeps for a client that is slow to read, some ten scans:
@@ -68,8 +68,8 @@ impl Serve {
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (port, rate) = self.port.polled_at(self.rate).await?;
-        let window = self.window.window(&port)?;
-        let address = at_home(&self.listen);
+        let window = self.window.window(port.default_window())?;
+        let address = default_to_loopback(&self.listen);
         let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
         let listener = listen(&address).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;

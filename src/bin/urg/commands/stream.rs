@@ -3,18 +3,18 @@
 use clap::ValueEnum;
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::feed::{Entry, Feed, Reporter};
-use crate::follow::{Ended, follow};
 use crate::format::csv;
 use crate::interrupt::Interrupt;
-use crate::notice::notice;
-use crate::output::Output;
-use crate::pace::PaceWatch;
-use crate::port::{PortArg, open};
-
-/// How many scans wait for a reader that is slow: nearly two minutes.
-const DEPTH: usize = 1024;
+use crate::output::notice::notice;
+use crate::output::stdout::Output;
+use crate::port::name::PortArg;
+use crate::port::open::open;
+use crate::stream::feed::{Feed, Update};
+use crate::stream::follow::{Ended, follow};
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::Reporter;
 
 /// Write scans to standard output as they come
 ///
@@ -77,9 +77,9 @@ impl Stream {
 
     async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (port, rate) = self.port.polled_at(self.pace.rate).await?;
-        let window = self.window.window(&port)?;
+        let window = self.window.window(port.default_window())?;
         let opening = async {
-            let sensor = open(&port, &self.link, DEPTH).await?;
+            let sensor = open(&port, &self.link, Delivery::All).await?;
             let scans = sensor.scans(window, rate).await;
             let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
             Ok((sensor, scans))
@@ -90,7 +90,7 @@ impl Stream {
         };
         let mut feed = Feed::new(&port, scans);
         let mut run = Run {
-            watch: PaceWatch::new(&port, window, rate),
+            watch: RateWatch::new(&port, window, rate),
             reporter: Reporter::new(port, sensor),
             format: self.format,
             output: Output::new(),
@@ -98,7 +98,7 @@ impl Stream {
         if self.format == Format::Csv {
             run.output.write(csv::HEADER).await?;
         }
-        let write = async |entry: Entry| run.write(&entry).await;
+        let write = async |update: Update| run.write(&update).await;
         match follow(&mut feed, &self.pace, interrupt, write).await? {
             Ended::AsAsked => Ok(()),
             Ended::ByItself => run.reporter.end(),
@@ -111,26 +111,26 @@ struct Run {
     reporter: Reporter,
     format: Format,
     output: Output,
-    watch: PaceWatch,
+    watch: RateWatch,
 }
 
 impl Run {
-    async fn write(&mut self, entry: &Entry) -> Result<(), Failure> {
-        self.reporter.tell(entry);
-        match (self.format, entry) {
-            (Format::Ndjson, entry) => self.output.write(&entry.line()?).await?,
-            (Format::Csv, Entry::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
+    async fn write(&mut self, update: &Update) -> Result<(), Failure> {
+        self.reporter.report(update);
+        match (self.format, update) {
+            (Format::Ndjson, update) => self.output.write(&update.line()?).await?,
+            (Format::Csv, Update::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
             // A table has no place for anything else.
             (Format::Csv, _) => {}
         }
-        match entry {
-            Entry::Scan(_) => {
+        match update {
+            Update::Scan(_) => {
                 if let Some(text) = self.watch.look(&self.reporter.sensor) {
                     notice(text);
                 }
             }
-            Entry::Reconnected => self.watch.interrupted(),
-            Entry::Error(_) | Entry::Missed(_) => {}
+            Update::Reconnected => self.watch.interrupted(),
+            Update::Error(_) | Update::Missed(_) => {}
         }
         Ok(())
     }

@@ -3,10 +3,13 @@
 use tokio_scip::Rate;
 
 use crate::args::{LinkArgs, WindowArgs};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::follow::Ended;
 use crate::interrupt::Interrupt;
-use crate::port::{PortArg, open};
+use crate::port::name::PortArg;
+use crate::port::open::open;
+use crate::recording;
+use crate::stream::follow::Ended;
 use crate::view::{Screen, Viewer};
 
 /// Show a live radar in the terminal
@@ -15,12 +18,7 @@ use crate::view::{Screen, Viewer};
 /// goes on to its end. `?` shows the keys, `q` quits. NO_COLOR=1 does without
 /// colours.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "\
-Examples:
-  urg view /dev/ttyACM0
-  urg view /dev/ttyUSB0 --baud 115200 --cluster 2
-  urg view emulated --from -90deg --to 90deg
-  urg view run.mcap                     what was recorded")]
+#[command(after_help = examples())]
 pub(crate) struct View {
     #[command(flatten)]
     port: PortArg,
@@ -34,13 +32,27 @@ pub(crate) struct View {
     link: LinkArgs,
 }
 
+fn examples() -> String {
+    let recording = match recording::AVAILABLE {
+        true => "\n  urg view run.mcap                     a recording",
+        false => "",
+    };
+    format!(
+        "\
+Examples:
+  urg view /dev/ttyACM0
+  urg view /dev/ttyUSB0 --baud 115200 --cluster 2
+  urg view emulated --from -90deg --to 90deg{recording}"
+    )
+}
+
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (port, rate) = self.port.polled_at(self.rate).await?;
-        let window = self.window.window(&port)?;
+        let window = self.window.window(port.default_window())?;
         Screen::possible()?;
         let opening = async {
-            let sensor = open(&port, &self.link, 1).await?;
+            let sensor = open(&port, &self.link, Delivery::Newest).await?;
             Viewer::new(&port, sensor, window, rate).await
         };
         // What cannot be opened is told on the terminal as it is.

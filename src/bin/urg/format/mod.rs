@@ -4,4 +4,4 @@ pub(crate) mod csv;
 pub(crate) mod json;
 pub(crate) mod svg;
 pub(crate) mod table;
-pub(crate) mod utc;
+pub(crate) mod time;

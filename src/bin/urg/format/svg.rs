@@ -5,8 +5,8 @@ use std::fmt::{self, Write};
 
 use tokio_scip::{Point, Scan, Version};
 
-use super::utc::Utc;
-use crate::plot::lack::{Lack, Tally};
+use super::time;
+use crate::plot::missing::{DistanceCount, MissingKind};
 use crate::plot::{self, Anchor, Place, REACH, Sector};
 
 const WIDTH: f64 = 180.0;
@@ -80,15 +80,15 @@ impl Paper {
         write!(out, r#"<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}mm" "#)?;
         writeln!(out, r#"height="{height:.1}mm" viewBox="0 0 {WIDTH} {height:.1}">"#)?;
         let who = format!("{} {}", version.product, version.serial_number);
-        let when = Utc::from(scan.stamp());
+        let when = time::utc(scan.stamp());
         writeln!(out, "<title>Scan of {}, {when}</title>", xml(&who))?;
         writeln!(out, "<style>\n{STYLE}\n</style>")?;
         writeln!(out, r##"<rect width="100%" height="100%" fill="#fff"/>"##)?;
-        self.header(out, &who, when, scan, version)?;
+        self.header(out, &who, &when, scan, version)?;
         self.seen(out, scan)?;
         self.grid(out)?;
         self.points(out, scan)?;
-        self.lacks(out, scan)?;
+        self.kinds(out, scan)?;
         self.legend(out, scan)?;
         writeln!(out, "</svg>")
     }
@@ -98,7 +98,7 @@ impl Paper {
         &self,
         out: &mut String,
         who: &str,
-        when: Utc,
+        when: &str,
         scan: &Scan,
         version: &Version,
     ) -> fmt::Result {
@@ -181,23 +181,23 @@ impl Paper {
 
     /// Outside of the sector a track for each kind of error code, so that they
     /// differ without colours too.
-    fn lacks(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+    fn kinds(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let half = plot::width(scan.window().cluster_count()) / 2.0;
-        for (track, lack) in (1..).zip(Lack::ALL.into_iter().rev()) {
+        for (track, kind) in (1..).zip(MissingKind::ALL.into_iter().rev()) {
             let radius = REACH + f64::from(track) * TRACK / self.scale;
             let mut arcs = String::new();
             let mut run: Option<Sector> = None;
             let directions = scan.angles().map(f64::from).zip(scan.measurements().map(Some));
             // One more, which ends the last run.
             for (angle, measurement) in directions.chain([(0.0, None)]) {
-                if measurement.and_then(Lack::of) == Some(lack) {
+                if measurement.and_then(MissingKind::of) == Some(kind) {
                     run.get_or_insert(Sector { from: angle - half, to: angle }).to = angle + half;
                 } else if let Some(run) = run.take() {
                     write!(arcs, "M{}", self.arc(run, radius))?;
                 }
             }
             if !arcs.is_empty() {
-                writeln!(out, r#"<path class="track {}" d="{arcs}"/>"#, lack.name())?;
+                writeln!(out, r#"<path class="track {}" d="{arcs}"/>"#, kind.name())?;
             }
         }
         Ok(())
@@ -212,8 +212,8 @@ impl Paper {
             y += LINE;
             Ok(())
         };
-        let tally = Tally::of(scan);
-        let mut text = format!("{} of {} points have a distance", tally.distances, scan.len());
+        let count = DistanceCount::of(scan);
+        let mut text = format!("{} of {} points have a distance", count.distances, scan.len());
         let by_range = |a: &Point, b: &Point| a.range.total_cmp(&b.range);
         if let (Some(near), Some(far)) =
             (scan.points().min_by(by_range), scan.points().max_by(by_range))
@@ -221,16 +221,16 @@ impl Paper {
             let _ = write!(text, ", nearest {}, farthest {}", whereabouts(near), whereabouts(far));
         }
         row(out, r#"<circle class="points" cx="2" r="0.7"/>"#, &text)?;
-        for (lack, track) in Lack::ALL.into_iter().zip(["outer", "middle", "inner"]) {
-            let mut text = format!("{} {}", tally.count(lack), lack.meaning());
-            for (n, (value, count)) in tally.values(lack).enumerate() {
+        for (kind, track) in MissingKind::ALL.into_iter().zip(["outer", "middle", "inner"]) {
+            let mut text = format!("{} {}", count.count(kind), kind.meaning());
+            for (n, (value, count)) in count.values(kind).enumerate() {
                 let before = if n == 0 { " (" } else { ", " };
                 let _ = write!(text, "{before}code {value}: {count}");
             }
-            if tally.count(lack) > 0 {
+            if count.count(kind) > 0 {
                 let _ = write!(text, "), {track} track");
             }
-            row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, lack.name()), &text)?;
+            row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, kind.name()), &text)?;
         }
         y += 1.0;
         let about = concat!(

@@ -2,7 +2,7 @@
 //! its range rings, and where a point goes. Plots look from above, with the
 //! sensor's front up.
 
-pub(crate) mod lack;
+pub(crate) mod missing;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 

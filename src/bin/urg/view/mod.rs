@@ -24,10 +24,10 @@ pub(crate) use self::screen::Screen;
 use self::model::{Action, Model};
 use self::palette::Palette;
 use crate::failure::{Failure, chain};
-use crate::feed::end;
-use crate::follow::Ended;
-use crate::pace::PaceWatch;
-use crate::port::PortName;
+use crate::port::name::PortName;
+use crate::stream::follow::Ended;
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::end;
 
 /// At least so long from one frame to the next: 20 a second.
 const FRAME: Duration = Duration::from_millis(50);
@@ -41,7 +41,7 @@ pub(crate) struct Viewer {
     scans: ScanStream,
     /// What the sensor was asked for with a key, and what is being saved.
     jobs: JoinSet<Done>,
-    pace: PaceWatch,
+    pace: RateWatch,
     model: Model,
     palette: Palette,
 }
@@ -66,7 +66,7 @@ impl Viewer {
         let version = sensor.version().await.map_err(failed)?;
         let scans = sensor.scans(window, rate).await.map_err(failed)?;
         Ok(Self {
-            pace: PaceWatch::new(port, window, rate),
+            pace: RateWatch::new(port, window, rate),
             model: Model::new(port.to_string(), version, window, rate),
             port: port.clone(),
             sensor,
@@ -199,7 +199,7 @@ impl Viewer {
             // The window may have been changed again meanwhile.
             Done::Watching(window, Ok(scans)) if window == self.model.window => {
                 self.scans = scans;
-                self.pace = PaceWatch::new(&self.port, window, self.model.rate);
+                self.pace = RateWatch::new(&self.port, window, self.model.rate);
             }
             Done::Watching(window, Err(error)) if window == self.model.window => {
                 self.model.window = self.scans.window();

@@ -4,7 +4,7 @@ use std::ffi::OsString;
 
 use ratatui::style::{Color, Modifier, Style};
 
-use crate::plot::lack::Lack;
+use crate::plot::missing::MissingKind;
 
 /// Near to far, a colour each half metre, none of them too bright or too dark
 /// for a terminal's background.
@@ -63,12 +63,12 @@ impl Palette {
         colors.get(band).or(colors.last()).copied().unwrap_or_default()
     }
 
-    pub(crate) fn lack(self, lack: Lack) -> Color {
-        match (self, lack) {
+    pub(crate) fn missing(self, kind: MissingKind) -> Color {
+        match (self, kind) {
             (Self::Plain, _) => Color::Reset,
-            (_, Lack::Far) => Color::Cyan,
-            (_, Lack::Weak) => Color::Yellow,
-            (_, Lack::Nothing) => Color::Magenta,
+            (_, MissingKind::Far) => Color::Cyan,
+            (_, MissingKind::Weak) => Color::Yellow,
+            (_, MissingKind::Nothing) => Color::Magenta,
         }
     }
 

@@ -7,8 +7,8 @@ use tokio_scip::{Point, Scan, State};
 use super::model::Model;
 use super::palette::{BAND, Palette};
 use super::radar::mark;
-use crate::pace::ENOUGH;
-use crate::plot::lack::{Lack, Tally};
+use crate::plot::missing::{DistanceCount, MissingKind};
+use crate::stream::rate_watch::ENOUGH;
 
 /// The whole panel, in at most `rows` lines where that can be.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
@@ -133,14 +133,14 @@ impl Panel<'_> {
 
     fn scan(&self) -> Vec<Line<'static>> {
         let Some(scan) = &self.model.scan else { return vec![self.row("points", "none yet")] };
-        let tally = Tally::of(scan);
+        let count = DistanceCount::of(scan);
         let nearest =
             scan.points().min_by(|a: &Point, b: &Point| a.range.total_cmp(&b.range)).map_or_else(
                 || "-".to_owned(),
                 |point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees()),
             );
         let mut lines = vec![
-            self.row("points", format!("{} of {}", tally.distances, scan.len())),
+            self.row("points", format!("{} of {}", count.distances, scan.len())),
             self.row("nearest", nearest),
         ];
         let hidden = scan.points().filter(|point| f64::from(point.range) > self.model.reach());
@@ -149,9 +149,9 @@ impl Panel<'_> {
             count => lines.push(self.row("outside", format!("{count} beyond the rim"))),
         }
         lines.push(Line::styled("no distance, at the rim", Palette::quiet()));
-        for lack in Lack::ALL {
-            let style = Style::new().fg(self.palette.lack(lack));
-            let text = format!("{} {:<5} {}", mark(lack), lack.name(), tally.count(lack));
+        for kind in MissingKind::ALL {
+            let style = Style::new().fg(self.palette.missing(kind));
+            let text = format!("{} {:<5} {}", mark(kind), kind.name(), count.count(kind));
             lines.push(Line::styled(text, style));
         }
         lines

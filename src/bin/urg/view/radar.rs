@@ -13,7 +13,7 @@ use tokio_scip::Scan;
 
 use super::model::Model;
 use super::palette::Palette;
-use crate::plot::lack::Lack;
+use crate::plot::missing::MissingKind;
 use crate::plot::{self, Anchor, Place, Sector};
 
 /// Braille has so many dots in a cell.
@@ -21,11 +21,11 @@ const ACROSS: f64 = 2.0;
 const DOWN: f64 = 4.0;
 
 /// What marks a direction at the rim.
-pub(crate) fn mark(lack: Lack) -> &'static str {
-    match lack {
-        Lack::Far => "^",
-        Lack::Weak => "~",
-        Lack::Nothing => "x",
+pub(crate) fn mark(kind: MissingKind) -> &'static str {
+    match kind {
+        MissingKind::Far => "^",
+        MissingKind::Weak => "~",
+        MissingKind::Nothing => "x",
     }
 }
 
@@ -118,17 +118,17 @@ impl Chart {
     /// A mark for each cell along the rim in which directions have no distance:
     /// that of the kind that most of them are of.
     fn marks(&self, buffer: &mut Buffer, scan: &Scan, palette: Palette) {
-        let mut cells: BTreeMap<_, BTreeMap<Lack, usize>> = BTreeMap::new();
+        let mut cells: BTreeMap<_, BTreeMap<MissingKind, usize>> = BTreeMap::new();
         for (angle, measurement) in scan.angles().zip(scan.measurements()) {
             let place = plot::place(self.reach + 4.0 * self.dot, angle.into());
-            if let (Some(lack), Some(cell)) = (Lack::of(measurement), self.cell(place)) {
-                *cells.entry(cell).or_default().entry(lack).or_default() += 1;
+            if let (Some(kind), Some(cell)) = (MissingKind::of(measurement), self.cell(place)) {
+                *cells.entry(cell).or_default().entry(kind).or_default() += 1;
             }
         }
-        for ((column, row), lacks) in cells {
-            if let Some((lack, _)) = lacks.into_iter().max_by_key(|(_, count)| *count) {
-                let style = Style::new().fg(palette.lack(lack));
-                buffer.set_stringn(column, row, mark(lack), 1, style);
+        for ((column, row), kinds) in cells {
+            if let Some((kind, _)) = kinds.into_iter().max_by_key(|(_, count)| *count) {
+                let style = Style::new().fg(palette.missing(kind));
+                buffer.set_stringn(column, row, mark(kind), 1, style);
             }
         }
     }

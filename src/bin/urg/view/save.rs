@@ -7,7 +7,7 @@ use std::path::Path;
 use tokio_scip::{Scan, Version};
 
 use crate::format::svg::svg;
-use crate::format::utc::Utc;
+use crate::format::time;
 
 /// Saves the picture in the current directory, under a name of its own: that
 /// of the scan's time, and nothing that the sensor says. Gives the name, or what
@@ -17,7 +17,7 @@ pub(crate) fn save(scan: &Scan, version: &Version) -> Result<String, String> {
 }
 
 fn save_in(directory: &Path, scan: &Scan, version: &Version) -> Result<String, String> {
-    let stamp = Utc::from(scan.stamp()).file_name();
+    let stamp = time::file_name(scan.stamp());
     let more = (2..1000).map(|number| format!("-{number}"));
     for suffix in std::iter::once(String::new()).chain(more) {
         let name = format!("urg-{stamp}{suffix}.svg");

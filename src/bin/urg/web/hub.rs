@@ -8,10 +8,13 @@ use tokio::sync::watch;
 use tokio_scip::{Rate, Sensor, State, Window};
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
-use crate::feed::{Entry, Feed, Reporter};
-use crate::pace::PaceWatch;
-use crate::port::{PortName, begin, opened};
+use crate::port::name::PortName;
+use crate::port::open::{begin, opened};
+use crate::stream::feed::{Feed, Update};
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::Reporter;
 
 /// What scans may be late by, beside some periods.
 const GRACE: Duration = Duration::from_secs(2);
@@ -28,7 +31,7 @@ pub(crate) struct Hub {
     live: watch::Sender<Option<Live>>,
 }
 
-/// How it goes, as of the latest entry of the stream.
+/// How it goes, as of the latest update of the stream.
 #[derive(Debug, Clone)]
 pub(super) struct Live {
     pub(super) sensor: Sensor,
@@ -61,7 +64,7 @@ impl Hub {
             return Ok(());
         }
         // Viewers want the newest scan, and no other.
-        let sensor = begin(&self.port, link, 1, Sensor::builder())?;
+        let sensor = begin(&self.port, link, Delivery::Newest, Sensor::builder())?;
         // It is opened once.
         let _ = self.sensor.set(sensor.clone());
         opened(&self.port, link, &sensor).await?;
@@ -77,17 +80,17 @@ impl Hub {
         self.open(link).await?;
         let Some(mut live) = self.live.borrow().clone() else { return Ok(()) };
         let mut reporter = Reporter::new(self.port.clone(), live.sensor.clone());
-        let mut pace = PaceWatch::new(&self.port, self.window, self.rate);
-        while let Some(entry) = live.feed.next().await {
-            reporter.tell(&entry);
-            match &entry {
-                Entry::Scan(scan) => {
+        let mut pace = RateWatch::new(&self.port, self.window, self.rate);
+        while let Some(update) = live.feed.next().await {
+            reporter.report(&update);
+            match &update {
+                Update::Scan(scan) => {
                     live.scanned = Some(scan.received_at());
                     live.error = None;
                     pace.look(&live.sensor);
                 }
-                Entry::Error(error) => live.error = Some(chain(error)),
-                Entry::Reconnected | Entry::Missed(_) => {}
+                Update::Error(error) => live.error = Some(chain(error)),
+                Update::Reconnected | Update::Missed(_) => {}
             }
             self.live.send_replace(Some(live.clone()));
         }

@@ -11,7 +11,7 @@ use tokio::sync::OwnedSemaphorePermit;
 
 use super::App;
 use crate::failure::Failure;
-use crate::feed::{Entry, Feed};
+use crate::stream::feed::{Feed, Update};
 
 /// How long a stream of events stays silent before it says that it still is
 /// there.
@@ -27,7 +27,7 @@ pub(super) async fn scans(State(app): State<App>, headers: HeaderMap, uri: Uri) 
         return (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], text)
             .into_response();
     };
-    let format = Format::accepted(&headers);
+    let format = ScansFormat::accepted(&headers);
     let viewer = Viewer { app, feed: None, left, format, _place: place };
     // What the client is slow to take is not asked for: the newest comes next.
     let lines = stream::unfold(viewer, async |mut viewer| {
@@ -47,12 +47,12 @@ fn count(query: Option<&str>) -> Option<u64> {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Format {
+enum ScansFormat {
     Ndjson,
     Events,
 }
 
-impl Format {
+impl ScansFormat {
     fn accepted(headers: &HeaderMap) -> Self {
         let events = headers
             .get_all(header::ACCEPT)
@@ -85,7 +85,7 @@ struct Viewer {
     feed: Option<Feed>,
     /// How many scans are still wanted.
     left: u64,
-    format: Format,
+    format: ScansFormat,
     _place: OwnedSemaphorePermit,
 }
 
@@ -97,7 +97,7 @@ impl Viewer {
             biased;
             _ = interrupt.requested() => None,
             line = self.line() => Some(line?.map(|line| format.frame(line))),
-            () = tokio::time::sleep(SILENCE), if format == Format::Events => {
+            () = tokio::time::sleep(SILENCE), if format == ScansFormat::Events => {
                 Some(Ok(":\n\n".to_owned()))
             }
         }
@@ -110,9 +110,9 @@ impl Viewer {
         if self.feed.is_none() {
             self.feed = Some(self.app.hub.feed().await?);
         }
-        let entry = self.feed.as_mut()?.next().await?;
-        self.left -= u64::from(matches!(entry, Entry::Scan(_)));
-        Some(entry.line())
+        let update = self.feed.as_mut()?.next().await?;
+        self.left -= u64::from(matches!(update, Update::Scan(_)));
+        Some(update.line())
     }
 }
 

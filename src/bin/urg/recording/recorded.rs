@@ -1,5 +1,4 @@
-//! A recording in the place of a port: what it says of itself, and how it is
-//! replayed.
+//! A recording in the place of a port: its settings, and its replay.
 
 use std::fmt;
 use std::future::poll_fn;
@@ -12,12 +11,13 @@ use tokio::sync::watch;
 use tokio_scip::recording::{Recording, ReplayPace};
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 
-use crate::contents::{self, Row};
+use super::contents::{self, Row};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::notice::notice;
+use crate::output::notice::notice;
 
-/// By how many scans a replay may be ahead of whoever takes them.
-const AHEAD: u64 = 256;
+/// A replay that waits for its consumer is at most so many scans ahead of it.
+const MAX_SCANS_AHEAD: u64 = 256;
 
 /// A recording.
 #[derive(Debug, Clone)]
@@ -26,12 +26,13 @@ pub(crate) struct Recorded {
     window: Option<Window>,
     rate: Option<Rate>,
     pace: ReplayPace,
-    /// How many scans were taken from feeds.
+    /// The number of scans that were taken from feeds.
     taken: Arc<watch::Sender<u64>>,
 }
 
 impl Recorded {
-    /// The recording that `text` names, if it names one; or why there are none.
+    /// Returns the recording that `text` names, if it names one. Fails if this
+    /// build reads none.
     pub(crate) fn named(text: &str) -> Result<Option<Self>, String> {
         Ok(Self::is_name(Path::new(text)).then(|| Self {
             path: text.into(),
@@ -42,31 +43,31 @@ impl Recorded {
         }))
     }
 
-    /// Whether a file of this name is taken for a recording.
+    /// Returns whether a file of this name counts as a recording.
     pub(crate) fn is_name(path: &Path) -> bool {
         path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
     }
 
-    /// Looks into the file for what was asked of the sensor.
-    pub(crate) fn look(&mut self) -> Result<(), Failure> {
+    /// Reads the recorded window and rate from the file.
+    pub(crate) fn read_settings(&mut self) -> Result<(), Failure> {
         let recording = self.open()?;
         (self.window, self.rate) = (recording.window(), recording.rate());
         Ok(())
     }
 
-    /// The window that was recorded, if it was written down.
+    /// Returns the recorded window, if the file has it.
     pub(crate) fn window(&self) -> Option<Window> {
         self.window
     }
 
-    /// Sets the pace to `rate`, or to its own: gives the rate that was
-    /// recorded, if it was written down.
-    pub(crate) fn paced_at(&mut self, rate: Option<Rate>) -> Option<Rate> {
+    /// Sets the pace: as fast as it is polled with a `rate`, else the recorded
+    /// one. Returns the recorded rate, if the file has it.
+    pub(crate) fn set_pace(&mut self, rate: Option<Rate>) -> Option<Rate> {
         self.pace = rate.map_or(ReplayPace::Recorded, |_| ReplayPace::Max);
         self.rate
     }
 
-    /// What is in it, to be told.
+    /// Reads all of it, and returns a row for each thing to report.
     pub(crate) async fn contents(&self) -> Result<Vec<Row>, Failure> {
         let recording = self.open()?;
         let read = tokio::task::spawn_blocking(|| contents::rows(recording)).await;
@@ -76,31 +77,38 @@ impl Recorded {
         }
     }
 
-    /// Whether it is this file.
+    /// Returns whether it is the file at `path`.
     pub(crate) fn is(&self, path: &Path) -> bool {
         let real = |path: &Path| path.canonicalize().ok();
         real(&self.path).is_some_and(|own| Some(own) == real(path))
     }
 
-    /// Begins the replay. Where nothing is to be lost it waits for whoever
-    /// takes the scans.
-    pub(crate) fn start(&self, builder: SensorBuilder, lossless: bool) -> Result<Sensor, Failure> {
+    /// Begins the replay. It waits for its consumer if that has to get all scans.
+    pub(crate) fn start(
+        &self,
+        builder: SensorBuilder,
+        delivery: Delivery,
+    ) -> Result<Sensor, Failure> {
         let emulator = self.open()?.replay(self.pace).map_err(|error| self.failure(&error))?;
         let (sensor, driver) = builder.reconnect(false).build(emulator);
-        if lossless {
-            tokio::spawn(hold_back(driver, sensor.clone(), self.taken.subscribe()));
-        } else {
-            tokio::spawn(driver);
+        match delivery {
+            Delivery::All => {
+                tokio::spawn(run_paced(driver, sensor.clone(), self.taken.subscribe()));
+            }
+            Delivery::Newest => {
+                tokio::spawn(driver);
+            }
         }
         Ok(sensor)
     }
 
-    /// Takes notice that a scan was taken.
-    pub(crate) fn took(&self) {
+    /// Counts a scan that was taken from a feed.
+    pub(crate) fn record_taken(&self) {
         self.taken.send_modify(|taken| *taken += 1);
     }
 
-    /// What to make of a replay that ended with `error`.
+    /// Maps the end of the replay to that of the program: the end of the file is
+    /// reported, any other error fails.
     pub(crate) fn end(&self, error: &Error) -> Result<(), Failure> {
         match error {
             Error::Disconnected { source: None } => {
@@ -127,13 +135,13 @@ impl fmt::Display for Recorded {
     }
 }
 
-/// Runs the driver, no further than some scans ahead of those that were taken.
-/// To a driver it is as if the system had no time for it.
-async fn hold_back(driver: Driver, sensor: Sensor, mut taken: watch::Receiver<u64>) {
+/// Runs the driver, but stops polling it while it is too many scans ahead of
+/// the consumer. To the driver that is a busy system.
+async fn run_paced(driver: Driver, sensor: Sensor, mut taken: watch::Receiver<u64>) {
     let mut driver = pin!(driver);
     loop {
-        let enough = sensor.stats().scans.saturating_sub(AHEAD);
-        // The sender is there for as long as anybody takes scans.
+        let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);
+        // The sender lives as long as its consumers.
         let Ok(seen) = taken.wait_for(|taken| *taken >= enough).await.map(|taken| *taken) else {
             return;
         };
@@ -141,7 +149,11 @@ async fn hold_back(driver: Driver, sensor: Sensor, mut taken: watch::Receiver<u6
             if driver.as_mut().poll(cx).is_ready() {
                 return Poll::Ready(true);
             }
-            if sensor.stats().scans > seen + AHEAD { Poll::Ready(false) } else { Poll::Pending }
+            if sensor.stats().scans > seen + MAX_SCANS_AHEAD {
+                Poll::Ready(false)
+            } else {
+                Poll::Pending
+            }
         });
         if ended.await {
             return;

@@ -1,13 +1,13 @@
-//! What the user is told besides the data: lines on standard error.
+//! Notices: lines on standard error for the user, besides the data.
 
 use std::fmt;
 
-use crate::stderr;
+use super::stderr;
 
-/// Writes one line to standard error, without waiting for it.
+/// Queues one line for standard error, without waiting for it.
 ///
-/// Control characters are escaped: it stays one line whatever is in it, and
-/// does nothing to the terminal.
+/// Control characters are escaped: whatever a sensor or a file name holds, it
+/// stays one line and does nothing to the terminal.
 pub(crate) fn notice(text: impl fmt::Display) {
     let mut line = String::from("urg: ");
     for c in text.to_string().chars() {

@@ -1,48 +1,48 @@
-//! How long a stream is followed: until the user stops it, for a number of
-//! scans, for a time, or to its own end.
+//! Follows a stream: until the user stops it, for a number of scans, for a time,
+//! or to its own end.
 
 use std::time::Instant;
 
+use super::feed::{Feed, Update};
 use crate::args::PaceArgs;
 use crate::failure::Failure;
-use crate::feed::{Entry, Feed};
 use crate::interrupt::Interrupt;
 
-/// Why a stream is followed no further.
+/// The reason why a stream is followed no further.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ended {
-    /// There is as much of it as was asked for.
+    /// The requested number or time is reached, or the user stopped it.
     AsAsked,
-    /// There is no more of it.
+    /// The stream has ended.
     ByItself,
 }
 
-/// Hands on what comes, until the end: all that has come by then, also where
-/// `take` is behind.
+/// Passes each update to `take` until the end: every one that had come by then,
+/// also if `take` is behind.
 pub(crate) async fn follow(
     feed: &mut Feed,
     pace: &PaceArgs,
     interrupt: &Interrupt,
-    mut take: impl AsyncFnMut(Entry) -> Result<(), Failure>,
+    mut take: impl AsyncFnMut(Update) -> Result<(), Failure>,
 ) -> Result<Ended, Failure> {
     let end = end(pace, interrupt);
     tokio::pin!(end);
     let (mut ended, mut left) = (None, pace.count.unwrap_or(u64::MAX));
     while left > 0 {
-        let entry = tokio::select! {
+        let update = tokio::select! {
             biased;
             since = &mut end, if ended.is_none() => {
                 ended = Some(since);
                 continue;
             }
-            entry = feed.next() => entry,
+            update = feed.next() => update,
             () = std::future::ready(()), if ended.is_some() => break,
         };
-        match entry {
-            Some(Entry::Scan(scan)) if ended.is_some_and(|end| scan.received_at() > end) => break,
-            Some(entry) => {
-                left -= u64::from(matches!(entry, Entry::Scan(_)));
-                take(entry).await?;
+        match update {
+            Some(Update::Scan(scan)) if ended.is_some_and(|end| scan.received_at() > end) => break,
+            Some(update) => {
+                left -= u64::from(matches!(update, Update::Scan(_)));
+                take(update).await?;
             }
             None => return Ok(Ended::ByItself),
         }
@@ -50,7 +50,7 @@ pub(crate) async fn follow(
     Ok(Ended::AsAsked)
 }
 
-/// Waits for the end that was asked for, and tells when it was.
+/// Waits for the requested end, and returns its time.
 async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> Instant {
     let Some(duration) = pace.duration else { return interrupt.requested().await };
     let end = Instant::now() + duration;

@@ -1,5 +1,5 @@
-//! The file of a recording: opened at once, so that what is wrong with it is
-//! told at once, and left as it was until there is a sensor to record.
+//! The file of a recording. It is opened at once, so that an error is reported
+//! at once, and left unchanged until there is a sensor to record.
 
 use std::error::Error;
 use std::fs::{File, OpenOptions};
@@ -10,6 +10,13 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio_scip::recording::RecordingError;
 
 use crate::failure::Failure;
+
+/// The treatment of a file that exists.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Existing {
+    Refuse,
+    Overwrite,
+}
 
 /// A file to record into. If it never [begins](Self::begin) and is new, it is
 /// removed again.
@@ -23,26 +30,26 @@ pub(crate) struct RecorderFile {
 #[derive(Debug)]
 struct Contents {
     file: File,
-    /// What is to be written once it begins.
+    /// Bytes to write once the recording begins; `None` from then on.
     waiting: Option<Vec<u8>>,
 }
 
 impl RecorderFile {
-    /// Opens a new file; `force` makes do with an old one. A pipe waits for
-    /// whoever reads it, and this can be dropped meanwhile.
-    pub(crate) async fn open(path: &Path, force: bool) -> Result<Self, Failure> {
+    /// Opens a file. For a pipe it waits until somebody reads it; the future may
+    /// be dropped meanwhile.
+    pub(crate) async fn open(path: &Path, existing: Existing) -> Result<Self, Failure> {
         let here = path.to_owned();
-        let opened = tokio::task::spawn_blocking(move || Self::open_now(&here, force)).await;
+        let opened = tokio::task::spawn_blocking(move || Self::open_now(&here, existing)).await;
         opened.map_err(|error| cannot_write(path, &error))?
     }
 
-    fn open_now(path: &Path, force: bool) -> Result<Self, Failure> {
+    fn open_now(path: &Path, existing: Existing) -> Result<Self, Failure> {
         let mut options = OpenOptions::new();
         let (opened, new) = match options.write(true).create_new(true).open(path) {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                if !force {
+                if existing == Existing::Refuse {
                     return Err(Failure::Failed(format!(
-                        "{} exists already, and is not written over: use another name, or --force",
+                        "{} exists: use another name, or --force to overwrite it",
                         path.display()
                     )));
                 }
@@ -55,12 +62,12 @@ impl RecorderFile {
         Ok(Self { path: path.into(), unused: new, contents: Arc::new(Mutex::new(contents)) })
     }
 
-    /// Where a recorder writes to.
+    /// Returns a writer for a recorder.
     pub(crate) fn writer(&self) -> impl Write + Send + use<> {
-        Writer(Arc::clone(&self.contents))
+        FileWriter(Arc::clone(&self.contents))
     }
 
-    /// Empties the file, and writes what there is.
+    /// Empties the file, and writes what the recorder has written so far.
     pub(crate) fn begin(&mut self) -> Result<(), Failure> {
         self.unused = false;
         self.empty().map_err(|error| cannot_write(&self.path, &error))
@@ -79,12 +86,12 @@ impl RecorderFile {
         &self.path
     }
 
-    /// What to say of an error of its recorder.
+    /// Describes an error of its recorder.
     pub(crate) fn failure(&self, error: &RecordingError) -> Failure {
         Failure::at(&self.path.display().to_string(), error)
     }
 
-    /// How many bytes it has.
+    /// Returns the number of bytes in the file.
     pub(crate) fn len(&self) -> u64 {
         lock(&self.contents).file.metadata().map_or(0, |metadata| metadata.len())
     }
@@ -99,9 +106,9 @@ impl Drop for RecorderFile {
     }
 }
 
-struct Writer(Arc<Mutex<Contents>>);
+struct FileWriter(Arc<Mutex<Contents>>);
 
-impl Write for Writer {
+impl Write for FileWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let mut contents = lock(&self.0);
         match &mut contents.waiting {

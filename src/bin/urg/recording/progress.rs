@@ -1,11 +1,11 @@
-//! A line on the terminal that tells how far it is, written over and over.
+//! A progress line on the terminal, which each new one overwrites.
 
 use std::time::{Duration, Instant};
 
-use crate::stderr;
+use crate::output::stderr;
 
-/// How long a line stands at least.
-const STANDS: Duration = Duration::from_millis(200);
+/// The shortest time for which a line is shown, so that it can be read.
+const REFRESH_INTERVAL: Duration = Duration::from_millis(200);
 
 /// The line.
 #[derive(Debug)]
@@ -18,10 +18,10 @@ impl Progress {
         Self { next: Instant::now() }
     }
 
-    /// Shows a line, unless the last one was shown just now.
+    /// Shows a line, unless the last one is too recent.
     pub(crate) fn show(&mut self, line: impl FnOnce() -> String) {
         if Instant::now() >= self.next {
-            self.next = Instant::now() + STANDS;
+            self.next = Instant::now() + REFRESH_INTERVAL;
             stderr::show(line);
         }
     }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio_scip::{BaudRate, Endpoint, Rate, Sensor, Window};
 
-use crate::port::PortName;
+use crate::port::name::PortName;
 
 /// Below this part of the rate asked for, it counts as not reached.
 pub(crate) const ENOUGH: f64 = 0.95;
@@ -16,7 +16,7 @@ const MEMORY: Duration = Duration::from_secs(5);
 
 /// Watches one stream's rate.
 #[derive(Debug)]
-pub(crate) struct PaceWatch {
+pub(crate) struct RateWatch {
     window: Window,
     rate: Rate,
     /// Whether the port's own speed can be changed from here.
@@ -27,7 +27,7 @@ pub(crate) struct PaceWatch {
     steady_from: Instant,
 }
 
-impl PaceWatch {
+impl RateWatch {
     pub(crate) fn new(port: &PortName, window: Window, rate: Rate) -> Self {
         let settable = !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. }));
         let said = port.recorded().is_some();
@@ -107,8 +107,8 @@ impl PaceWatch {
 mod tests {
     use super::*;
 
-    fn watch(rate: Rate) -> PaceWatch {
-        PaceWatch::new(&PortName::Emulated, Window::DETECTION, rate)
+    fn watch(rate: Rate) -> RateWatch {
+        RateWatch::new(&PortName::Emulated, Window::DETECTION, rate)
     }
 
     #[test]
@@ -119,7 +119,7 @@ mod tests {
             "1.2 scans a second, where 10 Hz was asked for: a scan of steps 44..=725 takes 733 ms \
              at 19200 baud. What helps: fewer steps, --cluster 9, --baud 250000"
         );
-        let bridge = PaceWatch { settable: false, ..watch(Rate::hz(10.0)) };
+        let bridge = RateWatch { settable: false, ..watch(Rate::hz(10.0)) };
         let text = bridge.text(10.0, 1.2, Some(BaudRate::B19200));
         assert!(text.ends_with("250000 baud at sensor and bridge"), "{text}");
         // Nothing that SCIP 1.1 knows carries so much.

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 
 use crate::failure::chain;
-use crate::pace::ENOUGH;
+use crate::stream::rate_watch::ENOUGH;
 
 /// More than this part of the polls lost is a failure; less is weak.
 const MOST_LOST: f64 = 0.05;

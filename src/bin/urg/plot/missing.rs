@@ -7,7 +7,7 @@ use tokio_scip::{Measurement, Scan};
 
 /// A kind of error code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub(crate) enum Lack {
+pub(crate) enum MissingKind {
     /// Possibly an object beyond the range.
     Far,
     /// Too little light came back.
@@ -16,7 +16,7 @@ pub(crate) enum Lack {
     Nothing,
 }
 
-impl Lack {
+impl MissingKind {
     pub(crate) const ALL: [Self; 3] = [Self::Far, Self::Weak, Self::Nothing];
 
     /// Why `measurement` is no distance, if it is none.
@@ -51,37 +51,37 @@ impl Lack {
 
 /// How many directions of a scan have a distance, and why others have none.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct Tally {
+pub(crate) struct DistanceCount {
     pub(crate) distances: usize,
     /// How often each value came that is no distance.
     values: BTreeMap<u16, usize>,
 }
 
-impl Tally {
+impl DistanceCount {
     pub(crate) fn of(scan: &Scan) -> Self {
-        let mut tally = Self::default();
+        let mut count = Self::default();
         for measurement in scan.measurements() {
             if measurement.distance().is_some() {
-                tally.distances += 1;
+                count.distances += 1;
             } else {
-                *tally.values.entry(measurement.value()).or_default() += 1;
+                *count.values.entry(measurement.value()).or_default() += 1;
             }
         }
-        tally
+        count
     }
 
     /// The values of one kind, each with how often it came.
-    pub(crate) fn values(&self, lack: Lack) -> impl Iterator<Item = (u16, usize)> {
-        let of = move |value: u16| Lack::of(Measurement::from_value(value));
+    pub(crate) fn values(&self, kind: MissingKind) -> impl Iterator<Item = (u16, usize)> {
+        let of = move |value: u16| MissingKind::of(Measurement::from_value(value));
         self.values
             .iter()
-            .filter(move |(value, _)| of(**value) == Some(lack))
+            .filter(move |(value, _)| of(**value) == Some(kind))
             .map(|(value, count)| (*value, *count))
     }
 
     /// How many directions have none for this reason.
-    pub(crate) fn count(&self, lack: Lack) -> usize {
-        self.values(lack).map(|(_, count)| count).sum()
+    pub(crate) fn count(&self, kind: MissingKind) -> usize {
+        self.values(kind).map(|(_, count)| count).sum()
     }
 }
 
@@ -91,12 +91,12 @@ mod tests {
 
     #[test]
     fn every_value_is_a_distance_or_of_one_kind() {
-        let kind = |value| Lack::of(Measurement::from_value(value));
+        let kind = |value| MissingKind::of(Measurement::from_value(value));
         for value in 0..=4095 {
             let expected = match value {
-                0 | 6 | 16 | 4095 => Some(Lack::Far),
-                1..=5 => Some(Lack::Weak),
-                7..=19 => Some(Lack::Nothing),
+                0 | 6 | 16 | 4095 => Some(MissingKind::Far),
+                1..=5 => Some(MissingKind::Weak),
+                7..=19 => Some(MissingKind::Nothing),
                 _ => None,
             };
             assert_eq!(kind(value), expected, "{value}");

@@ -1,0 +1,7 @@
+//! A stream of scans on its way to an output, whichever that is: its updates in
+//! order, the end of it, and the rate that it reaches.
+
+pub(crate) mod feed;
+pub(crate) mod follow;
+pub(crate) mod rate_watch;
+pub(crate) mod reporter;
