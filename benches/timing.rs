@@ -8,7 +8,8 @@
 use std::fs::File;
 use std::io::Write;
 use std::sync::mpsc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use prompt::Prompt;
 use support::terminal::{self, Terminal};

@@ -1,4 +1,5 @@
-//! What can go wrong, for the crate's users.
+//! [`Error`]: everything that can fail, for the crate's users. Errors of the protocol
+//! itself are in [`protocol`](crate::protocol).
 
 use std::fmt;
 use std::io;
@@ -7,39 +8,42 @@ use std::time::Duration;
 
 use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
 
-/// What went wrong.
+/// The reason why an operation failed, and what to do about it.
 ///
-/// `Display` tells the error's own layer, on one line, and what to do about
-/// it; the cause is in [`source`](std::error::Error::source), and a log wants
-/// both (`{:#}` of `anyhow` prints them, so does [`State`](crate::State) as data).
-/// An error is cheap to clone: everyone who waits for the same thing gets the same
-/// error.
+/// `Display` writes one line without the cause, which is in
+/// [`source`](std::error::Error::source); a log wants [`chain`](Self::chain), which
+/// writes both. An error is cheap to clone, so that all who wait for the same thing
+/// get the same error.
 ///
-/// That there is no distance in a direction is no error but a
+/// A direction without a distance is not an error but a
 /// [`Measurement`](crate::Measurement).
+///
+/// Kinds that a [`Connect`](crate::Connect) returns have all their fields, so that
+/// others can make them. The rest are `#[non_exhaustive]`: only the driver makes them,
+/// and they may get more fields.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The text names no endpoint.
-    #[error("{text:?} is no port: {reason}")]
+    /// The text is not an [`Endpoint`](crate::Endpoint).
+    #[error("invalid port {text:?}: {reason}")]
     InvalidEndpoint {
         /// The text.
         text: String,
-        /// What is wrong with it.
+        /// The reason, and what was expected.
         reason: &'static str,
     },
     /// There is no such port.
-    #[error("no port {port}: plug the sensor in, or see what is there with `urg list`")]
+    #[error("no port {port}: plug the sensor in, or list the ports with `urg list`")]
     NoSuchPort {
-        /// The port as it was asked for.
+        /// The port, as the caller named it.
         port: String,
     },
     /// The path exists and is not a serial port.
     #[error(
-        "{port} is not a serial port: name a device such as /dev/ttyACM0 (`urg list` shows them)"
+        "{port} is not a serial port: use a device such as /dev/ttyACM0 (`urg list` shows them)"
     )]
     NotASerialPort {
-        /// The port as it was asked for.
+        /// The port, as the caller named it.
         port: String,
     },
     /// The user may not open the port.
@@ -51,25 +55,25 @@ pub enum Error {
         }
     )]
     PermissionDenied {
-        /// The port as it was asked for.
+        /// The port, as the caller named it.
         port: String,
         /// The group that owns the port, where that is known.
         group: Option<String>,
     },
     /// Another program has the port.
     #[error(
-        "{port} is in use: stop the program that has it open (`fuser {port}` tells which; ModemManager probes new ports for some seconds)"
+        "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
     )]
     Busy {
-        /// The port as it was asked for.
+        /// The port, as the caller named it.
         port: String,
     },
-    /// The port cannot be opened, for a reason that has no kind of its own.
+    /// The port cannot be opened, for another reason.
     #[error("cannot open {port}")]
     Open {
-        /// The port as it was asked for.
+        /// The port, as the caller named it.
         port: String,
-        /// Why not.
+        /// The reason, from the system.
         source: Arc<io::Error>,
     },
     /// No port leads to the sensor with this serial number.
@@ -77,114 +81,119 @@ pub enum Error {
         "no sensor with serial number {serial_number} on any port: plug it in (`urg list` shows the ports that were looked through; busy ones are skipped)"
     )]
     NoSuchSensor {
-        /// The serial number that was asked for.
+        /// The serial number, as the caller named it.
         serial_number: String,
     },
-    /// The port opened, and no sensor answers.
+    /// The port is open, and no sensor answers.
     #[error(
         "no sensor answers{}: check its power and the wiring (after power-up it is silent for some seconds){}",
         match baud_rate { Some(baud_rate) => format!(" at {baud_rate} baud"), None if *searched => " at any baud rate".to_owned(), None => String::new() },
-        if *bytes > 0 { format!("; {bytes} bytes came that are no reply of SCIP 1.1") } else { String::new() },
+        if *bytes > 0 { format!("; found {bytes} bytes that are no reply of SCIP 1.1") } else { String::new() },
     )]
+    #[non_exhaustive]
     NoAnswer {
         /// The only baud rate that was tried, where the port cannot change it.
         baud_rate: Option<BaudRate>,
         /// Whether all six baud rates were tried.
         searched: bool,
-        /// How many bytes came that made no reply.
+        /// The number of bytes that came and made no reply.
         bytes: u64,
     },
-    /// What is sent comes straight back.
+    /// The port returns what is written to it.
     #[error(
-        "the port sends back what is written to it: a loopback plug, a terminal with echo, or crossed wires; no sensor is at the other end"
+        "the port returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to it"
     )]
     Loopback,
     /// The sensor speaks SCIP 2.
     #[error(
         "the sensor speaks SCIP 2 (status \"{status}\"): power-cycle it, a URG-04LX is back in SCIP 1.1 after a restart; a model that knows only SCIP 2 cannot be used"
     )]
+    #[non_exhaustive]
     WrongProtocol {
-        /// The status that gave it away.
+        /// The status line of three characters, which only SCIP 2 has.
         status: Text,
     },
-    /// A sensor answers, and it is not the one that was asked for.
+    /// Another sensor answers than the one that is expected.
     #[error(
-        "the sensor is {found}, where {expected} was expected: plug in {expected}, or ask for {found}"
+        "wrong sensor: expected serial number {expected}, found {found}: plug in {expected}, or ask for {found}"
     )]
+    #[non_exhaustive]
     AnotherSensor {
         /// The serial number that was expected.
         expected: Text,
-        /// The serial number that answers.
+        /// The serial number of the sensor that answers.
         found: Text,
     },
     /// The link is gone: unplugged, hung up, or silent for good.
     #[error("the link to the sensor is lost")]
+    #[non_exhaustive]
     Disconnected {
-        /// What the system said, if it said anything.
+        /// The error of the port, if there was one.
         source: Option<Arc<io::Error>>,
     },
     /// The sensor did not answer in time.
-    #[error("no answer to {command} within {} ms", after.as_millis())]
+    #[error("the sensor did not answer {command} within {} ms", after.as_millis())]
+    #[non_exhaustive]
     Timeout {
-        /// What was sent.
+        /// The command.
         command: Command,
-        /// How long was waited.
+        /// The time from the command to the deadline.
         after: Duration,
     },
-    /// The sensor answered with an error status.
+    /// The sensor refused the command.
     #[error(
         "the sensor refused {command} with status {status}{}",
         match status.meaning(command) { Some(meaning) => format!(": {meaning}"), None => String::new() }
     )]
+    #[non_exhaustive]
     Refused {
-        /// What was sent.
+        /// The command.
         command: Command,
-        /// What came back.
+        /// The status of its reply.
         status: Status,
     },
-    /// The reply was damaged.
-    #[error("the reply to {command} is damaged")]
+    /// The reply was malformed.
+    #[error("the reply to {command} is malformed")]
+    #[non_exhaustive]
     Malformed {
-        /// What was sent.
+        /// The command.
         command: Command,
-        /// Where, what was expected, and what came.
+        /// The place, what was expected there, and what was found.
         source: Malformed,
     },
-    /// A scan was asked for while the laser is off by request.
-    #[error("the laser was switched off: switch it on before asking for scans")]
+    /// The laser is off by request, so that there is no scan.
+    #[error("the laser is switched off: switch it on before asking for scans")]
     LaserOff,
-    /// The sensor accepted a command and then behaved as if it had not.
-    #[error("the sensor accepted {command}, and then did not act on it")]
+    /// The sensor accepted a command and did not act on it.
+    #[error("the sensor accepted {command} and did not act on it")]
+    #[non_exhaustive]
     NotConfirmed {
-        /// What was sent.
+        /// The command.
         command: Command,
     },
     /// The port cannot be set to this baud rate.
-    #[error("the port cannot be set to {baud_rate} baud{}", if source.is_some() { "" } else { ": its speed is fixed at the other end" })]
+    #[error("the port cannot be set to {baud_rate} baud{}", if source.is_some() { "" } else { ": its baud rate is fixed at the other end" })]
     UnsupportedBaudRate {
-        /// The baud rate that was asked for.
+        /// The baud rate, as the caller named it.
         baud_rate: BaudRate,
-        /// Why not.
+        /// The reason, from the system.
         #[source]
         source: Option<Arc<io::Error>>,
     },
     /// The driver has ended: it was closed, or its task was dropped.
-    #[error("the driver has ended")]
+    #[error("the driver of the sensor has ended")]
     Closed,
 }
 
 impl Error {
-    /// Whether trying again later may help with nothing else done: the link
-    /// may come back, the next scan may be whole.
-    ///
-    /// True for [`NoSuchPort`](Self::NoSuchPort),
+    /// Returns true if trying again later may help without doing anything else: the
+    /// link may come back, the next scan may be whole. This holds for [`NoSuchPort`](Self::NoSuchPort),
     /// [`NoSuchSensor`](Self::NoSuchSensor), [`Busy`](Self::Busy),
     /// [`Open`](Self::Open), [`NoAnswer`](Self::NoAnswer),
     /// [`Disconnected`](Self::Disconnected), [`Timeout`](Self::Timeout),
     /// [`Malformed`](Self::Malformed) and [`NotConfirmed`](Self::NotConfirmed).
-    /// Others want something done first, to the machine, the sensor or the
-    /// program. It says nothing of the driver: one that has ended with
-    /// `Disconnected` stays ended.
+    /// The others need a change first, of the machine, the sensor or the program. A
+    /// driver that has ended stays ended, whatever the error.
     pub fn is_transient(&self) -> bool {
         match self {
             Self::NoSuchPort { .. }

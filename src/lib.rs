@@ -143,7 +143,7 @@ pub use observer::RawReply;
 pub use port::{Connect, Endpoint, Port};
 pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowError};
 pub use rate::{InvalidRate, Rate};
-pub use scan::{Point, Scan};
+pub use scan::{InvalidScan, Point, Scan, ScanBuilder};
 pub use sensor::{Sensor, SensorBuilder};
 pub use state::{LatencyStats, MalformedCounts, ScheduleStats, State, Stats};
 pub use stream::{OnlyScans, ScanStream};

@@ -2,7 +2,9 @@
 
 use std::fmt;
 use std::sync::Arc;
-use std::time::{Instant, SystemTime};
+use std::time::SystemTime;
+
+use tokio::time::Instant;
 
 use crate::protocol::Command;
 
@@ -18,7 +20,7 @@ pub struct RawReply<'a> {
     /// The bytes as they came, without the two LFs that end a frame and without
     /// NULs before it.
     pub bytes: &'a [u8],
-    /// When its last byte was read; the same as that of its
+    /// The time when its last byte was read, on tokio's clock; the same as that of its
     /// [`Scan`](crate::Scan) to within microseconds.
     pub received_at: Instant,
     /// The wall clock when its first byte arrived, the same as

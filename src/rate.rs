@@ -1,19 +1,31 @@
-//! [`Rate`]: how often a stream asks for a scan.
+//! [`Rate`]: the number of scans a second that a stream asks for.
 
 use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
 /// The timer's resolution is a millisecond.
-const SHORTEST: Duration = Duration::from_millis(1);
-const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
-/// They tell once a day from once a day and a nanosecond.
-const DECIMALS: usize = 20;
+const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
+const LONGEST_PERIOD: Duration = Duration::from_secs(24 * 60 * 60);
+/// Enough decimals to distinguish periods of a day that differ by a nanosecond.
+const MAX_DECIMALS: usize = 20;
 
-/// How often a stream asks for a scan.
+/// The number of scans a second that a stream asks for.
 ///
-/// A URG turns ten times a second: [`Rate::hz(10.0)`](Rate::hz) is every turn.
-/// What the line can carry may be less, see [`Window::wire_time`](crate::Window::wire_time).
+/// A URG makes ten revolutions a second: [`Rate::hz(10.0)`](Rate::hz) is a scan of
+/// each. The line may carry fewer, see
+/// [`Window::wire_time`](crate::Window::wire_time).
+///
+/// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. Read from
+/// data it may also be a number, or a text without the unit.
+///
+/// ```
+/// use std::time::Duration;
+/// use tokio_scip::Rate;
+///
+/// assert_eq!("10 Hz".parse(), Ok(Rate::hz(10.0)));
+/// assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Rate(Option<Duration>);
 
@@ -21,65 +33,121 @@ impl Rate {
     /// As fast as the sensor answers.
     pub const MAX: Self = Self(None);
 
-    /// So many scans a second. Anything outside of once a day to 1,000 a
-    /// second is taken as the nearest of the two; what is not a number is taken
-    /// as once a day. To refuse such input instead, parse it:
-    /// `"10".parse::<Rate>()`.
+    /// Returns the rate of `hz` scans a second, held within 1,000 a second and one a
+    /// day. NaN and numbers below 0 become one a day. To reject such input instead,
+    /// parse it: `"10".parse::<Rate>()`.
     pub fn hz(hz: f64) -> Self {
         let period = if hz > 0.0 { Duration::try_from_secs_f64(1.0 / hz).ok() } else { None };
-        Self::every(period.unwrap_or(LONGEST))
+        Self::every(period.unwrap_or(LONGEST_PERIOD))
     }
 
-    /// A scan each `period`, 1 ms to a day; anything else is taken as the
-    /// nearest of the two.
+    /// Returns the rate of a scan each `period`, held within 1 ms and a day.
     pub const fn every(period: Duration) -> Self {
         let nanos = period.as_nanos();
-        if nanos < SHORTEST.as_nanos() {
-            Self(Some(SHORTEST))
-        } else if nanos > LONGEST.as_nanos() {
-            Self(Some(LONGEST))
+        if nanos < SHORTEST_PERIOD.as_nanos() {
+            Self(Some(SHORTEST_PERIOD))
+        } else if nanos > LONGEST_PERIOD.as_nanos() {
+            Self(Some(LONGEST_PERIOD))
         } else {
             Self(Some(period))
         }
     }
 
-    /// The time between two scans, or `None` for [`Rate::MAX`].
+    /// Returns the time between two scans, or `None` for [`Rate::MAX`].
     pub const fn period(self) -> Option<Duration> {
         self.0
     }
 }
 
-/// In as few digits as give the same rate again when they are parsed.
+/// The same as [`Rate::every`].
+impl From<Duration> for Rate {
+    fn from(period: Duration) -> Self {
+        Self::every(period)
+    }
+}
+
+/// Writes the fewest digits that parse back to the same rate.
 impl fmt::Display for Rate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Some(period) = self.0 else { return f.write_str("max") };
         let hz = 1.0 / period.as_secs_f64();
         let text = |decimals| format!("{hz:.decimals$} Hz");
-        let exact = (0..DECIMALS).map(text).find(|text| text.parse() == Ok(*self));
-        f.write_str(&exact.unwrap_or_else(|| text(DECIMALS)))
+        let exact = (0..MAX_DECIMALS).map(text).find(|text| text.parse() == Ok(*self));
+        f.write_str(&exact.unwrap_or_else(|| text(MAX_DECIMALS)))
     }
 }
 
-/// A text that is no rate.
+/// The error of a text or a number that is no [`Rate`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{found:?} is no rate: use a number of scans a second above 0 and up to 1000, such as 10, or max"
-)]
+#[error("invalid rate {found:?}: expected more than 0 and at most 1000 Hz, such as 10, or max")]
 pub struct InvalidRate {
     found: String,
 }
 
-/// Scans a second, such as `10` or `0.5`, or `max`.
+/// Parses scans a second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`,
+/// or `max`.
 impl FromStr for Rate {
     type Err = InvalidRate;
 
     fn from_str(text: &str) -> Result<Self, InvalidRate> {
-        let number = text.trim_end_matches("Hz").trim_end();
-        match number.parse::<f64>() {
-            _ if text == "max" => Ok(Self::MAX),
-            Ok(hz) if hz > 0.0 && hz <= 1000.0 => Ok(Self::hz(hz)),
-            _ => Err(InvalidRate { found: text.to_owned() }),
+        if text == "max" {
+            return Ok(Self::MAX);
         }
+        let number = text.strip_suffix("Hz").unwrap_or(text).trim_end();
+        let hz = number.parse().ok().and_then(valid);
+        hz.ok_or_else(|| InvalidRate { found: text.to_owned() })
+    }
+}
+
+/// Returns the rate of so many scans a second, if there is one.
+fn valid(hz: f64) -> Option<Rate> {
+    (hz > 0.0 && hz <= 1000.0).then(|| Rate::hz(hz))
+}
+
+#[cfg(feature = "serde")]
+impl serde::Serialize for Rate {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+#[cfg(feature = "serde")]
+impl<'de> serde::Deserialize<'de> for Rate {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            deserializer.deserialize_any(TextOrNumber)
+        } else {
+            deserializer.deserialize_str(TextOrNumber)
+        }
+    }
+}
+
+/// Reads `10`, `0.5`, `"10 Hz"` and `"max"`.
+#[cfg(feature = "serde")]
+struct TextOrNumber;
+
+#[cfg(feature = "serde")]
+impl serde::de::Visitor<'_> for TextOrNumber {
+    type Value = Rate;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number of scans a second, or max")
+    }
+
+    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Rate, E> {
+        text.parse().map_err(E::custom)
+    }
+
+    fn visit_f64<E: serde::de::Error>(self, hz: f64) -> Result<Rate, E> {
+        valid(hz).ok_or_else(|| E::custom(InvalidRate { found: hz.to_string() }))
+    }
+
+    fn visit_u64<E: serde::de::Error>(self, hz: u64) -> Result<Rate, E> {
+        self.visit_f64(hz as f64)
+    }
+
+    fn visit_i64<E: serde::de::Error>(self, hz: i64) -> Result<Rate, E> {
+        self.visit_f64(hz as f64)
     }
 }
 
@@ -103,7 +171,7 @@ mod tests {
 
     #[test]
     fn a_rate_as_text_is_the_same_rate_again() {
-        let nanos = (SHORTEST.as_nanos() as u64, LONGEST.as_nanos() as u64);
+        let nanos = (SHORTEST_PERIOD.as_nanos() as u64, LONGEST_PERIOD.as_nanos() as u64);
         // From one end to the other, all orders of magnitude alike.
         let between = (0..5000).map(|n| {
             let part = f64::from(n) / 5000.0;

@@ -240,10 +240,9 @@ impl Drop for Cursor {
 
 #[cfg(test)]
 mod tests {
-    use std::future::poll_fn;
-    use std::time::Instant;
-
     use futures::FutureExt;
+    use std::future::poll_fn;
+    use tokio::time::Instant;
 
     use super::*;
     use crate::Window;
@@ -258,6 +257,7 @@ mod tests {
             stamp: std::time::SystemTime::now(),
             repeat: false,
             scan_time: std::time::Duration::from_millis(100),
+            reconnects: 0,
         };
         Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
     }

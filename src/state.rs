@@ -2,9 +2,10 @@
 //! be counted.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 use crate::protocol::{Malformed, ReplyError, Version};
 use crate::{BaudRate, Error, Rate, Window};
@@ -87,9 +88,7 @@ fn chain_if_any<S: serde::Serializer>(
 /// An instant means nothing elsewhere; how long ago it was does.
 #[cfg(feature = "serde")]
 fn elapsed<S: serde::Serializer>(since: &Instant, serializer: S) -> Result<S::Ok, S::Error> {
-    // tokio's clock, which a simulation may have paused.
-    let now = tokio::time::Instant::now().into_std();
-    seconds(&now.saturating_duration_since(*since), serializer)
+    seconds(&since.elapsed(), serializer)
 }
 
 #[cfg(feature = "serde")]

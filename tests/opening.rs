@@ -139,7 +139,7 @@ async fn w22_an_echo_of_our_own_commands_is_a_loopback_too() {
 async fn w21_translated_line_ends_are_named() {
     let error = fails(&truthful().faults(Faults::none().every(Fault::CrLf)).build()).await;
     let source = std::error::Error::source(&error).unwrap().to_string();
-    assert!(source.contains("not raw"), "{error:?}");
+    assert!(source.contains("raw mode"), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -191,7 +191,7 @@ async fn o04_a_port_in_use_says_so() {
 async fn another_sensor_than_the_one_asked_for_is_refused() {
     let emulator = truthful().serial_number("H0000001").build();
     let error = builder().serial_number("H0000002").connect(emulator.clone()).await.unwrap_err();
-    let Error::AnotherSensor { expected, found } = error else { panic!("{error:?}") };
+    let Error::AnotherSensor { expected, found, .. } = error else { panic!("{error:?}") };
     assert_eq!((expected.to_string(), found.to_string()), ("H0000002".into(), "H0000001".into()));
     let sensor = builder().serial_number("H0000001").connect(emulator.clone()).await.unwrap();
     let serial_number = sensor.version().await.unwrap().serial_number;

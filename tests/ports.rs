@@ -27,6 +27,20 @@ fn tcp_addresses_are_read_and_written() {
     assert_eq!(explicit.to_string(), "tcp://bridge:4001", "the default goes without saying");
 }
 
+#[cfg(feature = "serial")]
+#[test]
+fn a_path_is_a_serial_port_whatever_it_looks_like() {
+    use std::path::{Path, PathBuf};
+
+    for path in ["/dev/serial/by-path/pci-0:1.0", "tcp://bridge:1", "serial:H0713090"] {
+        let serial = Endpoint::Serial(path.to_owned());
+        assert_eq!(Endpoint::try_from(Path::new(path)).unwrap(), serial);
+        assert_eq!(Endpoint::try_from(PathBuf::from(path)).unwrap(), serial);
+    }
+    let error = Endpoint::try_from(Path::new("")).unwrap_err();
+    assert_eq!(error.to_string(), "invalid port \"\": it is empty");
+}
+
 #[test]
 fn a_text_that_names_no_port_is_refused_with_the_reason() {
     let table = [

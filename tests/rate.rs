@@ -1,4 +1,4 @@
-//! How often: bounds and text of `Rate`.
+//! Bounds, text and conversions of `Rate`.
 
 use std::time::Duration;
 
@@ -47,9 +47,18 @@ fn a_rate_is_read_from_what_it_is_written_as() {
 
 #[test]
 fn a_text_that_is_no_rate_is_refused_with_what_would_be_one() {
-    for text in ["", "0", "-1", "1001", "nan", "inf", "fast", "max Hz", "10 kHz", "Hz"] {
+    for text in [
+        "", "0", "-1", "1001", "nan", "inf", "fast", "max Hz", "10 kHz", "Hz", "10HzHz",
+        "10 Hz Hz", "HzHz",
+    ] {
         let error = text.parse::<Rate>().unwrap_err().to_string();
-        assert!(error.starts_with(&format!("{text:?} is no rate")), "{error}");
-        assert!(error.contains("above 0 and up to 1000"), "{error}");
+        assert!(error.starts_with(&format!("invalid rate {text:?}: expected")), "{error}");
+        assert!(error.contains("more than 0 and at most 1000 Hz"), "{error}");
     }
+}
+
+#[test]
+fn a_duration_becomes_the_rate_of_its_period() {
+    assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
+    assert_eq!(Rate::from(Duration::ZERO), Rate::every(Duration::ZERO));
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, UNIX_EPOCH};
 use serde_json::{Value, json};
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::port::UsbId;
-use tokio_scip::{Error, Measurement, Rate, Scan, Sensor, State, Window};
+use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
 
 /// A distance, a code for nothing in range, one for no echo, and saturation.
 async fn sensor() -> (Sensor, Emulator) {
@@ -32,7 +32,7 @@ async fn a_scan_is_a_line_of_ndjson_with_null_for_what_is_not_finite() {
     let stamp = micros as f64 / 1e6;
     let expected = format!(
         "{{\"sequence\":0,\"stamp\":{stamp},\"start\":382,\"end\":385,\"cluster\":1,\
-         \"angle_min\":{},\"angle_increment\":{},\"values\":[1234,0,7,4095],\
+         \"angle_min\":{},\"angle_increment\":{},\"scan_time\":0.1,\"repeat\":false,\"reconnects\":0,\"values\":[1234,0,7,4095],\
          \"ranges\":[1.234,null,null,null]}}",
         scan.angle_min(),
         scan.angle_increment(),
@@ -41,6 +41,70 @@ async fn a_scan_is_a_line_of_ndjson_with_null_for_what_is_not_finite() {
     // To the microsecond, however many digits that takes.
     let read: Value = serde_json::from_str(&text).unwrap();
     assert_eq!((read["stamp"].as_f64().unwrap() * 1e6).round() as u128, micros);
+}
+
+#[test]
+fn a_scan_that_was_written_is_read_back_as_the_same() {
+    let window =
+        |from, to, cluster| Window::new(from..=to).unwrap().with_cluster_count(cluster).unwrap();
+    let scan = |window: Window| {
+        let values: Vec<u16> = (0..window.points() as u16).map(|n| n % 4096).collect();
+        let stamp = UNIX_EPOCH + Duration::from_micros(1_795_000_000_123_457);
+        let scan = Scan::builder(window, values).sequence(41).stamp(stamp).repeat(true);
+        scan.scan_time(Duration::from_millis(99)).reconnects(2).build().unwrap()
+    };
+    let grouped = scan(window(10, 20, 4));
+    // The rest of a cluster, which keeps its direction.
+    let part = grouped.crop(window(18, 20, 1)).unwrap();
+    for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped, part] {
+        let line = serde_json::to_string(&scan).unwrap();
+        let read: Scan = serde_json::from_str(&line).unwrap();
+        assert_eq!(read, scan);
+        assert_eq!(serde_json::to_string(&read).unwrap(), line);
+    }
+}
+
+#[test]
+fn a_scan_is_read_from_little_and_never_an_impossible_one() {
+    let read = |value: Value| serde_json::from_value::<Scan>(value);
+    let scan = read(json!({"start": 384, "end": 385, "values": [1234, 0]})).unwrap();
+    assert_eq!((scan.values(), scan.sequence(), scan.scan_time()), (&[1234, 0][..], 0, 0.1));
+    assert_eq!(scan.stamp(), UNIX_EPOCH);
+    for bad in [
+        json!({"start": 384, "end": 385, "values": [1234]}),
+        json!({"start": 384, "end": 385, "values": [1234, 4096]}),
+        json!({"start": 385, "end": 384, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "cluster": 0, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "scan_time": -1, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "stamp": 1e300, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385}),
+    ] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn a_rate_and_an_endpoint_are_their_text() {
+    for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::MAX] {
+        let data = serde_json::to_value(rate).unwrap();
+        assert_eq!(data, json!(rate.to_string()));
+        assert_eq!(serde_json::from_value::<Rate>(data).unwrap(), rate);
+    }
+    let read = |value: Value| serde_json::from_value::<Rate>(value);
+    assert_eq!(read(json!(10)).unwrap(), Rate::hz(10.0));
+    assert_eq!(read(json!(0.5)).unwrap(), Rate::hz(0.5));
+    for bad in [json!(0), json!(-1), json!(1001.0), json!("fast"), json!(null)] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+    let error = read(json!(0)).unwrap_err().to_string();
+    assert!(error.contains("invalid rate \"0\": expected more than 0"), "{error}");
+
+    let endpoint: Endpoint = "tcp://bridge:4001?baud=57600".parse().unwrap();
+    let data = serde_json::to_value(&endpoint).unwrap();
+    assert_eq!(data, json!("tcp://bridge:4001?baud=57600"));
+    assert_eq!(serde_json::from_value::<Endpoint>(data).unwrap(), endpoint);
+    let error = serde_json::from_value::<Endpoint>(json!("tcp://bridge")).unwrap_err();
+    assert!(error.to_string().contains("invalid port \"tcp://bridge\""), "{error}");
 }
 
 #[test]
@@ -85,7 +149,7 @@ async fn measurements_version_and_stats_are_data() {
 #[test]
 fn an_error_in_a_state_is_told_with_all_its_causes() {
     let refused = std::io::Error::new(std::io::ErrorKind::NotFound, "no such device");
-    let error = Error::Disconnected { source: Some(Arc::new(refused)) };
+    let error = Error::Open { port: "/dev/ttyACM0".to_owned(), source: Arc::new(refused) };
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
     let text = data["error"].as_str().unwrap();
     assert!(text.ends_with(": no such device"), "{text}");

@@ -77,7 +77,7 @@ impl Line {
     /// answer to a fence and for what nobody asked for.
     pub(crate) fn hear(&self, command: Option<Command>, bytes: &[u8]) {
         self.observer.observe(|| {
-            let received_at = Instant::now().into_std();
+            let received_at = Instant::now();
             RawReply { command, bytes, received_at, stamp: self.stamp() }
         });
     }

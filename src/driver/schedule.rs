@@ -355,7 +355,7 @@ mod tests {
         let (window, rate) = (Window::single(384), Rate::MAX);
         let (mut schedules, mut readers) = schedules(&[(window, rate)]);
         let poll = Poll { window, rate };
-        let now = Instant::now().into_std();
+        let now = Instant::now();
         let meta = ScanMeta {
             sequence: 0,
             requested_at: now,
@@ -363,6 +363,7 @@ mod tests {
             stamp: std::time::SystemTime::now(),
             repeat: false,
             scan_time: HUNDRED_MS,
+            reconnects: 0,
         };
         let mut errors = 0;
         let mut count = |schedules: &mut Schedules, error: Option<Error>| {

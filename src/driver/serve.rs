@@ -253,10 +253,11 @@ fn ignore_command_errors(outcome: Result<(), Failure>) -> Result<(), Stop> {
 fn meta(timing: Timing, scan_time: Duration) -> ScanMeta {
     ScanMeta {
         sequence: 0,
-        requested_at: timing.requested.into_std(),
-        received_at: timing.received.into_std(),
+        requested_at: timing.requested,
+        received_at: timing.received,
         stamp: timing.stamp,
         repeat: false,
         scan_time,
+        reconnects: 0,
     }
 }

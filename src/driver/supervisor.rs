@@ -161,7 +161,7 @@ impl<C: Connect> Supervisor<C> {
         }
         self.offline.schedules.fail_all(&error);
         self.offline.schedules.note(&mut self.telemetry.stats().schedules);
-        let since = Instant::now().into_std();
+        let since = Instant::now();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
         loop {

@@ -3,6 +3,7 @@
 
 use std::fmt;
 use std::net::Ipv6Addr;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::EndpointConnector;
@@ -17,8 +18,8 @@ use crate::{BaudRate, Error};
 /// | `tcp://bridge:4001` | a raw TCP bridge to a serial port whose speed is 19,200 baud |
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
-/// [`Display`](fmt::Display) writes the text that [`FromStr`] reads. The first
-/// two need the feature `serial`.
+/// [`Display`](fmt::Display) writes the text that [`FromStr`] reads, and so do data
+/// formats (feature `serde`). The first two need the feature `serial`.
 ///
 /// ```
 /// use tokio_scip::{BaudRate, Endpoint};
@@ -119,6 +120,50 @@ impl TryFrom<String> for Endpoint {
 
     fn try_from(text: String) -> Result<Self, Error> {
         text.parse()
+    }
+}
+
+/// A serial port by its path, whatever the path looks like.
+///
+/// # Errors
+///
+/// [`Error::InvalidEndpoint`] if the path is empty or not UTF-8, and without the feature
+/// `serial`.
+impl TryFrom<&Path> for Endpoint {
+    type Error = Error;
+
+    fn try_from(path: &Path) -> Result<Self, Error> {
+        let endpoint = match path.to_str() {
+            Some("") => Err("it is empty"),
+            Some(path) => device(path),
+            None => Err("it is not UTF-8"),
+        };
+        let text = || path.display().to_string();
+        endpoint.map_err(|reason| Error::InvalidEndpoint { text: text(), reason })
+    }
+}
+
+/// The same as for a `&Path`.
+impl TryFrom<PathBuf> for Endpoint {
+    type Error = Error;
+
+    fn try_from(path: PathBuf) -> Result<Self, Error> {
+        path.as_path().try_into()
+    }
+}
+
+#[cfg(feature = "serde")]
+impl serde::Serialize for Endpoint {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+#[cfg(feature = "serde")]
+impl<'de> serde::Deserialize<'de> for Endpoint {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = <String as serde::Deserialize>::deserialize(deserializer)?;
+        text.parse().map_err(serde::de::Error::custom)
     }
 }
 

@@ -11,7 +11,7 @@ use std::str::FromStr;
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u32", try_from = "u32"))]
 pub enum BaudRate {
-    /// 19,200 bit/s, the baud_rate after power-up.
+    /// 19,200 bit/s, the baud rate after power-up.
     B19200,
     /// 57,600 bit/s.
     B57600,
@@ -30,7 +30,7 @@ impl BaudRate {
     pub const ALL: [Self; 6] =
         [Self::B19200, Self::B57600, Self::B115200, Self::B250000, Self::B500000, Self::B750000];
 
-    /// Bits per second.
+    /// Returns the number of bits per second.
     pub const fn bits_per_second(self) -> u32 {
         match self {
             Self::B19200 => 19_200,
@@ -42,7 +42,7 @@ impl BaudRate {
         }
     }
 
-    /// The six ASCII digits that the `S` command takes (p. 5): `057600` for
+    /// Returns the six ASCII digits that the `S` command takes (p. 5): `057600` for
     /// 57,600 bit/s.
     pub const fn digits(self) -> [u8; 6] {
         match self {
@@ -55,8 +55,8 @@ impl BaudRate {
         }
     }
 
-    /// How long `bytes` bytes take on the line: 10 bits each (8 data bits, no
-    /// parity, one start and one stop bit, p. 2).
+    /// Returns the time that `bytes` bytes take on the line: 10 bits each (8 data
+    /// bits, no parity, one start and one stop bit, p. 2).
     pub const fn wire_time(self, bytes: usize) -> std::time::Duration {
         let bits = (bytes as u64).saturating_mul(10);
         let baud_rate = self.bits_per_second() as u64;
@@ -71,11 +71,9 @@ impl fmt::Display for BaudRate {
     }
 }
 
-/// A number that is none of the six baud rates.
+/// The error of a number that is none of the six baud rates.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "{found:?} is no baud rate of SCIP 1.1: use 19200, 57600, 115200, 250000, 500000 or 750000"
-)]
+#[error("invalid baud rate {found:?}: expected 19200, 57600, 115200, 250000, 500000 or 750000")]
 pub struct UnknownBaudRate {
     found: String,
 }

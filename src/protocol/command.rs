@@ -10,7 +10,8 @@ const RESERVED: &[u8; 7] = b"0000000";
 /// One of the four commands, with its parameters (C-42-3320-A p. 3).
 ///
 /// A value of this type is always a command that a sensor knows: undefined
-/// commands are not answered (p. 8), so none can be made.
+/// commands are not answered (p. 8), so this type cannot represent one. SCIP 1.1 has
+/// these four and will get no more, so the enum is exhaustive.
 ///
 /// ```
 /// use tokio_scip::protocol::{BaudRate, Command, Window};
@@ -22,7 +23,7 @@ const RESERVED: &[u8; 7] = b"0000000";
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Command {
-    /// `V`: who the sensor is (p. 4).
+    /// `V`: return the sensor's identity (p. 4).
     Version,
     /// `L1`: switch the laser on (p. 4).
     LaserOn,
@@ -30,13 +31,13 @@ pub enum Command {
     LaserOff,
     /// `S`: change the baud rate of RS-232 (p. 5).
     BaudRate(BaudRate),
-    /// `G`: the distances in the sensor's memory (p. 5).
+    /// `G`: return the distances in the sensor's memory (p. 5).
     Distances(Window),
 }
 
 impl Command {
-    /// The command as it goes over the line, without its terminator. A reply
-    /// begins with the same bytes.
+    /// Returns the command as it is sent, without its terminator. A reply begins
+    /// with the same bytes.
     pub fn bytes(&self) -> CommandBytes {
         let mut out = CommandBytes { bytes: [0; CommandBytes::CAPACITY], len: 0 };
         match self {
@@ -58,8 +59,8 @@ impl Command {
         out
     }
 
-    /// The length in bytes of the longest reply that this command is expected
-    /// to have, terminator included.
+    /// Returns the expected length in bytes of the longest reply to this command,
+    /// terminator included.
     pub fn reply_len(&self) -> usize {
         match self {
             // Five to six lines of at most 64 bytes, and room for one more.
@@ -106,7 +107,7 @@ impl std::ops::Deref for CommandBytes {
     }
 }
 
-/// `number` in `N` decimal digits, with leading zeros.
+/// Returns `number` as `N` decimal digits, with leading zeros.
 fn digits<const N: usize>(mut number: u16) -> [u8; N] {
     let mut out = [b'0'; N];
     for slot in out.iter_mut().rev() {

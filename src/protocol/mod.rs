@@ -1,5 +1,5 @@
-//! The SCIP 1.1 protocol as plain values and bytes: what a command looks like,
-//! and whether a reply is a whole and right answer to it.
+//! The SCIP 1.1 protocol as plain values and bytes: the encoding of each command,
+//! and the validation of a reply against the command that it answers.
 //!
 //! Nothing here does I/O, reads a clock or writes a log. References such as
 //! "p. 6" are to the pages of the protocol text, C-42-3320-A.
@@ -33,4 +33,5 @@ pub(crate) use reply::decode_scan;
 pub use reply::{Malformed, Reply, ReplyError, Status};
 pub use text::Text;
 pub use version::{Specification, Version};
+pub(crate) use window::angle;
 pub use window::{Step, Window, WindowError};

@@ -1,8 +1,8 @@
-//! A frame held against the command that it should answer: the whole echo, the
+//! Validates a frame against the command that it should answer: the whole echo, the
 //! status, and for `G` every line, every character and the number of points.
 //!
-//! SCIP 1.1 has no checksum, so every other way to tell damage is used: what
-//! passes here has exactly the shape that its command asked for.
+//! SCIP 1.1 has no checksum, so every other sign of damage is checked: a frame that
+//! passes has exactly the shape that its command asked for.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use super::{Command, Text, Window};
 
 /// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
-/// How much of a frame an error shows.
+/// Bytes of a frame that an error message shows.
 const EXCERPT: usize = 32;
 
 /// The status of a reply: one character, of which only `0` means success
@@ -22,38 +22,42 @@ const EXCERPT: usize = 32;
 pub struct Status(u8);
 
 impl Status {
-    /// `0`: done.
+    /// `0`: success.
     pub const OK: Self = Self(b'0');
 
-    /// A status by its character.
+    /// Returns the status with this character.
     pub const fn new(character: u8) -> Self {
         Self(character)
     }
 
-    /// The character as it came.
+    /// Returns the character as it came.
     pub const fn character(self) -> u8 {
         self.0
     }
 
-    /// True for `0`.
+    /// Returns true for `0`.
     pub const fn is_ok(self) -> bool {
         matches!(self, Self::OK)
     }
 
-    /// What drivers of real sensors know of this status in answer to
-    /// `command`. The protocol text names none but `0`.
+    /// Returns the meaning of this status in answer to `command`, as far as drivers
+    /// of real sensors know it. The protocol text names none but `0`.
     pub const fn meaning(self, command: &Command) -> Option<&'static str> {
         match (self.0, command) {
             (b'0', _) => Some("success"),
-            (b'2', Command::LaserOn | Command::LaserOff) => Some("the laser is so already"),
-            (b'3', Command::BaudRate(_)) => Some("the line has that speed already, or is USB"),
+            (b'2', Command::LaserOn | Command::LaserOff) => {
+                Some("the laser is already in that state")
+            }
+            (b'3', Command::BaudRate(_)) => {
+                Some("the sensor is already at that baud rate, or is on USB")
+            }
             (b'6', Command::Distances(_)) => Some("the laser is off"),
             (b'E', _) => Some("the sensor does not know the command"),
             _ => None,
         }
     }
 
-    /// True for `0`, and for the statuses by which `L` and `S` say that
+    /// Returns true for `0`, and for the statuses of `L` and `S` that mean that
     /// nothing had to be done: `2` on `L`, `3` on `S`.
     pub const fn is_ok_for(self, command: &Command) -> bool {
         match command {
@@ -89,7 +93,7 @@ impl Reply<'static> {
 }
 
 impl<'a> Reply<'a> {
-    /// Holds `frame`, a reply without its terminator, against `command`.
+    /// Validates `frame`, a reply without its terminator, against `command`.
     ///
     /// # Errors
     ///
@@ -113,7 +117,7 @@ impl<'a> Reply<'a> {
         if is_scip2(line) {
             return Err(ReplyError::Scip2 { status: line.into() });
         }
-        // A byte that no one could have meant as a status is damage, not an answer.
+        // No sensor uses a byte outside of printable ASCII as a status: it is damage.
         let &[status @ b'!'..=b'~'] = line else {
             return Err(Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into());
         };
@@ -136,9 +140,9 @@ impl<'a> Reply<'a> {
         }
     }
 
-    /// The reply to `command` at the end of `frame`, whatever is in front of
-    /// it: what is left of a reply that was cut short has no terminator of its
-    /// own, so the next reply is glued to it.
+    /// Returns the reply to `command` at the end of `frame`, whatever is in front of
+    /// it: a reply that was cut short has no terminator, so the next reply follows it
+    /// in the same frame.
     ///
     /// Meant for a command of which no older reply can be on its way, and whose
     /// reply has a known length: any but `V`.
@@ -157,12 +161,12 @@ impl<'a> Reply<'a> {
             .map_or_else(|| Self::parse(command, frame), Ok)
     }
 
-    /// The status.
+    /// Returns the status.
     pub const fn status(&self) -> Status {
         self.status
     }
 
-    /// The lines after the status.
+    /// Iterates over the lines after the status, empty ones left out.
     pub fn lines(&self) -> impl Iterator<Item = &'a [u8]> {
         self.data.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
     }
@@ -176,8 +180,8 @@ impl<'a> Reply<'a> {
     }
 }
 
-/// Puts the values of `frame` in place of `values` if it is the reply of success
-/// to the `G` for `window`, and tells whether it is: all that
+/// Replaces `values` by those of `frame` if it is the reply of success to the `G`
+/// for `window`, and returns whether it is: all that
 /// [`Reply::parse`] and [`Reply::values_into`] do then, in one pass.
 pub(crate) fn decode_scan(window: Window, frame: &[u8], values: &mut Vec<u16>) -> bool {
     // Does nothing where there were as many before.
@@ -190,8 +194,8 @@ pub(crate) fn decode_scan(window: Window, frame: &[u8], values: &mut Vec<u16>) -
     echo.iter().eq(command.iter()) && decode(data, values)
 }
 
-/// Makes values of the data of a `G` reply, and tells whether it is as it should
-/// be for so many: true if [`find_fault`] finds none, many times as fast.
+/// Decodes the data of a `G` reply into `values`, and returns whether it has the
+/// shape for so many: true if [`find_fault`] finds none, many times as fast.
 fn decode(data: &[u8], values: &mut [u16]) -> bool {
     let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
     let right_length = data.len() == 2 * values.len() + lines.len() && !last.is_empty();
@@ -207,7 +211,8 @@ fn decode(data: &[u8], values: &mut [u16]) -> bool {
     right_length && ends == 0 && decoder.saw_only_characters()
 }
 
-/// Goes through the data line by line, to say where it is not as it should be.
+/// Fails with the first place where the data does not have the shape of `expected`
+/// characters.
 fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     let mut left = expected;
     for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
@@ -224,13 +229,13 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     if left == 0 { Ok(()) } else { Err(Malformed::Short { expected, found: expected - left }) }
 }
 
-/// The first line, and what follows its LF if there is one.
+/// Splits off the first line; the rest is `None` without an LF.
 fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     let mut parts = bytes.splitn(2, |&byte| byte == b'\n');
     (parts.next().unwrap_or_default(), parts.next())
 }
 
-/// True for a status of SCIP 2: two characters and their checksum, which is the
+/// Returns true for a status of SCIP 2: two characters and their checksum, which is the
 /// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum
 /// itself (`0Eu`).
 ///
@@ -244,92 +249,90 @@ fn is_scip2(status: &[u8]) -> bool {
         && (sum == (total & 0x3f) + 0x30 || sum == total)
 }
 
-/// Why a frame is not the reply to a command.
+/// The reason why a frame is not the reply to a command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplyError {
-    /// It begins with something else than the command: it answers another one,
-    /// or was damaged.
-    #[error("it begins with \"{found}\"")]
+    /// It does not begin with the command: it answers another one, or its echo is
+    /// damaged.
+    #[error("expected the echo of the command, found \"{found}\"")]
     Foreign {
-        /// How it begins.
+        /// Its first line.
         found: Text,
     },
-    /// It begins with the command, and then is not as it should be.
+    /// It begins with the command, and the rest is malformed.
     #[error(transparent)]
     Malformed(#[from] Malformed),
     /// It has a status of three characters, as in SCIP 2.
-    #[error("its status \"{status}\" is one of SCIP 2")]
+    #[error("expected a status of SCIP 1.1, found \"{status}\" of SCIP 2")]
     Scip2 {
         /// The status line.
         status: Text,
     },
 }
 
-/// Where a reply is not as it should be, what was expected there, and what
-/// came.
+/// A fault in the shape of a reply: the place, what was expected there, and what was
+/// found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Malformed {
     /// The reply ends after its echo.
-    #[error("the reply ends after its echo, where a status was expected")]
+    #[error("expected a status after the echo, found the end of the reply")]
     NoStatus,
     /// The status line is not exactly one printable character.
-    #[error("the status is \"{found}\", where one character was expected")]
+    #[error("expected a status of one character, found \"{found}\"")]
     Status {
         /// The line.
         found: Text,
     },
-    /// The status says success, and no data follows.
-    #[error("the reply ends after a status of success, where data was expected")]
+    /// The status is success, and no data follows.
+    #[error("expected data after a status of success, found the end of the reply")]
     NoData,
-    /// Data where there must be none.
-    #[error("{bytes} bytes of data follow the status {status}, where none were expected")]
+    /// Data follows a status that has none.
+    #[error("expected no data after the status {status}, found {bytes} bytes")]
     UnexpectedData {
         /// The status.
         status: Status,
-        /// How many bytes.
+        /// The number of bytes.
         bytes: usize,
     },
     /// A line of data is too short or too long.
-    #[error("line {line} of the data has {found} characters, where {expected} were expected")]
+    #[error("expected {expected} characters in line {line} of the data, found {found}")]
     LineLength {
-        /// Which line of the data, from 0.
+        /// The number of the line in the data, from 0.
         line: usize,
-        /// How many characters it must have.
+        /// The number of characters that it must have.
         expected: usize,
-        /// How many it has.
+        /// The number of characters that it has.
         found: usize,
     },
     /// The data ends early, after a full line.
-    #[error("the data has {found} characters, where {expected} were expected")]
+    #[error("expected {expected} characters of data, found {found}")]
     Short {
-        /// How many characters it must have.
+        /// The number of characters that it must have.
         expected: usize,
-        /// How many it has.
+        /// The number of characters that it has.
         found: usize,
     },
     /// A character that carries no 6-bit number.
-    #[error(
-        "character {column} of data line {line} is 0x{found:02x}, where 0x30 to 0x6f was expected"
-    )]
+    #[error("expected 0x30 to 0x6f as character {column} of data line {line}, found 0x{found:02x}")]
     Character {
-        /// Which line of the data, from 0.
+        /// The number of the line in the data, from 0.
         line: usize,
-        /// Which character of the line, from 0.
+        /// The place of the character in the line, from 0.
         column: usize,
         /// The byte.
         found: u8,
     },
-    /// No end in sight.
-    #[error("{bytes} bytes came without the two LFs that end a reply")]
+    /// The reply does not end.
+    #[error("expected two LFs at the end of the reply, found none in {bytes} bytes")]
     Overlong {
-        /// How many bytes came.
+        /// The number of bytes that came.
         bytes: usize,
     },
-    /// Line ends were translated, or telnet talks.
+    /// The link is not transparent: it translates line ends, or is a telnet session.
     #[error(
-        "line ends come as CR LF, or telnet commands come: the connection is not raw; set the terminal or the serial server to raw mode"
+        "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
     )]
     NotRaw,
 }

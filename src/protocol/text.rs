@@ -1,12 +1,12 @@
-//! Bytes that came from a sensor and that a person may get to see.
+//! Bytes from a sensor that may be shown to a person.
 
 use std::fmt;
 
-/// What a sensor wrote: any bytes, kept as they came.
+/// Bytes that a sensor sent, kept as they came.
 ///
 /// [`Display`](fmt::Display) shows printable ASCII as it is and everything
 /// else as an escape (`\x1b`), so that no sensor can write to a terminal or
-/// forge a line of a log; `to_string()` gives the same as a `String`.
+/// forge a line of a log; `to_string()` returns the same as a `String`.
 ///
 /// As data (feature `serde`) it is the escaped form, too: what is printable stays,
 /// and no byte is lost.
@@ -20,18 +20,18 @@ use std::fmt;
 pub struct Text(Box<[u8]>);
 
 impl Text {
-    /// The bytes as they came.
+    /// Returns the bytes as they came.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
 
-    /// True if nothing came.
+    /// Returns true if there are no bytes.
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 
-    /// At most the first `limit` bytes of `bytes`: enough for a message,
-    /// however much came.
+    /// Returns at most the first `limit` bytes of `bytes`, so that a message stays
+    /// short.
     pub(crate) fn excerpt(bytes: &[u8], limit: usize) -> Self {
         Self::from(bytes.get(..limit).unwrap_or(bytes))
     }

@@ -1,4 +1,4 @@
-//! Who a sensor says it is.
+//! The identity of a sensor: its reply to `V`.
 
 use std::ops::RangeInclusive;
 
@@ -20,20 +20,21 @@ pub struct Version {
     pub product: Text,
     /// `FIRM:`, such as `3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])`.
     pub firmware: Text,
-    /// `PROT:`. Sensors that speak SCIP 1.1 say `SCIP 1.0` here.
+    /// `PROT:`. Sensors that speak SCIP 1.1 have `SCIP 1.0` here.
     pub protocol: Text,
-    /// `SERI:`, such as `H0713090`: what tells two sensors apart.
+    /// `SERI:`, such as `H0713090`: the only field that differs between two sensors
+    /// of the same model and firmware.
     pub serial_number: Text,
     /// `STAT:`, which firmware 3 and later adds to the text's five lines.
     pub status: Option<Text>,
     /// Lines with another name, or none, as they came.
     pub other: Vec<Text>,
-    /// What the bracket in the firmware line says, where there is one.
+    /// The contents of the bracket in the firmware line, where there is one.
     pub specification: Option<Specification>,
 }
 
 impl Version {
-    /// Reads the lines of a reply to `V`.
+    /// Parses the lines of a reply to `V`. Never fails: see [`Version`].
     pub fn from_reply(reply: &Reply<'_>) -> Self {
         let mut version = Self::default();
         for line in reply.lines() {
@@ -62,8 +63,8 @@ impl Version {
     }
 }
 
-/// What a sensor says of its own abilities, in the bracket of its firmware
-/// line. Each part may be missing.
+/// The abilities of a sensor, from the bracket of its firmware line. Each part may
+/// be missing.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -74,12 +75,12 @@ pub struct Specification {
     pub aperture: Option<u16>,
     /// `44-725[step]`: the steps that it measures.
     pub steps: Option<RangeInclusive<u16>>,
-    /// `600[rpm]`: the speed of its motor in turns a minute.
+    /// `600[rpm]`: the speed of its motor in revolutions per minute.
     pub motor_speed: Option<u16>,
 }
 
 impl Specification {
-    /// Looks for parts such as `240[deg]` in a firmware line.
+    /// Returns the parts such as `240[deg]` of a firmware line, if there are any.
     fn find(firmware: &[u8]) -> Option<Self> {
         let mut found = Self::default();
         for part in firmware.split(|byte| matches!(byte, b'(' | b',' | b')')) {

@@ -1,4 +1,4 @@
-//! Which steps a `G` asks for.
+//! [`Window`]: the steps that a `G` asks for, and their directions.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -7,14 +7,14 @@ use std::time::Duration;
 use super::reply::BLOCK;
 use super::{BaudRate, Command};
 
-/// Steps in a full turn of the motor (C-42-3320-A p. 7).
-const STEPS_PER_TURN: f64 = 1024.0;
-/// The step that looks straight ahead (p. 7).
+/// Steps in a full revolution of the motor (C-42-3320-A p. 7).
+const STEPS_PER_REVOLUTION: f64 = 1024.0;
+/// The step straight ahead (p. 7).
 const FRONT: u16 = 384;
 /// The last step (p. 6).
 const LAST: u16 = 768;
 
-/// A step of the sensor's turn: 0..=768, 360/1024 degree each (p. 7).
+/// A direction of measurement: 0..=768, 360/1024 degree each (p. 7).
 ///
 /// Steps count counter-clockwise seen from above: 0 is -135 degrees (right
 /// rear), 384 the front, 768 is +135 degrees (left rear). As data (feature
@@ -32,7 +32,7 @@ impl Step {
     /// Step 768, +135 degrees.
     pub const LAST: Self = Self(LAST);
 
-    /// A step by its number.
+    /// Returns the step with this number.
     ///
     /// # Errors
     ///
@@ -41,19 +41,19 @@ impl Step {
         if number <= LAST { Ok(Self(number)) } else { Err(WindowError::Step { found: number }) }
     }
 
-    /// Its number, 0..=768.
+    /// Returns its number, 0..=768.
     pub const fn number(self) -> u16 {
         self.0
     }
 
-    /// Its direction in radians, counter-clockwise from the front.
+    /// Returns its direction in radians, counter-clockwise from the front.
     pub fn angle(self) -> f32 {
         angle(f64::from(self.0)) as f32
     }
 
-    /// Its direction in degrees, counter-clockwise from the front.
+    /// Returns its direction in degrees, counter-clockwise from the front.
     pub fn degrees(self) -> f32 {
-        ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_TURN) as f32
+        ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_REVOLUTION) as f32
     }
 }
 
@@ -77,13 +77,13 @@ impl TryFrom<u16> for Step {
     }
 }
 
-/// The direction of a (possibly half) step in radians.
+/// Returns the direction of a (possibly half) step in radians.
 pub(crate) fn angle(step: f64) -> f64 {
-    (step - f64::from(FRONT)) * std::f64::consts::TAU / STEPS_PER_TURN
+    (step - f64::from(FRONT)) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
 }
 
-/// The part of the turn that a scan covers: starting point, end point and
-/// cluster count, the parameters of `G` (C-42-3320-A p. 6).
+/// The steps that a scan covers: starting point, end point and cluster count, the
+/// parameters of `G` (C-42-3320-A p. 6).
 ///
 /// A window cannot be invalid: both steps are in 0..=768, the start is not
 /// behind the end, and the cluster count is 1..=99. (The text allows a cluster
@@ -109,7 +109,7 @@ pub struct Window {
     cluster_count: u8,
 }
 
-/// A window as data, which may be none.
+/// A window as data, not validated yet.
 #[cfg(feature = "serde")]
 #[derive(serde::Deserialize)]
 struct Fields {
@@ -137,16 +137,17 @@ impl Window {
     /// Every step, 0..=768. A real URG-04LX measures nothing outside of
     /// [`Window::DETECTION`]: the steps there always carry error code 19.
     ///
-    /// Successive polls of this window cannot be told apart on the wire (there
-    /// is no step to spare on either side), so it has one safeguard less than
-    /// any other against a reply that a faulty line delivers twice.
+    /// Successive polls of a window differ in their echo where there is a step to
+    /// spare on either side of it. This window has none, nor have some others with a
+    /// cluster count above 1 (0..=725 in clusters of 4). Such windows have one
+    /// safeguard less against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { start: Step(0), end: Step(LAST), cluster_count: 1 };
 
-    /// What a URG-04LX measures: steps 44..=725, -119.53 to +119.88 degrees,
+    /// The steps that a URG-04LX measures: 44..=725, -119.53 to +119.88 degrees,
     /// 682 points.
     pub const DETECTION: Self = Self { start: Step(44), end: Step(725), cluster_count: 1 };
 
-    /// The steps `steps`, each a point of its own (cluster count 1).
+    /// Returns the window of `steps`, each a point of its own (cluster count 1).
     ///
     /// # Errors
     ///
@@ -160,8 +161,9 @@ impl Window {
         }
     }
 
-    /// The steps inside an interval of degrees, counter-clockwise from the
-    /// front: `Window::degrees(-90.0..=90.0)` is steps 128..=640.
+    /// Returns the window of the steps inside an interval of degrees,
+    /// counter-clockwise from the front: `Window::degrees(-90.0..=90.0)` is steps
+    /// 128..=640.
     ///
     /// # Errors
     ///
@@ -169,14 +171,14 @@ impl Window {
     /// -135..=135, or if a bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
-        let step = |degrees: f64| degrees * STEPS_PER_TURN / 360.0 + f64::from(FRONT);
+        let step = |degrees: f64| degrees * STEPS_PER_REVOLUTION / 360.0 + f64::from(FRONT);
         // A bound that was computed may miss its step by a rounding error.
-        let hair = 1e-9;
-        let (low, high) = (step(from) - hair, step(to) + hair);
+        let tolerance = 1e-9;
+        let (low, high) = (step(from) - tolerance, step(to) + tolerance);
         let (first, last) = (low.ceil(), high.floor());
-        // Not a number is in no range.
-        let turn = -2.0 * hair..=f64::from(LAST) + 2.0 * hair;
-        if turn.contains(&low) && turn.contains(&high) && first <= last {
+        // No range contains NaN.
+        let valid = -2.0 * tolerance..=f64::from(LAST) + 2.0 * tolerance;
+        if valid.contains(&low) && valid.contains(&high) && first <= last {
             // The casts are exact: both are whole numbers in 0..=768.
             Self::new(first as u16..=last as u16)
         } else {
@@ -184,12 +186,11 @@ impl Window {
         }
     }
 
-    /// The same steps in groups of `cluster_count` neighbours, of which the
+    /// Returns the same steps in groups of `cluster_count` neighbours, of which the
     /// sensor sends the smallest value.
     ///
-    /// The sensor takes the minimum over raw codes, in which one error code
-    /// (0..=19) wins over every distance: clustering saves line time and hides
-    /// points.
+    /// The sensor takes the minimum of raw values, so one error code (0..=19) hides
+    /// every distance of its group: clustering saves time on the line and loses points.
     ///
     /// # Errors
     ///
@@ -201,32 +202,33 @@ impl Window {
         }
     }
 
-    /// The first step.
+    /// Returns the first step.
     pub const fn start(&self) -> Step {
         self.start
     }
 
-    /// The last step.
+    /// Returns the last step.
     pub const fn end(&self) -> Step {
         self.end
     }
 
-    /// How many neighbouring steps make a point, 1..=99.
+    /// Returns the number of neighbouring steps that make a point, 1..=99.
     pub const fn cluster_count(&self) -> u8 {
         self.cluster_count
     }
 
-    /// How many steps it covers, 1..=769.
+    /// Returns the number of steps that it covers, 1..=769.
     pub const fn steps(&self) -> usize {
         (self.end.0 - self.start.0) as usize + 1
     }
 
-    /// How many points a scan of it has: steps over cluster count, rounded up.
+    /// Returns the number of points in a scan of it: steps over cluster count, rounded
+    /// up.
     pub const fn points(&self) -> usize {
         self.steps().div_ceil(self.cluster_count as usize)
     }
 
-    /// The bytes of the reply, terminator included: 1,576 for
+    /// Returns the length of the reply in bytes, terminator included: 1,576 for
     /// [`Window::FULL`].
     pub const fn reply_len(&self) -> usize {
         let data = self.points() * 2;
@@ -234,37 +236,37 @@ impl Window {
         10 + 2 + data + data.div_ceil(BLOCK) + 1
     }
 
-    /// How long one poll of this window keeps a line at this baud rate busy:
-    /// command and reply, without the time that the sensor takes to answer.
+    /// Returns the time for which one poll of this window occupies a line at this baud
+    /// rate: command and reply, without the time that the sensor takes to answer.
     pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
         let command = Command::Distances(*self).bytes().len() + 1;
         baud_rate.wire_time(command + self.reply_len())
     }
 
-    /// The direction of the first point in radians: the middle of its steps.
-    pub(crate) fn angle_min(&self) -> f64 {
-        let first_group = usize::from(self.cluster_count).min(self.steps());
-        angle(f64::from(self.start.0) + (first_group as f64 - 1.0) / 2.0)
+    /// Returns the number of steps in the first cluster.
+    pub(crate) fn first_cluster(&self) -> u8 {
+        // At most the cluster count, so the cast is exact.
+        self.steps().min(usize::from(self.cluster_count)) as u8
     }
 
-    /// From one point to the next, in radians.
+    /// Returns the angle from one point to the next in radians.
     pub(crate) fn angle_increment(&self) -> f64 {
-        f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_TURN
+        f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
     }
 
     /// By how many points at most a poll is widened so that it differs from the
     /// polls before it. The driver chooses, and a replay recognises its choice.
     pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
 
-    /// One step alone.
+    /// Returns the window of one step.
     pub(crate) const fn single(step: u16) -> Self {
         let step = Step(if step > LAST { LAST } else { step });
         Self { start: step, end: step, cluster_count: 1 }
     }
 
-    /// This window with `groups` more points in front, or if there is no room,
-    /// behind; and how many points to skip in front. `None` if there is no room
-    /// on either side. The points of this window are the same in both.
+    /// Returns this window with `groups` more points in front, or if there is no room,
+    /// behind; and how many points to skip in front. `None` if there is no room on
+    /// either side. The points of this window are the same in both.
     pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
         let steps = groups.saturating_mul(u16::from(self.cluster_count));
         if steps <= self.start.0 {
@@ -288,38 +290,40 @@ impl fmt::Display for Window {
     }
 }
 
-/// Why there is no such [`Window`].
+/// The error of parameters that make no [`Window`].
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WindowError {
     /// A step above 768.
-    #[error("there is no step {found}: steps are 0 to 768")]
+    #[error("invalid step {found}: expected 0 to 768")]
     Step {
-        /// The number that was given.
+        /// The number that was found.
         found: u16,
     },
     /// The start lies behind the end.
-    #[error("the window starts at step {start}, behind its end at step {end}: swap them")]
+    #[error(
+        "invalid window: expected its start before its end, found {start} and {end}: swap them"
+    )]
     Reversed {
-        /// The first step that was given.
+        /// The first step.
         start: u16,
-        /// The last step that was given.
+        /// The last step.
         end: u16,
     },
     /// A cluster count outside of 1..=99.
-    #[error("a cluster count of {found} is not possible: use 1 to 99")]
+    #[error("invalid cluster count {found}: expected 1 to 99")]
     ClusterCount {
-        /// The number that was given.
+        /// The number that was found.
         found: u8,
     },
     /// Degrees outside of -135..=135, or an interval without a step.
     #[error(
-        "no window from {from} to {to} degrees: use -135 to 135, the smaller one first, and at least one step (0.3515625 degree) inside"
+        "invalid window from {from} to {to} degrees: expected -135 to 135, the smaller one first, with at least one step (0.3515625 degree) inside"
     )]
     Degrees {
-        /// The lower bound that was given.
+        /// The lower bound.
         from: f64,
-        /// The upper bound that was given.
+        /// The upper bound.
         to: f64,
     },
 }
@@ -333,7 +337,7 @@ mod tests {
         Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
     }
 
-    /// The steps of every point, first and last.
+    /// Returns the first and last step of every point.
     fn points(window: Window) -> Vec<(u16, u16)> {
         let (end, group) = (window.end.0, u16::from(window.cluster_count));
         (window.start.0..=end)
@@ -384,15 +388,6 @@ mod tests {
         assert_eq!(window(0, 10, 4).widened(1), None);
         assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
         assert_eq!(window(0, 98, 99).widened(u16::MAX), None);
-    }
-
-    #[test]
-    fn a_point_lies_in_the_middle_of_its_steps() {
-        let degrees = |window: Window| window.angle_min().to_degrees();
-        assert!((degrees(Window::FULL) + 135.0).abs() < 1e-9);
-        assert!((degrees(window(384, 386, 3)) - 0.3515625).abs() < 1e-9);
-        assert!((degrees(window(384, 385, 99)) - 0.3515625 / 2.0).abs() < 1e-9);
-        assert!((window(0, 768, 4).angle_increment().to_degrees() - 4.0 * 0.3515625).abs() < 1e-9);
     }
 
     #[test]

@@ -66,7 +66,7 @@ impl Recorder {
         let queue = Arc::clone(&self.queue);
         move |reply| {
             let command = reply.command.map_or_else(String::new, |command| command.to_string());
-            let times = Times { steady: reply.received_at, wall: reply.stamp };
+            let times = Times { steady: reply.received_at.into_std(), wall: reply.stamp };
             queue.push(WriteItem::Reply { command, bytes: reply.bytes.into(), times });
         }
     }
@@ -117,7 +117,7 @@ impl Recorder {
                 let expected = self.expected.replace(scan.sequence() + 1);
                 let missed =
                     expected.map_or(0, |expected| scan.sequence().saturating_sub(expected));
-                let times = Times { steady: scan.received_at(), wall: scan.stamp() };
+                let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
                 if std::mem::take(&mut self.disconnected) {
                     self.event(&Event::Reconnected, times);
                 }

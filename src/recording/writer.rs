@@ -93,7 +93,7 @@ impl<W: Write> Writer<W> {
 
     pub(super) fn scan(&mut self, scan: &Scan) -> McapResult<()> {
         ros::write_scan(&mut self.message, scan, &self.frame_id);
-        let times = Times { steady: scan.received_at(), wall: scan.stamp() };
+        let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
         // The field has 32 bits; a gap is a gap all the same.
         self.write(self.scans, scan.sequence() as u32, times)
     }

@@ -48,7 +48,7 @@ fn is_poll(line: &Received) -> bool {
 pub(crate) struct Truth {
     arrivals: HashMap<u64, Instant>,
     seen: std::collections::HashSet<u64>,
-    last: Option<(u64, std::time::Instant, std::time::Instant)>,
+    last: Option<(u64, Instant, Instant)>,
 }
 
 impl Truth {
@@ -65,7 +65,7 @@ impl Truth {
         let request = request_of(scan).ok_or_else(|| format!("mixed data: {:?}", scan.values()))?;
         let arrived = self.arrivals.get(&request).ok_or(format!("nobody asked for {request}"))?;
         let (sent, received) = (scan.requested_at(), scan.received_at());
-        if !(sent <= arrived.into_std() && arrived.into_std() <= received) {
+        if !(sent <= *arrived && *arrived <= received) {
             return Err(format!("the answer to {request} is attached to another request"));
         }
         if !self.seen.insert(request) {

@@ -26,7 +26,7 @@ async fn a02_a_consumer_that_takes_a_scan_a_minute_stops_nothing() {
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     for _ in 0..10 {
         let scan = stream.next().await.unwrap().unwrap();
-        let age = tokio::time::Instant::now().into_std() - scan.received_at();
+        let age = scan.age();
         assert!(age <= ms(101), "a scan of {age:?} ago");
         tokio::time::sleep(Duration::from_secs(60)).await;
     }

@@ -231,7 +231,7 @@ impl State {
         });
         let whole = (first..).zip(scan.values()).all(|(step, &value)| value == code(request, step));
         assert!(whole, "mixed data: {:?}", scan.values());
-        let arrived = self.scans[request as usize].into_std();
+        let arrived = self.scans[request as usize];
         assert!(
             scan.requested_at() <= arrived && arrived <= scan.received_at(),
             "the answer to {request} is attached to another request"

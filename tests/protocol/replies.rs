@@ -231,7 +231,7 @@ fn a_failure_says_where_what_was_expected_and_what_came() {
     assert_eq!(error, Malformed::Character { line: 2, column: 5, found: 0xff }.into());
     assert_eq!(
         error.to_string(),
-        "character 5 of data line 2 is 0xff, where 0x30 to 0x6f was expected"
+        "expected 0x30 to 0x6f as character 5 of data line 2, found 0xff"
     );
     let whole = frame("G00076801", &spread(769));
     assert_eq!(
@@ -240,7 +240,7 @@ fn a_failure_says_where_what_was_expected_and_what_came() {
     );
     assert_eq!(
         Reply::parse(&command, &whole[..whole.len() - 1]).unwrap_err().to_string(),
-        "line 24 of the data has 1 characters, where 2 were expected"
+        "expected 2 characters in line 24 of the data, found 1"
     );
 }
 
@@ -289,8 +289,11 @@ fn statuses_mean_what_drivers_of_real_sensors_know() {
     let meaning = |status: u8, command: &Command| Status::new(status).meaning(command);
     assert_eq!(meaning(b'6', &distances), Some("the laser is off"));
     assert_eq!(meaning(b'6', &Command::Version), None);
-    assert_eq!(meaning(b'2', &Command::LaserOff), Some("the laser is so already"));
-    assert_eq!(meaning(b'3', &speed), Some("the line has that speed already, or is USB"));
+    assert_eq!(meaning(b'2', &Command::LaserOff), Some("the laser is already in that state"));
+    assert_eq!(
+        meaning(b'3', &speed),
+        Some("the sensor is already at that baud rate, or is on USB")
+    );
     assert_eq!(meaning(b'E', &Command::Version), Some("the sensor does not know the command"));
     assert_eq!(meaning(b'0', &distances), Some("success"));
     assert_eq!(meaning(b'9', &distances), None);

@@ -33,7 +33,7 @@ fn all_twenty_error_codes_have_the_meaning_of_the_text() {
     assert_eq!(ErrorCode::all().count(), 20);
     for (code, meaning) in ErrorCode::all().zip(MEANINGS) {
         assert_eq!(code.meaning(), meaning, "code {}", code.number());
-        assert_eq!(code.to_string(), format!("code {}: {meaning}", code.number()));
+        assert_eq!(code.to_string(), format!("error code {}: {meaning}", code.number()));
         assert_eq!(code.is_low_intensity(), meaning.contains("low intensity"));
         assert_eq!(code.is_beyond_range(), meaning.starts_with("Possibility"));
     }
@@ -41,7 +41,7 @@ fn all_twenty_error_codes_have_the_meaning_of_the_text() {
     assert!(ErrorCode::all().map(u8::from).eq(0..=19));
     assert_eq!(
         ErrorCode::try_from(20).unwrap_err().to_string(),
-        "20 is no error code: they are 0 to 19"
+        "invalid error code 20: expected 0 to 19"
     );
 }
 

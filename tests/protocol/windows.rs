@@ -93,12 +93,9 @@ fn degrees_without_a_step_or_outside_of_the_turn_are_refused() {
 #[test]
 fn refusals_say_what_to_do() {
     let message = |error: WindowError| error.to_string();
-    assert_eq!(
-        message(WindowError::Step { found: 800 }),
-        "there is no step 800: steps are 0 to 768"
-    );
+    assert_eq!(message(WindowError::Step { found: 800 }), "invalid step 800: expected 0 to 768");
     assert!(message(WindowError::Reversed { start: 9, end: 3 }).ends_with("swap them"));
-    assert!(message(WindowError::ClusterCount { found: 0 }).ends_with("use 1 to 99"));
+    assert!(message(WindowError::ClusterCount { found: 0 }).ends_with("expected 1 to 99"));
     assert!(message(WindowError::Degrees { from: 1.0, to: 0.0 }).contains("-135 to 135"));
     assert_eq!(Window::DETECTION.to_string(), "steps 44..=725");
     assert_eq!(

@@ -286,7 +286,7 @@ async fn a_replay_that_ends_because_its_file_is_damaged_says_so() {
         while let Some(item) = scans.next().await {
             end = item.err();
         }
-        let Some(Error::Disconnected { source }) = end else { panic!("{end:?}") };
+        let Some(Error::Disconnected { source, .. }) = end else { panic!("{end:?}") };
         let cause = source.as_ref().and_then(|error| error.get_ref()?.downcast_ref());
         assert_eq!(matches!(cause, Some(RecordingError::Damaged { .. })), damaged, "{source:?}");
     }

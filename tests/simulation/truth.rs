@@ -51,8 +51,8 @@ impl Truth {
         let looks = self.0.lock().unwrap();
         let (sent, received) = (scan.requested_at(), scan.received_at());
         // Those that the sensor served while this one was waited for.
-        let from = looks.partition_point(|at| at.into_std() < sent);
-        let until = looks.partition_point(|at| at.into_std() <= received);
+        let from = looks.partition_point(|at| *at < sent);
+        let until = looks.partition_point(|at| *at <= received);
         (from..until).map(|request| request as u64).find(|&request| wrong(request) <= flips).ok_or_else(
             || {
                 let whose = (0..looks.len() as u64).rev().find(|&request| wrong(request) <= flips);

@@ -26,6 +26,9 @@ pub(crate) fn check(scan: &Value) {
             "cluster",
             "end",
             "ranges",
+            "reconnects",
+            "repeat",
+            "scan_time",
             "sequence",
             "stamp",
             "start",
@@ -118,9 +121,9 @@ fn a_scan_can_be_a_table_json_or_csv() {
     assert!(table.contains("nearest"), "{table}");
     // Outside of its window a sensor has nothing but code 19.
     let outside = run("scan emulated --start 0 --end 9", 0).stdout;
-    assert!(outside.contains("- code 19: Non-Measurable Distance"), "{outside}");
+    assert!(outside.contains("- error code 19: Non-Measurable Distance"), "{outside}");
     assert!(outside.contains("0 of 10 points have a distance"), "{outside}");
-    assert!(outside.contains("10 x code 19"), "{outside}");
+    assert!(outside.contains("10 x error code 19"), "{outside}");
     assert_eq!(run("scan emulated --format json", 0).stdout.lines().count(), 1);
     assert_eq!(run("scan emulated --format csv", 0).stdout.lines().count(), 1 + 682);
 }

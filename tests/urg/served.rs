@@ -21,7 +21,7 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
             let mut codes: Values = [19; STEPS];
             look.revolution = revolution.into();
             look.at = Duration::from_millis(100) * (revolution + 1);
-            room.measure(look, &mut codes);
+            room.look(look, &mut codes);
             let values = codes[44..=725].iter().map(|&code| code.into()).collect();
             sender.send((values, u64::from(revolution))).unwrap();
         }
@@ -93,7 +93,7 @@ fn the_speed_behind_a_bridge_cannot_be_changed() {
     assert!(sensor.port.ends_with("?baud=57600"), "{}", sensor.port);
     let line = super::program::failure(&format!("baud {} 115200", sensor.port));
     assert!(line.contains("cannot be set to 115200 baud"), "{line}");
-    assert_eq!(line.matches("its speed is fixed").count(), 1, "{line}");
+    assert_eq!(line.matches("its baud rate is fixed").count(), 1, "{line}");
 }
 
 #[test]

@@ -57,8 +57,8 @@ mod tests {
         let port = "/dev/ttyACM0".to_owned();
         let open = tokio_scip::Error::Open { port, source: source() };
         assert_eq!(line(open), "cannot open /dev/ttyACM0: on fire");
-        let lost = tokio_scip::Error::Disconnected { source: Some(source()) };
-        assert_eq!(line(lost), "/dev/ttyACM0: the link to the sensor is lost: on fire");
+        let off = "/dev/ttyACM0: the laser is switched off: switch it on before asking for scans";
+        assert_eq!(line(tokio_scip::Error::LaserOff), off);
         let baud_rate = tokio_scip::BaudRate::B250000;
         let fixed = tokio_scip::Error::UnsupportedBaudRate { baud_rate, source: Some(source()) };
         assert_eq!(line(fixed), "/dev/ttyACM0: the port cannot be set to 250000 baud: on fire");

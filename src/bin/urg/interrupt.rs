@@ -6,7 +6,8 @@ use std::future::poll_fn;
 use std::io;
 #[cfg(unix)]
 use std::task::Poll;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use tokio::sync::watch;
 
@@ -53,7 +54,7 @@ impl Interrupt {
     /// Waits until the program should have ended because of the interrupt.
     pub(crate) async fn overdue(&self) {
         let deadline = self.requested().await + COMMAND_GRACE;
-        tokio::time::sleep_until(deadline.into()).await;
+        tokio::time::sleep_until(deadline).await;
     }
 
     /// Runs a command that may be dropped anywhere, until it is done or

@@ -2,7 +2,8 @@
 //! failed.
 
 use std::fmt;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 

@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use tokio_scip::recording::Recorder;
 use tokio_scip::{Rate, ScanStream, Sensor, State, Window};

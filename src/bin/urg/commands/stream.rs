@@ -55,6 +55,10 @@ scan: disconnected, reconnected, error, missed. All others are scans:
   angle_min        direction of the first point in radians, counter-clockwise
                    from the front
   angle_increment  from one point to the next
+  scan_time        seconds of a revolution of the motor
+  repeat           true if all values are those of the scan before
+  reconnects       how often the sensor had been found again; a number that
+                   differs from the one before marks the first scan after it
   values           as the sensor sent them: below 20 an error code, else mm
   ranges           metres; null where there is no distance";
 

@@ -111,11 +111,11 @@ impl Recorded {
     /// reported, any other error fails.
     pub(crate) fn end(&self, error: &Error) -> Result<(), Failure> {
         match error {
-            Error::Disconnected { source: None } => {
+            Error::Disconnected { source: None, .. } => {
                 notice(format_args!("{self}: the recording has ended"));
                 Ok(())
             }
-            Error::Disconnected { source: Some(error) } => Err(self.failure(error)),
+            Error::Disconnected { source: Some(error), .. } => Err(self.failure(error)),
             error => Err(self.failure(error)),
         }
     }

@@ -1,7 +1,7 @@
 //! Follows a stream: until the user stops it, for a number of scans, for a time,
 //! or to its own end.
 
-use std::time::Instant;
+use tokio::time::Instant;
 
 use super::feed::{Feed, Update};
 use crate::args::PaceArgs;
@@ -55,7 +55,7 @@ async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> Instant {
     let Some(duration) = pace.duration else { return interrupt.requested().await };
     let end = Instant::now() + duration;
     tokio::select! {
-        () = tokio::time::sleep_until(end.into()) => end,
+        () = tokio::time::sleep_until(end) => end,
         since = interrupt.requested() => since,
     }
 }

@@ -11,7 +11,8 @@ mod screen;
 #[cfg(test)]
 mod tests;
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use crossterm::event::{Event, EventStream};
 use futures::StreamExt;
@@ -86,7 +87,7 @@ impl Viewer {
         let mut changed = true;
         loop {
             let frame = async {
-                tokio::time::sleep_until(next_frame.into()).await;
+                tokio::time::sleep_until(next_frame).await;
                 screen.ready().await
             };
             tokio::select! {

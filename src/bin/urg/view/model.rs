@@ -1,7 +1,8 @@
 //! What the radar shows, and what each key does to it. No terminal and no
 //! sensor is in here.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use tokio_scip::{Rate, Scan, ScheduleStats, State, Stats, Version, Window};

@@ -2,7 +2,8 @@
 
 use std::fmt::Write;
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tokio::time::Instant;
 
 use tokio::sync::watch;
 use tokio_scip::{Rate, Sensor, State, Window};

@@ -1,4 +1,4 @@
-//! [`FaultyLink`]: a wrapper around any stream whose calls fail as scripted.
+//! A stream whose calls fail when they are told to, around any other stream.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::io;
@@ -11,7 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use crate::{BaudRate, Port};
 
-/// A method of a stream or port.
+/// A kind of call on a stream or port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Call {
@@ -20,27 +20,27 @@ pub enum Call {
     /// `poll_write`.
     Write,
     /// [`Port::set_baud_rate`].
-    SetBaudRate,
+    SetSpeed,
 }
 
-/// The failure of a call on a [`FaultyLink`].
+/// How a call fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum LinkFailure {
-    /// Returns this error of the operating system, once. `LinkFailure::Errno(5)` is
+pub enum Failure {
+    /// With this error of the operating system, once. `Failure::Errno(5)` is
     /// `EIO` on Linux.
     Errno(i32),
-    /// Returns an error of this kind, once.
+    /// With an error of this kind, once.
     Kind(io::ErrorKind),
-    /// Returns `Ok(0)`, the end of the stream, now and in every later call. Has no
-    /// effect on [`Call::SetBaudRate`].
+    /// With `Ok(0)`, and so does every later one: the end of the stream. A
+    /// change of speed goes through.
     End,
-    /// Is never ready, now and in every later call. Has no effect on
-    /// [`Call::SetBaudRate`].
+    /// It never gets ready, nor does any later one. A change of speed goes
+    /// through.
     Stall,
 }
 
-impl LinkFailure {
+impl Failure {
     fn error(self) -> Option<io::Error> {
         match self {
             Self::Errno(code) => Some(io::Error::from_raw_os_error(code)),
@@ -50,80 +50,79 @@ impl LinkFailure {
     }
 }
 
-/// The destination of the bytes that are written.
+/// What becomes of the bytes that are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum WriteRoute {
-    Inner,
-    BackToReader,
-    Both,
+enum Path {
+    Through,
+    Back,
+    ThroughAndBack,
 }
 
-/// The number of calls on a [`FaultyLink`]. A handle: clones count the same link,
-/// also after it was moved or dropped.
+/// How often a [`FaultyLink`] was called. A handle: clones count the same link,
+/// also after it has been given away or dropped.
 #[derive(Debug, Clone, Default)]
-pub struct CallCounter(Arc<CallCounts>);
+pub struct CallCounter(Arc<Tally>);
 
 #[derive(Debug, Default)]
-struct CallCounts {
+struct Tally {
     reads: AtomicU64,
     writes: AtomicU64,
     flushes: AtomicU64,
-    baud_rate_changes: AtomicU64,
+    speeds: AtomicU64,
     failures: AtomicU64,
     bytes_read: AtomicU64,
     bytes_written: AtomicU64,
 }
 
 impl CallCounter {
-    /// Returns the number of reads that returned bytes or the end of the stream.
+    /// Reads that gave bytes or the end of the stream.
     pub fn reads(&self) -> u64 {
         self.0.reads.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of writes that took bytes.
+    /// Writes that took bytes.
     pub fn writes(&self) -> u64 {
         self.0.writes.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of flushes, ready or not.
+    /// Flushes, ready or not.
     pub fn flushes(&self) -> u64 {
         self.0.flushes.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of changes of the baud rate, failed ones included.
+    /// Changes of speed, failed ones included.
     pub fn baud_rate_changes(&self) -> u64 {
-        self.0.baud_rate_changes.load(Ordering::Relaxed)
+        self.0.speeds.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of calls that failed as scripted.
+    /// Calls that failed because they were told to.
     pub fn failures(&self) -> u64 {
         self.0.failures.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of bytes read.
+    /// Bytes that were read.
     pub fn bytes_read(&self) -> u64 {
         self.0.bytes_read.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of bytes written.
+    /// Bytes that were written.
     pub fn bytes_written(&self) -> u64 {
         self.0.bytes_written.load(Ordering::Relaxed)
     }
 }
 
-/// A wrapper around a stream whose calls fail as scripted.
+/// A stream that fails as scripted, around one that works.
 ///
-/// Nothing is random, and nothing takes time: the same calls have the same results.
-/// Around a [`Port`] it is a `Port`. Dropping it drops the inner stream.
+/// Nothing is random, and nothing takes time: with the same calls it does the
+/// same. Around a [`Port`] it is a `Port`. Dropping it drops the inner stream.
 ///
 /// ```
 /// use tokio::io::AsyncReadExt;
-/// use tokio_scip::emulator::{Call, FaultyLink, LinkFailure};
+/// use tokio_scip::emulator::{Call, Failure, FaultyLink};
 ///
 /// # #[tokio::main(flavor = "current_thread")]
 /// # async fn main() {
-/// let link = FaultyLink::new(&b"V\n0\n"[..]);
-/// let mut link = link.short_reads(1).fail(Call::Read, 2, LinkFailure::End);
+/// let mut link = FaultyLink::new(&b"V\n0\n"[..]).short_reads(1).fail(Call::Read, 2, Failure::End);
 /// let mut read = Vec::new();
 /// link.read_to_end(&mut read).await.unwrap();
 /// assert_eq!(read, b"V\n");
@@ -132,18 +131,18 @@ impl CallCounter {
 #[derive(Debug)]
 pub struct FaultyLink<S> {
     inner: S,
-    failures: Vec<(Call, u64, LinkFailure)>,
+    failures: Vec<(Call, u64, Failure)>,
     longest_read: usize,
     longest_write: usize,
     splits: BTreeSet<u64>,
-    route: WriteRoute,
+    path: Path,
     returning: VecDeque<u8>,
     reader: Option<Waker>,
     counter: CallCounter,
 }
 
 impl<S> FaultyLink<S> {
-    /// Creates a link that works as `inner` does, until failures are added.
+    /// A link that works, until it is told otherwise.
     pub fn new(inner: S) -> Self {
         Self {
             inner,
@@ -151,71 +150,70 @@ impl<S> FaultyLink<S> {
             longest_read: usize::MAX,
             longest_write: usize::MAX,
             splits: BTreeSet::new(),
-            route: WriteRoute::Inner,
+            path: Path::Through,
             returning: VecDeque::new(),
             reader: None,
             counter: CallCounter::default(),
         }
     }
 
-    /// Makes a call fail after `after` calls of its kind have succeeded: 0 is the very
-    /// first call. A read fails without waiting for bytes.
+    /// Lets a call fail once `after` calls of its kind have been through: 0 is
+    /// the very first. A read fails without waiting for bytes.
     #[must_use]
-    pub fn fail(mut self, call: Call, after: u64, failure: LinkFailure) -> Self {
+    pub fn fail(mut self, call: Call, after: u64, failure: Failure) -> Self {
         self.failures.push((call, after, failure));
         self
     }
 
-    /// Limits a read to this many bytes, at least 1.
+    /// No read gives more than this many bytes, at least 1.
     #[must_use]
     pub fn short_reads(mut self, longest: usize) -> Self {
         self.longest_read = longest.max(1);
         self
     }
 
-    /// Limits a write to this many bytes, at least 1.
+    /// No write takes more than this many bytes, at least 1.
     #[must_use]
     pub fn partial_writes(mut self, longest: usize) -> Self {
         self.longest_write = longest.max(1);
         self
     }
 
-    /// Ends a read at each of these places, counted in bytes from the first one ever
-    /// read. The next read, which begins there, is `Pending` once.
+    /// No read goes across these places, counted in bytes from the first one
+    /// ever read, and the first read at each is `Pending` once.
     #[must_use]
     pub fn split_reads_at(mut self, places: impl IntoIterator<Item = u64>) -> Self {
         self.splits.extend(places);
         self
     }
 
-    /// Returns written bytes to the reader and sends them nowhere else, as a loopback
-    /// plug does.
+    /// What is written comes back and goes nowhere else: a loopback plug.
     #[must_use]
     pub fn loopback(mut self) -> Self {
-        self.route = WriteRoute::BackToReader;
+        self.path = Path::Back;
         self
     }
 
-    /// Returns written bytes to the reader, before the reply, and sends them on: a
-    /// terminal with echo, or a two-wire line.
+    /// What is written comes back, before what the other end says: a terminal
+    /// with echo, or a two-wire line.
     #[must_use]
     pub fn echo(mut self) -> Self {
-        self.route = WriteRoute::Both;
+        self.path = Path::ThroughAndBack;
         self
     }
 
-    /// Returns a handle to the number of calls.
+    /// How often the link is called, to be looked at from elsewhere.
     pub fn counter(&self) -> CallCounter {
         self.counter.clone()
     }
 
-    /// Takes the failure of this call, if one is due, of which `done` have succeeded.
-    fn take_failure(&mut self, call: Call, done: u64) -> Option<LinkFailure> {
-        let is_due = |&(of, after, failure): &(Call, u64, LinkFailure)| {
-            let lasting = matches!(failure, LinkFailure::End | LinkFailure::Stall);
+    /// The failure of this call, if it is to fail.
+    fn failure(&mut self, call: Call, done: u64) -> Option<Failure> {
+        let due = |&(of, after, failure): &(Call, u64, Failure)| {
+            let lasting = matches!(failure, Failure::End | Failure::Stall);
             of == call && if lasting { done >= after } else { done == after }
         };
-        let place = self.failures.iter().position(is_due)?;
+        let place = self.failures.iter().position(due)?;
         let (.., failure) = self.failures.get(place).copied()?;
         if failure.error().is_some() {
             self.failures.remove(place);
@@ -232,14 +230,14 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        let counts = this.counter.0.clone();
-        match this.take_failure(Call::Read, counts.reads.load(Ordering::Relaxed)) {
-            Some(LinkFailure::Stall) => return Poll::Pending,
-            Some(LinkFailure::End) => return Poll::Ready(Ok(())),
+        let tally = this.counter.0.clone();
+        match this.failure(Call::Read, tally.reads.load(Ordering::Relaxed)) {
+            Some(Failure::Stall) => return Poll::Pending,
+            Some(Failure::End) => return Poll::Ready(Ok(())),
             Some(failure) => return Poll::Ready(failure.error().map_or(Ok(()), Err)),
             None => {}
         }
-        let place = counts.bytes_read.load(Ordering::Relaxed);
+        let place = tally.bytes_read.load(Ordering::Relaxed);
         if this.splits.remove(&place) {
             context.waker().wake_by_ref();
             return Poll::Pending;
@@ -252,7 +250,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
 
         let count = if this.returning.is_empty() {
             this.reader = Some(context.waker().clone());
-            if this.route == WriteRoute::BackToReader {
+            if this.path == Path::Back {
                 return Poll::Pending;
             }
             let mut part = ReadBuf::new(buffer.initialize_unfilled_to(limit));
@@ -266,8 +264,8 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
             buffer.put_slice(&bytes);
             count
         };
-        counts.reads.fetch_add(1, Ordering::Relaxed);
-        counts.bytes_read.fetch_add(count as u64, Ordering::Relaxed);
+        tally.reads.fetch_add(1, Ordering::Relaxed);
+        tally.bytes_read.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(()))
     }
 }
@@ -279,28 +277,28 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for FaultyLink<S> {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let this = &mut *self;
-        let counts = this.counter.0.clone();
-        match this.take_failure(Call::Write, counts.writes.load(Ordering::Relaxed)) {
-            Some(LinkFailure::Stall) => return Poll::Pending,
-            Some(LinkFailure::End) => return Poll::Ready(Ok(0)),
+        let tally = this.counter.0.clone();
+        match this.failure(Call::Write, tally.writes.load(Ordering::Relaxed)) {
+            Some(Failure::Stall) => return Poll::Pending,
+            Some(Failure::End) => return Poll::Ready(Ok(0)),
             Some(failure) => return Poll::Ready(failure.error().map_or(Ok(0), Err)),
             None => {}
         }
         let bytes = bytes.get(..bytes.len().min(this.longest_write)).unwrap_or_default();
-        let count = match this.route {
-            WriteRoute::BackToReader => bytes.len(),
-            WriteRoute::Inner | WriteRoute::Both => {
+        let count = match this.path {
+            Path::Back => bytes.len(),
+            Path::Through | Path::ThroughAndBack => {
                 ready!(Pin::new(&mut this.inner).poll_write(context, bytes))?
             }
         };
-        if this.route != WriteRoute::Inner {
+        if this.path != Path::Through {
             this.returning.extend(bytes.iter().take(count));
             if let Some(reader) = this.reader.take() {
                 reader.wake();
             }
         }
-        counts.writes.fetch_add(1, Ordering::Relaxed);
-        counts.bytes_written.fetch_add(count as u64, Ordering::Relaxed);
+        tally.writes.fetch_add(1, Ordering::Relaxed);
+        tally.bytes_written.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(count))
     }
 
@@ -319,11 +317,11 @@ impl<S: Port> Port for FaultyLink<S> {
         self.inner.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        let done = self.counter.0.baud_rate_changes.fetch_add(1, Ordering::Relaxed);
-        match self.take_failure(Call::SetBaudRate, done).and_then(LinkFailure::error) {
+    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
+        let done = self.counter.0.speeds.fetch_add(1, Ordering::Relaxed);
+        match self.failure(Call::SetSpeed, done).and_then(Failure::error) {
             Some(error) => Err(error),
-            None => self.inner.set_baud_rate(baud_rate),
+            None => self.inner.set_baud_rate(speed),
         }
     }
 

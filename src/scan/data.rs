@@ -1,0 +1,104 @@
+//! Scans as data (feature `serde`), in the form that [`Scan`] documents.
+
+use std::time::{Duration, SystemTime};
+
+use serde::de::Error as _;
+use serde::ser::SerializeStruct;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::Scan;
+use super::builder::REVOLUTION;
+use crate::protocol::Window;
+
+/// Seconds since 1970 that every clock can count.
+const MAX_STAMP: f64 = 1e11;
+
+impl Serialize for Scan {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        // JSON has no infinity and no NaN.
+        let finite = |range: f32| Some(range).filter(|range| range.is_finite());
+        let ranges: Vec<_> = self.ranges().map(finite).collect();
+        let since_1970 = self.stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let mut scan = serializer.serialize_struct("Scan", 12)?;
+        scan.serialize_field("sequence", &self.sequence())?;
+        scan.serialize_field("stamp", &(since_1970.as_micros() as f64 / 1e6))?;
+        scan.serialize_field("start", &self.window.start())?;
+        scan.serialize_field("end", &self.window.end())?;
+        scan.serialize_field("cluster", &self.window.cluster_count())?;
+        scan.serialize_field("angle_min", &self.angle_min())?;
+        scan.serialize_field("angle_increment", &self.angle_increment())?;
+        scan.serialize_field("scan_time", &self.meta.scan_time.as_secs_f64())?;
+        scan.serialize_field("repeat", &self.is_repeat())?;
+        scan.serialize_field("reconnects", &self.reconnects())?;
+        scan.serialize_field("values", self.values())?;
+        scan.serialize_field("ranges", &ranges)?;
+        scan.end()
+    }
+}
+
+/// A scan as it is read.
+#[derive(Deserialize)]
+#[serde(rename = "Scan")]
+struct Fields {
+    #[serde(default)]
+    sequence: u64,
+    #[serde(default)]
+    stamp: f64,
+    start: u16,
+    end: u16,
+    #[serde(default = "one")]
+    cluster: u8,
+    angle_min: Option<f32>,
+    #[serde(default = "revolution")]
+    scan_time: f64,
+    #[serde(default)]
+    repeat: bool,
+    #[serde(default)]
+    reconnects: u64,
+    values: Vec<u16>,
+}
+
+fn one() -> u8 {
+    1
+}
+
+fn revolution() -> f64 {
+    REVOLUTION.as_secs_f64()
+}
+
+impl<'de> Deserialize<'de> for Scan {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let fields = Fields::deserialize(deserializer)?;
+        let window = Window::new(fields.start..=fields.end)
+            .and_then(|window| window.with_cluster_count(fields.cluster))
+            .map_err(D::Error::custom)?;
+        // A number of seconds is exact to the microsecond only.
+        let micros = Some(fields.stamp).filter(|stamp| (0.0..=MAX_STAMP).contains(stamp));
+        let micros = micros.map(|stamp| Duration::from_micros((stamp * 1e6).round() as u64));
+        let stamp = micros.and_then(|micros| SystemTime::UNIX_EPOCH.checked_add(micros));
+        let invalid = || D::Error::custom("invalid stamp: expected seconds since 1970");
+        let stamp = stamp.ok_or_else(invalid)?;
+        let scan_time = Duration::try_from_secs_f64(fields.scan_time).map_err(D::Error::custom)?;
+        let scan = Self::builder(window, fields.values)
+            .sequence(fields.sequence)
+            .stamp(stamp)
+            .scan_time(scan_time)
+            .repeat(fields.repeat)
+            .reconnects(fields.reconnects)
+            .build()
+            .map_err(D::Error::custom)?;
+        Ok(match fields.angle_min {
+            Some(angle) => scan.pointing(angle),
+            None => scan,
+        })
+    }
+}
+
+impl Scan {
+    /// Returns this scan with its first point at `angle`, if a crop leaves it there:
+    /// the only cluster of a window may be the rest of a whole one.
+    fn pointing(self, angle: f32) -> Self {
+        let whole = Self { first_cluster: self.window.cluster_count(), ..self.clone() };
+        if whole.angle_min() == angle { whole } else { self }
+    }
+}

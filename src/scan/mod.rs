@@ -1,0 +1,433 @@
+//! [`Scan`]: the values of one reply to `G`, with their geometry and times.
+
+mod builder;
+#[cfg(feature = "serde")]
+mod data;
+
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+pub use self::builder::{InvalidScan, ScanBuilder};
+use crate::protocol::{Measurement, Window, angle};
+
+/// One scan: the values of all directions of a [`Window`].
+///
+/// Cheap to clone: copies share the values. The fields of ROS's
+/// `sensor_msgs/LaserScan` are methods of the same names, in the same units
+/// (radians, metres, seconds), in the sensor's frame: x forward, y to the left,
+/// angles counter-clockwise from the front (REP 103).
+///
+/// Scans are equal if their windows, values, numbers and stamps are, whenever this
+/// process got them: [`requested_at`](Self::requested_at) and
+/// [`received_at`](Self::received_at) are not compared.
+///
+/// The driver makes scans; [`Scan::builder`] makes one from any values, to test a
+/// function that takes a `&Scan`.
+///
+/// # As data
+///
+/// With the feature `serde` a scan is written as `sequence`, `stamp` (seconds since
+/// 1970 with microseconds), `start`, `end`, `cluster`, `angle_min`, `angle_increment`
+/// (radians), `scan_time` (seconds), `repeat`, `reconnects`, the raw `values`, and
+/// `ranges` in metres, null where there is no distance. A scan is read back from
+/// `start`, `end` and `values`; the rest may be missing, `ranges` and the increment
+/// are ignored, and both instants are the time of reading.
+#[derive(Debug, Clone)]
+pub struct Scan {
+    window: Window,
+    values: Arc<[u16]>,
+    /// Where this scan begins in `values`; a cropped one shares them.
+    first: usize,
+    /// Steps of the first cluster, in whose middle its point lies. A crop keeps it,
+    /// so that a point keeps its direction.
+    first_cluster: u8,
+    meta: ScanMeta,
+}
+
+/// The properties of a scan besides its values.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ScanMeta {
+    pub(crate) sequence: u64,
+    pub(crate) requested_at: Instant,
+    pub(crate) received_at: Instant,
+    pub(crate) stamp: SystemTime,
+    pub(crate) repeat: bool,
+    pub(crate) scan_time: Duration,
+    pub(crate) reconnects: u64,
+}
+
+/// A point in the sensor's frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Point {
+    /// Metres ahead of the sensor.
+    pub x: f32,
+    /// Metres to the left of the sensor.
+    pub y: f32,
+    /// Metres from the sensor, 0.020..=4.094.
+    pub range: f32,
+    /// Radians counter-clockwise from the front.
+    pub angle: f32,
+}
+
+impl Scan {
+    /// `values` has one value for each point of `window`, after `first` others.
+    pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
+        Self { window, values, first, first_cluster: window.first_cluster(), meta }
+    }
+
+    /// Makes a scan of `window` from its values, one for each point, as if it had
+    /// just arrived. [`ScanBuilder`] sets the rest.
+    ///
+    /// ```
+    /// use tokio_scip::{Scan, Window};
+    ///
+    /// /// Returns the distance to the nearest object in metres.
+    /// fn nearest(scan: &Scan) -> Option<f32> {
+    ///     scan.points().map(|point| point.range).reduce(f32::min)
+    /// }
+    ///
+    /// // Millimetres; values below 20 are error codes.
+    /// let scan = Scan::builder(Window::new(383..=385)?, [900, 0, 1250]).build()?;
+    /// assert_eq!(nearest(&scan), Some(0.9));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn builder(window: Window, values: impl Into<Arc<[u16]>>) -> ScanBuilder {
+        ScanBuilder::new(window, values.into())
+    }
+
+    /// Returns the window that was asked for.
+    pub fn window(&self) -> Window {
+        self.window
+    }
+
+    /// Returns the number of points, at least 1; the same as [`Window::points`].
+    #[expect(clippy::len_without_is_empty, reason = "a scan is never empty")]
+    pub fn len(&self) -> usize {
+        self.values().len()
+    }
+
+    /// Returns the 12-bit values as the sensor sent them, 0..=4095, in the order of
+    /// their steps: below 20 an [`ErrorCode`](crate::ErrorCode), 20..=4094
+    /// millimetres (C-42-3320-A p. 5 and 7).
+    pub fn values(&self) -> &[u16] {
+        let end = self.first + self.window.points();
+        self.values.get(self.first..end).unwrap_or_default()
+    }
+
+    /// Iterates over the meanings of the values.
+    pub fn measurements(&self) -> impl ExactSizeIterator<Item = Measurement> + Clone + '_ {
+        self.values().iter().map(|&value| Measurement::from_value(value))
+    }
+
+    /// Iterates over the ranges in metres after ROS REP 117: a distance as it is,
+    /// `+Inf` for the values 0, 6, 16 and 4095 (possibly beyond range, no proof of free
+    /// space), `NaN` for all other error codes. `-Inf` never comes.
+    pub fn ranges(&self) -> impl ExactSizeIterator<Item = f32> + Clone + '_ {
+        self.measurements().map(Measurement::range)
+    }
+
+    /// Iterates over the directions of the points in radians: point `n` lies at
+    /// `angle_min + n * angle_increment`, the middle of the steps of its cluster. A
+    /// last cluster with fewer steps than the others counts as a whole one.
+    pub fn angles(&self) -> impl ExactSizeIterator<Item = f32> + Clone + use<> {
+        let (from, increment) = (self.first_angle(), self.window.angle_increment());
+        // Computed in double precision: a sum of rounded steps would drift.
+        (0..self.len()).map(move |n| (from + n as f64 * increment) as f32)
+    }
+
+    /// Iterates over the points that have a distance, in the order of their steps. The
+    /// others are left out: to compare scans point by point use
+    /// [`measurements`](Self::measurements) or [`ranges`](Self::ranges), which have one
+    /// item for each point.
+    pub fn points(&self) -> impl Iterator<Item = Point> + Clone + '_ {
+        self.ranges().zip(self.angles()).filter(|(range, _)| range.is_finite()).map(
+            |(range, angle)| {
+                let (sin, cos) = angle.sin_cos();
+                Point { x: range * cos, y: range * sin, range, angle }
+            },
+        )
+    }
+
+    /// Returns the part of the scan inside of `window`: the points of which all steps
+    /// lie in it, or `None` if there is none. The cluster count of the result is this
+    /// scan's; that of `window` is ignored. Each point keeps its direction. Shares the
+    /// values.
+    pub fn crop(&self, window: Window) -> Option<Self> {
+        let cluster = self.window.cluster_count();
+        let (start, end) = (self.window.start().number(), self.window.end().number());
+        let skip = window.start().number().saturating_sub(start).div_ceil(u16::from(cluster));
+        let from = start + skip * u16::from(cluster);
+        // A point ends where its cluster does, the last one where the scan does.
+        let until = if window.end().number() >= end {
+            end
+        } else {
+            let whole = (window.end().number() + 1).checked_sub(from)? / u16::from(cluster);
+            (from + whole * u16::from(cluster)).checked_sub(1)?
+        };
+        let window = Window::new(from..=until).ok()?.with_cluster_count(cluster).ok()?;
+        Some(Self {
+            window,
+            values: Arc::clone(&self.values),
+            first: self.first + usize::from(skip),
+            first_cluster: self.first_cluster,
+            meta: self.meta,
+        })
+    }
+
+    /// Returns the direction of the first point in radians.
+    pub fn angle_min(&self) -> f32 {
+        self.first_angle() as f32
+    }
+
+    /// Returns the direction of the last point in radians:
+    /// `angle_min + (len - 1) * angle_increment`, rounded once.
+    pub fn angle_max(&self) -> f32 {
+        let steps = (self.len() - 1) as f64;
+        (self.first_angle() + steps * self.window.angle_increment()) as f32
+    }
+
+    /// Returns the angle from one point to the next in radians.
+    pub fn angle_increment(&self) -> f32 {
+        self.window.angle_increment() as f32
+    }
+
+    /// Returns the time from one point to the next in seconds: the part of the
+    /// motor's revolution between them, 97.66 us a step at 600 rpm.
+    pub fn time_increment(&self) -> f32 {
+        let revolution = self.meta.scan_time.as_secs_f64();
+        (revolution * f64::from(self.window.cluster_count()) / 1024.0) as f32
+    }
+
+    /// Returns the time of a revolution of the motor in seconds: from the sensor's
+    /// firmware line, else 0.1 (600 rpm).
+    pub fn scan_time(&self) -> f32 {
+        self.meta.scan_time.as_secs_f32()
+    }
+
+    /// Returns the shortest range that is measured: 0.020 m (C-42-3320-A p. 7).
+    pub fn range_min(&self) -> f32 {
+        0.020
+    }
+
+    /// Returns the longest range that is measured: 4.094 m (C-42-3320-A p. 7).
+    pub fn range_max(&self) -> f32 {
+        4.094
+    }
+
+    /// Returns the number of this scan in its schedule, from 0. A gap means that the
+    /// consumer was too slow and missed the scans between. 0 for a single
+    /// [`Sensor::scan`](crate::Sensor::scan).
+    pub fn sequence(&self) -> u64 {
+        self.meta.sequence
+    }
+
+    /// Returns the number of times that the sensor had been found again before this
+    /// scan, as [`Stats::reconnects`](crate::Stats::reconnects). A scan whose number
+    /// differs from the one before is the first after a reconnect, also if the
+    /// consumer missed scans between.
+    pub fn reconnects(&self) -> u64 {
+        self.meta.reconnects
+    }
+
+    /// Returns the time when its `G` was sent, on tokio's clock, which a test may
+    /// pause. Never runs back from one scan to the next.
+    pub fn requested_at(&self) -> Instant {
+        self.meta.requested_at
+    }
+
+    /// Returns the time when its last byte was read, on tokio's clock, which a test
+    /// may pause. Never runs back from one scan to the next.
+    pub fn received_at(&self) -> Instant {
+        self.meta.received_at
+    }
+
+    /// Returns the time since [`received_at`](Self::received_at). The measurement is
+    /// older: by the time of the reply, and by up to a revolution.
+    pub fn age(&self) -> Duration {
+        self.meta.received_at.elapsed()
+    }
+
+    /// Returns the wall clock when the reply's first byte arrived: the sensor sends
+    /// what it has in memory, so the motor's revolution was over by then. It may run
+    /// back when the system's clock is set.
+    ///
+    /// It is the system's clock also where tokio's is paused: in such a test only
+    /// `requested_at` and `received_at` follow the test's time. A replay has the
+    /// stamps of its recording.
+    pub fn stamp(&self) -> SystemTime {
+        self.meta.stamp
+    }
+
+    /// Returns true if all values are the same as those of the scan before: most
+    /// likely two polls in one revolution of the motor. SCIP 1.1 has no time stamps
+    /// that would prove it.
+    pub fn is_repeat(&self) -> bool {
+        self.meta.repeat
+    }
+
+    fn first_angle(&self) -> f64 {
+        let middle = (f64::from(self.first_cluster) - 1.0) / 2.0;
+        angle(f64::from(self.window.start().number()) + middle)
+    }
+}
+
+impl PartialEq for Scan {
+    fn eq(&self, other: &Self) -> bool {
+        let meta = |scan: &Self| {
+            let ScanMeta { sequence, stamp, repeat, scan_time, reconnects, .. } = scan.meta;
+            (sequence, stamp, repeat, scan_time, reconnects)
+        };
+        self.window == other.window
+            && self.first_cluster == other.first_cluster
+            && meta(self) == meta(other)
+            && self.values() == other.values()
+    }
+}
+
+impl Eq for Scan {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scan(window: Window) -> Scan {
+        let now = Instant::now();
+        let meta = ScanMeta {
+            sequence: 0,
+            requested_at: now,
+            received_at: now,
+            stamp: SystemTime::now(),
+            repeat: false,
+            scan_time: Duration::from_millis(100),
+            reconnects: 0,
+        };
+        // Each value is its place.
+        let values = (0..window.points() as u16).map(|n| 20 + n).collect();
+        Scan::new(window, values, 0, meta)
+    }
+
+    fn window(from: u16, to: u16, cluster_count: u8) -> Window {
+        Window::new(from..=to).and_then(|window| window.with_cluster_count(cluster_count)).unwrap()
+    }
+
+    #[test]
+    fn the_geometry_is_that_of_the_text() {
+        let scan = scan(Window::FULL);
+        let angles: Vec<f32> = scan.angles().collect();
+        let degrees = |n: usize| angles.get(n).map(|angle| angle.to_degrees().round());
+        assert_eq!(
+            (degrees(0), degrees(384), degrees(768)),
+            (Some(-135.0), Some(0.0), Some(135.0))
+        );
+        assert_eq!((scan.angle_min(), scan.angle_max()), (angles[0], angles[768]));
+        assert_eq!(scan.angle_increment(), (360.0f64 / 1024.0).to_radians() as f32);
+        assert!((scan.time_increment() - 97.66e-6).abs() < 1e-8);
+        assert_eq!((scan.range_min(), scan.range_max(), scan.scan_time()), (0.020, 4.094, 0.1));
+    }
+
+    #[test]
+    fn a_cluster_lies_in_the_middle_of_its_steps_and_a_partial_last_one_is_taken_as_whole() {
+        for (window, first) in [(window(44, 725, 4), 45.5), (window(0, 768, 99), 49.0)] {
+            let scan = scan(window);
+            let step = |angle: f32| angle / (std::f32::consts::TAU / 1024.0) + 384.0;
+            assert!((step(scan.angle_min()) - first).abs() < 1e-3);
+            let last = first + (scan.len() - 1) as f32 * f32::from(window.cluster_count());
+            assert!((step(scan.angle_max()) - last).abs() < 1e-3);
+            assert_eq!(scan.angles().last(), Some(scan.angle_max()));
+            assert_eq!(scan.angles().len(), scan.len());
+        }
+        // Fewer steps than a cluster has: the middle of those that there are.
+        assert_eq!(scan(window(384, 386, 99)).angle_min(), scan(window(385, 385, 1)).angle_min());
+    }
+
+    #[test]
+    fn points_are_ahead_of_the_sensor_and_to_its_left() {
+        let mut scan = scan(window(384, 640, 1));
+        scan.values = std::iter::repeat_n(1000, 257).collect();
+        let points: Vec<Point> = scan.points().collect();
+        let (front, left) = (points[0], points[256]);
+        assert_eq!((front.x, front.y), (1.0, 0.0));
+        assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
+        scan.values = std::iter::repeat_n(7, 257).collect();
+        assert_eq!(scan.points().count(), 0);
+    }
+
+    #[test]
+    fn a_crop_keeps_the_points_of_which_all_steps_are_inside() {
+        let all = scan(window(44, 725, 1));
+        let part =
+            all.crop(window(100, 199, 1)).map(|part| (part.window(), part.values().to_vec()));
+        assert_eq!(part, Some((window(100, 199, 1), (76..176).collect())));
+        assert_eq!(all.crop(Window::FULL).map(|part| part.window()), Some(all.window()));
+        assert!(all.crop(window(0, 43, 1)).is_none());
+        assert!(all.crop(window(726, 768, 1)).is_none());
+
+        // Groups 10..=13, 14..=17, 18..=20.
+        let grouped = scan(window(10, 20, 4));
+        let crop = |from, to| {
+            let part = grouped.crop(window(from, to, 1))?;
+            Some((
+                part.window().start().number(),
+                part.window().end().number(),
+                part.values().to_vec(),
+            ))
+        };
+        assert_eq!(crop(10, 20), Some((10, 20, vec![20, 21, 22])));
+        assert_eq!(crop(11, 20), Some((14, 20, vec![21, 22])));
+        assert_eq!(crop(10, 19), Some((10, 17, vec![20, 21])));
+        assert_eq!(crop(0, 13), Some((10, 13, vec![20])));
+        assert_eq!(crop(11, 16), None);
+        assert_eq!(crop(18, 18), None);
+        assert_eq!(crop(19, 20), None);
+        assert_eq!(crop(18, 20), Some((18, 20, vec![22])));
+        // A crop of a crop still finds its values.
+        let twice = all.crop(window(100, 199, 1)).and_then(|part| part.crop(window(150, 150, 1)));
+        assert_eq!(twice.map(|part| part.values().to_vec()), Some(vec![126]));
+    }
+
+    #[test]
+    fn a_crop_moves_no_point() {
+        // Groups 10..=13, 14..=17, and the rest 18..=20.
+        let grouped = scan(window(10, 20, 4));
+        let all: Vec<f32> = grouped.angles().collect();
+        for (from, kept) in [(10, 0), (14, 1), (18, 2)] {
+            let part = grouped.crop(window(from, 20, 1)).unwrap();
+            assert_eq!(part.angles().collect::<Vec<_>>(), all[kept..], "from step {from}");
+            assert_eq!(part.angle_max(), grouped.angle_max());
+        }
+        // A window with fewer steps than a cluster has no whole one to follow.
+        let alone = scan(window(18, 20, 4));
+        assert_eq!(alone.crop(Window::FULL).map(|part| part.angle_min()), Some(alone.angle_min()));
+        assert_ne!(Some(alone), grouped.crop(window(18, 20, 1)));
+    }
+
+    #[test]
+    fn scans_are_equal_if_what_they_hold_is() {
+        let (a, b) = (scan(Window::DETECTION), scan(Window::DETECTION));
+        let with = |meta: ScanMeta| Scan { meta, ..a.clone() };
+        let later = a.received_at() + Duration::from_secs(1);
+        assert_eq!(a, with(ScanMeta { requested_at: later, received_at: later, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { sequence: 1, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { reconnects: 1, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { repeat: true, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { stamp: SystemTime::UNIX_EPOCH, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { scan_time: Duration::ZERO, ..a.meta }));
+        let mut other = Scan { meta: a.meta, ..b };
+        assert_eq!(a, other);
+        other.values = std::iter::repeat_n(0, 682).collect();
+        assert_ne!(a, other);
+        // The same values at another place of a shared block.
+        let part = a.crop(window(50, 60, 1)).unwrap();
+        assert_eq!(part, a.crop(window(45, 60, 1)).unwrap().crop(window(50, 60, 1)).unwrap());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_age_of_a_scan_is_on_the_clock_that_a_test_pauses() {
+        let scan = scan(Window::DETECTION);
+        tokio::time::advance(Duration::from_secs(3)).await;
+        assert_eq!(scan.age(), Duration::from_secs(3));
+    }
+}
