@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::common::{Rigged, builder, request_of, truthful};
 use tokio::time::{Instant, timeout};
-use tokio_scip::emulator::{Call, CallCounter, Emulator, Failure, FaultyLink, Pace};
+use tokio_scip::emulator::{Call, CallCounter, Emulator, FaultyLink, LinkFailure, Pace};
 use tokio_scip::{BaudRate, Connect, Error, Rate, Sensor, Window};
 
 /// A short one: its reply comes in few reads.
@@ -18,16 +18,16 @@ fn window() -> Window {
 }
 
 /// EIO, ENXIO, EBADF, ENODEV, ECONNRESET; the end; silence.
-const FAILURES: [Failure; 9] = [
-    Failure::Errno(5),
-    Failure::Errno(6),
-    Failure::Errno(9),
-    Failure::Errno(19),
-    Failure::Kind(io::ErrorKind::ConnectionReset),
-    Failure::Kind(io::ErrorKind::Interrupted),
-    Failure::Kind(io::ErrorKind::WouldBlock),
-    Failure::End,
-    Failure::Stall,
+const FAILURES: [LinkFailure; 9] = [
+    LinkFailure::Errno(5),
+    LinkFailure::Errno(6),
+    LinkFailure::Errno(9),
+    LinkFailure::Errno(19),
+    LinkFailure::Kind(io::ErrorKind::ConnectionReset),
+    LinkFailure::Kind(io::ErrorKind::Interrupted),
+    LinkFailure::Kind(io::ErrorKind::WouldBlock),
+    LinkFailure::End,
+    LinkFailure::Stall,
 ];
 
 /// What a service does.
@@ -79,7 +79,7 @@ async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result
 fn connect(
     emulator: &Emulator,
     writes: usize,
-    failure: Option<(Call, u64, Failure)>,
+    failure: Option<(Call, u64, LinkFailure)>,
     counters: &Arc<Mutex<Vec<CallCounter>>>,
 ) -> impl Connect {
     let (emulator, counters) = (emulator.clone(), Arc::clone(counters));
@@ -96,7 +96,7 @@ fn connect(
     })
 }
 
-fn calls(counter: &CallCounter, failure: Option<(Call, u64, Failure)>) -> u64 {
+fn calls(counter: &CallCounter, failure: Option<(Call, u64, LinkFailure)>) -> u64 {
     match failure.map(|(call, ..)| call) {
         Some(Call::Read) => counter.reads(),
         Some(Call::Write) => counter.writes(),
@@ -108,7 +108,7 @@ fn calls(counter: &CallCounter, failure: Option<(Call, u64, Failure)>) -> u64 {
 async fn with_failure(
     scenario: Scenario,
     writes: usize,
-    failure: Option<(Call, u64, Failure)>,
+    failure: Option<(Call, u64, LinkFailure)>,
     reconnect: bool,
 ) -> [u64; 3] {
     let emulator =
@@ -169,7 +169,7 @@ async fn every_call_fails_once(scenario: Scenario) {
             continue;
         }
         let totals = with_failure(scenario, writes, None, reconnect).await;
-        for (call, total) in [Call::Read, Call::Write, Call::SetSpeed].into_iter().zip(totals) {
+        for (call, total) in [Call::Read, Call::Write, Call::SetBaudRate].into_iter().zip(totals) {
             assert!(total > 0);
             for n in 0..total {
                 for failure in FAILURES {

@@ -1,12 +1,12 @@
-//! What the sensor has received and done, for tests to look at.
+//! The record of what the sensor has received and done, for tests.
 
 use std::collections::VecDeque;
 
 use tokio::time::Instant;
 
-use super::request::{Arrived, Request};
+use super::scip::{ArrivedCommand, HostCommand};
 
-/// What a command line was worth.
+/// The kind of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Verdict {
@@ -22,44 +22,45 @@ pub enum Verdict {
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Received {
-    /// When its terminator had arrived.
+    /// The time at which its terminator had arrived.
     pub at: Instant,
     /// The line without its terminator, at most 64 bytes.
     pub line: Vec<u8>,
-    /// Whether it was a command.
+    /// Whether it was a command of SCIP 1.1.
     pub verdict: Verdict,
-    /// Whether the two ends of the line had different speeds.
+    /// Whether the two ends of the line had different baud rates.
     pub garbled: bool,
-    /// Whether it began to arrive while an earlier command, not an empty one,
-    /// waited for the end of its reply.
+    /// Whether its first byte arrived before the end of the reply to an earlier
+    /// command (empty commands excepted).
     pub overlapping: bool,
 }
 
-/// What has come and gone since the emulated sensor was built.
+/// Counters since the emulated sensor was built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Counts {
-    /// Command lines that arrived, of any kind.
+    /// Command lines of any kind that arrived.
     pub commands: u64,
-    /// Of these, lines that were garbled because of a wrong baud rate.
+    /// Lines that were garbled because of a wrong baud rate.
     pub garbled: u64,
-    /// Lines that were not garbled and no well-formed command.
+    /// Lines that were not garbled and are not a well-formed command.
     pub malformed: u64,
     /// Terminators without a command.
     pub empty: u64,
-    /// Lines that began to arrive while an earlier command was unanswered.
+    /// Lines whose first byte arrived while an earlier command was unanswered.
     pub overlapping: u64,
-    /// Lines that were not kept because too many were waiting already.
+    /// Lines that were dropped because the sensor's command queue was full.
     pub overrun: u64,
     /// `G` commands answered with distances.
     pub scans: u64,
-    /// Replies of any kind that were due, before any fault.
+    /// Replies of any kind, also those that a fault suppressed.
     pub replies: u64,
     /// Power-ups after the first one, by [`power_cycle`](super::Emulator::power_cycle)
     /// or by a fault.
     pub resets: u64,
 }
 
+/// The counters, and the last command lines.
 #[derive(Debug)]
 pub(super) struct Journal {
     pub(super) counts: Counts,
@@ -72,13 +73,16 @@ impl Journal {
         Self { counts: Counts::default(), log: VecDeque::new(), capacity }
     }
 
-    pub(super) fn record(&mut self, arrived: &Arrived) {
-        let verdict = match arrived.request {
-            Request::Version | Request::Laser(_) | Request::Speed(_) | Request::Scan { .. } => {
-                Verdict::WellFormed
+    pub(super) fn record(&mut self, arrived: &ArrivedCommand) {
+        let verdict = match arrived.command {
+            HostCommand::Version
+            | HostCommand::Laser(_)
+            | HostCommand::BaudRate(_)
+            | HostCommand::Scan { .. } => Verdict::WellFormed,
+            HostCommand::Empty => Verdict::Empty,
+            HostCommand::Scip2 | HostCommand::Undefined | HostCommand::Invalid(_) => {
+                Verdict::Malformed
             }
-            Request::Empty => Verdict::Empty,
-            Request::Scip2 | Request::Undefined | Request::Refused(_) => Verdict::Malformed,
         };
         let counts = &mut self.counts;
         counts.commands += 1;

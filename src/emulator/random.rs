@@ -15,27 +15,28 @@ impl Random {
         mix(self.0)
     }
 
-    /// A number in `0..bound`, and 0 where `bound` is 0.
+    /// Returns a number in `0..bound`, or 0 if `bound` is 0.
     pub(super) fn below(&mut self, bound: u64) -> u64 {
-        // The high word of a product is uniform enough: the bias is bound / 2^64.
+        // The high word of the product; its bias of bound / 2^64 does not matter here.
         ((u128::from(self.next()) * u128::from(bound)) >> 64) as u64
     }
 
-    /// A number in `0.0..1.0`.
+    /// Returns a number in `0.0..1.0`.
     pub(super) fn fraction(&mut self) -> f64 {
         fraction(self.next())
     }
 }
 
-/// Splitmix64's output function: every bit of the input moves every bit of the
-/// output. For noise that depends on a place and a time, and on no history.
+/// Hashes a number by splitmix64's output function: every bit of the input changes
+/// every bit of the output. Used for noise that depends on a step and a revolution
+/// but not on earlier draws.
 pub(super) fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
     z ^ (z >> 31)
 }
 
-/// 53 bits of a random word as a number in `0.0..1.0`.
+/// Converts 53 bits of a random word to a number in `0.0..1.0`.
 pub(super) fn fraction(word: u64) -> f64 {
     (word >> 11) as f64 / (1_u64 << 53) as f64
 }

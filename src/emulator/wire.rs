@@ -1,28 +1,43 @@
-//! Bytes on a serial line: how long they take, and what they turn into where
-//! the two ends do not have the same speed.
+//! The line from the sensor to the host: when each byte arrives, and what the
+//! host reads if its baud rate is not the sensor's.
+//!
+//! `Transmitter` is the queue of bytes on their way; `byte_time` and `garble` are
+//! the physics of one serial line, used for both directions.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
-/// What a sensor reaches on USB, in bytes a second (measured on a URG-04LX).
+use tokio::io::ReadBuf;
+use tokio::time::Instant;
+
+/// The throughput of a sensor on USB, measured on a URG-04LX.
 const USB_BYTES_PER_SECOND: u32 = 375_000;
 
-/// How long one byte takes at `speed` bits a second, or on USB.
-///
-/// 10 bits a byte: one start, 8 data and one stop bit (C-42-3320-A p. 2).
-pub(super) fn byte_time(speed: Option<u32>) -> Duration {
-    let per_second = match speed {
+/// The number of unread bytes from which on the sensor sends nothing of its own
+/// and leaves commands waiting, so that a host that does not read costs no memory.
+const HIGH_WATER_BYTES: usize = 16 * 1024;
+
+/// The longest time between two wake-ups of the reader while a reply arrives. The
+/// first and the last byte are on time whatever it is; in between it trades
+/// exact times for fewer wake-ups.
+const WAKE_INTERVAL: Duration = Duration::from_millis(8);
+
+/// Returns the time that one byte takes at `baud_rate`, or on USB if that is
+/// `None`: 10 bits, one start, 8 data and one stop bit (C-42-3320-A p. 2).
+pub(super) fn byte_time(baud_rate: Option<u32>) -> Duration {
+    let per_second = match baud_rate {
         Some(bits) => bits.max(10) / 10,
         None => USB_BYTES_PER_SECOND,
     };
     Duration::from_nanos(1_000_000_000 / u64::from(per_second.max(1)))
 }
 
-/// What a receiver at one speed makes of bytes that were sent at another, in
-/// bits a second.
+/// Returns the bytes that a receiver at one baud rate reads of bytes sent at
+/// another.
 ///
 /// A model of the hardware: the receiver waits for a falling edge, then samples
-/// the middle of ten of its own bits. Faster receivers see several bytes for
-/// one, slower ones miss most. A missing stop bit is not noticed, as on a
+/// the middle of ten of its own bits. A faster receiver reads several bytes for
+/// one, a slower one misses most. A missing stop bit is not noticed, as on a
 /// terminal in raw mode.
 pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
     if sender == receiver || sender == 0 || receiver == 0 {
@@ -34,7 +49,7 @@ pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
         (Some(_), 0) => false,
         (Some(byte), n) => byte >> (n - 1) & 1 == 1,
     };
-    // Where the middle of the receiver's n-th bit is, in bits of the sender.
+    // The middle of the receiver's n-th bit, in bits of the sender.
     let middle = |n: u64| ((2 * n + 1) * u64::from(sender) / (2 * u64::from(receiver))) as usize;
 
     let mut received = Vec::new();
@@ -59,12 +74,179 @@ pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
     received
 }
 
+/// Bytes sent without a pause between them.
+#[derive(Debug)]
+struct Segment {
+    /// The time of the first bit.
+    start: Instant,
+    byte_time: Duration,
+    bytes: Vec<u8>,
+    /// The number of bytes that were read.
+    taken: usize,
+    /// The sensor's baud rate. `None` once it was compared with the host's, which
+    /// happens when the first bit is on the line.
+    sent_at: Option<u32>,
+}
+
+impl Segment {
+    /// Returns the time at which so many bytes have arrived.
+    fn arrival(&self, bytes: usize) -> Instant {
+        self.start + self.byte_time * bytes as u32
+    }
+
+    /// Returns the number of bytes that have arrived.
+    fn arrived(&self, now: Instant) -> usize {
+        let elapsed = now.saturating_duration_since(self.start).as_nanos();
+        let bytes = elapsed.checked_div(self.byte_time.as_nanos()).unwrap_or(u128::MAX);
+        self.bytes.len().min(usize::try_from(bytes).unwrap_or(usize::MAX))
+    }
+}
+
+/// The bytes that the sensor has sent and the host has not read.
+#[derive(Debug)]
+pub(super) struct Transmitter {
+    segments: VecDeque<Segment>,
+    /// The number of bytes in `segments` that were not read.
+    unread: usize,
+    /// The time from which on the line is idle.
+    free: Instant,
+    /// Bytes that are repeated for ever.
+    endless: Option<Vec<u8>>,
+}
+
+impl Transmitter {
+    pub(super) fn new(now: Instant) -> Self {
+        Self { segments: VecDeque::new(), unread: 0, free: now, endless: None }
+    }
+
+    /// Sends `bytes` at `at`, or as soon as the line is free. `baud_rate` is the
+    /// sensor's, `None` on USB; `slowed` is the time of a byte where a fault sets it.
+    pub(super) fn send(
+        &mut self,
+        at: Instant,
+        bytes: Vec<u8>,
+        baud_rate: Option<u32>,
+        slowed: Option<Duration>,
+    ) {
+        let start = self.free.max(at);
+        let byte_time = slowed.unwrap_or_else(|| byte_time(baud_rate));
+        self.free = start + byte_time * bytes.len() as u32;
+        if !bytes.is_empty() {
+            self.unread += bytes.len();
+            self.segments.push_back(Segment {
+                start,
+                byte_time,
+                bytes,
+                taken: 0,
+                sent_at: baud_rate,
+            });
+        }
+    }
+
+    /// Returns the time at which all bytes are through.
+    pub(super) fn free(&self) -> Instant {
+        self.free
+    }
+
+    /// Returns true if the host has left too much unread for anything more to be sent.
+    pub(super) fn is_full(&self) -> bool {
+        self.unread >= HIGH_WATER_BYTES
+    }
+
+    /// Starts to repeat `pattern`, or stops if it is `None` or empty.
+    pub(super) fn set_endless(&mut self, pattern: Option<Vec<u8>>) {
+        self.endless = pattern.filter(|pattern| !pattern.is_empty());
+    }
+
+    /// Brings the line up to `now`, with the sensor at `baud_rate` and the host's end
+    /// at `host`.
+    pub(super) fn advance(&mut self, now: Instant, baud_rate: Option<u32>, host: Option<u32>) {
+        if let Some(pattern) = self.endless.take() {
+            while self.free <= now && !self.is_full() {
+                let times = (256 / pattern.len()).max(1);
+                self.send(self.free, pattern.repeat(times), baud_rate, None);
+            }
+            if self.is_full() {
+                // Bytes that could not be sent in time are skipped.
+                self.free = self.free.max(now);
+            }
+            self.endless = Some(pattern);
+        }
+        for segment in &mut self.segments {
+            if segment.start > now {
+                break;
+            }
+            if let (Some(sent_at), Some(host)) = (segment.sent_at.take(), host)
+                && sent_at != host
+            {
+                let duration = segment.byte_time * segment.bytes.len() as u32;
+                self.unread -= segment.bytes.len();
+                segment.bytes = garble(&segment.bytes, sent_at, host);
+                self.unread += segment.bytes.len();
+                segment.byte_time = duration / segment.bytes.len().max(1) as u32;
+            }
+        }
+    }
+
+    /// Moves the bytes that have arrived into `buffer`, as many as fit, and returns
+    /// their number. `advance` has to be called first: it garbles them.
+    pub(super) fn take(&mut self, now: Instant, buffer: &mut ReadBuf<'_>) -> usize {
+        let before = buffer.filled().len();
+        while let Some(segment) = self.segments.front_mut() {
+            let arrived = segment.arrived(now);
+            let ready = segment.bytes.get(segment.taken..arrived).unwrap_or_default();
+            let count = ready.len().min(buffer.remaining());
+            buffer.put_slice(ready.get(..count).unwrap_or_default());
+            segment.taken += count;
+            self.unread -= count;
+            if segment.taken < segment.bytes.len() {
+                break;
+            }
+            self.segments.pop_front();
+        }
+        buffer.filled().len() - before
+    }
+
+    /// Returns the time at which the reader is to be woken for more bytes.
+    pub(super) fn next_arrival(&self) -> Option<Instant> {
+        let Some(segment) = self.segments.front() else {
+            return self.endless.as_ref().map(|_| self.free);
+        };
+        let piece = match segment.taken {
+            0 => 1,
+            _ => WAKE_INTERVAL
+                .as_nanos()
+                .checked_div(segment.byte_time.as_nanos())
+                .unwrap_or(1)
+                .max(1),
+        };
+        let next = segment.taken + usize::try_from(piece).unwrap_or(usize::MAX / 2);
+        Some(segment.arrival(next.min(segment.bytes.len())))
+    }
+
+    /// Cuts the sensor's power at `at`: bytes that were not sent by then are lost.
+    pub(super) fn cut(&mut self, at: Instant) {
+        self.endless = None;
+        self.free = at;
+        for segment in &mut self.segments {
+            segment.bytes.truncate(segment.arrived(at).max(segment.taken));
+        }
+        self.segments.retain(|segment| segment.taken < segment.bytes.len());
+        self.unread = self.segments.iter().map(|s| s.bytes.len() - s.taken).sum();
+    }
+
+    /// Drops all bytes, unread ones included, as when the cable is pulled.
+    pub(super) fn clear(&mut self, now: Instant) {
+        *self = Self { endless: self.endless.take(), ..Self::new(now) };
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn equal_speeds_change_nothing() {
+    fn equal_baud_rates_change_nothing() {
         let all: Vec<u8> = (0..=255).collect();
         assert_eq!(garble(&all, 19_200, 19_200), all);
     }
@@ -77,16 +259,16 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_receiver_makes_one_byte_of_several() {
+    fn a_slow_receiver_reads_one_byte_for_several() {
         // Of three NULs only the second one's stop bit is sampled, as bit 5.
         assert_eq!(garble(&[0, 0, 0], 57_600, 19_200), [0x20]);
     }
 
     #[test]
-    fn different_speeds_never_leave_a_command_as_it_was() {
-        let speeds = [19_200, 57_600, 115_200, 250_000, 500_000, 750_000];
-        for sender in speeds {
-            for receiver in speeds.into_iter().filter(|receiver| *receiver != sender) {
+    fn different_baud_rates_never_leave_a_command_unchanged() {
+        let baud_rates = [19_200, 57_600, 115_200, 250_000, 500_000, 750_000];
+        for sender in baud_rates {
+            for receiver in baud_rates.into_iter().filter(|receiver| *receiver != sender) {
                 assert_ne!(garble(b"G04472501\n", sender, receiver), b"G04472501\n");
             }
         }

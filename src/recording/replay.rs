@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 use super::record::{Entry, Reply, parse_command};
 use super::{Recording, RecordingError};
 use crate::Window;
-use crate::emulator::{Emulator, Script, Values};
+use crate::emulator::{Emulator, PlaybackPace, Script, Values};
 use crate::protocol::{Command, Reply as Parsed};
 
 /// Error code 19, "Non-Measurable Distance": the value of a step that the
@@ -40,8 +40,11 @@ impl Recording {
         let replies = Replies::new(self, version.stamp)?;
         let lines = version.bytes.split(|&byte| byte == b'\n').skip(2);
         let lines = lines.filter(|line| !line.is_empty());
-        let paced = pace == ReplayPace::Recorded;
-        Ok(Emulator::builder().version_lines(lines).script(replies, paced).build())
+        let pace = match pace {
+            ReplayPace::Recorded => PlaybackPace::AsRecorded,
+            ReplayPace::Max => PlaybackPace::Immediate,
+        };
+        Ok(Emulator::builder().version_lines(lines).script(replies, pace).build())
     }
 }
 
@@ -218,7 +221,7 @@ impl Script for Replies {
         Some(io::Error::new(io::ErrorKind::InvalidData, error))
     }
 
-    fn look(&self, codes: &mut Values) {
-        *codes = *self.memory;
+    fn measure(&self, values: &mut Values) {
+        *values = *self.memory;
     }
 }

@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
-use tokio_scip::emulator::{Call, Failure, FaultyLink};
+use tokio_scip::emulator::{Call, FaultyLink, LinkFailure};
 use tokio_scip::{BaudRate, Port};
 
 use super::{ask, prompt};
@@ -22,7 +22,7 @@ async fn is_stuck<T>(future: impl Future<Output = T>) -> bool {
 #[tokio::test(start_paused = true)]
 async fn an_errno_comes_once_at_its_read() {
     let (near, _far) = fed(b"abc").await;
-    let mut link = FaultyLink::new(near).short_reads(1).fail(Call::Read, 1, Failure::Errno(5));
+    let mut link = FaultyLink::new(near).short_reads(1).fail(Call::Read, 1, LinkFailure::Errno(5));
     let counter = link.counter();
     assert_eq!(link.read_u8().await.unwrap(), b'a');
     assert_eq!(link.read_u8().await.unwrap_err().raw_os_error(), Some(5));
@@ -34,22 +34,22 @@ async fn an_errno_comes_once_at_its_read() {
 async fn a_read_fails_without_waiting_for_bytes() {
     let (near, _far) = fed(b"").await;
     let mut link =
-        FaultyLink::new(near).fail(Call::Read, 0, Failure::Kind(ErrorKind::ConnectionReset));
+        FaultyLink::new(near).fail(Call::Read, 0, LinkFailure::Kind(ErrorKind::ConnectionReset));
     assert_eq!(link.read_u8().await.unwrap_err().kind(), ErrorKind::ConnectionReset);
 }
 
 #[tokio::test(start_paused = true)]
 async fn an_end_lasts_and_so_does_a_stall() {
     let (near, _far) = fed(b"abc").await;
-    let mut link = FaultyLink::new(near).fail(Call::Read, 0, Failure::End);
+    let mut link = FaultyLink::new(near).fail(Call::Read, 0, LinkFailure::End);
     for _ in 0..3 {
         assert_eq!(link.read(&mut [0; 8]).await.unwrap(), 0);
     }
     let (near, _far) = fed(b"abc").await;
-    let mut link = FaultyLink::new(near).fail(Call::Read, 0, Failure::Stall).fail(
+    let mut link = FaultyLink::new(near).fail(Call::Read, 0, LinkFailure::Stall).fail(
         Call::Write,
         1,
-        Failure::Stall,
+        LinkFailure::Stall,
     );
     assert!(is_stuck(link.read_u8()).await);
     assert_eq!(link.write(b"V").await.unwrap(), 1);
@@ -59,7 +59,8 @@ async fn an_end_lasts_and_so_does_a_stall() {
 #[tokio::test(start_paused = true)]
 async fn writes_fail_and_take_a_part() {
     let (near, mut far) = duplex(4096);
-    let mut link = FaultyLink::new(near).partial_writes(2).fail(Call::Write, 2, Failure::Errno(28));
+    let mut link =
+        FaultyLink::new(near).partial_writes(2).fail(Call::Write, 2, LinkFailure::Errno(28));
     let counter = link.counter();
     assert_eq!(link.write(b"abcde").await.unwrap(), 2);
     assert_eq!(link.write(b"cde").await.unwrap(), 2);
@@ -127,8 +128,11 @@ async fn flushes_are_counted() {
 #[tokio::test(start_paused = true)]
 async fn a_change_of_speed_fails_when_it_is_told_to() {
     let emulator = prompt().baud_rate(BaudRate::B57600).build();
-    let mut link =
-        FaultyLink::new(emulator.link()).fail(Call::SetSpeed, 0, Failure::Kind(ErrorKind::Other));
+    let mut link = FaultyLink::new(emulator.link()).fail(
+        Call::SetBaudRate,
+        0,
+        LinkFailure::Kind(ErrorKind::Other),
+    );
     let counter = link.counter();
     assert!(link.set_baud_rate(BaudRate::B57600).is_err());
     assert_eq!(link.baud_rate(), Some(BaudRate::B19200));

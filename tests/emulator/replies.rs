@@ -2,7 +2,7 @@
 
 use tokio::io::AsyncWriteExt;
 use tokio_scip::BaudRate;
-use tokio_scip::emulator::{EmptyCommand, Firmware, Fixed, Mode, Values, WorldTime};
+use tokio_scip::emulator::{EmptyCommand, Firmware, Fixed, Mode, RepeatedLaser, Values, WorldTime};
 
 use super::{ask, listen, prompt};
 
@@ -228,14 +228,46 @@ async fn in_scip_2_every_command_has_a_status_of_three_characters() {
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
 }
 
+/// Clients of later sensors ask for SCIP 2 first, and fall back if it is refused.
 #[tokio::test(start_paused = true)]
-async fn firmware_3_switches_to_scip_2_and_is_back_after_a_restart() {
-    let emulator = prompt().build();
+async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
+    let mut link = prompt().build().link();
+    for (command, status) in [
+        ("SCIP2.0", "C"),
+        ("VV", "1"),
+        ("PP", "E"),
+        ("II", "E"),
+        ("BM", "E"),
+        ("QT", "E"),
+        ("GD0044072501", "1"),
+        ("MD0044072501000", "E"),
+    ] {
+        assert_eq!(ask(&mut link, command).await, format!("{command}\n{status}\n\n"));
+        assert_eq!(ask(&mut link, "L1").await, "L1\n2\n\n", "after {command}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_in_scip_2_is_back_in_scip_1_after_a_restart() {
+    let emulator = prompt().mode(Mode::Scip2).build();
     let mut link = emulator.link();
-    assert_eq!(ask(&mut link, "SCIP2.0").await, "SCIP2.0\n0\n\n");
     assert_eq!(ask(&mut link, "V").await, "V\n0Eu\n\n");
     emulator.power_cycle();
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
+    for (setting, status) in [(RepeatedLaser::Status0, '0'), (RepeatedLaser::Status2, '2')] {
+        let emulator = prompt().repeated_laser(setting).build();
+        let mut link = emulator.link();
+        for (command, expected, is_on) in
+            [("L1", status, true), ("L0", '0', false), ("L0", status, false), ("L1", '0', true)]
+        {
+            assert_eq!(ask(&mut link, command).await, format!("{command}\n{expected}\n\n"));
+            assert_eq!(emulator.is_laser_on(), is_on);
+        }
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -10,7 +10,7 @@ use super::ask;
 fn looks(mut room: Room, count: usize) -> Vec<Values> {
     let (sender, receiver) = std::sync::mpsc::channel();
     let world = move |look: WorldTime, codes: &mut Values| {
-        room.look(look, codes);
+        room.measure(look, codes);
         sender.send(*codes).unwrap();
     };
     let runtime =

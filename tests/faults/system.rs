@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Call, Emulator, Failure, Fault, Faults, FaultyLink, Link};
+use tokio_scip::emulator::{Call, Emulator, Fault, Faults, FaultyLink, Link, LinkFailure};
 use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
 
 use super::rig::{lies, open, prompt, scans};
@@ -175,7 +175,7 @@ async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
     let connect = Rigged(move || {
         let link = FaultyLink::new(inner.link());
         // The first change is that of opening.
-        Ok(link.fail(Call::SetSpeed, 1, Failure::Kind(io::ErrorKind::InvalidInput)))
+        Ok(link.fail(Call::SetBaudRate, 1, LinkFailure::Kind(io::ErrorKind::InvalidInput)))
     });
     let sensor = builder().connect(connect).await.unwrap();
     let error = sensor.set_baud_rate(BaudRate::B750000).await.unwrap_err();
@@ -192,7 +192,7 @@ async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
     let inner = emulator.clone();
     let connect = Rigged(move || {
         let refuse = |link: FaultyLink<_>, call| {
-            link.fail(Call::SetSpeed, call, Failure::Kind(io::ErrorKind::InvalidInput))
+            link.fail(Call::SetBaudRate, call, LinkFailure::Kind(io::ErrorKind::InvalidInput))
         };
         Ok((0..12).fold(FaultyLink::new(inner.link()), refuse))
     });
@@ -218,7 +218,7 @@ fn first_faulty(
 #[tokio::test(start_paused = true)]
 async fn o13_a_write_that_stalls_is_given_up_in_time_and_the_port_reopened() {
     let emulator = prompt().build();
-    let connect = first_faulty(&emulator, |link| link.fail(Call::Write, 5, Failure::Stall));
+    let connect = first_faulty(&emulator, |link| link.fail(Call::Write, 5, LinkFailure::Stall));
     let sensor = builder().connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     let start = Instant::now();
@@ -256,8 +256,8 @@ async fn o15_an_interrupted_call_is_made_again_and_told_to_no_one() {
         let emulator = prompt().baud_rate(BaudRate::B115200).build();
         let connect = first_faulty(&emulator, move |mut link| {
             for call in 0..1000 {
-                link = link.fail(Call::Read, call, Failure::Kind(kind));
-                link = link.fail(Call::Write, call, Failure::Kind(kind));
+                link = link.fail(Call::Read, call, LinkFailure::Kind(kind));
+                link = link.fail(Call::Write, call, LinkFailure::Kind(kind));
             }
             link
         });

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Call, EmptyCommand, Failure, Fault, Faults, FaultyLink, Verdict};
+use tokio_scip::emulator::{Call, EmptyCommand, Fault, Faults, FaultyLink, LinkFailure, Verdict};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
 use super::rig::{lies, open, prompt, scans, second_poll};
@@ -113,7 +113,7 @@ async fn t05_half_a_command_left_by_a_stalled_write_is_ended_before_the_next_one
                 opened += 1;
                 // LF, a fence of ten bytes, twice V with its LF, and then a G.
                 let stall = if opened == 1 { 15 + stalled_after } else { u64::MAX };
-                Ok(link.fail(Call::Write, stall, Failure::Stall))
+                Ok(link.fail(Call::Write, stall, LinkFailure::Stall))
             });
             let sensor = builder().connect(connect).await.unwrap();
             let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();

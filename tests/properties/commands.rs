@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::timeout;
-use tokio_scip::emulator::{EmptyCommand, Emulator, Firmware, Fixed, Pace};
+use tokio_scip::emulator::{EmptyCommand, Emulator, Firmware, Fixed, Pace, RepeatedLaser};
 
 use super::script::Script;
 
@@ -32,7 +32,7 @@ struct Model {
     firmware: Firmware,
     empty: EmptyCommand,
     laser: bool,
-    scip2: bool,
+    repeated: RepeatedLaser,
 }
 
 impl Model {
@@ -46,9 +46,6 @@ impl Model {
                 _ => b"\n\n".to_vec(),
             };
         }
-        if self.scip2 {
-            return reply(if matches!(line, b"QT" | b"RS") { "00P" } else { "0Eu" });
-        }
         let real = self.firmware == Firmware::V3;
         match line {
             b"V" => match real {
@@ -59,14 +56,13 @@ impl Model {
                     "0\nVEND: Hokuyo Automatic Co., Ltd.\nPROD: SOKUIKI Sensor URG-X002\nFIRM: 0.01.22a,(2004/12/27)\nPROT: 00001,(SCIP 1.0)\nSERI: H1",
                 ),
             },
-            b"SCIP2.0" if real => {
-                self.scip2 = true;
-                reply("0")
-            }
+            b"SCIP2.0" if real => reply("C"),
             b"SCIP2.0" => Vec::new(),
             b"L0" | b"L1" => {
                 let on = line == b"L1";
-                reply(if std::mem::replace(&mut self.laser, on) == on { "2" } else { "0" })
+                let is_repeated = std::mem::replace(&mut self.laser, on) == on;
+                let refuses = is_repeated && self.repeated == RepeatedLaser::Status2;
+                reply(if refuses { "2" } else { "0" })
             }
             [b'L', _] => reply("4"),
             [b'S', digits @ ..] if digits.len() == 13 => match &digits[..6] {
@@ -118,14 +114,16 @@ async fn talk(mut script: Script<'_>) {
     let empty = [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds];
     let empty = empty[usize::from(kind >> 1) % 3];
     let pace = if kind & 0x80 == 0 { Pace::AtOnce } else { Pace::PerRevolution };
+    let repeated = [RepeatedLaser::Status2, RepeatedLaser::Status0][usize::from(kind >> 6) % 2];
     let emulator = Emulator::builder()
         .firmware(firmware)
+        .repeated_laser(repeated)
         .empty_command(empty)
         .serial_number("H1")
         .world(Fixed::filled(1234))
         .pace(pace)
         .build();
-    let mut model = Model { firmware, empty, laser: true, scip2: false };
+    let mut model = Model { firmware, empty, laser: true, repeated };
     let (mut link, mut line, mut commands) = (emulator.link(), Vec::new(), 0);
     while !script.is_over() {
         // A sensor's input buffer is small: no more than this at a time.

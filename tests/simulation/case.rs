@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio_scip::emulator::{
-    Call, EmptyCommand, Emulator, Failure, Fault, Faults, FaultyLink, Firmware, Link, Pace,
+    Call, EmptyCommand, Emulator, Fault, Faults, FaultyLink, Firmware, Link, LinkFailure, Pace,
 };
 use tokio_scip::{BaudRate, Connect, Error};
 
@@ -195,9 +195,14 @@ impl Connect for Opener {
         let LinkScript { reads, writes, fails } = self.script;
         let mut port = FaultyLink::new(link).short_reads(reads).partial_writes(writes);
         if fails && !self.healthy.load(std::sync::atomic::Ordering::Relaxed) {
-            let call = *self.random.pick(&[Call::Read, Call::Write, Call::SetSpeed]);
+            let call = *self.random.pick(&[Call::Read, Call::Write, Call::SetBaudRate]);
             // EIO, ENODEV, and what is no error of its own.
-            let failures = [Failure::Errno(5), Failure::Errno(19), Failure::End, Failure::Stall];
+            let failures = [
+                LinkFailure::Errno(5),
+                LinkFailure::Errno(19),
+                LinkFailure::End,
+                LinkFailure::Stall,
+            ];
             port = port.fail(call, 1 + self.random.below(300), *self.random.pick(&failures));
         }
         Ok(port)

@@ -21,7 +21,7 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
             let mut codes: Values = [19; STEPS];
             look.revolution = revolution.into();
             look.at = Duration::from_millis(100) * (revolution + 1);
-            room.look(look, &mut codes);
+            room.measure(look, &mut codes);
             let values = codes[44..=725].iter().map(|&code| code.into()).collect();
             sender.send((values, u64::from(revolution))).unwrap();
         }

@@ -1,49 +1,47 @@
-//! A room with furniture and people in it, so that scans look like scans.
+//! [`Room`]: a room with furniture and people in it, so that scans look real.
 //!
-//! Plain geometry in millimetres, x forward and y left of the sensor. It uses
+//! Plane geometry in millimetres, x forward and y left of the sensor. It uses
 //! additions, multiplications, divisions and square roots only, which IEEE 754
 //! defines to the last bit: the scans are the same on every machine.
 
-use super::random::{Random, fraction, mix};
-use super::world::{Values, World, WorldTime};
+use super::{Values, World, WorldTime};
+use crate::emulator::random::{Random, fraction, mix};
 
-/// The first and the last step that a sensor measures at.
+/// The steps at which a sensor measures.
 const WINDOW: std::ops::RangeInclusive<usize> = 44..=725;
 
-/// Cosine and sine of one step, 1/1024 of a turn.
+/// Cosine and sine of one step, 1/1024 of a full angle.
 const STEP: (f64, f64) = (0.999_981_175_282_601_1, 0.006_135_884_649_154_475);
 
-/// How fast people walk, in millimetres a second.
-const WALK: f64 = 700.0;
+/// The speed of people.
+const WALK_MM_PER_SECOND: f64 = 700.0;
 
-/// A rectangular room with furniture, a doorway, a window, and people who walk
-/// about in it.
+/// A rectangular room with furniture, a doorway, a window, and people who walk.
 ///
-/// Most points of the default room are distances. The rest are the error codes
-/// that a sensor gives in such places: 19 outside of steps 44..=725; 16, 6 and
-/// 0 where the next thing is beyond 4,094 mm, 5.6 m, or out of the window; 1 to
-/// 5 where little light comes back; 9 for a point missed now and then; 7 for a
+/// Most points are distances. The others are error codes as a real sensor sends
+/// them: 19 outside of steps 44..=725; 16 beyond 4,094 mm, 6 beyond 5.6 m, 0 beyond
+/// 12 m; 1 to 5 where little light is reflected; 9 for one point in 300; 7 for a
 /// point between two others without a distance.
 ///
-/// The same seed gives the same scans at the same times, on every machine.
+/// The same seed results in the same scans at the same times, on every machine.
 #[derive(Debug, Clone)]
 pub struct Room {
     seed: u64,
-    /// Where the walls are: front, left, back and right, all positive.
+    /// The distances of the walls: front, left, back and right.
     walls: [f64; 4],
     furniture: Vec<Thing>,
     people: Vec<Person>,
 }
 
 impl Room {
-    /// A room of 5.0 by 4.4 metres with two people, furnished by the seed.
+    /// Creates a room of 5.0 by 4.4 metres with two people, furnished by the seed.
     pub fn new(seed: u64) -> Self {
         Self::sized(seed, 5000, 4400, 2)
     }
 
-    /// A room of `length` (along the sensor's front) by `width` millimetres, at
-    /// least 2,000 each, with this many people. The sensor stands a little to
-    /// the back and to the right of its middle.
+    /// Creates a room of `length` (along the sensor's x axis) by `width` millimetres,
+    /// at least 2,000 each, with this many people. The sensor stands a little behind
+    /// and to the right of its middle.
     pub fn sized(seed: u64, length: u16, width: u16, people: usize) -> Self {
         let (length, width) = (f64::from(length.max(2000)), f64::from(width.max(2000)));
         let walls = [0.58 * length, 0.53 * width, 0.42 * length, 0.47 * width];
@@ -67,7 +65,7 @@ impl Room {
         }
         let people = (0..people)
             .map(|_| {
-                // In the front half: nobody steps on the sensor.
+                // In the front half, so that nobody walks through the sensor.
                 let mut place =
                     || (between(0.3 * front, 0.85 * front), between(-0.75 * right, 0.8 * left));
                 Person { from: place(), to: place(), ahead: between(0.0, 10_000.0) }
@@ -76,8 +74,8 @@ impl Room {
         Self { seed, walls, furniture, people }
     }
 
-    /// What a beam in this direction meets: how far away, and how much of the
-    /// light comes back to a sensor one metre away.
+    /// Returns the distance of the nearest surface in this direction, and the share
+    /// of the light that it reflects to the sensor.
     fn beam(&self, direction: (f64, f64), legs: &[Thing]) -> (f64, f64) {
         let wall = self.wall(direction);
         self.furniture
@@ -108,8 +106,8 @@ impl Room {
         }
     }
 
-    /// The code for a beam that met something at `distance`.
-    fn code(&self, (distance, light): (f64, f64), noise: u64) -> u16 {
+    /// Returns the value for a beam that met a surface at `distance`.
+    fn value(&self, (distance, light): (f64, f64), noise: u64) -> u16 {
         let spread = fraction(noise) + fraction(mix(noise)) - 1.0;
         let measured = distance + spread * (4.0 + 0.004 * distance);
         let metres = distance / 1000.0;
@@ -133,51 +131,51 @@ impl Default for Room {
 }
 
 impl World for Room {
-    fn look(&mut self, look: WorldTime, codes: &mut Values) {
+    fn measure(&mut self, time: WorldTime, values: &mut Values) {
         let legs: Vec<Thing> = self
             .people
             .iter()
-            .flat_map(|person| person.legs(look.at.as_micros() as f64 / 1_000_000.0))
+            .flat_map(|person| person.legs(time.at.as_micros() as f64 / 1_000_000.0))
             .collect();
-        let moment = mix(self.seed ^ mix(look.revolution.wrapping_add(1)));
+        let moment = mix(self.seed ^ mix(time.revolution.wrapping_add(1)));
 
         // Step 0 looks to the right rear, -135 degrees.
         let half = 0.5_f64.sqrt();
         let mut direction = (-half, -half);
-        for (step, code) in codes.iter_mut().enumerate() {
+        for (step, value) in values.iter_mut().enumerate() {
             if WINDOW.contains(&step) {
                 let noise = mix(moment.wrapping_add(step as u64));
-                *code = self.code(self.beam(direction, &legs), noise);
+                *value = self.value(self.beam(direction, &legs), noise);
             }
             direction = (
                 direction.0 * STEP.0 - direction.1 * STEP.1,
                 direction.1 * STEP.0 + direction.0 * STEP.1,
             );
         }
-        hide_lone_points(codes);
+        hide_lone_points(values);
     }
 }
 
-/// A point between two without a distance is not believed by the sensor: 7.
-fn hide_lone_points(codes: &mut Values) {
+/// Replaces each distance between two error codes by error code 7, as the sensor does.
+fn hide_lone_points(values: &mut Values) {
     let mut before = true;
     for step in WINDOW {
-        let after = codes.get(step + 1).is_none_or(|&code| code < 20);
-        if let Some(code) = codes.get_mut(step) {
-            let distance = *code >= 20;
-            if distance && before && after {
-                *code = 7;
+        let after = values.get(step + 1).is_none_or(|&value| value < 20);
+        if let Some(value) = values.get_mut(step) {
+            let is_distance = *value >= 20;
+            if is_distance && before && after {
+                *value = 7;
             }
-            before = !distance;
+            before = !is_distance;
         }
     }
 }
 
-/// Something that stands in the way.
+/// An object with a surface.
 #[derive(Debug, Clone, Copy)]
 struct Thing {
     shape: Shape,
-    /// The share of the light that comes back from it.
+    /// The share of the light that its surface reflects.
     reflects: f64,
 }
 
@@ -196,8 +194,8 @@ impl Thing {
         Self { shape: Shape::Block { low, high }, reflects }
     }
 
-    /// Where a beam from the sensor meets it, if it does, and the light that
-    /// comes back: less where the surface is seen at a flat angle.
+    /// Returns the distance at which a beam from the sensor meets it, and the share of
+    /// the light that is reflected: less at a flat angle.
     fn meet(&self, (x, y): (f64, f64)) -> Option<(f64, f64)> {
         let (distance, cosine) = match self.shape {
             Shape::Round { centre, radius } => {
@@ -226,25 +224,25 @@ fn crossing(a: f64, b: f64) -> (f64, f64) {
     (a.min(b), a.max(b))
 }
 
-/// Somebody who walks to and fro between two places.
+/// A person who walks back and forth between two places.
 #[derive(Debug, Clone)]
 struct Person {
     from: (f64, f64),
     to: (f64, f64),
-    /// How far into the walk at power-up, in millimetres.
+    /// The way walked before power-up, in millimetres.
     ahead: f64,
 }
 
 impl Person {
-    /// The two legs, which are what a sensor at shin height sees.
+    /// Returns the two legs, which is all that a sensor at shin height meets.
     fn legs(&self, seconds: f64) -> [Thing; 2] {
         let (dx, dy) = (self.to.0 - self.from.0, self.to.1 - self.from.1);
         let way = (dx * dx + dy * dy).sqrt().max(1.0);
-        let walked = self.ahead + WALK * seconds;
-        let along = to_and_fro(walked, way) / way;
+        let walked = self.ahead + WALK_MM_PER_SECOND * seconds;
+        let along = back_and_forth(walked, way) / way;
         let (x, y) = (self.from.0 + dx * along, self.from.1 + dy * along);
-        // Each leg swings to and fro by a stride, side by side with the other.
-        let stride = to_and_fro(walked, 350.0) - 175.0;
+        // The legs swing in opposite directions, by half a stride each.
+        let stride = back_and_forth(walked, 350.0) - 175.0;
         let (ux, uy) = (dx / way, dy / way);
         let leg = |side: f64, swing: f64| {
             Thing::round((x + ux * swing - uy * side, y + uy * swing + ux * side), 65.0, 0.5)
@@ -253,8 +251,8 @@ impl Person {
     }
 }
 
-/// A place that goes from 0 to `length` and back again as `distance` grows.
-fn to_and_fro(distance: f64, length: f64) -> f64 {
+/// Returns a position that moves from 0 to `length` and back as `distance` grows.
+fn back_and_forth(distance: f64, length: f64) -> f64 {
     let phase = distance % (2.0 * length);
     if phase < length { phase } else { 2.0 * length - phase }
 }

@@ -1,42 +1,43 @@
-//! What faults do to the bytes of a reply.
+//! [`Delivery`]: a reply on its way, and what faults change about it.
 
 use std::ops::Range;
 use std::time::Duration;
 
-use super::faults::Fault;
-use super::random::Random;
+use super::Fault;
+use crate::emulator::random::Random;
 
-/// A reply on its way, as faults have left it.
+/// A reply on its way to the host.
 #[derive(Debug, Default)]
-pub(super) struct Delivery {
-    pub(super) bytes: Vec<u8>,
-    /// How much later than it would, it starts.
-    pub(super) delay: Duration,
-    /// Pauses before bytes.
-    pub(super) pauses: Vec<(usize, Duration)>,
-    /// How long a byte takes, where that is not the line's affair.
-    pub(super) byte_time: Option<Duration>,
-    /// What happens after the last byte.
-    pub(super) then: Option<Aftermath>,
+pub(crate) struct Delivery {
+    pub(crate) bytes: Vec<u8>,
+    /// The delay of the first byte.
+    pub(crate) delay: Duration,
+    /// Pauses, each with the index of the byte after it.
+    pauses: Vec<(usize, Duration)>,
+    /// The time that a byte takes, `None` for that of the line.
+    pub(crate) byte_time: Option<Duration>,
+    /// The event after the last byte.
+    pub(crate) then: Option<Aftermath>,
 }
 
-/// What a reply ends in.
+/// An event after the last byte of a reply.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Aftermath {
+pub(crate) enum Aftermath {
     Reset,
     HangUp,
     Endless(Vec<u8>),
 }
 
 impl Delivery {
-    pub(super) fn new(bytes: Vec<u8>) -> Self {
+    pub(crate) fn new(bytes: Vec<u8>) -> Self {
         Self { bytes, ..Self::default() }
     }
 
-    pub(super) fn suffer(&mut self, fault: Fault, random: &mut Random) {
+    /// Applies a fault to the reply as it is by now.
+    pub(crate) fn apply(&mut self, fault: Fault, random: &mut Random) {
         let bytes = &mut self.bytes;
         match fault {
-            // These two are decided before there is a reply.
+            // These two apply to the command, before there is a reply.
             Fault::CommandLost | Fault::Status(_) => {}
             Fault::Lost => bytes.clear(),
             Fault::Late(delay) => self.delay += delay,
@@ -53,7 +54,7 @@ impl Delivery {
             }
             Fault::Repeat(range) => repeat(bytes, range),
             Fault::Cut(length) => bytes.truncate(length),
-            Fault::Damaged => damage(bytes, random),
+            Fault::Damaged => damage_one_byte(bytes, random),
             Fault::Merged => drop(bytes.pop()),
             Fault::Garbage(garbage) => drop(bytes.splice(0..0, garbage)),
             Fault::Noise(length) => {
@@ -83,11 +84,11 @@ impl Delivery {
         self.then = Some(then);
     }
 
-    /// The reply in the parts between its pauses, each with the pause before it.
-    pub(super) fn parts(&mut self) -> Vec<(Duration, Vec<u8>)> {
+    /// Splits the reply at its pauses. Returns each part with the pause before it.
+    pub(crate) fn take_parts(&mut self) -> Vec<(Duration, Vec<u8>)> {
         let mut rest = std::mem::take(&mut self.bytes);
         let mut parts = Vec::with_capacity(1 + self.pauses.len());
-        // From the end, so that places stay what they are.
+        // From the end, so that splitting leaves the remaining places valid.
         self.pauses.sort_by_key(|(at, _)| std::cmp::Reverse(*at));
         for &(at, pause) in &self.pauses {
             if at < rest.len() {
@@ -112,7 +113,7 @@ fn repeat(bytes: &mut Vec<u8>, range: Range<usize>) {
     bytes.splice(end..end, again);
 }
 
-fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
+fn damage_one_byte(bytes: &mut Vec<u8>, random: &mut Random) {
     if bytes.is_empty() {
         return;
     }
@@ -134,15 +135,15 @@ fn damage(bytes: &mut Vec<u8>, random: &mut Random) {
 mod tests {
     use super::*;
 
-    /// What is left of "ab", a line feed and "cd" after a fault.
+    /// Applies a fault to "ab", a line feed and "cd".
     fn after(fault: Fault) -> Vec<u8> {
         let mut delivery = Delivery::new(b"ab\ncd".to_vec());
-        delivery.suffer(fault, &mut Random::new(1));
+        delivery.apply(fault, &mut Random::new(1));
         delivery.bytes
     }
 
     #[test]
-    fn each_fault_does_what_its_name_says() {
+    fn each_fault_changes_the_bytes_as_documented() {
         let cases: [(Fault, &[u8]); 16] = [
             (Fault::Lost, b""),
             (Fault::Doubled, b"ab\ncdab\ncd"),
@@ -168,12 +169,12 @@ mod tests {
     }
 
     #[test]
-    fn random_damage_always_changes_something_and_takes_every_form() {
+    fn random_damage_always_changes_the_reply_and_takes_every_form() {
         let mut random = Random::new(3);
         let mut lengths = std::collections::BTreeSet::new();
         for _ in 0..200 {
             let mut bytes = b"abcdefgh".to_vec();
-            damage(&mut bytes, &mut random);
+            damage_one_byte(&mut bytes, &mut random);
             assert_ne!(bytes, b"abcdefgh");
             lengths.insert(bytes.len());
         }
@@ -181,14 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn a_reply_is_parted_at_its_pauses() {
+    fn a_reply_is_split_at_its_pauses() {
         let mut delivery = Delivery::new(b"abcdef".to_vec());
         let second = Duration::from_secs(1);
         for fault in [Fault::Pause(4, second), Fault::Pause(1, 2 * second), Fault::Pause(9, second)]
         {
-            delivery.suffer(fault, &mut Random::new(0));
+            delivery.apply(fault, &mut Random::new(0));
         }
-        let parts = delivery.parts();
+        let parts = delivery.take_parts();
         assert_eq!(
             parts,
             [

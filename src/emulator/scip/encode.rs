@@ -1,20 +1,17 @@
-//! The bytes of replies: echo, status, lines, the 6-bit code and its blocks.
-//!
-//! Written from the protocol text alone, and on purpose without the crate's
-//! `protocol` module: the two check each other in the tests.
+//! The bytes of replies: echo, status, lines, the 6-bit encoding and its blocks.
 
-/// Data is cut into lines of this many bytes (C-42-3320-A p. 3).
-const BLOCK: usize = 64;
+/// The length of a line of data, except for the last one (C-42-3320-A p. 3).
+const BLOCK_BYTES: usize = 64;
 
-/// A reply without data: echo, status and the terminator (p. 3).
-pub(super) fn status_only(echo: &[u8], status: &[u8]) -> Vec<u8> {
+/// Returns a reply without data: echo, status and the terminator (p. 3).
+pub(crate) fn status_only(echo: &[u8], status: &[u8]) -> Vec<u8> {
     let mut reply = Vec::with_capacity(echo.len() + status.len() + 3);
     start(&mut reply, echo, status);
     reply.push(b'\n');
     reply
 }
 
-/// A reply of lines, such as that of `V` (p. 4).
+/// Returns a reply of text lines, such as that to `V` (p. 4).
 pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) -> Vec<u8> {
     let mut reply = Vec::with_capacity(256);
     start(&mut reply, echo, b"0");
@@ -26,15 +23,17 @@ pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) 
     reply
 }
 
-/// A reply of distance data: two characters a code, 64 bytes a line (p. 5, 6).
-pub(super) fn distances(echo: &[u8], codes: &[u16]) -> Vec<u8> {
-    let mut data = vec![0; 2 * codes.len()];
-    for (pair, &code) in data.as_chunks_mut().0.iter_mut().zip(codes) {
-        *pair = [sextet(code >> 6), sextet(code)];
+/// Returns a reply with distance data: two characters a value, 64 bytes a line
+/// (p. 5, 6).
+pub(super) fn distances(echo: &[u8], values: &[u16]) -> Vec<u8> {
+    let mut data = vec![0; 2 * values.len()];
+    for (pair, &value) in data.as_chunks_mut().0.iter_mut().zip(values) {
+        *pair = [sextet(value >> 6), sextet(value)];
     }
-    let mut reply = Vec::with_capacity(echo.len() + 5 + data.len() + data.len().div_ceil(BLOCK));
+    let mut reply =
+        Vec::with_capacity(echo.len() + 5 + data.len() + data.len().div_ceil(BLOCK_BYTES));
     start(&mut reply, echo, b"0");
-    for block in data.chunks(BLOCK) {
+    for block in data.chunks(BLOCK_BYTES) {
         reply.extend_from_slice(block);
         reply.push(b'\n');
     }
@@ -42,16 +41,16 @@ pub(super) fn distances(echo: &[u8], codes: &[u16]) -> Vec<u8> {
     reply
 }
 
-/// A scan as a sensor in SCIP 2 streams it unasked: three characters a point, a
-/// time stamp in milliseconds, and a check character after every line.
-pub(super) fn scip2_scan(codes: &[u16], milliseconds: u64) -> Vec<u8> {
+/// Returns a scan as a sensor in SCIP 2 streams it unasked: three characters a
+/// point, a time stamp in milliseconds, and a check character after every line.
+pub(crate) fn scip2_scan(values: &[u16], milliseconds: u64) -> Vec<u8> {
     let mut reply = Vec::with_capacity(2200);
     start(&mut reply, b"MD0044072501000", b"99b");
     let stamp = [18, 12, 6, 0].map(|shift| sextet((milliseconds >> shift) as u16 & 0x3F));
     checked_line(&mut reply, &stamp);
     let data: Vec<u8> =
-        codes.iter().flat_map(|&code| [sextet(0), sextet(code >> 6), sextet(code)]).collect();
-    for block in data.chunks(BLOCK) {
+        values.iter().flat_map(|&value| [sextet(0), sextet(value >> 6), sextet(value)]).collect();
+    for block in data.chunks(BLOCK_BYTES) {
         checked_line(&mut reply, block);
     }
     reply.push(b'\n');
@@ -71,7 +70,7 @@ fn checked_line(reply: &mut Vec<u8>, line: &[u8]) {
     reply.extend_from_slice(&[sextet(sum), b'\n']);
 }
 
-/// The low six bits as a character from `0` to `o` (p. 5).
+/// Encodes the low six bits as a character from `0` to `o` (p. 5).
 fn sextet(bits: u16) -> u8 {
     (bits & 0x3F) as u8 + 0x30
 }
@@ -87,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_smallest_and_the_largest_code() {
+    fn the_smallest_and_the_largest_value() {
         assert_eq!(distances(b"G", &[0, 4095]), b"G\n0\n00oo\n\n");
     }
 

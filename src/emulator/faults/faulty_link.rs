@@ -1,4 +1,4 @@
-//! A stream whose calls fail when they are told to, around any other stream.
+//! [`FaultyLink`]: a wrapper around any stream whose calls fail as scripted.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::io;
@@ -11,7 +11,7 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use crate::{BaudRate, Port};
 
-/// A kind of call on a stream or port.
+/// A method of a stream or port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Call {
@@ -20,27 +20,27 @@ pub enum Call {
     /// `poll_write`.
     Write,
     /// [`Port::set_baud_rate`].
-    SetSpeed,
+    SetBaudRate,
 }
 
-/// How a call fails.
+/// The failure of a call on a [`FaultyLink`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Failure {
-    /// With this error of the operating system, once. `Failure::Errno(5)` is
+pub enum LinkFailure {
+    /// Returns this error of the operating system, once. `LinkFailure::Errno(5)` is
     /// `EIO` on Linux.
     Errno(i32),
-    /// With an error of this kind, once.
+    /// Returns an error of this kind, once.
     Kind(io::ErrorKind),
-    /// With `Ok(0)`, and so does every later one: the end of the stream. A
-    /// change of speed goes through.
+    /// Returns `Ok(0)`, the end of the stream, now and in every later call. Has no
+    /// effect on [`Call::SetBaudRate`].
     End,
-    /// It never gets ready, nor does any later one. A change of speed goes
-    /// through.
+    /// Is never ready, now and in every later call. Has no effect on
+    /// [`Call::SetBaudRate`].
     Stall,
 }
 
-impl Failure {
+impl LinkFailure {
     fn error(self) -> Option<io::Error> {
         match self {
             Self::Errno(code) => Some(io::Error::from_raw_os_error(code)),
@@ -50,79 +50,80 @@ impl Failure {
     }
 }
 
-/// What becomes of the bytes that are written.
+/// The destination of the bytes that are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Path {
-    Through,
-    Back,
-    ThroughAndBack,
+enum WriteRoute {
+    Inner,
+    BackToReader,
+    Both,
 }
 
-/// How often a [`FaultyLink`] was called. A handle: clones count the same link,
-/// also after it has been given away or dropped.
+/// The number of calls on a [`FaultyLink`]. A handle: clones count the same link,
+/// also after it was moved or dropped.
 #[derive(Debug, Clone, Default)]
-pub struct CallCounter(Arc<Tally>);
+pub struct CallCounter(Arc<CallCounts>);
 
 #[derive(Debug, Default)]
-struct Tally {
+struct CallCounts {
     reads: AtomicU64,
     writes: AtomicU64,
     flushes: AtomicU64,
-    speeds: AtomicU64,
+    baud_rate_changes: AtomicU64,
     failures: AtomicU64,
     bytes_read: AtomicU64,
     bytes_written: AtomicU64,
 }
 
 impl CallCounter {
-    /// Reads that gave bytes or the end of the stream.
+    /// Returns the number of reads that returned bytes or the end of the stream.
     pub fn reads(&self) -> u64 {
         self.0.reads.load(Ordering::Relaxed)
     }
 
-    /// Writes that took bytes.
+    /// Returns the number of writes that took bytes.
     pub fn writes(&self) -> u64 {
         self.0.writes.load(Ordering::Relaxed)
     }
 
-    /// Flushes, ready or not.
+    /// Returns the number of flushes, ready or not.
     pub fn flushes(&self) -> u64 {
         self.0.flushes.load(Ordering::Relaxed)
     }
 
-    /// Changes of speed, failed ones included.
+    /// Returns the number of changes of the baud rate, failed ones included.
     pub fn baud_rate_changes(&self) -> u64 {
-        self.0.speeds.load(Ordering::Relaxed)
+        self.0.baud_rate_changes.load(Ordering::Relaxed)
     }
 
-    /// Calls that failed because they were told to.
+    /// Returns the number of calls that failed as scripted.
     pub fn failures(&self) -> u64 {
         self.0.failures.load(Ordering::Relaxed)
     }
 
-    /// Bytes that were read.
+    /// Returns the number of bytes read.
     pub fn bytes_read(&self) -> u64 {
         self.0.bytes_read.load(Ordering::Relaxed)
     }
 
-    /// Bytes that were written.
+    /// Returns the number of bytes written.
     pub fn bytes_written(&self) -> u64 {
         self.0.bytes_written.load(Ordering::Relaxed)
     }
 }
 
-/// A stream that fails as scripted, around one that works.
+/// A wrapper around a stream whose calls fail as scripted.
 ///
-/// Nothing is random, and nothing takes time: with the same calls it does the
-/// same. Around a [`Port`] it is a `Port`. Dropping it drops the inner stream.
+/// Nothing is random, and nothing takes time: the same calls have the same results.
+/// Around a [`Port`] it is a `Port`. Dropping it drops the inner stream.
 ///
 /// ```
 /// use tokio::io::AsyncReadExt;
-/// use tokio_scip::emulator::{Call, Failure, FaultyLink};
+/// use tokio_scip::emulator::{Call, FaultyLink, LinkFailure};
 ///
 /// # #[tokio::main(flavor = "current_thread")]
 /// # async fn main() {
-/// let mut link = FaultyLink::new(&b"V\n0\n"[..]).short_reads(1).fail(Call::Read, 2, Failure::End);
+/// let link = FaultyLink::new(&b"V\n0\n"[..]);
+/// let mut link = link.short_reads(1).fail(Call::Read, 2, LinkFailure::End);
 /// let mut read = Vec::new();
 /// link.read_to_end(&mut read).await.unwrap();
 /// assert_eq!(read, b"V\n");
@@ -131,18 +132,18 @@ impl CallCounter {
 #[derive(Debug)]
 pub struct FaultyLink<S> {
     inner: S,
-    failures: Vec<(Call, u64, Failure)>,
+    failures: Vec<(Call, u64, LinkFailure)>,
     longest_read: usize,
     longest_write: usize,
     splits: BTreeSet<u64>,
-    path: Path,
+    route: WriteRoute,
     returning: VecDeque<u8>,
     reader: Option<Waker>,
     counter: CallCounter,
 }
 
 impl<S> FaultyLink<S> {
-    /// A link that works, until it is told otherwise.
+    /// Creates a link that works as `inner` does, until failures are added.
     pub fn new(inner: S) -> Self {
         Self {
             inner,
@@ -150,70 +151,71 @@ impl<S> FaultyLink<S> {
             longest_read: usize::MAX,
             longest_write: usize::MAX,
             splits: BTreeSet::new(),
-            path: Path::Through,
+            route: WriteRoute::Inner,
             returning: VecDeque::new(),
             reader: None,
             counter: CallCounter::default(),
         }
     }
 
-    /// Lets a call fail once `after` calls of its kind have been through: 0 is
-    /// the very first. A read fails without waiting for bytes.
+    /// Makes a call fail after `after` calls of its kind have succeeded: 0 is the very
+    /// first call. A read fails without waiting for bytes.
     #[must_use]
-    pub fn fail(mut self, call: Call, after: u64, failure: Failure) -> Self {
+    pub fn fail(mut self, call: Call, after: u64, failure: LinkFailure) -> Self {
         self.failures.push((call, after, failure));
         self
     }
 
-    /// No read gives more than this many bytes, at least 1.
+    /// Limits a read to this many bytes, at least 1.
     #[must_use]
     pub fn short_reads(mut self, longest: usize) -> Self {
         self.longest_read = longest.max(1);
         self
     }
 
-    /// No write takes more than this many bytes, at least 1.
+    /// Limits a write to this many bytes, at least 1.
     #[must_use]
     pub fn partial_writes(mut self, longest: usize) -> Self {
         self.longest_write = longest.max(1);
         self
     }
 
-    /// No read goes across these places, counted in bytes from the first one
-    /// ever read, and the first read at each is `Pending` once.
+    /// Ends a read at each of these places, counted in bytes from the first one ever
+    /// read. The next read, which begins there, is `Pending` once.
     #[must_use]
     pub fn split_reads_at(mut self, places: impl IntoIterator<Item = u64>) -> Self {
         self.splits.extend(places);
         self
     }
 
-    /// What is written comes back and goes nowhere else: a loopback plug.
+    /// Returns written bytes to the reader and sends them nowhere else, as a loopback
+    /// plug does.
     #[must_use]
     pub fn loopback(mut self) -> Self {
-        self.path = Path::Back;
+        self.route = WriteRoute::BackToReader;
         self
     }
 
-    /// What is written comes back, before what the other end says: a terminal
-    /// with echo, or a two-wire line.
+    /// Returns written bytes to the reader, before the reply, and sends them on: a
+    /// terminal with echo, or a two-wire line.
     #[must_use]
     pub fn echo(mut self) -> Self {
-        self.path = Path::ThroughAndBack;
+        self.route = WriteRoute::Both;
         self
     }
 
-    /// How often the link is called, to be looked at from elsewhere.
+    /// Returns a handle to the number of calls.
     pub fn counter(&self) -> CallCounter {
         self.counter.clone()
     }
 
-    /// The failure of this call, if it is to fail.
-    fn failure(&mut self, call: Call, done: u64) -> Option<Failure> {
-        let due = |&(of, after, failure): &(Call, u64, Failure)| {
-            let lasting = matches!(failure, Failure::End | Failure::Stall);
+    /// Takes the failure of this call, if one is due, of which `done` have succeeded.
+    fn take_failure(&mut self, call: Call, done: u64) -> Option<LinkFailure> {
+        let is_due = |&(of, after, failure): &(Call, u64, LinkFailure)| {
+            let lasting = matches!(failure, LinkFailure::End | LinkFailure::Stall);
             of == call && if lasting { done >= after } else { done == after }
         };
-        let place = self.failures.iter().position(due)?;
+        let place = self.failures.iter().position(is_due)?;
         let (.., failure) = self.failures.get(place).copied()?;
         if failure.error().is_some() {
             self.failures.remove(place);
@@ -230,14 +232,14 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let this = &mut *self;
-        let tally = this.counter.0.clone();
-        match this.failure(Call::Read, tally.reads.load(Ordering::Relaxed)) {
-            Some(Failure::Stall) => return Poll::Pending,
-            Some(Failure::End) => return Poll::Ready(Ok(())),
+        let counts = this.counter.0.clone();
+        match this.take_failure(Call::Read, counts.reads.load(Ordering::Relaxed)) {
+            Some(LinkFailure::Stall) => return Poll::Pending,
+            Some(LinkFailure::End) => return Poll::Ready(Ok(())),
             Some(failure) => return Poll::Ready(failure.error().map_or(Ok(()), Err)),
             None => {}
         }
-        let place = tally.bytes_read.load(Ordering::Relaxed);
+        let place = counts.bytes_read.load(Ordering::Relaxed);
         if this.splits.remove(&place) {
             context.waker().wake_by_ref();
             return Poll::Pending;
@@ -250,7 +252,7 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
 
         let count = if this.returning.is_empty() {
             this.reader = Some(context.waker().clone());
-            if this.path == Path::Back {
+            if this.route == WriteRoute::BackToReader {
                 return Poll::Pending;
             }
             let mut part = ReadBuf::new(buffer.initialize_unfilled_to(limit));
@@ -264,8 +266,8 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
             buffer.put_slice(&bytes);
             count
         };
-        tally.reads.fetch_add(1, Ordering::Relaxed);
-        tally.bytes_read.fetch_add(count as u64, Ordering::Relaxed);
+        counts.reads.fetch_add(1, Ordering::Relaxed);
+        counts.bytes_read.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(()))
     }
 }
@@ -277,28 +279,28 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for FaultyLink<S> {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let this = &mut *self;
-        let tally = this.counter.0.clone();
-        match this.failure(Call::Write, tally.writes.load(Ordering::Relaxed)) {
-            Some(Failure::Stall) => return Poll::Pending,
-            Some(Failure::End) => return Poll::Ready(Ok(0)),
+        let counts = this.counter.0.clone();
+        match this.take_failure(Call::Write, counts.writes.load(Ordering::Relaxed)) {
+            Some(LinkFailure::Stall) => return Poll::Pending,
+            Some(LinkFailure::End) => return Poll::Ready(Ok(0)),
             Some(failure) => return Poll::Ready(failure.error().map_or(Ok(0), Err)),
             None => {}
         }
         let bytes = bytes.get(..bytes.len().min(this.longest_write)).unwrap_or_default();
-        let count = match this.path {
-            Path::Back => bytes.len(),
-            Path::Through | Path::ThroughAndBack => {
+        let count = match this.route {
+            WriteRoute::BackToReader => bytes.len(),
+            WriteRoute::Inner | WriteRoute::Both => {
                 ready!(Pin::new(&mut this.inner).poll_write(context, bytes))?
             }
         };
-        if this.path != Path::Through {
+        if this.route != WriteRoute::Inner {
             this.returning.extend(bytes.iter().take(count));
             if let Some(reader) = this.reader.take() {
                 reader.wake();
             }
         }
-        tally.writes.fetch_add(1, Ordering::Relaxed);
-        tally.bytes_written.fetch_add(count as u64, Ordering::Relaxed);
+        counts.writes.fetch_add(1, Ordering::Relaxed);
+        counts.bytes_written.fetch_add(count as u64, Ordering::Relaxed);
         Poll::Ready(Ok(count))
     }
 
@@ -317,11 +319,11 @@ impl<S: Port> Port for FaultyLink<S> {
         self.inner.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
-        let done = self.counter.0.speeds.fetch_add(1, Ordering::Relaxed);
-        match self.failure(Call::SetSpeed, done).and_then(Failure::error) {
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        let done = self.counter.0.baud_rate_changes.fetch_add(1, Ordering::Relaxed);
+        match self.take_failure(Call::SetBaudRate, done).and_then(LinkFailure::error) {
             Some(error) => Err(error),
-            None => self.inner.set_baud_rate(speed),
+            None => self.inner.set_baud_rate(baud_rate),
         }
     }
 

@@ -1,65 +1,63 @@
-//! The emulated sensor on other streams: any `AsyncRead + AsyncWrite`, and TCP.
+//! Serves an emulated sensor on any `AsyncRead + AsyncWrite`, and on TCP.
 
 use std::io;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpListener;
 
-use super::Emulator;
-use super::link::{HostBaudRate, Link};
+use super::{HostBaudRate, Link};
 use crate::BaudRate;
+use crate::emulator::Emulator;
 
 impl Emulator {
-    /// Serves the sensor on a stream, such as one end of
-    /// [`tokio::io::duplex`], until the client leaves or the sensor is
-    /// unplugged.
+    /// Serves the sensor on a stream, such as one end of [`tokio::io::duplex`], until
+    /// the client closes it or the sensor is unplugged.
     ///
-    /// The stream carries no baud rate, so that nothing is ever garbled; bytes
-    /// still take their time. The client that is served replaces any other
-    /// link to this sensor.
+    /// The stream has no baud rate, so that bytes are never garbled; they still need
+    /// their time. The client replaces any other link to this sensor.
     ///
-    /// Dropping the future ends it and drops the stream; the sensor stays as
-    /// it is. Half a command that was read from the stream stays in the
-    /// sensor's line buffer, part of a reply may be lost.
+    /// Dropping the future drops the stream and leaves the sensor as it is. Half a
+    /// command that was read from the stream stays in the sensor's line buffer; part
+    /// of a reply may be lost.
     ///
     /// # Errors
     ///
-    /// The stream's.
+    /// Returns those of the stream.
     pub async fn serve<S: AsyncRead + AsyncWrite>(&self, stream: S) -> io::Result<()> {
-        pump(stream, self.open(HostBaudRate::Follows)).await
+        pump(stream, self.open(HostBaudRate::FollowsSensor)).await
     }
 
-    /// Serves the sensor behind a bridge with a line of its own at a fixed
-    /// speed, such as ser2net: as [`serve`](Self::serve), but garbled both ways
-    /// while the sensor has another speed.
+    /// Serves the sensor as [`serve`](Self::serve) does, through a bridge whose line
+    /// has a fixed baud rate, such as ser2net: bytes are garbled both ways while the
+    /// sensor has another baud rate.
     ///
     /// # Errors
     ///
-    /// The stream's.
+    /// Returns those of the stream.
     pub async fn serve_at<S: AsyncRead + AsyncWrite>(
         &self,
         stream: S,
-        speed: BaudRate,
+        baud_rate: BaudRate,
     ) -> io::Result<()> {
-        pump(stream, self.bridge(speed)).await
+        pump(stream, self.bridge(baud_rate)).await
     }
 
-    /// Serves the sensor to one TCP client at a time. The next one is served
-    /// when the one before has left; the sensor's state stays.
+    /// Serves the sensor to one TCP client at a time. The next one is served when the
+    /// one before has closed its connection; the sensor keeps its state.
     ///
-    /// Whoever can connect can use the sensor: bind the listener to
-    /// `127.0.0.1` unless others shall. While the sensor is unplugged clients
-    /// are hung up at once. A client that fails ends only its own connection.
+    /// There is no access control: bind the listener to `127.0.0.1` unless other
+    /// machines are to use the sensor. While the sensor is unplugged clients are
+    /// disconnected at once. An error of one client ends only its own connection.
     ///
-    /// Runs until it is dropped, which hangs up the client.
+    /// Runs until the future is dropped, which disconnects the client.
     ///
     /// # Errors
     ///
-    /// Those of accepting connections.
+    /// Returns those of accepting connections.
     pub async fn serve_tcp(&self, listener: TcpListener) -> io::Result<()> {
         loop {
             let (stream, address) = listener.accept().await?;
-            // A reply of several pieces must not wait for acknowledgements.
+            // Without it the second piece of a reply waits for an acknowledgement.
             let served = match stream.set_nodelay(true) {
                 Ok(()) => self.serve(stream).await,
                 Err(error) => Err(error),
@@ -71,14 +69,14 @@ impl Emulator {
     }
 }
 
-/// Carries bytes between a client and the sensor until either hangs up.
+/// Copies bytes between a client and the sensor until either hangs up.
 pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io::Result<()> {
-    // A client that does not read must not keep the link from ending.
+    // Also ends if the client does not read: the copying below would then wait for it.
     let replaced = link.replaced();
     let (mut from_client, mut to_client) = tokio::io::split(stream);
     let (mut from_sensor, mut to_sensor) = tokio::io::split(link);
-    // Not `copy_bidirectional`: it flushes, and flushing a terminal blocks; it
-    // also goes on for as long as one side has not hung up.
+    // Not `copy_bidirectional`: it flushes, which blocks on a terminal, and it goes on
+    // until both sides have hung up.
     let commands = async {
         let mut buffer = [0; 256];
         loop {

@@ -1,4 +1,4 @@
-//! The emulated sensor on a pseudo-terminal.
+//! [`Pty`]: an emulated sensor on a pseudo-terminal.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -6,90 +6,90 @@ use std::sync::Arc;
 
 use tokio_serial::{SerialPort, SerialStream};
 
-use super::Emulator;
-use super::link::HostBaudRate;
+use super::HostBaudRate;
 use super::serve::pump;
+use crate::emulator::Emulator;
 
 /// A pseudo-terminal with an emulated sensor at the other end.
 ///
-/// Programs open [`path`](Self::path) as they would a serial port. They may come
-/// and go: the terminal stays, and with it what was not read. A sensor on RS-232
-/// sees which baud rate the client has set, and both hear garbage where it is
-/// another than the sensor's. Bytes take their time on the line.
+/// Programs open [`path`](Self::path) as a serial port. They may close it and open it
+/// again: the terminal and the unread bytes in it stay. With a sensor on RS-232 the
+/// client's baud rate counts: both sides receive garbage if it is not the sensor's.
+/// Bytes need as much time as on a real line.
 ///
-/// It uses the wall clock in the end: do not mix it with tokio's paused clock.
+/// The terminal works in real time: do not use it with tokio's paused clock.
 ///
 /// Dropping it, or the future of [`serve`](Self::serve), hangs the client up and
 /// removes the symbolic link.
 ///
-/// On Linux a client that locks the terminal for itself (`TIOCEXCL`) and is
-/// killed leaves that lock behind, and only root can then open the terminal
-/// again; one that closes it leaves none.
+/// On Linux a client that locks the terminal (`TIOCEXCL`) and is killed leaves the
+/// lock behind, and only root can open the terminal again. A client that closes the
+/// terminal leaves no lock.
 #[derive(Debug)]
 pub struct Pty {
     emulator: Emulator,
     symlink: Option<PathBuf>,
-    terminal: Terminal,
+    terminal: TerminalPair,
 }
 
 impl Pty {
     /// Creates a pseudo-terminal for the sensor, in raw mode at 19,200 baud, and
-    /// a symbolic link to it if a path is given. An old symbolic link there is
+    /// a symbolic link to it if a path is given. A symbolic link that exists there is
     /// replaced.
     ///
     /// # Errors
     ///
-    /// [`AlreadyExists`](io::ErrorKind::AlreadyExists) if something that is no
-    /// symbolic link is in the link's place, and those of the system.
+    /// Fails with [`AlreadyExists`](io::ErrorKind::AlreadyExists) if something other
+    /// than a symbolic link exists at the link's path, and with the system's errors.
     ///
     /// # Panics
     ///
-    /// Outside of a tokio runtime with I/O enabled.
+    /// Panics outside of a tokio runtime with I/O enabled.
     pub fn open(emulator: &Emulator, symlink: Option<&Path>) -> io::Result<Self> {
-        let terminal = Terminal::open(symlink)?;
+        let terminal = TerminalPair::open(symlink)?;
         Ok(Self { emulator: emulator.clone(), symlink: symlink.map(Path::to_owned), terminal })
     }
 
-    /// Where clients open the terminal: the symbolic link if there is one.
+    /// Returns the path that clients open: the symbolic link if there is one.
     pub fn path(&self) -> &Path {
         self.symlink.as_deref().unwrap_or(&self.terminal.path)
     }
 
     /// Serves the clients of the terminal until the future is dropped.
     ///
-    /// When the sensor is unplugged, or a fault hangs up, the terminal goes away
-    /// with its symbolic link. When the sensor is plugged in again a new one
-    /// takes its place: without a symbolic link its path may be another.
+    /// When the sensor is unplugged, or a fault hangs up the link, the terminal and its
+    /// symbolic link are removed. When the sensor is plugged in again a new terminal
+    /// is created; without a symbolic link its path may differ.
     ///
     /// # Errors
     ///
-    /// Those of the system.
+    /// Returns those of the system.
     pub async fn serve(self) -> io::Result<()> {
         let Self { emulator, symlink, mut terminal } = self;
         loop {
-            let Terminal { master, slave, path: _, _symlink } = terminal;
+            let TerminalPair { master, slave, path: _, _symlink } = terminal;
             let shared = Arc::new(slave);
             let slave = shared.clone();
-            let speed = HostBaudRate::Probed(Box::new(move || slave.baud_rate().ok()));
-            pump(master, emulator.open(speed)).await?;
+            let baud_rate = HostBaudRate::Probed(Box::new(move || slave.baud_rate().ok()));
+            pump(master, emulator.open(baud_rate)).await?;
             drop((shared, _symlink));
             emulator.wait_until_plugged_in().await;
-            terminal = Terminal::open(symlink.as_deref())?;
+            terminal = TerminalPair::open(symlink.as_deref())?;
         }
     }
 }
 
 #[derive(Debug)]
-struct Terminal {
+struct TerminalPair {
     master: SerialStream,
-    /// Kept open so that the terminal survives its clients. It takes no lock,
-    /// so that they can take theirs.
+    /// Kept open so that the terminal survives its clients. It is not locked, so that
+    /// they can lock it.
     slave: SerialStream,
     path: PathBuf,
     _symlink: Option<Symlink>,
 }
 
-impl Terminal {
+impl TerminalPair {
     fn open(symlink: Option<&Path>) -> io::Result<Self> {
         let (master, mut slave) = SerialStream::pair()?;
         slave.set_baud_rate(19_200)?;
@@ -99,7 +99,7 @@ impl Terminal {
     }
 }
 
-/// A symbolic link that goes when it is dropped.
+/// A symbolic link that is removed when it is dropped.
 #[derive(Debug)]
 struct Symlink {
     at: PathBuf,
@@ -111,7 +111,10 @@ impl Symlink {
         match std::fs::symlink_metadata(at) {
             Ok(there) if there.is_symlink() => std::fs::remove_file(at)?,
             Ok(_) => {
-                let why = format!("{} is no symbolic link: it is not replaced", at.display());
+                let why = format!(
+                    "{} exists and is not a symbolic link: remove it, or choose another path",
+                    at.display()
+                );
                 return Err(io::Error::new(io::ErrorKind::AlreadyExists, why));
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
@@ -124,7 +127,7 @@ impl Symlink {
 
 impl Drop for Symlink {
     fn drop(&mut self) {
-        // Somebody else's link may be there by now.
+        // Another program may have replaced it since.
         if std::fs::read_link(&self.at).is_ok_and(|target| target == self.target) {
             let _ = std::fs::remove_file(&self.at);
         }

@@ -1,31 +1,43 @@
-//! What goes wrong, and when: [`Fault`] and [`Faults`]. What a fault does to a
-//! reply is in `damage`, how faults are written down in `spec`.
+//! Faults on demand: [`Fault`] and [`Faults`], which are parsed in `parse`, drawn
+//! for each reply in `injector`, and applied to its bytes in `delivery`.
+//!
+//! These are faults of the sensor and its line. `faulty_link` makes the calls of a
+//! stream fail, whatever is at its other end.
+
+mod delivery;
+mod faulty_link;
+mod injector;
+mod parse;
 
 use std::ops::Range;
 use std::time::Duration;
 
-use super::random::Random;
+pub(super) use self::delivery::{Aftermath, Delivery};
+pub use self::faulty_link::{Call, CallCounter, FaultyLink, LinkFailure};
+pub(super) use self::injector::FaultInjector;
+pub use self::parse::InvalidFaults;
 
-/// One thing that goes wrong with one reply.
+/// A fault of one reply.
 ///
 /// Places are byte offsets in the reply as sent, 0 being the first byte of the
-/// echo; those past its end do nothing. Several faults of one reply are applied
-/// in the order in which they were given, each to what the one before has left.
+/// echo; those past its end have no effect. Several faults of one reply are
+/// applied in the order in which they were added, each to the result of the one
+/// before.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
     /// The command never reaches the sensor: nothing is done, nothing is sent.
     CommandLost,
-    /// The sensor does what it was told, and the reply never arrives.
+    /// The sensor executes the command, and the reply never arrives.
     Lost,
-    /// The reply comes this much later, and so does everything behind it:
-    /// replies stay in order.
+    /// The reply is delayed by this, and so is everything behind it: replies stay
+    /// in order.
     Late(Duration),
     /// The reply comes twice.
     Doubled,
     /// These bytes are lost.
     Drop(Range<usize>),
-    /// Bytes come in before this place.
+    /// Bytes are inserted before this place.
     Insert(usize, Vec<u8>),
     /// The bits of the mask are inverted in the byte at this place.
     Flip(usize, u8),
@@ -33,14 +45,14 @@ pub enum Fault {
     Repeat(Range<usize>),
     /// Only this many bytes are sent.
     Cut(usize),
-    /// One byte anywhere is lost, or comes twice, or has one bit inverted, or a
-    /// random one comes in, or the rest is lost from there on.
+    /// One byte anywhere is lost, comes twice, has one bit inverted, or is preceded
+    /// by a random one; or the reply ends there.
     Damaged,
     /// The last of the two line feeds is lost: the reply runs into the next one.
     Merged,
-    /// These bytes come before the reply.
+    /// These bytes precede the reply.
     Garbage(Vec<u8>),
-    /// As many random bytes come before the reply.
+    /// As many random bytes precede the reply.
     Noise(usize),
     /// The reply pauses before the byte at this place.
     Pause(usize, Duration),
@@ -48,28 +60,27 @@ pub enum Fault {
     Trickle(Duration),
     /// Every line feed becomes CR LF, as on a line that is not raw.
     CrLf,
-    /// The command is refused with this status, and not done.
+    /// The command is refused with this status, and not executed.
     Status(u8),
-    /// The sensor restarts when it has sent this many bytes of the reply: 19,200
+    /// The sensor restarts after it has sent this many bytes of the reply: 19,200
     /// baud, laser on, silent for its boot time.
     Reset(usize),
-    /// The link is hung up after this many bytes of the reply: its readers see
-    /// the end, and it has to be opened again.
+    /// The link is hung up after this many bytes of the reply: reads return the end
+    /// of the stream, and it has to be opened again.
     HangUp(usize),
-    /// Instead of the reply these bytes come over and over, as fast as the line
-    /// carries them, until the sensor is reset or gets other faults.
+    /// Instead of the reply these bytes are repeated, as fast as the line carries
+    /// them, until the sensor is reset or gets other faults.
     Endless(Vec<u8>),
 }
 
-/// Which replies are faulty, and how: scripted, drawn at random, or both.
+/// The faults of an emulated sensor: scripted, drawn at random, or both.
 ///
 /// Replies are numbered from 0 since the faults were set; a command that is not
 /// answered anyway has no number. A [`Sensor`](crate::Sensor) is opened with a
-/// fence and a `V`, and sends a fence after each reply that went wrong: their
-/// replies have numbers, too. To count from the first scan set the faults once the
-/// sensor is open ([`Emulator::set_faults`](super::Emulator::set_faults)). Random
-/// faults are drawn from [`seed`](Self::seed) alone: the same commands give the
-/// same faults.
+/// fence and a `V`, and sends a fence after each faulty reply: their replies are
+/// numbered, too. To count from the first scan set the faults once the sensor is
+/// open ([`Emulator::set_faults`](super::Emulator::set_faults)). Random faults are
+/// drawn from [`seed`](Self::seed) alone: the same commands meet the same faults.
 ///
 /// ```
 /// use std::time::Duration;
@@ -81,38 +92,39 @@ pub enum Fault {
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Faults {
-    pub(super) script: Vec<(When, Fault)>,
-    pub(super) rates: Vec<(f64, Drawn)>,
-    pub(super) seed: Option<u64>,
+    scripted: Vec<(Trigger, Fault)>,
+    random: Vec<(f64, RandomFault)>,
+    seed: Option<u64>,
 }
 
+/// The replies that a scripted fault applies to.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum When {
-    At(u64),
-    Every,
+enum Trigger {
+    Reply(u64),
+    EveryReply,
 }
 
-/// A fault whose particulars are drawn when it fires.
+/// A fault whose details are drawn for each reply, up to a limit.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Drawn {
+enum RandomFault {
     Late(Duration),
     Pause(Duration),
     Noise(usize),
     Reset,
     HangUp,
-    Just(Fault),
+    Constant(Fault),
 }
 
 impl Faults {
-    /// Nothing goes wrong.
+    /// Returns no faults.
     pub fn none() -> Self {
         Self::default()
     }
 
-    /// Adds a fault of one reply, the first one being number 0.
+    /// Adds a fault of one reply. The first reply is number 0.
     #[must_use]
     pub fn at(mut self, reply: u64, fault: Fault) -> Self {
-        self.script.push((When::At(reply), fault));
+        self.scripted.push((Trigger::Reply(reply), fault));
         self
     }
 
@@ -120,53 +132,53 @@ impl Faults {
     /// sensor that is silent.
     #[must_use]
     pub fn every(mut self, fault: Fault) -> Self {
-        self.script.push((When::Every, fault));
+        self.scripted.push((Trigger::EveryReply, fault));
         self
     }
 
     /// Adds a fault that each reply has with this probability, 0 to 1.
     #[must_use]
     pub fn rate(mut self, probability: f64, fault: Fault) -> Self {
-        self.rates.push((probability, Drawn::Just(fault)));
+        self.random.push((probability, RandomFault::Constant(fault)));
         self
     }
 
-    /// With this probability a reply is late by up to `longest`.
+    /// Delays a reply by up to `longest`, with this probability.
     #[must_use]
     pub fn late(mut self, probability: f64, longest: Duration) -> Self {
-        self.rates.push((probability, Drawn::Late(longest)));
+        self.random.push((probability, RandomFault::Late(longest)));
         self
     }
 
-    /// With this probability a reply pauses somewhere, for up to `longest`.
+    /// Interrupts a reply for up to `longest`, with this probability.
     #[must_use]
     pub fn paused(mut self, probability: f64, longest: Duration) -> Self {
-        self.rates.push((probability, Drawn::Pause(longest)));
+        self.random.push((probability, RandomFault::Pause(longest)));
         self
     }
 
-    /// With this probability up to `longest` random bytes precede a reply.
+    /// Sends up to `longest` random bytes before a reply, with this probability.
     #[must_use]
     pub fn noise(mut self, probability: f64, longest: usize) -> Self {
-        self.rates.push((probability, Drawn::Noise(longest)));
+        self.random.push((probability, RandomFault::Noise(longest)));
         self
     }
 
-    /// With this probability the sensor restarts somewhere within a reply.
+    /// Restarts the sensor within a reply, with this probability.
     #[must_use]
     pub fn reset(mut self, probability: f64) -> Self {
-        self.rates.push((probability, Drawn::Reset));
+        self.random.push((probability, RandomFault::Reset));
         self
     }
 
-    /// With this probability the link is hung up somewhere within a reply.
+    /// Hangs up the link within a reply, with this probability.
     #[must_use]
     pub fn hung_up(mut self, probability: f64) -> Self {
-        self.rates.push((probability, Drawn::HangUp));
+        self.random.push((probability, RandomFault::HangUp));
         self
     }
 
-    /// Draws from this seed. Without one the sensor's own seed is used.
+    /// Sets the seed of random faults: the sensor's own unless set.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = Some(seed);
@@ -174,9 +186,9 @@ impl Faults {
     }
 }
 
-/// How often each kind of fault has fired, drawn ones and scripted ones.
+/// The number of faults injected so far, by kind, scripted and random ones.
 ///
-/// A fault counts when it meets a reply, even if there it changes nothing.
+/// A fault counts when it is applied to a reply, even if it changes nothing there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct FaultCounts {
@@ -223,7 +235,7 @@ pub struct FaultCounts {
 }
 
 impl FaultCounts {
-    /// All of them together.
+    /// Returns the number of faults of all kinds.
     pub fn total(&self) -> u64 {
         let Self {
             command_lost,
@@ -254,7 +266,7 @@ impl FaultCounts {
             .sum()
     }
 
-    fn count(&mut self, fault: &Fault) {
+    fn add(&mut self, fault: &Fault) {
         let counter = match fault {
             Fault::CommandLost => &mut self.command_lost,
             Fault::Lost => &mut self.lost,
@@ -278,68 +290,5 @@ impl FaultCounts {
             Fault::Endless(_) => &mut self.endless,
         };
         *counter += 1;
-    }
-}
-
-/// Faults at work: which reply is next, and what has fired.
-#[derive(Debug)]
-pub(super) struct Mishaps {
-    faults: Faults,
-    random: Random,
-    next: u64,
-    pub(super) counts: FaultCounts,
-}
-
-impl Mishaps {
-    pub(super) fn new(faults: Faults, seed: u64) -> Self {
-        let random = Random::new(faults.seed.unwrap_or(seed));
-        Self { faults, random, next: 0, counts: FaultCounts::default() }
-    }
-
-    /// Other faults from now on; what has fired stays counted.
-    pub(super) fn replace(&mut self, faults: Faults, seed: u64) {
-        *self = Self { counts: self.counts, ..Self::new(faults, seed) };
-    }
-
-    /// The faults of the next reply, and a word of randomness for their places.
-    pub(super) fn draw(&mut self) -> (Vec<Fault>, Random) {
-        // One word a reply for all of it, so that no draw depends on an
-        // earlier reply's length or faults.
-        let mut random = Random::new(self.random.next());
-        let next = self.next;
-        self.next += 1;
-        let mut fired = Vec::new();
-        for (when, fault) in &self.faults.script {
-            if matches!(when, When::Every) || *when == When::At(next) {
-                fired.push(fault.clone());
-            }
-        }
-        for (probability, drawn) in &self.faults.rates {
-            if random.fraction() < *probability {
-                fired.push(drawn.fault(&mut random));
-            }
-        }
-        for fault in &fired {
-            self.counts.count(fault);
-        }
-        (fired, random)
-    }
-}
-
-impl Drawn {
-    fn fault(&self, random: &mut Random) -> Fault {
-        // A full reply has 1,576 bytes; in a shorter one places fall on its end.
-        let mut up_to = |longest: &Duration| longest.mul_f64(random.fraction());
-        match self {
-            Self::Late(longest) => Fault::Late(up_to(longest)),
-            Self::Pause(longest) => {
-                let pause = up_to(longest);
-                Fault::Pause(random.below(64) as usize, pause)
-            }
-            Self::Noise(longest) => Fault::Noise(random.below(*longest as u64 + 1) as usize),
-            Self::Reset => Fault::Reset(random.below(1600) as usize),
-            Self::HangUp => Fault::HangUp(random.below(1600) as usize),
-            Self::Just(fault) => fault.clone(),
-        }
     }
 }

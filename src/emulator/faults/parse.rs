@@ -1,0 +1,148 @@
+//! Faults as text in one line, as in `urg emulate --faults SPEC`.
+
+use std::str::FromStr;
+use std::time::Duration;
+
+use super::{Fault, Faults};
+
+/// The names of all faults that can be written down.
+const NAMES: &str = "late, lost, command-lost, damaged, doubled, merged, noise, pause, reset, \
+                     hang-up (each =PROBABILITY) and seed=NUMBER";
+const DEFAULT_LONGEST: Duration = Duration::from_secs(1);
+const DEFAULT_NOISE_BYTES: usize = 64;
+
+/// The error of parsing [`Faults`]: the part that is wrong, what was expected there
+/// and what was found.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("invalid fault `{part}`: {reason}")]
+pub struct InvalidFaults {
+    part: String,
+    reason: String,
+}
+
+impl FromStr for Faults {
+    type Err = InvalidFaults;
+
+    /// Parses faults such as `late=0.01:3s,lost=0.005,seed=7`.
+    ///
+    /// Each name is followed by the probability, 0 to 1, that a reply has the
+    /// fault: `late` (by up to 1 s, or by the time after the colon, `250ms` or `3s`),
+    /// `lost`, `command-lost`, `damaged`, `doubled`, `merged`, `noise` (up to 64
+    /// bytes, or the number after the colon), `pause` (up to 1 s, or the time after
+    /// the colon), `reset`, `hang-up`. An empty text means no faults.
+    fn from_str(text: &str) -> Result<Self, InvalidFaults> {
+        let mut parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
+        parts.try_fold(Self::none(), |faults, part| {
+            add(faults, part).map_err(|reason| InvalidFaults { part: part.to_owned(), reason })
+        })
+    }
+}
+
+/// Adds the fault that `part` describes. The error is the reason why it cannot.
+fn add(faults: Faults, part: &str) -> Result<Faults, String> {
+    let (name, value) = part.split_once('=').unwrap_or((part, ""));
+    if name == "seed" {
+        let seed = value.parse().map_err(|_| format!("expected seed=NUMBER, found `{value}`"))?;
+        return Ok(faults.seed(seed));
+    }
+    let (probability, detail) = match value.split_once(':') {
+        Some((probability, detail)) => (probability, Some(detail)),
+        None => (value, None),
+    };
+    match name {
+        "late" => Ok(faults.late(chance(probability)?, longest(detail)?)),
+        "pause" => Ok(faults.paused(chance(probability)?, longest(detail)?)),
+        "noise" => Ok(faults.noise(chance(probability)?, length(detail)?)),
+        "reset" => Ok(faults.reset(chance_alone(name, probability, detail)?)),
+        "hang-up" => Ok(faults.hung_up(chance_alone(name, probability, detail)?)),
+        _ => {
+            let fault = match name {
+                "lost" => Fault::Lost,
+                "command-lost" => Fault::CommandLost,
+                "damaged" => Fault::Damaged,
+                "doubled" => Fault::Doubled,
+                "merged" => Fault::Merged,
+                _ => return Err(format!("unknown name `{name}`, expected {NAMES}")),
+            };
+            Ok(faults.rate(chance_alone(name, probability, detail)?, fault))
+        }
+    }
+}
+
+/// Parses a probability.
+fn chance(text: &str) -> Result<f64, String> {
+    let probability = text.parse().ok().filter(|probability| (0.0..=1.0).contains(probability));
+    probability.ok_or_else(|| match text {
+        "" => "expected a probability from 0 to 1 after `=`".to_owned(),
+        _ => format!("expected a probability from 0 to 1, found {text}"),
+    })
+}
+
+/// Parses the probability of a fault that has no limit after a colon.
+fn chance_alone(name: &str, probability: &str, detail: Option<&str>) -> Result<f64, String> {
+    match detail {
+        Some(detail) => Err(format!("{name} takes no limit, found `:{detail}`")),
+        None => chance(probability),
+    }
+}
+
+fn longest(detail: Option<&str>) -> Result<Duration, String> {
+    let Some(text) = detail else { return Ok(DEFAULT_LONGEST) };
+    duration(text)
+        .ok_or_else(|| format!("expected a time such as 250ms or 3s after `:`, found `{text}`"))
+}
+
+fn length(detail: Option<&str>) -> Result<usize, String> {
+    let Some(text) = detail else { return Ok(DEFAULT_NOISE_BYTES) };
+    text.parse().map_err(|_| format!("expected a number of bytes after `:`, found `{text}`"))
+}
+
+fn duration(text: &str) -> Option<Duration> {
+    let (number, unit) = match text.strip_suffix("ms") {
+        Some(number) => (number, 0.001),
+        None => (text.strip_suffix('s')?, 1.0),
+    };
+    Duration::try_from_secs_f64(number.parse::<f64>().ok()? * unit).ok()
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_text_parses_to_the_calls_it_stands_for() {
+        let parsed: Faults = "late=0.01:3s, lost=0.005,noise=1:9,reset=0.1,seed=7".parse().unwrap();
+        let called = Faults::none()
+            .late(0.01, Duration::from_secs(3))
+            .rate(0.005, Fault::Lost)
+            .noise(1.0, 9)
+            .reset(0.1)
+            .seed(7);
+        assert_eq!(parsed, called);
+        assert_eq!("".parse(), Ok(Faults::none()));
+        assert_eq!(
+            "pause=1:250ms".parse(),
+            Ok(Faults::none().paused(1.0, Duration::from_millis(250)))
+        );
+    }
+
+    #[test]
+    fn an_error_names_the_part_what_was_expected_and_what_was_found() {
+        for (bad, reason) in [
+            ("late", "expected a probability from 0 to 1 after `=`"),
+            ("late=2", "expected a probability from 0 to 1, found 2"),
+            ("lost=NaN", "expected a probability from 0 to 1, found NaN"),
+            ("late=0.1:3", "expected a time such as 250ms or 3s after `:`, found `3`"),
+            ("pause=0.1:-3s", "expected a time such as 250ms or 3s after `:`, found `-3s`"),
+            ("noise=0.1:x", "expected a number of bytes after `:`, found `x`"),
+            ("lost=0.1:3s", "lost takes no limit, found `:3s`"),
+            ("seed=x", "expected seed=NUMBER, found `x`"),
+        ] {
+            let error = format!("lost=0.1,{bad}").parse::<Faults>().unwrap_err();
+            assert_eq!(error.to_string(), format!("invalid fault `{bad}`: {reason}"));
+        }
+        let error = "lots=0.1".parse::<Faults>().unwrap_err().to_string();
+        assert!(error.starts_with("invalid fault `lots=0.1`: unknown name `lots`, expected late,"));
+    }
+}

@@ -1,0 +1,192 @@
+//! [`Emulator`]: the handle to an emulated sensor.
+
+use std::sync::Arc;
+
+use tokio::time::Instant;
+
+use super::faults::{FaultCounts, Faults};
+use super::journal::{Counts, Received};
+use super::link::{HostBaudRate, Link};
+use super::scip::Mode;
+use super::shared::{Plugged, Shared};
+use super::timed_device::TimedDevice;
+use crate::{BaudRate, Connect, Error};
+
+/// A handle to an emulated sensor.
+///
+/// Clones are handles to the same sensor, which lives as long as any of them or
+/// of its links. It runs no task and no thread: each read, write or call of a
+/// method brings it up to date first. Without a link it costs nothing.
+///
+/// Methods that are not `async` never wait. They also work outside of a runtime.
+#[derive(Debug, Clone)]
+pub struct Emulator {
+    shared: Arc<Shared>,
+}
+
+impl Emulator {
+    pub(super) fn new(sensor: TimedDevice) -> Self {
+        Self { shared: Arc::new(Shared::new(sensor)) }
+    }
+
+    /// Opens a link in memory. A link that is already open is hung up: there is one
+    /// cable.
+    ///
+    /// With a sensor on RS-232 the link is at 19,200 baud until
+    /// [`set_baud_rate`](crate::Port::set_baud_rate). While the sensor is unplugged
+    /// the link is hung up from the start.
+    pub fn link(&self) -> Link {
+        self.open(match self.baud_rate() {
+            Some(_) => HostBaudRate::Set(BaudRate::B19200),
+            None => HostBaudRate::FollowsSensor,
+        })
+    }
+
+    /// Opens a link as [`link`](Self::link) does, through a bridge whose baud rate
+    /// cannot be changed by the host.
+    pub fn bridge(&self, baud_rate: BaudRate) -> Link {
+        self.open(HostBaudRate::Fixed(baud_rate))
+    }
+
+    pub(super) fn open(&self, baud_rate: HostBaudRate) -> Link {
+        let mut plugged = self.shared.lock();
+        plugged.links += 1;
+        let id = plugged.links;
+        let hung_up = plugged.reader.take();
+        if plugged.plugged_in && !plugged.sensor.is_gone {
+            let before = plugged.host;
+            plugged.sensor.advance(Instant::now(), before);
+            plugged.sensor.is_hung_up = false;
+            plugged.host = baud_rate.bits_per_second();
+            plugged.link = Some(id);
+        }
+        drop(plugged);
+        self.shared.link_changed.notify_waiters();
+        if let Some(reader) = hung_up {
+            reader.wake();
+        }
+        Link::new(Arc::clone(&self.shared), id, baud_rate)
+    }
+
+    /// Changes the sensor after all that was due before, and wakes the reader.
+    fn change(&self, change: impl FnOnce(&mut Plugged, Instant)) {
+        let mut plugged = self.shared.lock_now();
+        change(&mut plugged, Instant::now());
+        let reader = plugged.reader.take();
+        drop(plugged);
+        if let Some(reader) = reader {
+            reader.wake();
+        }
+    }
+
+    /// Pulls the cable. The open link is hung up, connecting fails with
+    /// [`Error::NoSuchPort`], and bytes on their way are lost. The sensor itself
+    /// keeps its power; for one that is powered by its cable call
+    /// [`power_cycle`](Self::power_cycle), too.
+    pub fn unplug(&self) {
+        self.change(|plugged, now| {
+            plugged.plugged_in = false;
+            plugged.link = None;
+            plugged.sensor.unplug(now);
+        });
+        self.shared.link_changed.notify_waiters();
+    }
+
+    /// Puts the cable back. Links that were hung up stay so.
+    pub fn plug_in(&self) {
+        self.change(|plugged, now| {
+            if !plugged.plugged_in {
+                // Drops what the sensor has sent in between.
+                plugged.sensor.unplug(now);
+            }
+            plugged.plugged_in = true;
+        });
+        self.shared.link_changed.notify_waiters();
+    }
+
+    /// Interrupts the power: from now on 19,200 baud, laser on, SCIP 1.1, and silent
+    /// for the boot time. An open link stays open.
+    pub fn power_cycle(&self) {
+        self.change(|plugged, now| plugged.sensor.power_cycle(now));
+    }
+
+    /// Replaces the faults from the next reply on, which is number 0 for the new
+    /// ones. The counts of faults are kept.
+    pub fn set_faults(&self, faults: Faults) {
+        self.change(|plugged, _| plugged.sensor.set_faults(faults));
+    }
+
+    /// Changes the serial number in the reply to `V`, as if another sensor had been
+    /// put in the place of this one.
+    pub fn set_serial_number(&self, serial_number: impl Into<String>) {
+        self.change(|plugged, _| plugged.sensor.device.serial_number = serial_number.into());
+    }
+
+    /// Changes the protocol that the sensor speaks.
+    pub fn set_mode(&self, mode: Mode) {
+        self.change(|plugged, now| plugged.sensor.set_mode(mode, now));
+    }
+
+    /// Sends bytes that were not asked for, behind those that are being sent.
+    pub fn inject(&self, bytes: impl Into<Vec<u8>>) {
+        self.change(|plugged, now| plugged.sensor.send_unasked(now, bytes.into()));
+    }
+
+    /// Returns whether the laser is on.
+    pub fn is_laser_on(&self) -> bool {
+        self.shared.lock_now().sensor.device.is_laser_on
+    }
+
+    /// Returns the sensor's baud rate, `None` on USB.
+    pub fn baud_rate(&self) -> Option<BaudRate> {
+        self.shared.lock_now().sensor.device.baud_rate
+    }
+
+    /// Returns whether a link is open and not hung up.
+    pub fn is_connected(&self) -> bool {
+        let plugged = self.shared.lock_now();
+        plugged.link.is_some() && !plugged.sensor.is_hung_up
+    }
+
+    /// Returns the counters of commands and replies.
+    pub fn counts(&self) -> Counts {
+        self.shared.lock_now().sensor.journal.counts
+    }
+
+    /// Returns the number of faults injected so far, by kind.
+    pub fn fault_counts(&self) -> FaultCounts {
+        self.shared.lock_now().sensor.faults.counts
+    }
+
+    /// Returns the last command lines that arrived, oldest first. Their number is
+    /// limited by [`Builder::log_capacity`](super::Builder::log_capacity).
+    pub fn log(&self) -> Vec<Received> {
+        self.shared.lock_now().sensor.journal.log()
+    }
+
+    #[cfg(all(unix, feature = "serial"))]
+    pub(super) async fn wait_until_plugged_in(&self) {
+        self.shared.wait_until(|plugged| plugged.plugged_in).await;
+    }
+}
+
+/// Opens a new [`Link`] to the same sensor each time.
+///
+/// Fails with [`Error::NoSuchPort`] while the sensor is unplugged and with
+/// [`Error::Busy`] while another link is open. Cancel-safe.
+impl Connect for Emulator {
+    type Port = Link;
+
+    async fn connect(&mut self) -> Result<Link, Error> {
+        let port = || "emulated".to_owned();
+        let (is_there, is_busy) = {
+            let plugged = self.shared.lock_now();
+            (plugged.plugged_in && !plugged.sensor.is_gone, plugged.link.is_some())
+        };
+        match (is_there, is_busy) {
+            (false, _) => Err(Error::NoSuchPort { port: port() }),
+            (true, true) => Err(Error::Busy { port: port() }),
+            (true, false) => Ok(self.link()),
+        }
+    }
+}

@@ -1,0 +1,65 @@
+//! The state that the handles to one emulated sensor and its links share.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::task::Waker;
+
+use tokio::sync::Notify;
+use tokio::time::Instant;
+
+use super::timed_device::TimedDevice;
+
+#[derive(Debug)]
+pub(super) struct Shared {
+    plugged: Mutex<Plugged>,
+    /// Notified when a link is opened or the cable is pulled or put back.
+    pub(super) link_changed: Notify,
+}
+
+/// The sensor, and what is plugged into it.
+#[derive(Debug)]
+pub(super) struct Plugged {
+    pub(super) sensor: TimedDevice,
+    pub(super) plugged_in: bool,
+    /// The id of the open link.
+    pub(super) link: Option<u64>,
+    /// The number of links opened so far.
+    pub(super) links: u64,
+    /// The baud rate of the host's end when it was last used.
+    pub(super) host: Option<u32>,
+    /// The task that waits for bytes from the sensor.
+    pub(super) reader: Option<Waker>,
+}
+
+impl Shared {
+    pub(super) fn new(sensor: TimedDevice) -> Self {
+        let plugged =
+            Plugged { sensor, plugged_in: true, link: None, links: 0, host: None, reader: None };
+        Self { plugged: Mutex::new(plugged), link_changed: Notify::new() }
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Plugged> {
+        // Only the user's `World` can panic under the lock. It is called before a
+        // reply is queued, so that the sensor stays consistent.
+        self.plugged.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Locks the sensor, brought up to date.
+    pub(super) fn lock_now(&self) -> MutexGuard<'_, Plugged> {
+        let mut plugged = self.lock();
+        let host = plugged.host;
+        plugged.sensor.advance(Instant::now(), host);
+        plugged
+    }
+
+    /// Waits until `condition` holds.
+    pub(super) async fn wait_until(&self, condition: impl Fn(&Plugged) -> bool) {
+        loop {
+            // Created before the check: a notification between the two is not lost.
+            let notified = self.link_changed.notified();
+            if condition(&self.lock()) {
+                return;
+            }
+            notified.await;
+        }
+    }
+}
