@@ -11,7 +11,7 @@ use divan::Bencher;
 use tokio_scip::Window;
 use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{Command, Reply};
-use tokio_util::codec::Decoder;
+use tokio_util::codec::{Decoder, Encoder};
 
 #[path = "../tests/common/prompt.rs"]
 mod prompt;
@@ -51,14 +51,17 @@ fn copy_to_new_block(bencher: Bencher) {
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
     let reply = full_scan();
-    let mut codec = ScipCodec::default();
+    let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
     let mut buffer = BytesMut::with_capacity(4096);
+    codec.encode(&command, &mut buffer).unwrap();
+    buffer.clear();
     let mut values = Vec::new();
     let mut shared = Arc::<[u16]>::from([0; 769]);
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
-        assert!(codec.decode_scan(black_box(Window::FULL), &mut buffer, &mut values));
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        Reply::parse_into(black_box(&command), &frame, &mut values).unwrap();
         Arc::get_mut(&mut shared).unwrap().copy_from_slice(&values);
         black_box(&mut shared);
     });
@@ -68,13 +71,16 @@ fn crate_decoder(bencher: Bencher) {
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_to_new_block(bencher: Bencher) {
     let reply = full_scan();
-    let mut codec = ScipCodec::default();
+    let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
     let mut buffer = BytesMut::with_capacity(4096);
+    codec.encode(&command, &mut buffer).unwrap();
+    buffer.clear();
     let mut values = Vec::new();
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
-        assert!(codec.decode_scan(black_box(Window::FULL), &mut buffer, &mut values));
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        Reply::parse_into(black_box(&command), &frame, &mut values).unwrap();
         drop(black_box(Arc::<[u16]>::from(&values[..])));
     });
 }

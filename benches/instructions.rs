@@ -6,8 +6,10 @@
 
 use bytes::BytesMut;
 use prompt::Prompt;
-use tokio_scip::codec::ScipCodec;
+use tokio_scip::codec::{Frame, ScipCodec};
+use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Rate, Sensor, Window};
+use tokio_util::codec::{Decoder, Encoder};
 
 #[path = "../tests/common/prompt.rs"]
 mod prompt;
@@ -30,10 +32,14 @@ fn decode(scans: usize) {
     let mut reply = Vec::new();
     prompt::reply(b"G00076801", &mut reply);
     let (mut codec, mut buffer, mut values) = (ScipCodec::default(), BytesMut::new(), Vec::new());
+    let command = Command::Distances(Window::FULL);
+    codec.encode(&command, &mut buffer).unwrap();
+    buffer.clear();
     for _ in 0..scans {
         buffer.reserve(4096);
         buffer.extend_from_slice(&reply);
-        assert!(codec.decode_scan(Window::FULL, &mut buffer, &mut values));
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        assert!(Reply::parse_into(&command, &frame, &mut values).is_ok());
         std::hint::black_box(&mut values);
     }
 }

@@ -165,6 +165,7 @@ impl MalformedCounts {
             ReplyError::Foreign { .. } => &mut self.echo,
             ReplyError::Scip2 { .. } => &mut self.status,
             ReplyError::Malformed(malformed) => match malformed {
+                Malformed::Echo { .. } => &mut self.echo,
                 Malformed::NoStatus | Malformed::Status { .. } => &mut self.status,
                 Malformed::Character { .. } => &mut self.character,
                 Malformed::Overlong { .. } | Malformed::NotRaw => &mut self.overlong,

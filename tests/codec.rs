@@ -4,7 +4,7 @@
 use bytes::BytesMut;
 use tokio_scip::Window;
 use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
-use tokio_scip::protocol::{BaudRate, Command};
+use tokio_scip::protocol::{BaudRate, Command, Reply};
 use tokio_util::codec::{Decoder, Encoder};
 
 /// Feeds `chunks` one after the other, and takes every frame as soon as it is
@@ -133,36 +133,58 @@ fn scan() -> (Window, &'static [u8], Vec<u16>) {
     (Window::new(0..=32).unwrap(), reply, values)
 }
 
+/// A codec that has encoded the `G` for `window`.
+fn expecting(window: Window) -> ScipCodec {
+    let mut codec = ScipCodec::default();
+    codec.encode(&Command::Distances(window), &mut BytesMut::new()).unwrap();
+    codec
+}
+
 #[test]
-fn a_scan_is_taken_in_one_pass_however_it_is_split() {
+fn an_expected_scan_is_the_frame_that_a_search_finds_however_it_is_split() {
     let (window, reply, expected) = scan();
     let bytes = [reply, reply, b"L1\n0\n\n"].concat();
     for split in 0..reply.len() {
-        let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&bytes[..split]));
-        let mut values = vec![];
-        assert!(!codec.decode_scan(window, &mut buffer, &mut values), "split at {split}");
+        let (mut codec, mut buffer) = (expecting(window), BytesMut::from(&bytes[..split]));
         assert_eq!(codec.decode(&mut buffer).unwrap(), None, "split at {split}");
         buffer.extend_from_slice(&bytes[split..]);
         for _ in 0..2 {
-            assert!(codec.decode_scan(window, &mut buffer, &mut values), "split at {split}");
+            let Some(Frame::Reply(frame)) = codec.decode(&mut buffer).unwrap() else { panic!() };
+            assert_eq!(frame, reply[..reply.len() - 2], "split at {split}");
+            let mut values = vec![];
+            Reply::parse_into(&Command::Distances(window), &frame, &mut values).unwrap();
             assert_eq!(values, expected);
         }
-        assert!(!codec.decode_scan(window, &mut buffer, &mut values));
         assert_eq!(codec.decode(&mut buffer).unwrap(), Some(self::reply(b"L1\n0")));
     }
 }
 
 #[test]
+fn w12_an_expected_scan_with_a_terminator_inside_is_malformed() {
+    let (window, reply, _) = scan();
+    let mut bytes = reply.to_vec();
+    bytes[20..22].copy_from_slice(b"\n\n");
+    let frames: Vec<Frame> = {
+        let (mut codec, mut buffer) = (expecting(window), BytesMut::from(&bytes[..]));
+        std::iter::from_fn(|| codec.decode(&mut buffer).unwrap()).collect()
+    };
+    for frame in &frames {
+        let Frame::Reply(frame) = frame else { panic!() };
+        assert!(Reply::parse(&Command::Distances(window), frame).is_err());
+    }
+    assert!(!frames.is_empty());
+}
+
+#[test]
 fn w19_a_scan_that_ends_an_over_long_reply_is_not_taken_for_one() {
     let (window, reply, _) = scan();
-    let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());
+    let (mut codec, mut buffer) = (expecting(window), BytesMut::new());
     buffer.extend_from_slice(&[b'G'; MAX_FRAME + 1]);
     assert_eq!(codec.decode(&mut buffer).unwrap(), None);
     // The last byte is still there: half a terminator it might be.
     assert_eq!(&*buffer, b"G");
     buffer.extend_from_slice(&reply[1..]);
     assert_eq!(&*buffer, reply);
-    assert!(!codec.decode_scan(window, &mut buffer, &mut vec![]));
     let bytes = MAX_FRAME + reply.len() - 2;
     assert_eq!(codec.decode(&mut buffer).unwrap(), Some(Frame::Overlong { bytes }));
 }

@@ -1,4 +1,4 @@
-//! The tap hears every frame that comes, as it came.
+//! The observer gets every frame that comes, as it came.
 
 use std::sync::{Arc, Mutex};
 
@@ -7,30 +7,30 @@ use tokio_scip::protocol::Command;
 use tokio_scip::{Sensor, Window};
 
 #[tokio::test(start_paused = true)]
-async fn the_tap_hears_good_and_damaged_replies_fences_and_foreign_frames() {
+async fn the_observer_gets_good_and_malformed_replies_fences_and_foreign_frames() {
     let emulator = Emulator::builder().world(Fixed::filled(1234)).build();
-    let heard = Arc::new(Mutex::new(Vec::new()));
-    let listener = Arc::clone(&heard);
+    let replies = Arc::new(Mutex::new(Vec::new()));
+    let sink = Arc::clone(&replies);
     let builder = Sensor::builder().on_reply(move |frame| {
         let text = String::from_utf8(frame.bytes.to_vec()).unwrap();
-        listener.lock().unwrap().push((frame.command, text, frame.stamp));
+        sink.lock().unwrap().push((frame.command, text, frame.stamp));
     });
     let sensor = builder.connect(emulator.clone()).await.unwrap();
-    heard.lock().unwrap().clear();
+    replies.lock().unwrap().clear();
     // Of the scan, of the laser.
     let foreign = Fault::Insert(0, b"X\n0\n\n".to_vec());
     emulator.set_faults(Faults::none().at(0, Fault::Drop(14..15)).at(3, foreign));
     let window = Window::new(384..=385).unwrap();
-    // Damaged, a fence, and then whole.
+    // Malformed, a fence, and then whole.
     let scan = sensor.scan(window).await.unwrap();
     assert_eq!(scan.values(), [1234, 1234]);
     sensor.laser_off().await.unwrap();
 
-    let heard = heard.lock().unwrap();
-    let found: Vec<_> = heard
+    let replies = replies.lock().unwrap();
+    let found: Vec<_> = replies
         .iter()
         .map(|(command, text, _)| match (command, text.split('\n').next().unwrap()) {
-            // Which step a fence asks for is the driver's affair.
+            // Which step a fence asks for is the driver's choice.
             (None, echo) if echo.starts_with('G') => (None, "a fence"),
             (command, echo) => (*command, echo),
         })
@@ -43,10 +43,11 @@ async fn the_tap_hears_good_and_damaged_replies_fences_and_foreign_frames() {
             (None, "a fence"),
             (Some(asked(383)), "G38338501"),
             (None, "X"),
+            (None, "a fence"),
             (Some(Command::LaserOff), "L0"),
             (None, "a fence"),
         ]
     );
-    assert_eq!(heard[0].1, "G38438501\n0\nCBB");
-    assert_eq!((heard[2].1.as_str(), heard[2].2), ("G38338501\n0\nCBCBCB", scan.stamp()));
+    assert_eq!(replies[0].1, "G38438501\n0\nCBB");
+    assert_eq!((replies[2].1.as_str(), replies[2].2), ("G38338501\n0\nCBCBCB", scan.stamp()));
 }

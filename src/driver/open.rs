@@ -6,28 +6,30 @@ use std::time::Duration;
 
 use tokio::time::{Instant, timeout};
 
-use super::Config;
-use super::line;
-use super::session::{Failure, Session};
-use super::unique_requests::UniqueRequests;
+use super::baud_rate;
+use super::config::Config;
+use super::exchange::ExchangeError;
+use super::fence::UniqueRequests;
+use super::laser::set_laser;
+use super::session::Session;
 use crate::port::Connect;
 use crate::protocol::{Command, Text, Version};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error};
 
-/// A turn of a URG's motor at 600 rpm.
-const TURN: Duration = Duration::from_millis(100);
+/// A revolution of a URG's motor at 600 rpm.
+const REVOLUTION: Duration = Duration::from_millis(100);
 /// How often a sensor is asked for its serial number before the last answer
 /// counts.
-const INTRODUCTIONS: usize = 4;
+const IDENTITY_TRIES: usize = 4;
 
-/// Opens the port, and brings the sensor behind it to where it was.
+/// Opens the port, and restores how the sensor behind it was set.
 pub(crate) struct Opener<C> {
     connect: C,
     config: Config,
     telemetry: Arc<Telemetry>,
     wanted: Wanted,
-    /// The speed at which the sensor was found last.
+    /// The baud rate at which the sensor was found last.
     found: Option<BaudRate>,
     /// The sensor that is expected: the one asked for, or the first one found.
     identity: Option<Text>,
@@ -39,8 +41,8 @@ pub(crate) struct Opener<C> {
     scan_time: Duration,
 }
 
-/// What the service has asked for, to be restored whenever the sensor may have
-/// forgotten it.
+/// The settings that the service has asked for, restored whenever the sensor may
+/// have lost them.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) laser: Option<bool>,
@@ -56,7 +58,7 @@ impl<C: Connect> Opener<C> {
             identity: config.serial_number.clone().or(asked),
             unique_requests: UniqueRequests::starting(config.seed()),
             opened: false,
-            scan_time: TURN,
+            scan_time: REVOLUTION,
             connect,
             config,
             telemetry,
@@ -67,7 +69,7 @@ impl<C: Connect> Opener<C> {
         &mut self.wanted
     }
 
-    /// A turn of the motor, as the sensor says.
+    /// The time of a revolution of the motor, as the sensor's version reports it.
     pub(crate) fn scan_time(&self) -> Duration {
         self.scan_time
     }
@@ -95,9 +97,10 @@ impl<C: Connect> Opener<C> {
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
         let telemetry = Arc::clone(&self.telemetry);
         let unique_requests = std::mem::take(&mut self.unique_requests);
-        let framed = line::framed(Box::new(port), self.config.observer.clone());
+        let Config { observer, reply_latency, .. } = &self.config;
+        let observer = observer.clone();
         let mut session =
-            Session::new(framed, self.config.reply_latency, unique_requests, telemetry);
+            Session::new(Box::new(port), *reply_latency, observer, unique_requests, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {
@@ -114,20 +117,18 @@ impl<C: Connect> Opener<C> {
 
     /// Finds the sensor again on a port that is still open.
     pub(crate) async fn find_again(&mut self, session: &mut Session) -> Result<(), Error> {
-        // One pass over the speeds; a port that brings nothing is reopened.
+        // One pass over the baud rates; a port that brings nothing is reopened.
         self.find(session, self.config.open_timeout / 2).await
     }
 
     async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), Error> {
         let outcome = async {
-            session.find(&self.baud_rates(), Instant::now() + limit).await?;
+            baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
             let version = self.identify(session).await?;
             self.restore(session).await?;
             Ok(version)
         };
-        let version = outcome.await.map_err(|failure| match failure {
-            Failure::Command(error) | Failure::Silent(error) | Failure::Line(error) => error,
-        })?;
+        let version = outcome.await.map_err(ExchangeError::into_error)?;
         self.telemetry.set_version(version);
         self.connect.found();
         self.found = session.baud_rate();
@@ -135,7 +136,7 @@ impl<C: Connect> Opener<C> {
         Ok(())
     }
 
-    /// All six, the likeliest first.
+    /// Returns all six, the likeliest first.
     fn baud_rates(&self) -> Vec<BaudRate> {
         let likely = self.found.into_iter().chain(self.wanted.baud_rate).chain([BaudRate::B19200]);
         let mut baud_rates = Vec::with_capacity(BaudRate::ALL.len());
@@ -147,13 +148,13 @@ impl<C: Connect> Opener<C> {
         baud_rates
     }
 
-    /// Asks who the sensor is, and makes sure that it is the right one.
-    async fn identify(&mut self, session: &mut Session) -> Result<Version, Failure> {
+    /// Reads the sensor's version, and fails if it is another sensor.
+    async fn identify(&mut self, session: &mut Session) -> Result<Version, ExchangeError> {
         let version = self.confirm_identity(session).await?;
         let found = &version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
-            return Err(Failure::Line(Error::AnotherSensor { expected, found }));
+            return Err(ExchangeError::Lost(Error::AnotherSensor { expected, found }));
         }
         let motor_speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);
@@ -163,18 +164,18 @@ impl<C: Connect> Opener<C> {
         Ok(version)
     }
 
-    /// Asks until the serial number can be believed, for a while: it is the
-    /// expected one, or comes twice in a row. Nothing else protects it, and one
-    /// flipped bit must neither turn a sensor away nor be expected ever after.
-    async fn confirm_identity(&mut self, session: &mut Session) -> Result<Version, Failure> {
+    /// Reads the version until its serial number is the expected one or comes
+    /// twice in a row, [`IDENTITY_TRIES`] times at most. No checksum protects it:
+    /// one flipped bit must neither reject a sensor nor be expected ever after.
+    async fn confirm_identity(&mut self, session: &mut Session) -> Result<Version, ExchangeError> {
         let mut version = ask_version(session).await?;
-        for _ in 1..INTRODUCTIONS {
+        for _ in 1..IDENTITY_TRIES {
             if self.identity.as_ref() == Some(&version.serial_number) {
                 break;
             }
             let before = version.serial_number;
             version = ask_version(session).await?;
-            // None at all where one is expected is damage, even twice.
+            // An empty serial number never counts as confirmed where one is expected.
             let counts = self.identity.is_none() || !before.is_empty();
             if counts && version.serial_number == before {
                 if !before.is_empty() {
@@ -187,26 +188,25 @@ impl<C: Connect> Opener<C> {
     }
 
     /// Sets the sensor as the service has asked for.
-    async fn restore(&mut self, session: &mut Session) -> Result<(), Failure> {
+    async fn restore(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         if let Some(baud_rate) = self.wanted.baud_rate
             && session.baud_rate().is_some_and(|now| now != baud_rate)
         {
-            match session.change_baud_rate(baud_rate).await {
-                // Scans at another speed are better than none.
-                Err(Failure::Command(error)) if self.opened => {
+            match baud_rate::change(session, baud_rate).await {
+                // Scans at another baud rate are better than none.
+                Err(ExchangeError::Command(error)) if self.opened => {
                     tracing::warn!(%error, "the baud rate is not restored");
                 }
                 outcome => outcome?,
             }
         }
         if let Some(on) = self.wanted.laser {
-            session.set_laser(on).await?;
+            set_laser(session, on).await?;
         }
         Ok(())
     }
 }
 
-async fn ask_version(session: &mut Session) -> Result<Version, Failure> {
-    let (version, _) = session.command_twice(Command::Version, Version::from_reply).await?;
-    Ok(version)
+async fn ask_version(session: &mut Session) -> Result<Version, ExchangeError> {
+    session.command_twice(Command::Version, Version::from_reply).await
 }

@@ -44,7 +44,7 @@ struct Schedule {
 
 /// A poll that is due.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Poll {
+pub(crate) struct DuePoll {
     pub(crate) window: Window,
     pub(crate) rate: Rate,
 }
@@ -103,18 +103,23 @@ impl Schedules {
 
     /// Takes the poll that has been due for longest, and how many places on its
     /// grid went by unused. Schedules without readers end here.
-    pub(crate) fn take_due(&mut self, now: Instant) -> Option<(Poll, u64)> {
+    pub(crate) fn take_due(&mut self, now: Instant) -> Option<(DuePoll, u64)> {
         self.drop_unread();
         let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
         if schedule.due > now {
             return None;
         }
         let skipped = schedule.advance(now);
-        Some((Poll { window: schedule.window, rate: schedule.rate }, skipped))
+        Some((DuePoll { window: schedule.window, rate: schedule.rate }, skipped))
     }
 
     /// Delivers the values that `poll` brought.
-    pub(crate) fn deliver(&mut self, poll: Poll, values: &[u16], mut meta: ScanMeta) -> Delivered {
+    pub(crate) fn deliver(
+        &mut self,
+        poll: DuePoll,
+        values: &[u16],
+        mut meta: ScanMeta,
+    ) -> Delivered {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
         meta.sequence = schedule.sequence;
         meta.repeat = schedule.previous.as_deref() == Some(values);
@@ -136,7 +141,7 @@ impl Schedules {
     }
 
     /// Reports the error of one poll.
-    pub(crate) fn fail(&mut self, poll: Poll, error: &Error) {
+    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return };
         let now = Instant::now();
         schedule.report(error);
@@ -354,7 +359,7 @@ mod tests {
     async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
         let (window, rate) = (Window::single(384), Rate::MAX);
         let (mut schedules, mut readers) = schedules(&[(window, rate)]);
-        let poll = Poll { window, rate };
+        let poll = DuePoll { window, rate };
         let now = Instant::now();
         let meta = ScanMeta {
             sequence: 0,

@@ -5,10 +5,14 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until};
 
+use super::baud_rate;
+use super::exchange::ExchangeError;
+use super::laser::set_laser;
 use super::open::Wanted;
 use super::request::{Abandoned, Promise, Request, RequestQueue};
-use super::schedule::{Poll, Schedules};
-use super::session::{Failure, Session, Timing};
+use super::schedule::{DuePoll, Schedules};
+use super::session::Session;
+use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
@@ -26,7 +30,7 @@ pub(crate) enum Stop {
     Abandoned,
     /// The sensor does not answer any more.
     Silent(Error),
-    /// The port is of no use any more.
+    /// The link is lost: the port is of no use any more.
     Lost(Error),
 }
 
@@ -53,6 +57,8 @@ pub(crate) struct Service<'a> {
     pub(crate) wanted: &'a mut Wanted,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
+    /// The values of the latest reply, in one buffer for all polls.
+    pub(crate) values: &'a mut Vec<u16>,
 }
 
 impl Service<'_> {
@@ -87,7 +93,7 @@ impl Service<'_> {
         }
         *request_served = false;
         if poll_is_due {
-            return self.poll(session).await;
+            return self.poll_due(session).await;
         }
         tokio::select! {
             biased;
@@ -100,10 +106,10 @@ impl Service<'_> {
 
     /// Raises a fence. If it is answered with a distance while the laser should
     /// be off, the sensor was reset: it is told again.
-    async fn resynchronise(&mut self, session: &mut Session) -> Result<(), Failure> {
+    async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         let status = session.settle().await?;
         if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
-            session.set_laser(false).await?;
+            set_laser(session, false).await?;
         }
         Ok(())
     }
@@ -120,19 +126,19 @@ impl Service<'_> {
                 // Also if it fails: what was asked for is restored whenever the
                 // sensor is found again.
                 self.wanted.laser = Some(on);
-                let outcome = session.set_laser(on).await;
+                let outcome = set_laser(session, on).await;
                 if on {
                     self.schedules.resume(Instant::now());
                 }
                 self.respond(promise, outcome)
             }
             Request::BaudRate { baud_rate, promise } => {
-                let mut outcome = session.change_baud_rate(baud_rate).await;
+                let mut outcome = baud_rate::change(session, baud_rate).await;
                 if outcome.is_ok() {
                     self.wanted.baud_rate = Some(baud_rate);
                     if self.wanted.laser == Some(false) {
                         // The sensor may have restarted unseen.
-                        outcome = session.set_laser(false).await;
+                        outcome = set_laser(session, false).await;
                     }
                 }
                 self.telemetry.set_baud_rate(session.baud_rate());
@@ -152,33 +158,35 @@ impl Service<'_> {
         }
     }
 
-    async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, Failure> {
+    async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
         if self.wanted.laser == Some(false) {
-            return Err(Failure::Command(Error::LaserOff));
+            return Err(ExchangeError::Command(Error::LaserOff));
         }
         let (scan_time, mut tries) = (self.scan_time, 2);
         loop {
             tries -= 1;
             match self.poll_with_laser(session, window).await {
                 Ok(timing) => {
-                    let values: Arc<[u16]> = session.values().into();
+                    let values: Arc<[u16]> = self.values.as_slice().into();
                     return Ok(Scan::new(window, values, 0, meta(timing, scan_time)));
                 }
-                Err(Failure::Command(Error::Timeout { .. } | Error::Malformed { .. }))
+                Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
                     if tries > 0 => {}
                 Err(failure) => return Err(failure),
             }
         }
     }
 
-    async fn poll(&mut self, session: &mut Session) -> Result<(), Stop> {
+    async fn poll_due(&mut self, session: &mut Session) -> Result<(), Stop> {
         let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
             self.note_schedules();
             return Ok(());
         };
         let (outcome, repeats) = match self.poll_with_laser(session, poll.window).await {
-            Ok(timing) => (Ok(()), u64::from(self.deliver(poll, session.values(), timing))),
-            Err(failure) => (survivable(failure).map(|error| self.schedules.fail(poll, &error)), 0),
+            Ok(timing) => (Ok(()), u64::from(self.deliver(poll, timing))),
+            Err(failure) => {
+                (command_error(failure).map(|error| self.schedules.fail(poll, &error)), 0)
+            }
         };
         let mut stats = self.telemetry.stats();
         stats.repeats += repeats;
@@ -190,8 +198,9 @@ impl Service<'_> {
     }
 
     /// Delivers a scan; gives whether its values are those of the one before.
-    fn deliver(&mut self, poll: Poll, values: &[u16], timing: Timing) -> bool {
-        let delivered = self.schedules.deliver(poll, values, meta(timing, self.scan_time));
+    fn deliver(&mut self, poll: DuePoll, timing: Timing) -> bool {
+        let meta = meta(timing, self.scan_time);
+        let delivered = self.schedules.deliver(poll, self.values, meta);
         if let Some(slow) = delivered.slow {
             tracing::warn!(
                 window = %poll.window, asked = %poll.rate, reached = slow.reached,
@@ -207,22 +216,26 @@ impl Service<'_> {
         &mut self,
         session: &mut Session,
         window: Window,
-    ) -> Result<Timing, Failure> {
-        match session.poll(window).await {
-            Err(Failure::Command(Error::Refused { status: LASER_IS_OFF, .. })) => {
-                session.set_laser(true).await?;
+    ) -> Result<Timing, ExchangeError> {
+        match session.poll(window, self.values).await {
+            Err(ExchangeError::Command(Error::Refused { status: LASER_IS_OFF, .. })) => {
+                set_laser(session, true).await?;
                 tracing::info!("the sensor's laser was off: it is switched on");
-                session.poll(window).await
+                session.poll(window, self.values).await
             }
             outcome => outcome,
         }
     }
 
     /// Answers a request; a failure of the line is also a reason to stop.
-    fn respond<T>(&self, promise: Promise<T>, outcome: Result<T, Failure>) -> Result<(), Stop> {
+    fn respond<T>(
+        &self,
+        promise: Promise<T>,
+        outcome: Result<T, ExchangeError>,
+    ) -> Result<(), Stop> {
         let (answer, stop) = match outcome {
             Ok(answer) => (Ok(answer), Ok(())),
-            Err(failure) => match survivable(failure) {
+            Err(failure) => match command_error(failure) {
                 Ok(error) => (Err(error), Ok(())),
                 Err(stop) => (Err(stop.cause()), Err(stop)),
             },
@@ -238,16 +251,16 @@ impl Service<'_> {
 }
 
 /// The error of a command, if that is all that failed.
-fn survivable(failure: Failure) -> Result<Error, Stop> {
+fn command_error(failure: ExchangeError) -> Result<Error, Stop> {
     match failure {
-        Failure::Command(error) => Ok(error),
-        Failure::Silent(error) => Err(Stop::Silent(error)),
-        Failure::Line(error) => Err(Stop::Lost(error)),
+        ExchangeError::Command(error) => Ok(error),
+        ExchangeError::Silent(error) => Err(Stop::Silent(error)),
+        ExchangeError::Lost(error) => Err(Stop::Lost(error)),
     }
 }
 
-fn ignore_command_errors(outcome: Result<(), Failure>) -> Result<(), Stop> {
-    outcome.or_else(|failure| survivable(failure).map(drop))
+fn ignore_command_errors(outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
+    outcome.or_else(|failure| command_error(failure).map(drop))
 }
 
 fn meta(timing: Timing, scan_time: Duration) -> ScanMeta {

@@ -4,13 +4,13 @@
 use std::future::Future;
 use std::mem::discriminant;
 use std::sync::Arc;
-use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
 
-use super::Config;
+use super::backoff::Backoff;
+use super::config::Config;
 use super::open::Opener;
-use super::request::{Promise, RequestQueue, Unlinked};
+use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
@@ -25,6 +25,8 @@ pub(crate) struct Supervisor<C> {
     _closing: Closing,
     opener: Opener<C>,
     offline: OfflineQueue,
+    /// The buffer that replies are decoded into.
+    values: Vec<u16>,
     backoff: Backoff,
     config: Config,
     telemetry: Arc<Telemetry>,
@@ -34,12 +36,6 @@ pub(crate) struct Supervisor<C> {
 struct OfflineQueue {
     queue: RequestQueue,
     schedules: Schedules,
-}
-
-/// Why a driver ends.
-enum End {
-    Closed(Option<Promise<()>>),
-    Failed(Error),
 }
 
 impl<C: Connect> Supervisor<C> {
@@ -55,7 +51,8 @@ impl<C: Connect> Supervisor<C> {
             _closing: Closing(Arc::clone(&telemetry)),
             opener,
             offline: OfflineQueue { queue, schedules },
-            backoff: Backoff::new(&config),
+            values: Vec::new(),
+            backoff: Backoff::new(config.backoff, config.seed()),
             config,
             telemetry,
         }
@@ -64,8 +61,9 @@ impl<C: Connect> Supervisor<C> {
     /// Runs until the driver is closed, abandoned, or out of luck.
     pub(crate) async fn run(mut self) -> Result<(), Error> {
         let (error, promise) = match self.supervise().await {
-            End::Closed(promise) => (None, promise),
-            End::Failed(error) => (Some(error), None),
+            Stop::Closed(promise) => (None, Some(promise)),
+            Stop::Abandoned => (None, None),
+            Stop::Silent(error) | Stop::Lost(error) => (Some(error), None),
         };
         self.telemetry.enter(State::Closed { error: error.clone() });
         self.offline.schedules.end(error.as_ref());
@@ -77,24 +75,24 @@ impl<C: Connect> Supervisor<C> {
         error.map_or(Ok(()), Err)
     }
 
-    async fn supervise(&mut self) -> End {
+    /// Returns why the driver has to end.
+    async fn supervise(&mut self) -> Stop {
         let mut session = match self.open_first().await {
             Ok(session) => session,
-            Err(end) => return end,
+            Err(stop) => return stop,
         };
         loop {
             let since = Instant::now();
             let stop = self.serve(&mut session).await;
-            self.backoff.lasted(since.elapsed());
+            self.backoff.note_uptime(since.elapsed());
             let next = match stop {
-                Stop::Closed(promise) => return End::Closed(Some(promise)),
-                Stop::Abandoned => return End::Closed(None),
+                Stop::Closed(_) | Stop::Abandoned => return stop,
                 Stop::Silent(error) => self.recover(session, error).await,
                 Stop::Lost(error) => self.reconnect(session, error).await,
             };
             session = match next {
                 Ok(session) => session,
-                Err(end) => return end,
+                Err(stop) => return stop,
             };
         }
     }
@@ -109,11 +107,12 @@ impl<C: Connect> Supervisor<C> {
             wanted: self.opener.wanted(),
             telemetry: &self.telemetry,
             scan_time,
+            values: &mut self.values,
         };
         service.run(session).await
     }
 
-    async fn open_first(&mut self) -> Result<Session, End> {
+    async fn open_first(&mut self) -> Result<Session, Stop> {
         let mut latest = None;
         loop {
             let error = match self.offline.attend(None, self.opener.open()).await? {
@@ -124,7 +123,7 @@ impl<C: Connect> Supervisor<C> {
             // the system has set its owner: only twice is for good.
             let again = latest.replace(discriminant(&error)) == Some(discriminant(&error));
             if !self.config.wait_for_sensor || again && !error.is_transient() {
-                return Err(End::Failed(error));
+                return Err(Stop::Lost(error));
             }
             self.telemetry.enter(State::Connecting { error: Some(error) });
             self.offline.attend(None, sleep(self.backoff.next())).await?;
@@ -133,7 +132,7 @@ impl<C: Connect> Supervisor<C> {
 
     /// Looks for a silent sensor on the port that is open; it may have been
     /// reset, and speak at another speed.
-    async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, End> {
+    async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
         let found = self.offline.attend(Some(&error), self.opener.find_again(&mut session)).await?;
         match found {
@@ -148,7 +147,7 @@ impl<C: Connect> Supervisor<C> {
         }
     }
 
-    async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, End> {
+    async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, Stop> {
         // First, or the system could not give the port the same name again.
         self.opener.close(session);
         let error = match cause {
@@ -157,7 +156,7 @@ impl<C: Connect> Supervisor<C> {
         };
         self.telemetry.stats().disconnects += 1;
         if !self.config.reconnect {
-            return Err(End::Failed(error));
+            return Err(Stop::Lost(error));
         }
         self.offline.schedules.fail_all(&error);
         self.offline.schedules.note(&mut self.telemetry.stats().schedules);
@@ -190,7 +189,7 @@ impl OfflineQueue {
         &mut self,
         trouble: Option<&Error>,
         work: impl Future<Output = T>,
-    ) -> Result<T, End> {
+    ) -> Result<T, Stop> {
         tokio::pin!(work);
         loop {
             tokio::select! {
@@ -201,8 +200,8 @@ impl OfflineQueue {
                         // A stream that nobody took is a stream that was dropped.
                         let _ = promise.send(Ok(self.schedules.subscribe(window, rate, trouble)));
                     }
-                    Ok(Unlinked::Close(promise)) => return Err(End::Closed(Some(promise))),
-                    Err(_) => return Err(End::Closed(None)),
+                    Ok(Unlinked::Close(promise)) => return Err(Stop::Closed(promise)),
+                    Err(_) => return Err(Stop::Abandoned),
                 }
             }
         }
@@ -217,38 +216,5 @@ impl Drop for Closing {
         if !self.0.is_closed() {
             self.0.enter(State::Closed { error: None });
         }
-    }
-}
-
-/// Ever longer waits, each a little off, so that many drivers that lost a bus
-/// together do not come back together.
-struct Backoff {
-    shortest: Duration,
-    longest: Duration,
-    next: Duration,
-    seed: u64,
-}
-
-impl Backoff {
-    fn new(config: &Config) -> Self {
-        let (shortest, longest) = config.backoff;
-        Self { shortest, longest, next: shortest, seed: config.seed() }
-    }
-
-    /// A link was there for so long. One that comes and goes is not reopened
-    /// in a hurry: only what outlasts the next wait begins anew.
-    fn lasted(&mut self, up: Duration) {
-        if up > self.next {
-            self.next = self.shortest;
-        }
-    }
-
-    fn next(&mut self) -> Duration {
-        // A step of a linear congruential generator; its upper bits are good.
-        self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-        let jitter = 1.0 + 0.1 * (self.seed >> 40) as f64 / f64::from(1 << 24);
-        let wait = self.next;
-        self.next = (wait * 2).min(self.longest);
-        wait.mul_f64(jitter)
     }
 }

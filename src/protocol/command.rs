@@ -50,10 +50,11 @@ impl Command {
                 out.push(RESERVED);
             }
             Self::Distances(window) => {
-                out.push(b"G");
-                out.push(&digits::<3>(window.start().number()));
-                out.push(&digits::<3>(window.end().number()));
-                out.push(&digits::<2>(u16::from(window.cluster_count())));
+                // At once: a reply is compared with these bytes for each scan.
+                let [a, b, c] = digits(window.start().number());
+                let [d, e, f] = digits(window.end().number());
+                let [g, h] = digits(u16::from(window.cluster_count()));
+                out.push(&[b'G', a, b, c, d, e, f, g, h]);
             }
         }
         out

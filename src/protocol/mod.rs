@@ -29,7 +29,6 @@ mod window;
 pub use baud::{BaudRate, UnknownBaudRate};
 pub use command::{Command, CommandBytes};
 pub use measurement::{ErrorCode, Measurement, UnknownErrorCode};
-pub(crate) use reply::decode_scan;
 pub use reply::{Malformed, Reply, ReplyError, Status};
 pub use text::Text;
 pub use version::{Specification, Version};

@@ -87,47 +87,75 @@ pub struct Reply<'a> {
     data: &'a [u8],
 }
 
-impl Reply<'static> {
-    /// What is left of a scan whose values were taken: success, and no data.
-    pub(crate) const SCAN: Self = Self { status: Status::OK, data: &[] };
-}
-
 impl<'a> Reply<'a> {
     /// Validates `frame`, a reply without its terminator, against `command`.
     ///
     /// # Errors
     ///
-    /// [`ReplyError`] unless the frame is exactly what a sensor that speaks
-    /// SCIP 1.1 answers to this very command: the same bytes back, a status of
-    /// one character, and data of the right shape after success, none after
-    /// anything else.
+    /// Returns a [`ReplyError`] unless the frame is exactly what a sensor that
+    /// speaks SCIP 1.1 answers to this very command: the same bytes back, a
+    /// status of one character, and data of the right shape after success, none
+    /// after anything else.
     pub fn parse(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
-        let (echo, rest) = split_line(frame);
-        if echo != &*command.bytes() {
-            return Err(match rest.map(split_line) {
-                // `MD` and `MS` stream by themselves in SCIP 2.
-                Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
-                    ReplyError::Scip2 { status: status.into() }
-                }
-                _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
-            });
+        // On the stack: the check decodes all values, and nobody keeps them.
+        let mut values = [0; Window::FULL.points()];
+        let values = values.get_mut(..points(command)).unwrap_or_default();
+        Self::parse_slice(command, frame, values)
+    }
+
+    /// Parses like [`parse`](Self::parse), and replaces `values` by those of the
+    /// reply, 0..=4095 each, in the order of their steps: one pass for both.
+    /// `values` is empty afterwards unless the reply is a success to a `G`.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`parse`](Self::parse).
+    ///
+    /// ```
+    /// use tokio_scip::protocol::{Command, Reply, Window};
+    ///
+    /// let command = Command::Distances(Window::new(384..=385)?);
+    /// let mut values = Vec::new();
+    /// Reply::parse_into(&command, b"G38438501\n0\nCB06", &mut values)?;
+    /// assert_eq!(values, [1234, 6]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn parse_into(
+        command: &Command,
+        frame: &'a [u8],
+        values: &mut Vec<u16>,
+    ) -> Result<Self, ReplyError> {
+        // Does nothing if the previous reply had as many.
+        values.resize(points(command), 0);
+        let outcome = Self::parse_slice(command, frame, values);
+        match &outcome {
+            Ok(reply) if reply.status.is_ok() => {}
+            _ => values.clear(),
         }
-        let Some(rest) = rest else { return Err(Malformed::NoStatus.into()) };
-        let (line, data) = split_line(rest);
-        if is_scip2(line) {
-            return Err(ReplyError::Scip2 { status: line.into() });
-        }
-        // No sensor uses a byte outside of printable ASCII as a status: it is damage.
-        let &[status @ b'!'..=b'~'] = line else {
-            return Err(Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into());
+        outcome
+    }
+
+    /// Parses, and replaces `values`, one for each [point](points) of the command.
+    fn parse_slice(
+        command: &Command,
+        frame: &'a [u8],
+        values: &mut [u16],
+    ) -> Result<Self, ReplyError> {
+        let rest = match frame.strip_prefix(&*command.bytes()) {
+            Some([b'\n', rest @ ..]) => rest,
+            Some([]) => return Err(Malformed::NoStatus.into()),
+            _ => return Err(foreign(frame)),
         };
-        let status = Status(status);
+        // No sensor uses a byte outside of printable ASCII as a status: it is damage.
+        let (status, data) = match rest {
+            [status @ b'!'..=b'~', b'\n', data @ ..] => (Status(*status), Some(data)),
+            [status @ b'!'..=b'~'] => (Status(*status), None),
+            _ => return Err(no_status(rest)),
+        };
         match (data, status.is_ok(), command) {
             (Some(data), true, Command::Distances(window)) => {
-                let mut values = [0; Window::FULL.points()];
-                let points = window.points();
-                if !values.get_mut(..points).is_some_and(|values| decode(data, values)) {
-                    find_fault(data, points * 2)?;
+                if !decode(data, values) {
+                    find_fault(data, window.points() * 2)?;
                 }
                 Ok(Self { status, data })
             }
@@ -180,20 +208,6 @@ impl<'a> Reply<'a> {
     }
 }
 
-/// Replaces `values` by those of `frame` if it is the reply of success to the `G`
-/// for `window`, and returns whether it is: all that
-/// [`Reply::parse`] and [`Reply::values_into`] do then, in one pass.
-pub(crate) fn decode_scan(window: Window, frame: &[u8], values: &mut Vec<u16>) -> bool {
-    // Does nothing where there were as many before.
-    values.resize(window.points(), 0);
-    let command = Command::Distances(window).bytes();
-    let Some((echo, [b'\n', b'0', b'\n', data @ ..])) = frame.split_at_checked(command.len())
-    else {
-        return false;
-    };
-    echo.iter().eq(command.iter()) && decode(data, values)
-}
-
 /// Decodes the data of a `G` reply into `values`, and returns whether it has the
 /// shape for so many: true if [`find_fault`] finds none, many times as fast.
 fn decode(data: &[u8], values: &mut [u16]) -> bool {
@@ -229,10 +243,41 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     if left == 0 { Ok(()) } else { Err(Malformed::Short { expected, found: expected - left }) }
 }
 
-/// Splits off the first line; the rest is `None` without an LF.
+/// Returns the number of values in a reply of success to `command`.
+fn points(command: &Command) -> usize {
+    match command {
+        Command::Distances(window) => window.points(),
+        _ => 0,
+    }
+}
+
+/// Returns the error for a reply whose status line, at the front of `rest`, is
+/// not one printable character.
+fn no_status(rest: &[u8]) -> ReplyError {
+    let (line, _) = split_line(rest);
+    if is_scip2(line) {
+        return ReplyError::Scip2 { status: line.into() };
+    }
+    Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into()
+}
+
+/// Returns the error for a frame that does not begin with its command.
+fn foreign(frame: &[u8]) -> ReplyError {
+    let (echo, rest) = split_line(frame);
+    match rest.map(split_line) {
+        // `MD` and `MS` stream by themselves in SCIP 2.
+        Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
+            ReplyError::Scip2 { status: status.into() }
+        }
+        _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
+    }
+}
+
+/// Returns the first line, and what follows its LF if there is one.
 fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
-    let mut parts = bytes.splitn(2, |&byte| byte == b'\n');
-    (parts.next().unwrap_or_default(), parts.next())
+    let length = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
+    let (line, rest) = bytes.split_at_checked(length).unwrap_or((bytes, b""));
+    (line, rest.get(1..))
 }
 
 /// Returns true for a status of SCIP 2: two characters and their checksum, which is the
@@ -276,6 +321,13 @@ pub enum ReplyError {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Malformed {
+    /// It does not begin with the command: the echo was damaged, something came
+    /// before it, or it is the reply to another command.
+    #[error("the reply begins with \"{found}\", where the command was expected")]
+    Echo {
+        /// How it begins.
+        found: Text,
+    },
     /// The reply ends after its echo.
     #[error("expected a status after the echo, found the end of the reply")]
     NoStatus,

@@ -6,6 +6,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
 use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
+use tokio_scip::protocol::Malformed;
 use tokio_scip::{Error, Rate, State, Window};
 
 use super::rig::{lies, open, prompt, scans, second_poll};
@@ -67,13 +68,51 @@ async fn w16_w18_a_scan_comes_through_a_line_that_gives_one_byte_at_a_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w17_replies_that_nobody_asked_for_in_front_of_the_right_one_are_passed_over() {
-    let others = b"L1\n0\n\nV\n0\nVEND:x\n\nG00000001\n0\n00\n\n\n\nG04472501\n6\n\n";
-    let outcome = second_poll(WINDOW, &[Fault::Garbage(others.to_vec())]).await;
-    assert!(outcome.accepted && outcome.errors.is_empty(), "{outcome:?}");
-    assert_eq!(outcome.stats.malformed.echo, 5);
-    assert_eq!(outcome.stats.bytes_skipped, others.len() as u64);
-    assert!(outcome.stats.fences > 1, "that something came raises no fence");
+async fn w17_replies_that_nobody_asked_for_in_front_of_the_right_one_are_not_taken_for_it() {
+    let few = b"L1\n0\n\nV\n0\nVEND:x\n\nG00000001\n0\n00\n\n\n\nG04472501\n6\n\n";
+    // As many points as the second poll has, and another echo.
+    let lines = ("0".repeat(64) + "\n").repeat(21) + &"0".repeat(22);
+    let alike = format!("G04272401\n0\n{lines}\n\n");
+    for others in [&few[..], alike.as_bytes()] {
+        let outcome = second_poll(WINDOW, &[Fault::Garbage(others.to_vec())]).await;
+        assert!(!outcome.accepted, "{outcome:?}");
+        let [Error::Malformed { source: Malformed::Echo { found }, .. }] = &outcome.errors[..]
+        else {
+            panic!("{outcome:?}")
+        };
+        assert!(others.starts_with(found.as_bytes()), "{found}");
+        assert!(outcome.stats.malformed.echo >= 1);
+        // The right reply, too: it came too late.
+        assert!(outcome.stats.bytes_skipped >= others.len() as u64);
+        assert_eq!(outcome.stats.fences, 2);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
+    let faults = [
+        Fault::Drop(4..5),
+        Fault::Insert(4, b"7".to_vec()),
+        Fault::Flip(4, 1),
+        Fault::Garbage(b"garbage".to_vec()),
+        Fault::Garbage(b"garbage\n".to_vec()),
+        Fault::Garbage(vec![b'x'; 5000]),
+    ];
+    for fault in faults {
+        let emulator = prompt().build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        scans(&mut stream, 1).await;
+        emulator.set_faults(Faults::none().at(0, fault.clone()));
+        let start = Instant::now();
+        let error = stream.next().await.unwrap().unwrap_err();
+        let source = std::error::Error::source(&error).unwrap().to_string();
+        assert!(source.contains("expected") || source.contains("two LFs"), "{fault:?}: {source}");
+        scans(&mut stream, 1).await;
+        // Malformed at the poll that is due after 100 ms, whole at the next one.
+        assert!(start.elapsed() <= ms(250), "{fault:?}: {:?}", start.elapsed());
+        assert_eq!(sensor.stats().timeouts, 0, "{fault:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,12 +1,12 @@
-//! Chooses what each `G` asks for, so that its echo tells its reply from those
-//! to other `G`s that may still be on their way.
+//! [`UniqueRequests`]: chooses what each `G` asks for, so that its echo differs
+//! from that of every other `G` whose reply may still be on its way.
 
 use crate::Window;
 
-/// How many steps a fence can have.
+/// The number of steps that a fence can ask for.
 const STEPS: u16 = 769;
 
-/// What was asked for lately.
+/// The windows asked for lately.
 #[derive(Debug, Default)]
 pub(crate) struct UniqueRequests {
     /// The windows of the last `G`s, polls and fences, the newest first.
@@ -19,19 +19,19 @@ pub(crate) struct UniqueRequests {
 }
 
 impl UniqueRequests {
-    /// Begins anywhere: what a program that has ended asked for may still be
-    /// answered, and must not be answered to the first fence of the next one.
+    /// Starts at a random step, so that a reply to the fence of an earlier process
+    /// cannot match ours.
     pub(crate) fn starting(seed: u64) -> Self {
         Self { fence: (seed % u64::from(STEPS)) as u16, ..Self::default() }
     }
 
-    /// What to ask for in order to get `window`: that, or more points; and how
-    /// many of those to skip in front.
+    /// Returns the window to ask for in order to get `window`: that, or more
+    /// points; and how many of those to skip in front.
     ///
-    /// It differs from the `G`s before as far as the window leaves room for
-    /// that, so that even a reply that a faulty line delivers twice is never
-    /// taken for the next.
-    pub(crate) fn poll(&mut self, window: Window) -> (Window, usize) {
+    /// It differs from the latest `G`s as far as the window leaves room for that.
+    /// Then even a reply that a faulty line delivers twice cannot match the next
+    /// poll.
+    pub(crate) fn widen(&mut self, window: Window) -> (Window, usize) {
         let age = |asked: &Window| {
             let place = self.recent.iter().position(|recent| recent.as_ref() == Some(asked));
             place.unwrap_or(self.recent.len())
@@ -46,8 +46,8 @@ impl UniqueRequests {
         (asked, surplus)
     }
 
-    /// The single step to ask for as a fence: one that nothing else was asked
-    /// for, so that an older reply is never taken for the answer to it.
+    /// Returns the single step to ask for as a fence: one that no other `G` asked
+    /// for alone, so that no older reply can match it.
     pub(crate) fn fence(&mut self) -> Window {
         for _ in 0..STEPS {
             if !self.was_asked_alone(self.fence) {
@@ -61,7 +61,7 @@ impl UniqueRequests {
         window
     }
 
-    /// A fence was answered: no older reply is on its way.
+    /// Notes that a fence was answered: no older reply is on its way.
     pub(crate) fn clear(&mut self) {
         self.single = Default::default();
     }
@@ -94,8 +94,8 @@ mod tests {
         let mut unique_requests = UniqueRequests::default();
         assert_eq!(unique_requests.fence(), Window::single(0));
         // Widened to the right there is a second step; to the left there is one.
-        assert_eq!(unique_requests.poll(Window::single(1)), (Window::single(1), 0));
-        assert_eq!(unique_requests.poll(Window::single(3)), (Window::single(3), 0));
+        assert_eq!(unique_requests.widen(Window::single(1)), (Window::single(1), 0));
+        assert_eq!(unique_requests.widen(Window::single(3)), (Window::single(3), 0));
         assert_eq!(unique_requests.fence(), Window::single(2));
         assert_eq!(unique_requests.fence(), Window::single(4));
         unique_requests.clear();
@@ -115,7 +115,7 @@ mod tests {
     fn a_poll_differs_from_the_fence_before_it() {
         let mut unique_requests = UniqueRequests::default();
         let fence = unique_requests.fence();
-        let (asked, surplus) = unique_requests.poll(fence);
+        let (asked, surplus) = unique_requests.widen(fence);
         assert_ne!(asked, fence);
         assert_eq!(asked.points(), 2);
         assert_eq!(surplus, 0);

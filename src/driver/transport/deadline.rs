@@ -1,4 +1,8 @@
-//! The deadlines of a session, one after the other on one timer.
+//! [`DeadlineTimer`]: the deadlines of a link, one after the other on one timer.
+//!
+//! Reuses one timer. A new timer per exchange makes tokio wake its I/O driver
+//! with a system call each time, even from its own thread. Moving a timer to a
+//! later time costs next to nothing, and is done only where work has to wait.
 
 use std::future::{Future, poll_fn};
 use std::pin::{Pin, pin};
@@ -8,18 +12,14 @@ use tokio::task::coop::{has_budget_remaining, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
 /// A timer that is kept from one exchange to the next.
-///
-/// A timer of its own for each would be the runtime's next one each time, of
-/// which the runtime tells the thread that waits for I/O by a system call, its
-/// own thread too. Moving a timer to a later time costs next to nothing, and is
-/// done only where there is something to wait for.
 #[derive(Debug, Default)]
 pub(crate) struct DeadlineTimer {
     timer: Option<Pin<Box<Sleep>>>,
 }
 
 impl DeadlineTimer {
-    /// What `work` gives, or `None` at the deadline. Looks at the work first.
+    /// Returns the output of `work`, or `None` at the deadline. Polls the work
+    /// first: work that is done at its deadline counts.
     pub(crate) async fn run<T>(
         &mut self,
         deadline: Instant,
@@ -27,7 +27,7 @@ impl DeadlineTimer {
     ) -> Option<T> {
         let mut work = pin!(work);
         poll_fn(|cx| {
-            // Out of budget, work says that it waits though it may be done.
+            // Out of budget, work returns `Pending` though it may be done.
             if !has_budget_remaining() {
                 cx.waker().wake_by_ref();
                 return Poll::Pending;
@@ -39,7 +39,7 @@ impl DeadlineTimer {
             if timer.deadline() != deadline {
                 timer.as_mut().reset(deadline);
             }
-            // Also where the work has used up all that a task may do at a time.
+            // Also where the work has used up the task's budget.
             pin!(unconstrained(timer.as_mut())).poll(cx).map(|()| None)
         })
         .await

@@ -1,5 +1,5 @@
-//! The port as a session sees it: it notes what arrives, gives up under a
-//! flood, and never flushes.
+//! [`Line`]: the port as the codec reads it. It counts what arrives, gives up
+//! under a flood, and never flushes.
 
 use std::future::poll_fn;
 use std::io;
@@ -7,97 +7,70 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 use std::time::SystemTime;
 
-use bytes::BytesMut;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::coop::unconstrained;
-use tokio::time::Instant;
-use tokio_util::codec::Framed;
 
-use super::intake::Intake;
 use crate::BaudRate;
-use crate::observer::{RawReply, ReplyObserver};
 use crate::port::Port;
-use crate::protocol::Command;
 
 /// How many bytes may arrive between two commands. A sensor answers each with
-/// 1,576 at most; a line that always has more to read would never let anybody
-/// look at the clock.
-const FLOOD: u64 = 64 * 1024;
+/// 1,576 at most; a line that always has more to read would keep the driver from
+/// ever looking at the clock.
+const FLOOD_BYTES: u64 = 64 * 1024;
+/// How much is read at once of what is dropped.
+pub(super) const SCRATCH_BYTES: usize = 512;
 
-/// Room for any reply of a sensor; the buffer grows to twice that under
-/// garbage.
-pub(super) const READ_BUFFER: usize = 4096;
-/// How much is read at once of what is thrown away.
-pub(super) const SCRATCH: usize = 512;
-/// Room for any command, and the LF before it.
-const WRITE_BUFFER: usize = 32;
-
-/// A port, framed, with buffers no larger than SCIP 1.1 needs.
-pub(super) fn framed(port: Box<dyn Port>, observer: ReplyObserver) -> Framed<Line, Intake> {
-    let intake = Intake::new(observer.is_some());
-    let line = Line { port, arrival: None, received: 0, first: [0; 2], before: 0, observer };
-    let mut framed = Framed::with_capacity(line, intake, READ_BUFFER);
-    // The capacity above is that of both.
-    *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER);
-    framed
-}
-
-/// Wraps a port for `Framed`.
-pub(crate) struct Line {
+/// A port, and what is known of the bytes that it brought.
+pub(super) struct Line {
     port: Box<dyn Port>,
     /// The wall clock when the first byte of a reply arrived.
     arrival: Option<SystemTime>,
-    /// How many bytes ever arrived.
+    /// The number of bytes that ever arrived.
     received: u64,
     /// The first two of them.
     first: [u8; 2],
     /// How many of them had arrived when the latest command was written.
     before: u64,
-    observer: ReplyObserver,
 }
 
 impl Line {
-    /// A command is written: what comes from now on counts anew.
-    pub(crate) fn begin_command(&mut self) {
+    pub(super) fn new(port: Box<dyn Port>) -> Self {
+        Self { port, arrival: None, received: 0, first: [0; 2], before: 0 }
+    }
+
+    /// Notes that a command is written: what comes from now on counts anew.
+    pub(super) fn begin_command(&mut self) {
         self.before = self.received;
         self.begin_reply();
     }
 
-    /// Expects a reply: the next byte counts as its first.
-    pub(crate) fn begin_reply(&mut self) {
+    /// Notes that the next byte is the first of a reply.
+    pub(super) fn begin_reply(&mut self) {
         self.arrival = None;
     }
 
-    /// When the first byte since [`begin_reply`](Self::begin_reply) arrived.
-    pub(crate) fn stamp(&self) -> SystemTime {
+    /// The wall clock when the first byte since [`begin_reply`](Self::begin_reply)
+    /// arrived.
+    pub(super) fn stamp(&self) -> SystemTime {
         self.arrival.unwrap_or_else(|| self.port.wall_clock())
     }
 
-    /// Lets the observer hear a frame that answers `command`, which is `None` for the
-    /// answer to a fence and for what nobody asked for.
-    pub(crate) fn hear(&self, command: Option<Command>, bytes: &[u8]) {
-        self.observer.observe(|| {
-            let received_at = Instant::now();
-            RawReply { command, bytes, received_at, stamp: self.stamp() }
-        });
-    }
-
-    /// How many bytes ever arrived.
-    pub(crate) fn received(&self) -> u64 {
+    /// The number of bytes that ever arrived.
+    pub(super) fn received(&self) -> u64 {
         self.received
     }
 
-    /// Throws away what the system has by now, and gives how many bytes that were;
+    /// Drops what the system has by now, and returns how many bytes that were;
     /// `None` at the end of the stream.
     pub(super) async fn drain(&mut self) -> io::Result<Option<u64>> {
         let before = self.received;
         if let Some(end) = self.drain_now() {
             return end.map(|open| open.then(|| self.received - before));
         }
-        // Lets the runtime see what the system has.
+        // The runtime polls the system for new input while this task yields.
         tokio::task::yield_now().await;
         let drained = poll_fn(|cx| {
-            let mut scratch = [0; SCRATCH];
+            let mut scratch = [0; SCRATCH_BYTES];
             loop {
                 let mut buffer = ReadBuf::new(&mut scratch);
                 match Pin::new(&mut *self).poll_read(cx, &mut buffer) {
@@ -110,14 +83,15 @@ impl Line {
                 }
             }
         });
-        // A task that has used up its budget must not take that for a quiet line.
+        // Out of budget, a read returns `Pending` whatever is there; that must not
+        // pass for a quiet line.
         unconstrained(drained).await
     }
 
-    /// Throws away what the system has, where the port can ask it; whether there is
-    /// more to come.
+    /// Drops what the system has, where the port can ask it without waiting.
+    /// Returns whether the stream is still open; `None` where the port cannot ask.
     fn drain_now(&mut self) -> Option<io::Result<bool>> {
-        let mut scratch = [0; SCRATCH];
+        let mut scratch = [0; SCRATCH_BYTES];
         loop {
             match self.port.try_read(&mut scratch)? {
                 Ok(0) => return Some(Ok(false)),
@@ -133,7 +107,7 @@ impl Line {
         }
     }
 
-    /// Notes what has come, and fails once it is a flood.
+    /// Counts what has come, and fails once it is a flood.
     fn count(&mut self, fresh: &[u8]) -> io::Result<()> {
         if !fresh.is_empty() {
             let seen = self.received.min(2) as usize;
@@ -141,20 +115,20 @@ impl Line {
             self.received += fresh.len() as u64;
             self.arrival.get_or_insert_with(|| self.port.wall_clock());
         }
-        if self.received - self.before > FLOOD { Err(flood()) } else { Ok(()) }
+        if self.received - self.before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
     }
 
-    /// Whether the first thing that ever came was a telnet command, as from a
-    /// server that begins by settling its options.
-    pub(crate) fn began_as_telnet(&self) -> bool {
+    /// Whether the first bytes that ever came were a telnet command, as from a
+    /// server that begins by negotiating options.
+    pub(super) fn began_as_telnet(&self) -> bool {
         matches!(self.first, [0xff, 0xfb..=0xfe])
     }
 
-    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
+    pub(super) fn baud_rate(&self) -> Option<BaudRate> {
         self.port.baud_rate()
     }
 
-    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+    pub(super) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.port.set_baud_rate(baud_rate)
     }
 }
@@ -180,12 +154,12 @@ impl AsyncRead for Line {
 }
 
 /// Far more comes than any sensor sends.
-pub(crate) fn flood() -> io::Error {
+pub(super) fn flood() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
 }
 
-/// A call that a signal interrupted, or that a port refuses for the moment
-/// without saying when to come back, is to be made again.
+/// Asks for another poll after a call that a signal interrupted, or that a port
+/// refuses for the moment without registering a waker.
 fn again_if_interrupted<T>(
     outcome: Poll<io::Result<T>>,
     cx: &mut Context<'_>,
@@ -211,7 +185,7 @@ impl AsyncWrite for Line {
     }
 
     /// Does nothing. What was written leaves by itself, the reply proves that it
-    /// did, and draining a serial port blocks the thread.
+    /// did, and flushing a serial port blocks the thread until it is drained.
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
     }

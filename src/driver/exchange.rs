@@ -1,0 +1,23 @@
+//! [`ExchangeError`]: why a command was not answered.
+
+use crate::Error;
+
+/// Why a command was not answered, by what the driver has to do next.
+#[derive(Debug)]
+pub(crate) enum ExchangeError {
+    /// This command failed; the next one may succeed.
+    Command(Error),
+    /// The sensor does not answer any more, on a port that seems to work.
+    Silent(Error),
+    /// The link is lost: the port is of no use any more.
+    Lost(Error),
+}
+
+impl ExchangeError {
+    /// Returns the error alone.
+    pub(crate) fn into_error(self) -> Error {
+        match self {
+            Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
+        }
+    }
+}

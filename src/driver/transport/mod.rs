@@ -1,0 +1,278 @@
+//! [`Transport`]: one command out, frames in, until a deadline. It knows a port,
+//! a codec and a clock, and nothing of which frame answers what.
+//!
+//! It also keeps the doubt about the link: whatever arrives or fails to arrive
+//! against expectation makes it dirty, and only an answered fence makes it clean
+//! again.
+
+mod deadline;
+mod line;
+
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use bytes::{BufMut, BytesMut};
+use futures::{SinkExt, StreamExt};
+use tokio::io::AsyncReadExt;
+use tokio::time::Instant;
+use tokio_util::codec::Framed;
+
+use self::deadline::DeadlineTimer;
+use self::line::{Line, SCRATCH_BYTES, flood};
+use super::exchange::ExchangeError;
+use crate::codec::{Frame, ScipCodec};
+use crate::port::Port;
+use crate::protocol::Command;
+use crate::state::Telemetry;
+use crate::{BaudRate, Error};
+
+/// Frames that may follow one command before the link counts as flooded.
+const MAX_FRAMES: usize = 64;
+/// Room for any reply of a sensor; the buffer grows to twice that under
+/// garbage.
+const READ_BUFFER_BYTES: usize = 4096;
+/// Room for any command, and the LF before it.
+const WRITE_BUFFER_BYTES: usize = 32;
+
+/// When a command was sent and a frame came.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Timing {
+    pub(crate) requested: Instant,
+    /// When the last byte was read.
+    pub(crate) received: Instant,
+    /// The wall clock when the first byte arrived.
+    pub(crate) stamp: SystemTime,
+}
+
+/// An open port, framed.
+pub(crate) struct Transport {
+    framed: Framed<Line, ScipCodec>,
+    deadline_timer: DeadlineTimer,
+    /// The time that a sensor may take to begin its answer, where it was set.
+    latency: Option<Duration>,
+    /// Something older than the next command may be on its way.
+    dirty: bool,
+    /// A command may have been written in part.
+    interrupted: bool,
+    /// Whether the port can change its baud rate.
+    adjustable: bool,
+    telemetry: Arc<Telemetry>,
+}
+
+impl Transport {
+    pub(crate) fn new(
+        port: Box<dyn Port>,
+        latency: Option<Duration>,
+        telemetry: Arc<Telemetry>,
+    ) -> Self {
+        let line = Line::new(port);
+        let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER_BYTES);
+        // The capacity above is that of both buffers.
+        *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER_BYTES);
+        Self {
+            framed,
+            deadline_timer: DeadlineTimer::default(),
+            latency,
+            // Whatever the last user of the port left behind.
+            dirty: true,
+            interrupted: true,
+            adjustable: false,
+            telemetry,
+        }
+    }
+
+    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
+        self.framed.get_ref().baud_rate()
+    }
+
+    /// Sets this side's baud rate, and drops what arrived at another one.
+    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.dirty = true;
+        self.interrupted = true;
+        self.drop_input();
+        let outcome = self.framed.get_mut().set_baud_rate(baud_rate);
+        let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
+        self.adjustable = !outcome.as_ref().is_err_and(unsupported);
+        outcome
+    }
+
+    /// Whether the port could change its baud rate when it was last asked to.
+    pub(crate) fn is_adjustable(&self) -> bool {
+        self.adjustable
+    }
+
+    /// Returns the time that the sensor may take to begin its answer.
+    pub(crate) fn latency(&self, command: &Command) -> Duration {
+        let usual = match command {
+            Command::Distances(_) => Duration::from_millis(500),
+            _ => Duration::from_secs(1),
+        };
+        self.latency.unwrap_or(usual)
+    }
+
+    /// The number of bytes that ever arrived.
+    pub(crate) fn received(&self) -> u64 {
+        self.framed.get_ref().received()
+    }
+
+    /// Whether the first bytes that ever came were a telnet command.
+    pub(crate) fn began_as_telnet(&self) -> bool {
+        self.framed.get_ref().began_as_telnet()
+    }
+
+    /// What has come of a frame whose end has not.
+    pub(crate) fn unfinished_frame(&self) -> &[u8] {
+        self.framed.read_buffer()
+    }
+
+    /// Whether a fence is needed before the next command.
+    pub(crate) fn is_dirty(&self) -> bool {
+        self.dirty
+    }
+
+    /// Asks for a fence before the next command.
+    pub(crate) fn mark_dirty(&mut self) {
+        self.dirty = true;
+    }
+
+    /// Notes that nothing older can be on its way: a fence was answered.
+    pub(crate) fn mark_clean(&mut self) {
+        self.dirty = false;
+    }
+
+    /// The bytes that [`exchange`](Self::exchange) would write for `command`.
+    pub(crate) fn outgoing(&self, command: &Command) -> BytesMut {
+        let mut bytes = BytesMut::with_capacity(WRITE_BUFFER_BYTES);
+        if self.interrupted {
+            // Ends a command that the sensor may have in part.
+            bytes.put_u8(b'\n');
+        }
+        bytes.put_slice(&command.bytes());
+        bytes.put_u8(b'\n');
+        bytes
+    }
+
+    /// Reads while nothing is asked for, until something comes, and drops it.
+    /// Cancel-safe.
+    pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
+        // A part of a frame at most: the driver's other work has its turn
+        // between two reads.
+        let read = self.framed.get_mut().read(&mut [0; SCRATCH_BYTES]).await.map_err(lost)?;
+        if read == 0 {
+            return Err(ended());
+        }
+        self.telemetry.stats().bytes_skipped += read as u64;
+        self.dirty = true;
+        Ok(())
+    }
+
+    /// Drops what came since the last reply: it is older than the next command.
+    /// That something came makes the link dirty.
+    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
+        let drained = self.framed.get_mut().drain().await.map_err(lost)?;
+        let fresh = drained.ok_or_else(ended)?;
+        let skipped = fresh + self.framed.read_buffer().len() as u64;
+        if skipped > 0 {
+            self.telemetry.stats().bytes_skipped += skipped;
+            self.dirty = true;
+            self.drop_input();
+        }
+        // Without it replies would use up the buffer, and come in two reads.
+        self.framed.read_buffer_mut().reserve(READ_BUFFER_BYTES);
+        Ok(())
+    }
+
+    /// Writes `command`, and passes each frame that comes to `judge` until that
+    /// returns something: this is the only place that receives frames. A frame
+    /// that `judge` passes over is counted, and makes the link dirty.
+    ///
+    /// The deadline is absolute: the bytes of the command and its reply at the
+    /// port's baud rate, and `latency`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Timeout`] at the deadline, and those of `judge`.
+    pub(crate) async fn exchange<T>(
+        &mut self,
+        command: &Command,
+        latency: Duration,
+        mut judge: impl FnMut(&Frame, Timing) -> Option<Result<T, ExchangeError>>,
+    ) -> Result<T, ExchangeError> {
+        let requested = Instant::now();
+        let bytes = command.bytes().len() + 1 + command.reply_len();
+        let wire = self.baud_rate().map_or(Duration::ZERO, |rate| rate.wire_time(bytes));
+        let (deadline, after) = (requested + wire + latency, wire + latency);
+        let timeout = Err(ExchangeError::Command(Error::Timeout { command: *command, after }));
+        if !self.send(command, deadline).await? {
+            return timeout;
+        }
+        for _ in 0..MAX_FRAMES {
+            let Some(frame) = self.receive(deadline).await? else { return timeout };
+            let (received, stamp) = (Instant::now(), self.framed.get_ref().stamp());
+            if let Some(verdict) = judge(&frame, Timing { requested, received, stamp }) {
+                return verdict;
+            }
+            self.dirty = true;
+            self.framed.get_mut().begin_reply();
+            self.telemetry.stats().bytes_skipped += wire_len(&frame);
+        }
+        Err(lost(flood()))
+    }
+
+    /// Writes `command`, after an LF where one is due. Returns `false` if that
+    /// took too long.
+    async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, ExchangeError> {
+        if self.interrupted {
+            self.framed.write_buffer_mut().put_u8(b'\n');
+        }
+        self.framed.get_mut().begin_command();
+        // Stays set if this future is dropped half way.
+        self.interrupted = true;
+        match self.deadline_timer.run(deadline, self.framed.send(command)).await {
+            Some(outcome) => outcome.map_err(lost)?,
+            None => {
+                self.framed.write_buffer_mut().clear();
+                self.dirty = true;
+                return Ok(false);
+            }
+        }
+        self.interrupted = false;
+        Ok(true)
+    }
+
+    /// Returns the next frame, or `None` at the deadline. A frame that is there
+    /// at the deadline wins.
+    async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, ExchangeError> {
+        match self.deadline_timer.run(deadline, self.framed.next()).await {
+            Some(Some(frame)) => frame.map(Some).map_err(lost),
+            Some(None) => Err(ended()),
+            None => {
+                self.dirty = true;
+                Ok(None)
+            }
+        }
+    }
+
+    fn drop_input(&mut self) {
+        self.framed.read_buffer_mut().clear();
+        self.framed.codec_mut().reset();
+    }
+}
+
+/// Returns how many bytes a frame had on the wire, its terminator included.
+pub(crate) fn wire_len(frame: &Frame) -> u64 {
+    match frame {
+        Frame::Reply(bytes) => bytes.len() as u64 + 2,
+        Frame::Overlong { bytes } => *bytes as u64 + 2,
+    }
+}
+
+fn lost(error: io::Error) -> ExchangeError {
+    ExchangeError::Lost(Error::disconnected(Some(error)))
+}
+
+/// Returns the error for a port at its end.
+fn ended() -> ExchangeError {
+    ExchangeError::Lost(Error::disconnected(None))
+}
