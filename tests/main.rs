@@ -35,7 +35,7 @@ mod settings;
 mod simulation;
 #[cfg(all(unix, feature = "serial"))]
 mod terminal;
-mod truth;
+mod unique_polls;
 #[cfg(all(unix, feature = "cli"))]
 mod urg;
 mod wire;

@@ -7,7 +7,7 @@ use futures::StreamExt;
 use futures::stream::FusedStream;
 use tokio::time::{Instant, advance, timeout};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
-use tokio_scip::{BaudRate, Error, Rate, Scan, ScanStream, Sensor, Window};
+use tokio_scip::{BaudRate, Error, Rate, Scan, ScanStream, Sensor, State, Window};
 
 async fn take(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     let mut scans = Vec::new();
@@ -370,4 +370,17 @@ async fn the_rate_that_is_reached_falls_when_no_scans_come() {
     tokio::time::sleep(Duration::from_secs(10)).await;
     let stats = sensor.stats();
     assert!(stats.schedules[0].reached < 6.0, "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_state_reports_whether_scans_are_polled() {
+    let emulator = truthful().build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    let streaming = |state: &State| matches!(state, State::Connected { streaming: true, .. });
+    assert!(!streaming(&state.borrow()));
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    state.wait_for(streaming).await.unwrap();
+    drop(stream);
+    state.wait_for(|state| !streaming(state)).await.unwrap();
 }

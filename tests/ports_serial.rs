@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::common::limit::limit;
 use futures::FutureExt;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -22,6 +23,7 @@ struct Line {
 }
 
 fn line() -> Line {
+    limit();
     let (far, near) = SerialStream::pair().unwrap();
     let path = near.name().unwrap();
     Line { far, near, path }
@@ -29,6 +31,7 @@ fn line() -> Line {
 
 /// A line whose far end is a plain file, and the path of its near end.
 fn blocking_line() -> (std::fs::File, String) {
+    limit();
     let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&far).unwrap();
     unlockpt(&far).unwrap();

@@ -2,6 +2,7 @@
 //! its data, and a check of scans against that truth.
 
 pub(crate) mod fountain;
+pub(crate) mod limit;
 pub(crate) mod prompt;
 
 use std::collections::HashMap;
@@ -20,6 +21,7 @@ fn code(request: u64, step: usize) -> u16 {
 
 /// An emulated sensor whose every scan tells which `G` it answers.
 pub(crate) fn truthful() -> Builder {
+    limit::limit();
     Emulator::builder().log_capacity(1 << 20).world(|look: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
             *slot = code(look.request, step);
@@ -83,6 +85,7 @@ impl Truth {
 
 /// A builder for repeatable tests.
 pub(crate) fn builder() -> SensorBuilder {
+    limit::limit();
     Sensor::builder().jitter_seed(7)
 }
 

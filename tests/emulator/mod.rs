@@ -18,6 +18,7 @@ use tokio_scip::emulator::{Builder, Emulator, Fixed, Pace};
 
 /// A sensor that answers at once and always sees 1,234 mm.
 fn prompt() -> Builder {
+    crate::common::limit::limit();
     Emulator::builder().pace(Pace::AtOnce).world(Fixed::filled(1234))
 }
 

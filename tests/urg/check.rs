@@ -18,7 +18,7 @@ fn verdicts(report: &str) -> Vec<(&str, &str)> {
 fn a_good_sensor_is_told_so_step_by_step() {
     let link = Scratch::new("check-good");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
-    let output = run(&format!("check {} --duration 2s", sensor.port), 0);
+    let output = run(&format!("check {} --duration 1s", sensor.port), 0);
     assert_eq!(output.stderr, "");
     let steps: Vec<_> = verdicts(&output.stdout).into_iter().map(|(_, step)| step).collect();
     assert_eq!(
@@ -34,8 +34,11 @@ fn a_good_sensor_is_told_so_step_by_step() {
 #[test]
 fn a_sensor_that_loses_replies_has_failed() {
     let link = Scratch::new("check-bad");
-    let sensor = Emulated::start(&format!("--link {} --faults damaged=0.5,seed=3", link.path()));
-    let output = run(&format!("check {} --duration 3s", sensor.port), 1);
+    let sensor = Emulated::start(&format!(
+        "--link {} --revolution 20ms --faults damaged=0.5,seed=3",
+        link.path()
+    ));
+    let output = run(&format!("check {} --duration 1s", sensor.port), 1);
     assert!(verdicts(&output.stdout).contains(&("FAILED", "polls")), "{}", output.stdout);
     assert!(output.stderr.contains("has FAILED: "), "{}", output.stderr);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);

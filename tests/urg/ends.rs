@@ -1,11 +1,11 @@
 //! How the program ends when it is told to, or when nobody reads it any more.
 
-use super::program::{Emulated, Running, Scratch};
+use super::program::{Emulated, Running, Scratch, shell};
 
 #[test]
 fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
-    for signal in ["INT", "TERM", "HUP"] {
-        let mut stream = Running::start("stream emulated");
+    let start = |signal| (signal, Running::start("stream emulated"));
+    for (signal, mut stream) in ["INT", "TERM", "HUP"].map(start) {
         stream.line();
         stream.signal(signal);
         for line in stream.rest() {
@@ -18,8 +18,8 @@ fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
 
 #[test]
 fn a_closed_pipe_ends_a_stream_quietly() {
-    for format in ["ndjson", "csv"] {
-        let mut stream = Running::start(&format!("stream emulated --format {format}"));
+    let start = |format| (format, Running::start(&format!("stream emulated --format {format}")));
+    for (format, mut stream) in ["ndjson", "csv"].map(start) {
         stream.line();
         stream.close_pipe();
         let (status, notices) = stream.end();
@@ -79,17 +79,10 @@ fn an_emulator_that_is_told_to_end_takes_its_link_along() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_stream_that_is_to_outlive_its_terminal_does_so() {
-    use std::io::{BufRead, BufReader};
-    use std::process::{Command, Stdio};
-
-    let urg = env!("CARGO_BIN_EXE_urg");
-    let script = format!("trap '' HUP; exec {urg} stream emulated --count 20");
-    let mut shell = Command::new("sh");
-    let mut stream = shell.args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
-    let mut lines = BufReader::new(stream.stdout.take().unwrap()).lines();
-    lines.next().unwrap().unwrap();
-    let id = stream.id().to_string();
-    assert!(Command::new("kill").args(["-s", "HUP", &id]).status().unwrap().success());
-    assert_eq!(lines.count(), 19);
-    assert_eq!(stream.wait().unwrap().code(), Some(0));
+    let mut stream = Running::spawn(shell("trap '' HUP; exec $urg stream emulated --count 5"));
+    stream.read();
+    stream.line();
+    stream.signal("HUP");
+    assert_eq!(stream.rest().len(), 4);
+    assert_eq!(stream.end().0.code(), Some(0));
 }

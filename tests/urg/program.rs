@@ -3,9 +3,14 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+use std::sync::LazyLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
+
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::common::limit::limit;
 
 /// More than anything here takes, and less than anybody likes to wait.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
@@ -28,8 +33,41 @@ pub(crate) const COMMANDS: &[&str] = &[
 
 const URG: &str = env!("CARGO_BIN_EXE_urg");
 
+/// Has every child process begin with a SIGHUP that is not ignored, and the
+/// test that starts it end some time. Under `nohup` this process ignores the
+/// signal, and a child inherits that; a signal with a handler is reset in a child.
+fn prepare() {
+    limit();
+    static HANDLER: LazyLock<()> = LazyLock::new(|| {
+        let install = || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+            runtime.unwrap().block_on(async { signal(SignalKind::hangup()).map(drop) }).unwrap();
+        };
+        // A runtime cannot be dropped inside of another one.
+        thread::spawn(install).join().unwrap();
+    });
+    LazyLock::force(&HANDLER);
+}
+
+/// The program with these arguments.
+pub(crate) fn program(arguments: &str) -> Command {
+    prepare();
+    let mut command = Command::new(URG);
+    command.args(arguments.split_whitespace()).env_remove("RUST_LOG");
+    command
+}
+
+/// A shell that runs `script`, in which `$urg` is the program.
+pub(crate) fn shell(script: &str) -> Command {
+    prepare();
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).env("urg", URG).env_remove("RUST_LOG");
+    command
+}
+
 /// The program with these arguments, to be run to its end.
 pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
+    prepare();
     let mut command = assert_cmd::Command::new(URG);
     command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(PATIENCE);
     command
@@ -77,9 +115,12 @@ impl Running {
 
     /// Nobody reads its standard output.
     pub(crate) fn start_unread(arguments: &str) -> Self {
-        let mut child = Command::new(URG)
-            .args(arguments.split_whitespace())
-            .env_remove("RUST_LOG")
+        Self::spawn(program(arguments))
+    }
+
+    /// Runs what ends by becoming the program.
+    pub(crate) fn spawn(mut command: Command) -> Self {
+        let mut child = command
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -106,7 +147,7 @@ impl Running {
 
     /// What is left of standard output, to its end.
     pub(crate) fn rest(&mut self) -> Vec<String> {
-        self.stdout.take().map(|lines| lines.iter().collect()).unwrap_or_default()
+        self.stdout.take().map(|lines| all(&lines)).unwrap_or_default()
     }
 
     /// Nobody reads its standard output any more.
@@ -123,7 +164,7 @@ impl Running {
     /// Waits for its end.
     pub(crate) fn end(mut self) -> (ExitStatus, Vec<String>) {
         // It ends its standard error by ending.
-        let notices = self.stderr.iter().collect();
+        let notices = all(&self.stderr);
         (self.child.wait().unwrap(), notices)
     }
 }
@@ -152,6 +193,18 @@ fn next(lines: &Receiver<String>) -> String {
         Ok(line) => line,
         Err(RecvTimeoutError::Timeout) => panic!("no line came"),
         Err(RecvTimeoutError::Disconnected) => panic!("the program ended"),
+    }
+}
+
+/// All lines up to the end.
+fn all(lines: &Receiver<String>) -> Vec<String> {
+    let mut all = Vec::new();
+    loop {
+        match lines.recv_timeout(PATIENCE) {
+            Ok(line) => all.push(line),
+            Err(RecvTimeoutError::Disconnected) => return all,
+            Err(RecvTimeoutError::Timeout) => panic!("the program does not end: {all:?}"),
+        }
     }
 }
 

@@ -8,7 +8,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 use tokio_serial::{SerialPort, SerialStream};
 
-use super::program::PATIENCE;
+use super::program::{PATIENCE, program};
 
 /// A terminal, and the program that draws on it.
 struct Terminal {
@@ -33,9 +33,7 @@ impl Terminal {
         let path = line.name().unwrap();
         stty(&path, &["rows", "24", "cols", "80"]).await;
         let settings = stty(&path, &["-g"]).await;
-        let urg = Command::new(env!("CARGO_BIN_EXE_urg"))
-            .args(arguments.split_whitespace())
-            .env_remove("RUST_LOG")
+        let urg = Command::from(program(arguments))
             .env("TERM", "xterm-256color")
             .stdin(open(&path))
             .stdout(open(&path))
@@ -162,19 +160,14 @@ async fn a_stopped_terminal_holds_up_no_notice() {
     let (_user, line) = SerialStream::pair().unwrap();
     let path = line.name().unwrap();
     stop(&path);
-    let arguments = ["emulate", "--link", link.path()];
-    let mut emulate = Command::new(env!("CARGO_BIN_EXE_urg"))
-        .args(arguments)
-        .env_remove("RUST_LOG")
+    let mut emulate = Command::from(program(&format!("emulate --link {}", link.path())))
         .stderr(open(&path))
         .kill_on_drop(true)
         .spawn()
         .unwrap();
     // It tells where the sensor is before it is there.
-    let info = Command::new(env!("CARGO_BIN_EXE_urg"))
-        .args(["info", link.path(), "--wait"])
-        .kill_on_drop(true)
-        .output();
+    let info =
+        Command::from(program(&format!("info {} --wait", link.path()))).kill_on_drop(true).output();
     let info = tokio::time::timeout(PATIENCE, info).await.expect("there is no sensor").unwrap();
     assert!(info.status.success(), "{info:?}");
     let id = emulate.id().unwrap().to_string();

@@ -11,8 +11,15 @@ use tokio_scip::{Sensor, Window};
 use super::formats::{check, scans, values};
 use super::program::{Emulated, Running, Scratch, run};
 
-/// What the emulated sensor of this seed holds in steps 44..=725 after each of
-/// its first revolutions, to look up which one it was.
+/// The arguments for an emulated sensor whose motor is fast, so that tests are.
+pub(crate) const FAST: &str = "--revolution 50ms";
+const REVOLUTION: Duration = Duration::from_millis(50);
+
+/// How many scans are held against what the sensor held.
+pub(crate) const SCANS: usize = 30;
+
+/// What the [`FAST`] emulated sensor of this seed holds in steps 44..=725 after
+/// each of its first revolutions, to look up which one it was.
 pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
@@ -20,7 +27,7 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
         for revolution in 0..1500_u32 {
             let mut codes: Values = [19; STEPS];
             look.revolution = revolution.into();
-            look.at = Duration::from_millis(100) * (revolution + 1);
+            look.at = REVOLUTION * (revolution + 1);
             room.measure(look, &mut codes);
             let values = codes[44..=725].iter().map(|&code| code.into()).collect();
             sender.send((values, u64::from(revolution))).unwrap();
@@ -33,11 +40,11 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     receiver.try_iter().collect()
 }
 
-/// Fifty scans without a gap, each of which the sensor held, one after the
-/// other.
-pub(crate) fn check_fifty(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
+/// Fails unless these are [`SCANS`] scans without a gap, each of which the
+/// sensor held, one after the other.
+pub(crate) fn check_held(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
     let scans = scans(ndjson);
-    assert_eq!(scans.len(), 50);
+    assert_eq!(scans.len(), SCANS);
     let mut last = None;
     for (number, scan) in scans.iter().enumerate() {
         check(scan);
@@ -49,35 +56,41 @@ pub(crate) fn check_fifty(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
     }
 }
 
-#[tokio::test]
-async fn fifty_scans_over_a_pseudo_terminal_are_what_the_sensor_held() {
-    let link = Scratch::new("pty");
-    let sensor = Emulated::start(&format!("--link {} --seed 7", link.path()));
-    assert_eq!(sensor.port, link.path());
-    let info = run(&format!("info {}", sensor.port), 0).stdout;
-    assert!(info.contains("SOKUIKI Sensor URG-04LX"), "{info}");
-    let output = run(&format!("stream {} --count 50 --format ndjson", sensor.port), 0);
-    assert_eq!(output.stderr, "");
-    check_fifty(&output.stdout, &held(7).await);
+fn stream(port: &str) -> String {
+    format!("stream {port} --rate max --count {SCANS} --format ndjson")
 }
 
 #[tokio::test]
-async fn fifty_scans_over_tcp_are_what_the_sensor_held() {
-    let sensor = Emulated::start("--tcp 0 --seed 8 --firmware text --serial-number H1234567");
+async fn scans_over_a_pseudo_terminal_are_what_the_sensor_held() {
+    let link = Scratch::new("pty");
+    let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
+    assert_eq!(sensor.port, link.path());
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    assert!(info.contains("SOKUIKI Sensor URG-04LX"), "{info}");
+    let output = run(&stream(&sensor.port), 0);
+    assert_eq!(output.stderr, "");
+    check_held(&output.stdout, &held(7).await);
+}
+
+#[tokio::test]
+async fn scans_over_tcp_are_what_the_sensor_held() {
+    let sensor = Emulated::start(&format!(
+        "--tcp 0 --seed 8 --firmware text --serial-number H1234567 {FAST}"
+    ));
     assert!(sensor.port.starts_with("tcp://127.0.0.1:"), "{}", sensor.port);
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains("serial number  H1234567"), "{info}");
     assert!(!info.contains("\nstatus"), "the text knows of none: {info}");
-    let output = run(&format!("stream {} --count 50", sensor.port), 0);
-    check_fifty(&output.stdout, &held(8).await);
+    let output = run(&stream(&sensor.port), 0);
+    check_held(&output.stdout, &held(8).await);
 }
 
 #[tokio::test]
-async fn fifty_scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
+async fn scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
     let link = Scratch::new("faster");
-    let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9", link.path()));
-    let output = run(&format!("stream {} --count 50 --baud 115200", sensor.port), 0);
-    check_fifty(&output.stdout, &held(9).await);
+    let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9 {FAST}", link.path()));
+    let output = run(&format!("{} --baud 115200", stream(&sensor.port)), 0);
+    check_held(&output.stdout, &held(9).await);
     // It stays there, and is found there.
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains("baud rate      115200 baud"), "{info}");
@@ -140,9 +153,9 @@ fn a_program_that_waits_finds_the_sensor_that_appears() {
 #[test]
 fn faults_cost_scans_and_never_the_stream() {
     let link = Scratch::new("faults");
-    let arguments = format!("--link {} --seed 3 --faults damaged=0.2,seed=5", link.path());
+    let arguments = format!("--link {} --seed 3 {FAST} --faults damaged=0.2,seed=5", link.path());
     let sensor = Emulated::start(&arguments);
-    let output = run(&format!("stream {} --count 20", sensor.port), 0);
+    let output = run(&format!("stream {} --rate max --count 20", sensor.port), 0);
     let lines = scans(&output.stdout);
     let (events, scans): (Vec<_>, Vec<_>) =
         lines.into_iter().partition(|line| line.get("event").is_some());

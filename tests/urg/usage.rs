@@ -1,6 +1,6 @@
 //! Help, command lines that make no sense, and what cannot be opened.
 
-use super::program::{COMMANDS, Emulated, Scratch, failure, run, urg};
+use super::program::{COMMANDS, Emulated, Scratch, failure, program, run, urg};
 
 #[test]
 fn every_command_has_help_on_standard_output() {
@@ -83,11 +83,7 @@ fn a_command_that_this_build_lacks_names_the_feature_that_brings_it() {
 fn help_that_cannot_be_written_is_a_failure() {
     let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
     for arguments in ["help", "--version", "stream --help"] {
-        let output = std::process::Command::new(env!("CARGO_BIN_EXE_urg"))
-            .args(arguments.split_whitespace())
-            .stdout(full.try_clone().unwrap())
-            .output()
-            .unwrap();
+        let output = program(arguments).stdout(full.try_clone().unwrap()).output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
         assert_eq!(output.status.code(), Some(1), "{arguments}: {stderr}");
         assert!(stderr.contains("cannot write to standard output"), "{arguments}: {stderr}");
