@@ -232,6 +232,10 @@ impl Error {
         ErrorChain::new(self)
     }
 
+    pub(crate) fn open(port: impl Into<String>, source: io::Error) -> Self {
+        Self::Open { port: port.into(), source: Arc::new(source) }
+    }
+
     pub(crate) fn disconnected(source: Option<io::Error>) -> Self {
         Self::Disconnected { source: source.map(Arc::new) }
     }

@@ -27,20 +27,6 @@ fn tcp_addresses_are_read_and_written() {
     assert_eq!(explicit.to_string(), "tcp://bridge:4001", "the default goes without saying");
 }
 
-#[cfg(feature = "serial")]
-#[test]
-fn a_path_is_a_serial_port_whatever_it_looks_like() {
-    use std::path::{Path, PathBuf};
-
-    for path in ["/dev/serial/by-path/pci-0:1.0", "tcp://bridge:1", "serial:H0713090"] {
-        let serial = Endpoint::Serial(path.to_owned());
-        assert_eq!(Endpoint::try_from(Path::new(path)).unwrap(), serial);
-        assert_eq!(Endpoint::try_from(PathBuf::from(path)).unwrap(), serial);
-    }
-    let error = Endpoint::try_from(Path::new("")).unwrap_err();
-    assert_eq!(error.to_string(), "invalid port \"\": it is empty");
-}
-
 #[test]
 fn a_text_that_names_no_port_is_refused_with_the_reason() {
     let table = [
@@ -58,10 +44,10 @@ fn a_text_that_names_no_port_is_refused_with_the_reason() {
         ("tcp://bridge:+80", "1 to 65535"),
         ("tcp://bridge:4001/", "1 to 65535"),
         ("tcp://::1:4001", "brackets"),
-        ("tcp://[::1:4001", "never closed"),
+        ("tcp://[::1:4001", "closing bracket"),
         ("tcp://[bridge]:4001", "IPv6"),
         ("tcp://[fe80::1%]:4001", "IPv6"),
-        ("tcp://ada@bridge:4001", "neither a name nor an address"),
+        ("tcp://ada@bridge:4001", "expected a host name or an address"),
         ("tcp://bridge:4001?", "baud=N"),
         ("tcp://bridge:4001?speed=19200", "baud=N"),
         ("tcp://bridge:4001?baud=", "19200"),
@@ -74,8 +60,8 @@ fn a_text_that_names_no_port_is_refused_with_the_reason() {
     ];
     for (text, expected) in table {
         match text.parse::<Endpoint>() {
-            Err(Error::InvalidEndpoint { text: told, reason }) => {
-                assert_eq!(told, text);
+            Err(Error::InvalidEndpoint { text: quoted, reason }) => {
+                assert_eq!(quoted, text);
                 assert!(reason.contains(expected), "{text:?}: {reason}");
             }
             other => panic!("{text:?}: {other:?}"),
@@ -187,4 +173,63 @@ async fn listing_the_ports_says_what_there_is() {
     let ports = tokio_scip::port::list().await.unwrap();
     let sensors = ports.iter().take_while(|port| port.is_likely_sensor()).count();
     assert!(ports.iter().skip(sensors).all(|port| !port.is_likely_sensor()), "sensors first");
+}
+
+#[cfg(feature = "serial")]
+#[test]
+fn a_path_is_a_serial_port_whatever_it_looks_like() {
+    use std::path::{Path, PathBuf};
+    for path in ["/dev/ttyACM0", "serial:H0713090", "tcp://bridge:4001"] {
+        let expected = Endpoint::Serial(path.to_owned());
+        assert_eq!(Endpoint::try_from(Path::new(path)).unwrap(), expected);
+        assert_eq!(Endpoint::try_from(PathBuf::from(path)).unwrap(), expected);
+        assert_eq!(Endpoint::try_from(&PathBuf::from(path)).unwrap(), expected);
+    }
+    for path in ["", "/dev/tty\nACM0"] {
+        let error = Endpoint::try_from(Path::new(path)).unwrap_err();
+        assert!(matches!(error, Error::InvalidEndpoint { .. }), "{error}");
+    }
+}
+
+#[cfg(all(unix, feature = "serial"))]
+#[test]
+fn a_path_that_is_not_utf_8_is_refused() {
+    use std::os::unix::ffi::OsStrExt;
+    let path = std::path::Path::new(std::ffi::OsStr::from_bytes(b"/dev/tty\xff"));
+    let error = Endpoint::try_from(path).unwrap_err().to_string();
+    assert!(error.contains("must be UTF-8"), "{error}");
+}
+
+#[cfg(all(feature = "serde", feature = "cli"))]
+#[test]
+fn an_endpoint_as_data_is_its_text() {
+    for text in ["/dev/ttyACM0", "serial:H0713090", "tcp://[::1]:4001?baud=57600"] {
+        let endpoint: Endpoint = text.parse().unwrap();
+        let json = serde_json::to_string(&endpoint).unwrap();
+        assert_eq!(json, format!("{text:?}"));
+        assert_eq!(serde_json::from_str::<Endpoint>(&json).unwrap(), endpoint);
+    }
+    let error = serde_json::from_str::<Endpoint>("\"tcp://bridge\"").unwrap_err().to_string();
+    assert!(error.contains("the TCP port is missing"), "{error}");
+}
+
+/// A server that takes no part in the handshake because its queue is full.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
+    use std::time::Duration;
+    use tokio::net::{TcpSocket, TcpStream};
+    let full = TcpSocket::new_v4().unwrap();
+    full.bind(([127, 0, 0, 1], 0).into()).unwrap();
+    let full = full.listen(0).unwrap();
+    let address = full.local_addr().unwrap();
+    let mut queued = Vec::new();
+    let limit = Duration::from_millis(200);
+    while let Ok(connection) = tokio::time::timeout(limit, TcpStream::connect(address)).await {
+        queued.push(connection.unwrap());
+    }
+    let endpoint = format!("tcp://{address}");
+    let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
+    let error = opened.unwrap_err();
+    assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
 }

@@ -81,8 +81,8 @@ impl<C: Connect> Opener<C> {
             let outcome = match timeout(self.config.open_timeout, self.connect.connect()).await {
                 Ok(port) => self.open_on(port?).await,
                 Err(_) => {
-                    let source = Arc::new(io::ErrorKind::TimedOut.into());
-                    Err(Error::Open { port: "the port".to_owned(), source })
+                    let port = self.connect.name().unwrap_or("the port");
+                    Err(Error::open(port, io::ErrorKind::TimedOut.into()))
                 }
             };
             match outcome {

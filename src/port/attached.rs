@@ -1,4 +1,4 @@
-//! A stream that somebody else has opened: a port that can be had once.
+//! [`Attached`]: a stream that is open already, as a port that can be opened once.
 
 use std::io;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use super::{Connect, StreamPort};
 use crate::Error;
 
-/// Gives out its stream once.
+/// A [`Connect`] that returns its stream once, and then fails.
 #[derive(Debug)]
 pub(crate) struct Attached<T>(Option<T>);
 

@@ -1,28 +1,31 @@
-//! [`EndpointConnector`]: opens what an [`Endpoint`] names, time after time.
+//! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each
+//! loss of the link.
 
 use super::{Connect, Endpoint, Port, TcpPort};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
-    serial::Opener,
+    serial::SerialOpener,
 };
 use crate::{BaudRate, Error};
 
-/// Opens the port that an [`Endpoint`] names; made by
+/// A [`Connect`] for the port that an [`Endpoint`] names, made by
 /// [`Endpoint::into_connector`].
 ///
 /// # Serial numbers
 ///
 /// For [`Endpoint::SerialNumber`] each [`connect`](Connect::connect) opens the
-/// next port that has the sensors' USB id; whether the right sensor is there
-/// is for the caller to find out, and [`has_more`](Connect::has_more) says that
-/// another call goes on with the pass. Ports that do not open are passed over,
-/// busy ones after a second try half a second later. When none is left the
-/// error is [`Error::NoSuchSensor`], or [`Error::PermissionDenied`] if a port
-/// was passed over for that; the next call lists the ports anew.
+/// next port with the USB id of URG sensors. The caller checks whether the right
+/// sensor is there; while [`has_more`](Connect::has_more) is true another call opens
+/// the next candidate. A port that cannot be opened, or not within 2 s, is skipped; a
+/// busy one is tried once more half a second later. After the last candidate the
+/// error is [`Error::NoSuchSensor`], or [`Error::PermissionDenied`] if a port was
+/// skipped for that; the next call lists the ports again.
 #[derive(Debug)]
 pub struct EndpointConnector {
     route: Route,
+    /// The endpoint's text, for error messages.
+    name: String,
 }
 
 #[derive(Debug)]
@@ -30,7 +33,7 @@ enum Route {
     #[cfg(feature = "serial")]
     Serial {
         path: String,
-        opener: Opener,
+        opener: SerialOpener,
     },
     #[cfg(feature = "serial")]
     SerialNumber(Search<SystemPorts>),
@@ -41,18 +44,27 @@ enum Route {
     },
 }
 
+impl Endpoint {
+    /// Converts the endpoint into a connector, which opens its port again after each
+    /// loss of the link.
+    pub fn into_connector(self) -> EndpointConnector {
+        EndpointConnector::new(self)
+    }
+}
+
 impl EndpointConnector {
-    pub(super) fn new(endpoint: Endpoint) -> Self {
+    fn new(endpoint: Endpoint) -> Self {
+        let name = endpoint.to_string();
         let route = match endpoint {
             #[cfg(feature = "serial")]
-            Endpoint::Serial(path) => Route::Serial { path, opener: Opener::default() },
+            Endpoint::Serial(path) => Route::Serial { path, opener: SerialOpener::default() },
             #[cfg(feature = "serial")]
             Endpoint::SerialNumber(number) => {
                 Route::SerialNumber(Search::new(number, SystemPorts::default()))
             }
             Endpoint::Tcp { host, port, baud_rate } => Route::Tcp { host, port, baud_rate },
         };
-        Self { route }
+        Self { route, name }
     }
 }
 
@@ -69,6 +81,10 @@ impl Connect for EndpointConnector {
                 Ok(Box::new(TcpPort::connect(host, *port, *baud_rate).await?))
             }
         }
+    }
+
+    fn name(&self) -> Option<&str> {
+        Some(&self.name)
     }
 
     fn has_more(&self) -> bool {

@@ -1,25 +1,26 @@
-//! The ways to name a port: [`Endpoint`], and its text form. No port is
-//! touched here.
+//! [`Endpoint`]: the name of a port, and its text form. Nothing here opens a port.
 
 use std::fmt;
 use std::net::Ipv6Addr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use super::EndpointConnector;
 use crate::{BaudRate, Error};
 
-/// Where a sensor is.
+/// The name of the port that a sensor is connected to.
 ///
 /// | text | what it names |
 /// |---|---|
 /// | `/dev/ttyACM0`, `COM3` | a serial port of this machine; names below `/dev/serial/by-path` stay the same when a sensor is plugged in again |
 /// | `serial:H0713090` | the sensor with this serial number (`SERI:`), on whichever USB port it is |
-/// | `tcp://bridge:4001` | a raw TCP bridge to a serial port whose speed is 19,200 baud |
+/// | `tcp://bridge:4001` | a raw TCP bridge to a serial port at 19,200 baud |
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
-/// [`Display`](fmt::Display) writes the text that [`FromStr`] reads, and so do data
-/// formats (feature `serde`). The first two need the feature `serial`.
+/// The first two need the feature `serial`. An endpoint that was parsed is written by
+/// [`Display`](fmt::Display) as a text that parses to the same endpoint; one that was
+/// made of parts is not checked, so that its text may not parse.
+///
+/// A [`Path`](std::path::Path) always is a serial port. With feature `serde` an endpoint is its text.
 ///
 /// ```
 /// use tokio_scip::{BaudRate, Endpoint};
@@ -38,8 +39,8 @@ pub enum Endpoint {
     /// A serial port, by its path (Unix) or name (Windows).
     #[cfg(feature = "serial")]
     Serial(String),
-    /// The sensor with this serial number, on any port with the sensors' USB
-    /// id. Ports that are busy are skipped.
+    /// The sensor with this serial number, on any port with the USB id of URG sensors.
+    /// Busy ports are skipped.
     #[cfg(feature = "serial")]
     SerialNumber(String),
     /// A TCP server that passes bytes to and from a sensor unchanged.
@@ -48,22 +49,15 @@ pub enum Endpoint {
         host: String,
         /// The TCP port.
         port: u16,
-        /// The speed of the serial line behind the server. It cannot be changed
+        /// The baud rate of the serial line behind the server. It cannot be changed
         /// from here.
         baud_rate: BaudRate,
     },
 }
 
-/// What a bridge's line is taken to run at where its address does not say:
-/// sensors are at this speed after power-up.
-const DEFAULT_BRIDGE_SPEED: BaudRate = BaudRate::B19200;
-
-impl Endpoint {
-    /// What opens the port, again after each loss of the link.
-    pub fn into_connector(self) -> EndpointConnector {
-        EndpointConnector::new(self)
-    }
-}
+/// The baud rate of a bridge's line if its address has none: that of a sensor after
+/// power-up.
+const DEFAULT_BRIDGE_BAUD_RATE: BaudRate = BaudRate::B19200;
 
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -78,7 +72,7 @@ impl fmt::Display for Endpoint {
                 } else {
                     write!(f, "tcp://{host}:{port}")?;
                 }
-                if *baud_rate != DEFAULT_BRIDGE_SPEED {
+                if *baud_rate != DEFAULT_BRIDGE_BAUD_RATE {
                     write!(f, "?baud={baud_rate}")?;
                 }
                 Ok(())
@@ -92,8 +86,8 @@ impl FromStr for Endpoint {
 
     /// # Errors
     ///
-    /// [`Error::InvalidEndpoint`], with the reason. Whether there is such a
-    /// port is found out when it is opened.
+    /// Fails with [`Error::InvalidEndpoint`] and the reason. Whether the port exists is
+    /// not checked.
     fn from_str(text: &str) -> Result<Self, Error> {
         parse(text).map_err(|reason| Error::InvalidEndpoint { text: text.to_owned(), reason })
     }
@@ -123,27 +117,36 @@ impl TryFrom<String> for Endpoint {
     }
 }
 
-/// A serial port by its path, whatever the path looks like.
-///
-/// # Errors
-///
-/// [`Error::InvalidEndpoint`] if the path is empty or not UTF-8, and without the feature
-/// `serial`.
+/// Takes a path for a serial port, whatever it looks like.
 impl TryFrom<&Path> for Endpoint {
     type Error = Error;
 
+    /// # Errors
+    ///
+    /// Fails with [`Error::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a
+    /// control character, and without the feature `serial`.
     fn try_from(path: &Path) -> Result<Self, Error> {
         let endpoint = match path.to_str() {
-            Some("") => Err("it is empty"),
+            Some("") => Err(EMPTY),
+            Some(path) if path.contains(char::is_control) => {
+                Err("remove the control characters from the path")
+            }
             Some(path) => device(path),
-            None => Err("it is not UTF-8"),
+            None => Err("a path to a serial port must be UTF-8"),
         };
         let text = || path.display().to_string();
         endpoint.map_err(|reason| Error::InvalidEndpoint { text: text(), reason })
     }
 }
 
-/// The same as for a `&Path`.
+impl TryFrom<&PathBuf> for Endpoint {
+    type Error = Error;
+
+    fn try_from(path: &PathBuf) -> Result<Self, Error> {
+        path.as_path().try_into()
+    }
+}
+
 impl TryFrom<PathBuf> for Endpoint {
     type Error = Error;
 
@@ -152,6 +155,7 @@ impl TryFrom<PathBuf> for Endpoint {
     }
 }
 
+/// As data: its text, such as `"/dev/ttyACM0"`.
 #[cfg(feature = "serde")]
 impl serde::Serialize for Endpoint {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -163,7 +167,7 @@ impl serde::Serialize for Endpoint {
 impl<'de> serde::Deserialize<'de> for Endpoint {
     fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let text = <String as serde::Deserialize>::deserialize(deserializer)?;
-        text.parse().map_err(serde::de::Error::custom)
+        text.parse().map_err(<D::Error as serde::de::Error>::custom)
     }
 }
 
@@ -171,23 +175,23 @@ type Parsed = Result<Endpoint, &'static str>;
 
 fn parse(text: &str) -> Parsed {
     if text.is_empty() {
-        return Err("it is empty");
+        return Err(EMPTY);
     }
     if text.trim() != text || text.contains(char::is_control) {
-        return Err("it has white space at an end, or a control character in it");
+        return Err("remove white space at its ends and control characters");
     }
     if let Some(address) = text.strip_prefix("tcp://") {
         return parse_tcp(address);
     }
     if text.split_once("://").is_some_and(|(scheme, _)| !scheme.contains('/')) {
-        return Err("the only kind of address with :// is tcp://HOST:PORT");
+        return Err("expected tcp://HOST:PORT, the only address with ://");
     }
     if let Some(number) = text.strip_prefix("serial:") {
         return serial_number(number);
     }
-    // Not a file in the working directory, and not worth a "no such port".
+    // HOST:PORT without tcp:// would otherwise be taken for a file name.
     if !text.contains(['/', '\\']) && text.rsplit_once(':').is_some_and(|(_, end)| is_number(end)) {
-        return Err("a TCP address is written tcp://HOST:PORT");
+        return Err("expected tcp://HOST:PORT for a TCP address");
     }
     device(text)
 }
@@ -195,10 +199,10 @@ fn parse(text: &str) -> Parsed {
 #[cfg(feature = "serial")]
 fn serial_number(number: &str) -> Parsed {
     if number.is_empty() {
-        return Err("the serial number after serial: is missing");
+        return Err("expected a serial number after serial:, as in serial:H0713090");
     }
     if !number.bytes().all(|byte| byte.is_ascii_graphic()) {
-        return Err("a serial number is printable ASCII without spaces, as in serial:H0713090");
+        return Err("expected printable ASCII without spaces after serial:, as in serial:H0713090");
     }
     Ok(Endpoint::SerialNumber(number.to_owned()))
 }
@@ -220,33 +224,35 @@ fn device(_path: &str) -> Parsed {
 
 #[cfg(not(feature = "serial"))]
 const NO_SERIAL: &str =
-    "serial ports need the feature `serial` of tokio-scip, which this program was built without";
+    "this program was built without the feature `serial` of tokio-scip, which serial ports need";
 
 fn parse_tcp(address: &str) -> Parsed {
     let (authority, baud_rate) = match address.split_once('?') {
-        None => (address, DEFAULT_BRIDGE_SPEED),
+        None => (address, DEFAULT_BRIDGE_BAUD_RATE),
         Some((authority, query)) => (authority, parse_query(query)?),
     };
     let (host, port) = match authority.strip_prefix('[') {
         Some(bracketed) => {
-            let (host, rest) = bracketed.split_once(']').ok_or("the bracket is never closed")?;
-            // The zone, as in fe80::1%eth0, is the system's to judge.
+            let (host, rest) = bracketed
+                .split_once(']')
+                .ok_or("the closing bracket is missing, as in tcp://[::1]:4001")?;
+            // Which zones exist, as in fe80::1%eth0, only the system knows.
             let (address, zone) = host.split_once('%').unwrap_or((host, "0"));
             if address.parse::<Ipv6Addr>().is_err() || zone.is_empty() {
-                return Err("no IPv6 address is between the brackets");
+                return Err("expected an IPv6 address in the brackets, as in tcp://[::1]:4001");
             }
             (host, rest.strip_prefix(':').ok_or(MISSING_PORT)?)
         }
         None => {
             let (host, port) = authority.rsplit_once(':').ok_or(MISSING_PORT)?;
             if host.contains(':') {
-                return Err("an IPv6 address goes in brackets, as in tcp://[::1]:4001");
+                return Err("expected brackets around the IPv6 address, as in tcp://[::1]:4001");
             }
             if host.is_empty() {
                 return Err("the host is missing, as in tcp://HOST:PORT");
             }
             if !host.bytes().all(|byte| byte.is_ascii_alphanumeric() || b".-_".contains(&byte)) {
-                return Err("the host is neither a name nor an address");
+                return Err("expected a host name or an address between tcp:// and the port");
             }
             (host, port)
         }
@@ -257,21 +263,23 @@ fn parse_tcp(address: &str) -> Parsed {
         _ => None,
     };
     let port =
-        port.ok_or("the TCP port is a number from 1 to 65535, with only ?baud=N after it")?;
+        port.ok_or("expected a TCP port from 1 to 65535, with nothing but ?baud=N after it")?;
     Ok(Endpoint::Tcp { host: host.to_owned(), port, baud_rate })
 }
 
+const EMPTY: &str = "it is empty; expected a device path, serial:NUMBER or tcp://HOST:PORT";
 const MISSING_PORT: &str = "the TCP port is missing, as in tcp://HOST:PORT";
 
 fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
-    let speed = query.strip_prefix("baud=").ok_or("after the ? only baud=N can follow")?;
-    Some(speed)
-        .filter(|speed| is_number(speed))
-        .and_then(|speed| speed.parse().ok())
-        .ok_or("baud is one of 19200, 57600, 115200, 250000, 500000 and 750000")
+    let baud_rate =
+        query.strip_prefix("baud=").ok_or("expected baud=N after the ?, and nothing else")?;
+    Some(baud_rate)
+        .filter(|digits| is_number(digits))
+        .and_then(|digits| digits.parse().ok())
+        .ok_or("expected one of 19200, 57600, 115200, 250000, 500000 and 750000 after baud=")
 }
 
-/// StreamPort digits: `parse` alone would take a sign, too.
+/// Returns true for digits only: `parse` alone accepts a sign, too.
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }

@@ -1,4 +1,5 @@
-//! The serial ports of this machine: [`list`], and which of them are sensors'.
+//! [`list`] and [`PortInfo`]: the serial ports of this machine, and which of them are
+//! likely to have a sensor.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -8,21 +9,20 @@ use std::path::{Path, PathBuf};
 use tokio::task::spawn_blocking;
 use tokio_serial::{SerialPortInfo, SerialPortType};
 
-use super::serial::open_error;
 use crate::Error;
 use crate::protocol::Text;
 
-/// A USB device's vendor and product number, written `15d1:0000`.
+/// The vendor and product number of a USB device, written `15d1:0000`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct UsbId {
-    /// The vendor.
+    /// The number of the vendor.
     pub vendor: u16,
-    /// The vendor's product.
+    /// The vendor's number of the product.
     pub product: u16,
 }
 
 impl UsbId {
-    /// What URG sensors have, all models alike.
+    /// The id of URG sensors. All models have the same.
     pub const URG: Self = Self { vendor: 0x15d1, product: 0x0000 };
 }
 
@@ -40,55 +40,56 @@ impl serde::Serialize for UsbId {
     }
 }
 
-/// A serial port of this machine, as the system describes it; it was not
-/// opened to find out.
+/// A serial port of this machine, as the system describes it. The port was not
+/// opened for that.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct PortInfo {
-    /// What to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which
+    /// The path to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which
     /// devices were plugged in.
     pub path: String,
-    /// The USB device that the port belongs to, if it is one. A sensor behind
-    /// an adapter shows the adapter's id.
+    /// The id of the USB device that the port belongs to, if any. A sensor on a USB
+    /// adapter has the id of the adapter.
     pub usb_id: Option<UsbId>,
-    /// The product as the USB device names it.
+    /// The product name of the USB device.
     pub product: Option<Text>,
-    /// The manufacturer as the USB device names it.
+    /// The manufacturer name of the USB device.
     pub manufacturer: Option<Text>,
-    /// Names of the same port that depend only on the socket it is plugged
-    /// into, sorted: the links in `/dev/serial/by-path` (Linux; empty
-    /// elsewhere). Two sensors have different ones, whereas their names in
-    /// `/dev/serial/by-id` collide, since a URG has no USB serial number.
+    /// The names of the same port that depend only on the USB socket, sorted: the
+    /// links in `/dev/serial/by-path` (Linux; empty elsewhere). Two sensors have
+    /// different ones. Their names in `/dev/serial/by-id` are equal, because a URG has
+    /// no USB serial number.
     pub stable_paths: Vec<String>,
 }
 
 impl PortInfo {
-    /// Whether this is the USB port of a URG sensor. It may be of a model or in
-    /// a mode that speaks only SCIP 2. A sensor on RS-232 cannot be told from
-    /// anything else there.
+    /// Returns true for the USB port of a URG sensor. The sensor may be of a model or
+    /// in a mode that speaks SCIP 2 only. A sensor on RS-232 cannot be recognised
+    /// without opening the port: false.
     pub fn is_likely_sensor(&self) -> bool {
         self.usb_id == Some(UsbId::URG)
     }
 }
 
-/// The serial ports of this machine: likely sensors first, then other USB
-/// ports, then the rest, by path.
+/// Returns the serial ports of this machine: likely sensors first, then other USB
+/// ports, then the rest, each sorted by path.
 ///
-/// Ports that the kernel only keeps a name for (`/dev/ttyS1` without hardware)
-/// are left out, pseudo-terminals too. Cancel-safe.
+/// Pseudo-terminals are left out, and names without hardware (`/dev/ttyS1`). Runs on
+/// one of tokio's blocking threads. Cancel-safe.
 ///
 /// # Errors
 ///
-/// [`Error::Open`] if the system cannot say.
+/// Fails with [`Error::Open`] if the system cannot list its ports.
 pub async fn list() -> Result<Vec<PortInfo>, Error> {
     match spawn_blocking(list_blocking).await {
         Ok(ports) => ports,
-        Err(panicked_or_cancelled) => Err(open_error(THE_LIST, panicked_or_cancelled.into())),
+        Err(panicked_or_cancelled) => Err(Error::open(THE_LIST, panicked_or_cancelled.into())),
     }
 }
 
-const THE_LIST: &str = "the list of serial ports";
+/// What cannot be opened, in an error of listing.
+pub(super) const THE_LIST: &str = "the list of serial ports";
 
 fn list_blocking() -> Result<Vec<PortInfo>, Error> {
     let stable = stable_paths(Path::new("/dev/serial/by-path"));
@@ -98,21 +99,21 @@ fn list_blocking() -> Result<Vec<PortInfo>, Error> {
 }
 
 fn available() -> Result<Vec<SerialPortInfo>, Error> {
-    // tokio_serial panics without this directory, as in some containers.
+    // tokio_serial panics if this directory is missing, as in some containers.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     if !Path::new(SYS_CLASS_TTY).is_dir() {
         return Ok(Vec::new());
     }
     let mut ports =
-        tokio_serial::available_ports().map_err(|error| open_error(THE_LIST, error.into()))?;
+        tokio_serial::available_ports().map_err(|error| Error::open(THE_LIST, error.into()))?;
     ports.retain(|port| !is_without_hardware(&port.port_name, Path::new(SYS_CLASS_TTY)));
     Ok(ports)
 }
 
 const SYS_CLASS_TTY: &str = "/sys/class/tty";
 
-/// Whether the kernel has reserved the name and found no UART. It lists four
-/// or 32 of them on a PC with one.
+/// Returns true if the kernel has reserved the name and found no UART. A PC with one
+/// UART has 4 or 32 such names.
 fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
     const UNKNOWN_UART: &str = "0";
     Path::new(path)
@@ -121,7 +122,7 @@ fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
         .is_some_and(|kind| kind.trim() == UNKNOWN_UART)
 }
 
-/// What each link in `directory` points to in the end, with the links' names.
+/// Returns the targets of the links in `directory`, each with the names of its links.
 fn stable_paths(directory: &Path) -> BTreeMap<PathBuf, Vec<String>> {
     let mut stable: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for link in fs::read_dir(directory).into_iter().flatten().flatten() {
@@ -153,28 +154,27 @@ fn port_info(port: SerialPortInfo, stable: &BTreeMap<PathBuf, Vec<String>>) -> P
     }
 }
 
-/// Sensors, USB, others; `ttyUSB9` before `ttyUSB10`.
+/// Returns the sort key of a port: sensors, USB, others; `ttyUSB9` before `ttyUSB10`.
 fn order(port: &PortInfo) -> (bool, bool, String, u64) {
     let name = port.path.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = port.path.strip_prefix(name).and_then(|digits| digits.parse().ok());
     (!port.is_likely_sensor(), port.usb_id.is_none(), name.to_owned(), number.unwrap_or(0))
 }
 
-/// The ports that a sensor on USB can be on. Blocks.
+/// Returns the ports that a sensor on USB can be on. Blocks.
 pub(super) fn likely_sensors() -> Result<Vec<String>, Error> {
     let ports = list_blocking()?;
     Ok(ports.into_iter().filter(PortInfo::is_likely_sensor).map(|port| port.path).collect())
 }
 
-/// Whether `path` is a sensor's own USB port, by whichever of its names.
-/// Blocks.
+/// Returns true if `path` is the USB port of a sensor, by any of its names. Blocks.
 pub(super) fn is_usb_sensor(path: &str) -> bool {
-    // A system that cannot list its ports may still open one: its line then
-    // counts as a slow one, which only makes deadlines long.
+    // If the list fails the port counts as a serial line, which only makes its
+    // deadlines longer.
     likely_sensors().is_ok_and(|ports| ports.iter().any(|port| is_same(port, path)))
 }
 
-/// Whether the system lists `path`. Blocks.
+/// Returns true if the system lists `path`. Blocks.
 #[cfg(not(unix))]
 pub(super) fn is_listed(path: &str) -> bool {
     available().is_ok_and(|ports| ports.iter().any(|port| is_same(&port.port_name, path)))
@@ -183,7 +183,7 @@ pub(super) fn is_listed(path: &str) -> bool {
 fn is_same(listed: &str, path: &str) -> bool {
     match (fs::canonicalize(listed), fs::canonicalize(path)) {
         (Ok(listed), Ok(path)) => listed == path,
-        // Windows: the names are no files, and com3 and \\.\COM3 are COM3.
+        // On Windows ports are not files, and com3 and \\.\COM3 are names of COM3.
         _ => listed.eq_ignore_ascii_case(path.strip_prefix(r"\\.\").unwrap_or(path)),
     }
 }

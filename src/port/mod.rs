@@ -1,8 +1,9 @@
-//! What a driver talks through: [`Port`], how one is opened ([`Connect`]), and
-//! the ways to name one ([`Endpoint`]).
+//! Ports, through which a driver reaches its sensor: the traits [`Port`] and
+//! [`Connect`], which opens one, and [`Endpoint`], which names one.
 
 mod attached;
 mod connector;
+mod dial;
 mod endpoint;
 #[cfg(feature = "serial")]
 mod list;
@@ -37,55 +38,56 @@ pub use tcp::TcpPort;
 
 /// A byte stream to a sensor.
 ///
-/// Any `AsyncRead + AsyncWrite` can be one: [`StreamPort`] makes one of it, and
-/// [`Sensor::attach`](crate::Sensor::attach) does so by itself. Implement this
-/// trait where the stream has a baud rate that the driver should know of or
-/// change.
+/// [`StreamPort`] turns any `AsyncRead + AsyncWrite` into one, and
+/// [`Sensor::attach`](crate::Sensor::attach) does so for you. Implement this trait if
+/// the stream has a baud rate that the driver should know or change.
 ///
-/// The driver never calls `poll_flush`, so that what is written has to go out by
-/// itself; it stops using a port after the first `Ok(0)` or error, and then drops
-/// it. All methods are called in the driver's task and must not block.
+/// The driver never calls `poll_flush`: a port has to send written bytes without it.
+/// After the first `Ok(0)` or error of a read the driver drops the port. All methods
+/// are called in the driver's task and must not block.
 pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
-    /// The baud_rate of the serial line to the sensor, or `None` where none
-    /// matters, as on USB. Deadlines are computed from it.
+    /// Returns the baud rate of the serial line to the sensor, or `None` if the line
+    /// has none, as on USB. Deadlines are computed from it.
     fn baud_rate(&self) -> Option<BaudRate> {
         None
     }
 
-    /// Sets this side's baud rate. The driver calls it when the sensor was
-    /// told to change its own, and to find out which one the sensor has.
+    /// Sets this side's baud rate. The driver calls it when the sensor changes its
+    /// own, and to search for the baud rate of the sensor.
     ///
     /// # Errors
     ///
-    /// Any, if the baud_rate is not in force afterwards; it must be in force after
-    /// `Ok`. `ErrorKind::Unsupported` (the default) means that this port cannot
-    /// change its baud_rate at all; the sensor's is then left alone, too.
+    /// Must fail if the baud rate is not in force afterwards. `ErrorKind::Unsupported`
+    /// (the default) means that this port cannot change its baud rate at all; the
+    /// driver then leaves that of the sensor alone, too.
     fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         let _ = baud_rate;
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// The wall clock when what is read now arrived, for
-    /// [`Scan::stamp`](crate::Scan::stamp): the system's, unless the port plays
-    /// what arrived at another time.
+    /// Returns the wall clock at which the bytes that are read now arrived, for
+    /// [`Scan::stamp`](crate::Scan::stamp): the system's, unless the port replays
+    /// bytes of another time.
     fn wall_clock(&self) -> SystemTime {
         SystemTime::now()
     }
 
-    /// Reads what the system has by now, whatever the runtime has been told of it,
-    /// so that the driver needs no turn of the runtime to know that a line is
-    /// quiet. `None` (the default): this port cannot.
+    /// Reads the bytes that the system has by now, without waiting for the runtime's
+    /// I/O driver to report them. Before each command the driver uses it to drop
+    /// pending bytes; without it, it has to yield to the runtime once. Returns `None`
+    /// (the default) if the port cannot do this.
     ///
     /// # Errors
     ///
-    /// `ErrorKind::WouldBlock` if the system has nothing; otherwise as a read.
+    /// Fails with `ErrorKind::WouldBlock` if the system has no bytes, and otherwise as
+    /// a read does.
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         let _ = buffer;
         None
     }
 
-    /// Throws away what was written and is not on the line yet, so that closing
-    /// the port does not wait for it. Called once, before the port is dropped.
+    /// Drops bytes that were written and are not on the line yet, so that closing the
+    /// port does not wait for them. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
 }
 
@@ -111,7 +113,8 @@ impl<P: Port + ?Sized> Port for Box<P> {
     }
 }
 
-/// Opens ports: once at first, and again whenever the link was lost.
+/// A way to open a port: called once at first, and again after each loss of the
+/// link.
 ///
 /// ```
 /// # #[cfg(all(unix, feature = "emulator"))] {
@@ -157,34 +160,41 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// # }
 /// ```
 pub trait Connect: Send + 'static {
-    /// What it opens.
+    /// The type of the port.
     type Port: Port;
 
-    /// Opens the port, with nothing sent yet.
+    /// Opens the port. Must not send anything.
     ///
-    /// The future may be dropped at any await, and is when the driver ends or
-    /// the open timeout has passed; it must be cancel-safe.
+    /// The future must be cancel-safe: it is dropped if the driver ends or the open
+    /// timeout has passed.
     ///
     /// # Errors
     ///
-    /// The errors of opening, such as [`Error::NoSuchPort`] or
-    /// [`Error::Open`]; [`Error::is_transient`] decides whether the driver
-    /// waits for the port to appear where it was asked to.
+    /// Fails with an error of opening, such as [`Error::NoSuchPort`] or
+    /// [`Error::Open`]. If [`Error::is_transient`] is true for it, a driver that waits
+    /// for its sensor tries again.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
-    /// After a port led to no sensor, or to another one: whether to
-    /// [`connect`](Self::connect) again at once, which opens a further port or
-    /// says that none is left. `false` (the default) means to back off first.
+    /// Returns the name of the port for error messages, if it has one.
+    fn name(&self) -> Option<&str> {
+        None
+    }
+
+    /// Returns whether there is another candidate, after the port that was opened last
+    /// turned out to have no sensor or another one. If true, the driver calls
+    /// [`connect`](Self::connect) again at once; if false (the default), it backs off
+    /// first.
     fn has_more(&self) -> bool {
         false
     }
 
-    /// Told when the port that was opened last leads to the right sensor: the
-    /// next [`connect`](Self::connect), after the link was lost, starts over.
+    /// Called when the port that was opened last has the right sensor. The next
+    /// [`connect`](Self::connect), after a loss of the link, begins with the first
+    /// candidate again.
     fn found(&mut self) {}
 
-    /// The serial number (`SERI:`) that the sensor must have, if any will not
-    /// do.
+    /// Returns the serial number (`SERI:`) that the sensor must have, or `None` (the
+    /// default) if any sensor is accepted.
     fn expected_serial_number(&self) -> Option<&str> {
         None
     }

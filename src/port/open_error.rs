@@ -1,27 +1,26 @@
-//! Why a serial port did not open: from what the system says about the attempt
-//! and about the device, to the [`Error`] that says what to do.
+//! Converts a failure to open a serial port into an [`Error`] that names the remedy,
+//! from the system's error and the state of the device file.
 
 use std::io;
 
 use tokio_serial::ErrorKind;
 
-use super::serial::open_error;
 use crate::Error;
 
-/// What is at a port's path.
+/// The device file at a port's path.
 #[derive(Debug, Clone)]
 struct Node {
-    /// Whether a serial port can be there.
+    /// A serial port can be there.
     is_device: bool,
-    /// The group whose members may open it, where being one is worth advising.
+    /// The group whose members may open it, if joining it is good advice.
     group: Option<String>,
-    /// It appeared, or changed hands, just now. A device that is plugged in is
-    /// root's for a moment, until udev gives it to its group.
+    /// It appeared, or changed its owner, within the last seconds. A new device
+    /// belongs to root until udev has set its group.
     is_new: bool,
 }
 
-/// Turns away what is no serial port before it is opened: opening any other
-/// file or device can have effects of its own.
+/// Fails if there is no serial port at `port`. Called before opening, because opening
+/// another kind of file or device can have side effects.
 pub(super) fn check_before_opening(port: &str) -> Result<(), Error> {
     match node(port) {
         Ok(node) if node.is_device => Ok(()),
@@ -30,7 +29,7 @@ pub(super) fn check_before_opening(port: &str) -> Result<(), Error> {
     }
 }
 
-/// Why opening `port` failed with `error`.
+/// Converts the error of opening `port`.
 pub(super) fn explain(port: &str, error: tokio_serial::Error) -> Error {
     explain_with(port, error, node(port))
 }
@@ -38,15 +37,15 @@ pub(super) fn explain(port: &str, error: tokio_serial::Error) -> Error {
 fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) -> Error {
     let node = match node {
         Ok(node) => node,
-        // Unplugged in the middle of opening: what failed then says little.
+        // Unplugged while it was opened: the first error does not matter.
         Err(error) => return not_found(port, error),
     };
     let port = port.to_owned();
-    // serialport keeps the errno only as nix's text for it, which is not
-    // translated.
+    // serialport keeps of an errno only the text of the nix crate, which is the same in
+    // every locale.
     match (error.kind(), error.description.as_str()) {
-        // EBUSY, and its own lock held by someone else. On Windows, access
-        // denied: for a port that exists it means the same.
+        // EBUSY, or TIOCEXCL set by another process. On Windows access denied, which
+        // for an existing port means that it is open.
         (ErrorKind::NoDevice, _) => Error::Busy { port },
         (ErrorKind::Io(io::ErrorKind::NotFound), _)
         | (ErrorKind::Unknown, "No such device" | "No such device or address") => {
@@ -56,12 +55,12 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
         (ErrorKind::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
             Error::PermissionDenied { port, group: node.group }
         }
-        // EPERM: a container or a sandbox without access to the device. No
-        // group would help.
+        // EPERM: a container or a sandbox without access to the device, where joining
+        // a group has no effect.
         (ErrorKind::Unknown, "Operation not permitted") => {
             Error::PermissionDenied { port, group: None }
         }
-        _ => open_error(&port, error.into()),
+        _ => Error::open(port, error.into()),
     }
 }
 
@@ -73,7 +72,7 @@ fn not_found(port: &str, error: io::Error) -> Error {
         io::ErrorKind::PermissionDenied => {
             Error::PermissionDenied { port: port.to_owned(), group: None }
         }
-        _ => open_error(port, error),
+        _ => Error::open(port, error),
     }
 }
 
@@ -96,9 +95,9 @@ fn groups() -> String {
     std::fs::read_to_string("/etc/group").unwrap_or_default()
 }
 
-/// The group that makes its members able to open a device: by name where
-/// `groups` (the text of /etc/group) has one, else by number, which `usermod`
-/// takes as well. None where the group may not read and write, and never root's.
+/// Returns the group whose members may open a device: its name in `groups` (the text of
+/// /etc/group), or else its number, which `usermod` accepts, too. `None` if the group
+/// may not read and write, and for root's group.
 #[cfg(unix)]
 fn group_to_join(mode: u32, gid: u32, groups: &str) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;
@@ -114,16 +113,16 @@ fn group_to_join(mode: u32, gid: u32, groups: &str) -> Option<String> {
     Some(name.unwrap_or_else(|| gid.to_string()))
 }
 
-/// Whether a device whose owner or mode last changed at `changed` (seconds
-/// since 1970) did so within the three seconds before `now`. udev needs some
-/// tens of milliseconds; more on a small machine that is booting.
+/// Returns true if the owner or mode of a device changed (at `changed`, in seconds
+/// since 1970) within the three seconds before `now`. udev needs some tens of
+/// milliseconds, and more on a small machine that is booting.
 #[cfg(unix)]
 fn is_new(changed: i64, now: u64) -> bool {
     u64::try_from(changed).is_ok_and(|changed| (changed..=changed.saturating_add(3)).contains(&now))
 }
 
-/// A port's name is no file here, and the system has one error for a port that
-/// is missing and one that is in use: whether it is listed tells them apart.
+/// Ports are not files here. The system has the same error for a missing port and for
+/// one that is in use: a port that is listed is in use.
 #[cfg(not(unix))]
 fn node(port: &str) -> io::Result<Node> {
     if super::list::is_listed(port) {

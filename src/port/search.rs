@@ -1,38 +1,44 @@
-//! Looking for a sensor by its serial number: which port is tried next. What a
-//! port leads to is the driver's to find out.
+//! The search for a sensor by its serial number: which port is opened next. The driver
+//! checks which sensor is there.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
+use std::io;
 use std::time::Duration;
 
 use tokio::task::spawn_blocking;
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout};
 
 use super::list;
-use super::serial::{Opener, SerialPort, open_error};
+use super::serial::{SerialOpener, SerialPort};
 use crate::Error;
 
-/// How long a busy port is left alone before it is tried once more.
+/// The time after which a busy port is tried once more.
 ///
-/// A service that opens two sensors at once looks for each on the other's port:
-/// what is busy then is free again as soon as the other handle has seen that it
-/// is not its own.
-const BUSY_WAIT: Duration = Duration::from_millis(500);
+/// A service that opens two sensors at once tries each on the other's port: a port that
+/// is busy then is free again as soon as the other driver has found another sensor.
+const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 
-/// Where ports come from; tests have ones without hardware.
+/// The time after which a port that is still being opened is skipped. Opening takes
+/// milliseconds unless a device hangs; the others are to be tried within the open
+/// timeout, 5 s unless set.
+const OPEN_LIMIT: Duration = Duration::from_secs(2);
+
+/// A source of ports. Tests have one without hardware.
 pub(super) trait Ports: Send + 'static {
     type Port;
 
-    /// The ports on which the sensor can be.
+    /// Returns the ports that the sensor can be on.
     fn candidates(&mut self) -> impl Future<Output = Result<Vec<String>, Error>> + Send;
 
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 }
 
-/// This machine's ports.
+/// The ports of this machine.
 #[derive(Debug, Default)]
 pub(super) struct SystemPorts {
-    opener: Opener,
+    /// One for each port, so that an opening that hangs keeps no other waiting.
+    openers: BTreeMap<String, SerialOpener>,
 }
 
 impl Ports for SystemPorts {
@@ -42,17 +48,22 @@ impl Ports for SystemPorts {
         match spawn_blocking(list::likely_sensors).await {
             Ok(ports) => ports,
             Err(panicked_or_cancelled) => {
-                Err(open_error("the list of serial ports", panicked_or_cancelled.into()))
+                Err(Error::open(list::THE_LIST, panicked_or_cancelled.into()))
             }
         }
     }
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        self.opener.open(path).await
+        self.openers.retain(|_, opener| opener.is_opening());
+        if self.openers.contains_key(path) {
+            // An earlier call hangs in the system. One thread for it is enough.
+            return Err(Error::Busy { port: path.to_owned() });
+        }
+        self.openers.entry(path.to_owned()).or_default().open(path).await
     }
 }
 
-/// Passes over the candidates, one port a call.
+/// A search through the candidates, which opens one port a call.
 #[derive(Debug)]
 pub(super) struct Search<P> {
     serial_number: String,
@@ -64,10 +75,10 @@ pub(super) struct Search<P> {
 struct Pass {
     untried: VecDeque<String>,
     busy: Vec<String>,
-    /// The busy ones are being tried for the second time.
+    /// The busy ones are tried for the second time.
     is_second_round: bool,
-    /// The sensor may be behind a port that may not be opened. That is worth
-    /// more to the user than that it was not found.
+    /// The error of a port that the user may not open. The sensor may be there, so
+    /// that it is reported in place of "no such sensor".
     denied: Option<Error>,
 }
 
@@ -80,19 +91,18 @@ impl<P: Ports> Search<P> {
         &self.serial_number
     }
 
-    /// Whether a pass has not ended yet.
+    /// Returns true until a call has reported that no candidate is left.
     pub(super) fn has_more(&self) -> bool {
         self.pass.is_some()
     }
 
-    /// Ends the pass: the next port is looked for from the beginning.
+    /// Ends the pass: the next call lists the candidates again.
     pub(super) fn start_over(&mut self) {
         self.pass = None;
     }
 
-    /// The next port that opens. A call whose future is dropped while a port
-    /// is being opened passes over it, so that one that hangs cannot keep the
-    /// others from being tried.
+    /// Opens the next port that can be opened. A port that hangs is skipped after
+    /// `OPEN_LIMIT`, or if the future is dropped while it is being opened.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         let pass = match &mut self.pass {
             Some(pass) => pass,
@@ -108,13 +118,17 @@ impl<P: Ports> Search<P> {
         };
         loop {
             while let Some(path) = pass.untried.pop_front() {
-                match self.ports.open(&path).await {
+                let limited = timeout(OPEN_LIMIT, self.ports.open(&path));
+                let opened = limited.await.unwrap_or_else(|_| {
+                    Err(Error::open(path.as_str(), io::ErrorKind::TimedOut.into()))
+                });
+                match opened {
                     Ok(port) => {
-                        tracing::debug!(path, "looking for the sensor");
+                        tracing::debug!(path, "checking whether the sensor is on this port");
                         return Ok(port);
                     }
                     Err(error) => {
-                        tracing::debug!(path, %error, "passed over");
+                        tracing::debug!(path, error = %error.chain(), "port skipped");
                         pass.note(path, error);
                     }
                 }
@@ -122,7 +136,7 @@ impl<P: Ports> Search<P> {
             if pass.busy.is_empty() {
                 break;
             }
-            sleep(BUSY_WAIT).await;
+            sleep(BUSY_RETRY_DELAY).await;
             pass.untried = std::mem::take(&mut pass.busy).into();
             pass.is_second_round = true;
         }
@@ -149,8 +163,8 @@ mod tests {
 
     use super::*;
 
-    /// Ports that open as the nth letter of their plan says: `o` opens, `b` is
-    /// busy, `d` is denied, `g` is gone, `h` hangs; the last one goes on.
+    /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens,
+    /// `b` is busy, `d` is denied, `g` is gone, `h` hangs; the last one is repeated.
     struct Fake {
         listed: Vec<(&'static str, &'static str)>,
         opened: Vec<String>,
@@ -195,7 +209,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_pass_gives_each_port_that_opens_and_then_says_that_none_is_left() {
+    async fn a_pass_opens_each_port_that_can_be_opened_and_then_fails() {
         let mut search = search(&[("a", "o"), ("b", "g"), ("c", "o")]);
         assert!(!search.has_more(), "no pass has begun");
         assert_eq!(next(&mut search).await, "a");
@@ -231,7 +245,7 @@ mod tests {
         assert_eq!(next(&mut search).await, "b");
         assert_eq!(start.elapsed(), Duration::ZERO, "others come first");
         assert_eq!(next(&mut search).await, "a");
-        assert_eq!(start.elapsed(), BUSY_WAIT);
+        assert_eq!(start.elapsed(), BUSY_RETRY_DELAY);
         assert_eq!(next(&mut search).await, "no H0713090");
         assert_eq!(search.ports.opened, ["a", "b", "c", "a", "c"]);
     }
@@ -247,13 +261,21 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_port_whose_opening_was_given_up_is_passed_over() {
+    async fn a_port_whose_opening_was_dropped_is_skipped() {
         let mut search = search(&[("a", "h"), ("b", "b"), ("c", "o")]);
         assert!(search.next_port().now_or_never().is_none());
         assert_eq!(next(&mut search).await, "c");
-        // Given up while waiting for the busy one: it is still tried again.
+        // Dropped while waiting for the busy one, which is still tried again.
         assert!(search.next_port().now_or_never().is_none());
         assert_eq!(next(&mut search).await, "no H0713090");
         assert_eq!(search.ports.opened, ["a", "b", "c", "b"]);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_port_that_hangs_does_not_keep_the_others_from_being_tried() {
+        let mut search = search(&[("a", "h"), ("b", "h"), ("c", "o")]);
+        let start = Instant::now();
+        assert_eq!(next(&mut search).await, "c");
+        assert_eq!(start.elapsed(), 2 * OPEN_LIMIT);
     }
 }

@@ -1,8 +1,8 @@
-//! [`SerialPort`]: RS-232 and USB.
+//! [`SerialPort`]: a serial port of this machine, RS-232 or USB, and the thread that
+//! opens it.
 
 use std::io;
 use std::pin::Pin;
-use std::sync::Arc;
 use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -18,54 +18,55 @@ use super::{Port, list, open_error};
 use crate::{BaudRate, Error};
 
 /// A serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control
-/// (C-42-3320-A p. 2), and nobody else's while it is open.
+/// (C-42-3320-A p. 2), locked for other programs while it is open.
 ///
-/// It is made for the driver, and differs from a plain serial port in this:
+/// It differs from other serial ports in three points:
 ///
-/// - `flush` and `shutdown` return at once. The system's way to wait for unsent
+/// - `flush` and `shutdown` return at once. The system's call that waits for unsent
 ///   output blocks the thread, and with it the runtime.
-/// - Dropping the port discards unsent output, since closing would wait for it,
-///   for up to half a minute. What must arrive needs a reply.
-/// - What the system had received before the port was opened is still there to
-///   be read.
+/// - Dropping the port discards unsent output. Closing would wait for it, for up to
+///   half a minute. Only a reply proves that a command was sent.
+/// - Bytes that the system had received before the port was opened can be read.
 ///
-/// A port that was unplugged or hung up reads as ended, or fails with the
-/// system's error; drop it then, so that the system can give the same name to
-/// the sensor when it returns.
+/// After a port was unplugged or hung up, reads return the end of the stream or fail
+/// with the system's error. Drop the port then, so that the system can assign the same
+/// name to the sensor when it is plugged in again.
 #[derive(Debug)]
 pub struct SerialPort {
     inner: Tty,
     baud_rate: BaudRate,
-    /// A USB sensor itself, where the baud_rate means nothing; not an RS-232
-    /// adapter, where it does.
+    /// It is the sensor's own USB port, where the baud rate has no effect, and not an
+    /// RS-232 adapter.
     is_usb_sensor: bool,
 }
 
 impl SerialPort {
-    /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the
-    /// baud_rate of a sensor after power-up. Nothing is sent.
+    /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the baud rate
+    /// of a sensor after power-up. Sends nothing.
     ///
-    /// Opening blocks and so runs on a thread of its own. Cancel-safe: if the
-    /// future is dropped, the port is closed as soon as it is open; until then
-    /// it is busy.
+    /// Opening blocks, so it runs on one of tokio's blocking threads. Cancel-safe: if
+    /// the future is dropped, the port is closed as soon as it is open; until then it
+    /// is busy.
     ///
     /// # Errors
     ///
-    /// - [`Error::NoSuchPort`]: nothing has this name, or it was unplugged
-    ///   meanwhile.
-    /// - [`Error::NotASerialPort`]: a file, a directory, or another device.
-    /// - [`Error::PermissionDenied`], with the group that may open it.
-    /// - [`Error::Busy`]: it is open elsewhere, in this program or another.
-    /// - [`Error::Open`] with the cause, for everything else. That includes a
-    ///   lack of permission on a device that appeared just now, because it gets
-    ///   its group a moment after it appears, and a tokio runtime without I/O.
+    /// Fails with
+    ///
+    /// - [`Error::NoSuchPort`] if there is no such port, or it was unplugged while it
+    ///   was opened;
+    /// - [`Error::NotASerialPort`] for a file, a directory, or another device;
+    /// - [`Error::PermissionDenied`], with the group that may open it;
+    /// - [`Error::Busy`] if it is open already, in this program or another;
+    /// - [`Error::Open`] with the cause, otherwise. That includes missing permission on
+    ///   a device that appeared within the last seconds, because udev may not have set
+    ///   its group yet, and a tokio runtime without I/O.
     ///
     /// # Panics
     ///
-    /// Outside of a tokio runtime. A write to a line that takes no more may panic
-    /// in one without a timer.
+    /// Panics outside of a tokio runtime. In a runtime without a timer a write may
+    /// panic if the line accepts no more bytes.
     pub async fn open(path: &str) -> Result<Self, Error> {
-        Opener::default().open(path).await
+        SerialOpener::default().open(path).await
     }
 
     fn open_blocking(path: &str) -> Result<Self, Error> {
@@ -80,57 +81,57 @@ impl SerialPort {
         let builder = builder.exclusive(true);
         let inner = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
         let port = Self { inner, baud_rate, is_usb_sensor: list::is_usb_sensor(path) };
-        port.verify(baud_rate).map_err(|source| open_error(path, source))?;
+        port.verify(baud_rate).map_err(|source| Error::open(path, source))?;
         Ok(port)
     }
 
-    /// Checks that the port runs at `baud_rate`. Some adapters accept what they
-    /// cannot do and take the nearest baud_rate they can.
+    /// Fails if the port does not run at `baud_rate`. Some adapters accept a baud rate
+    /// they do not have, and take the nearest one.
     fn verify(&self, baud_rate: BaudRate) -> io::Result<()> {
         let actual = self.inner.baud_rate()?;
         if is_close(baud_rate, actual) {
             Ok(())
         } else {
-            Err(io::Error::other(format!("asked for {baud_rate} baud, the port took {actual}")))
+            Err(io::Error::other(format!("expected {baud_rate} baud, the port runs at {actual}")))
         }
     }
 
-    fn change_speed(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+    fn apply_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.inner.set_baud_rate(baud_rate.bits_per_second())?;
         self.verify(baud_rate)
     }
 }
 
-/// Whether a line at `actual` bits per second is one at `baud_rate`.
+/// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
 ///
-/// Adapters report what their divider makes of a baud_rate (a CP2104 has 115,384
-/// for 115,200), and a receiver samples a byte correctly as long as both sides
-/// together are off by less than half a bit in ten. 2 % leaves the sensor its
-/// share; the nearest other baud_rate an adapter could take instead (256,000 for
-/// 250,000) is farther away.
+/// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A
+/// receiver samples a byte correctly if both sides together are off by less than half
+/// a bit in ten, 5 %; 2 % leaves a share for the sensor. The nearest baud rate that an
+/// adapter may take instead, 256,000 for 250,000, is 2.4 % off.
 fn is_close(baud_rate: BaudRate, actual: u32) -> bool {
     let wanted = baud_rate.bits_per_second();
     u64::from(wanted.abs_diff(actual)) * 50 <= u64::from(wanted)
 }
 
 impl Port for SerialPort {
-    /// The baud_rate in force; `None` for a sensor's own USB port (id 15d1:0000).
+    /// Returns the baud rate in force, `None` for the USB port of a sensor (id
+    /// 15d1:0000).
     fn baud_rate(&self) -> Option<BaudRate> {
         if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }
 
-    /// Sets the baud_rate, and reads it back. After an error the baud_rate is what it
-    /// was before, if the port can still be set at all.
+    /// Sets the baud rate and reads it back. After an error the former baud rate is
+    /// restored, if the port can still be set at all.
     fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        match self.change_speed(baud_rate) {
+        match self.apply_baud_rate(baud_rate) {
             Ok(()) => {
                 self.baud_rate = baud_rate;
                 Ok(())
             }
             Err(error) => {
                 let before = self.baud_rate;
-                if let Err(error) = self.change_speed(before) {
-                    tracing::debug!(%error, baud_rate = %before, "cannot go back to the baud rate");
+                if let Err(error) = self.apply_baud_rate(before) {
+                    tracing::debug!(%error, baud_rate = %before, "cannot restore the baud rate of the port");
                 }
                 Err(error)
             }
@@ -143,7 +144,7 @@ impl Port for SerialPort {
     }
 
     fn discard_output(&mut self) {
-        // A port that is gone has no output to discard.
+        // Fails only if the port is gone, and with it its output.
         let _ = self.inner.clear(ClearBuffer::Output);
     }
 }
@@ -174,8 +175,8 @@ impl AsyncWrite for SerialPort {
     }
 
     fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        // The system's is tcdrain(3), which blocks the runtime's thread until
-        // the last byte is on the line, or for ever where nothing drains.
+        // tcdrain(3) would block the runtime's thread until the last byte is on the
+        // line, which never happens if the line is stuck.
         Poll::Ready(Ok(()))
     }
 
@@ -184,45 +185,51 @@ impl AsyncWrite for SerialPort {
     }
 }
 
-/// Opens ports on a thread that may block, one at a time.
+/// Opens a port on a blocking thread, at most one at a time.
 #[derive(Debug, Default)]
-pub(super) struct Opener {
+pub(super) struct SerialOpener {
     earlier: Option<JoinHandle<()>>,
 }
 
-impl Opener {
-    /// As [`SerialPort::open`]. What an earlier call, whose future was dropped,
-    /// still has open is waited for: it would make the port busy, and calls to
-    /// a system that hangs would pile up threads.
+impl SerialOpener {
+    /// Returns true while an earlier call, whose future was dropped, has not ended.
+    pub(super) fn is_opening(&self) -> bool {
+        self.earlier.as_ref().is_some_and(|earlier| !earlier.is_finished())
+    }
+
+    /// Opens a port as [`SerialPort::open`] does. Waits first for an earlier call whose
+    /// future was dropped: its port would be busy, and calls that hang in the system
+    /// would each keep a thread.
     pub(super) async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
         if let Some(earlier) = &mut self.earlier {
-            // How it ended was for that call to report.
+            // Its result was that call's.
             let _ = earlier.await;
             self.earlier = None;
         }
         let (result, opened) = oneshot::channel();
         let owned = path.to_owned();
         let task = self.earlier.insert(spawn_blocking(move || {
-            // With nobody left to receive it the port comes back, and closes.
+            // If the receiver was dropped this drops the port, which closes it.
             drop(result.send(SerialPort::open_blocking(&owned)));
         }));
         match opened.await {
-            Ok(result) => result,
+            Ok(result) => {
+                self.earlier = None;
+                result
+            }
             Err(_) => {
                 let ended = task.await;
                 self.earlier = None;
                 let source = match ended {
                     Err(panicked_or_cancelled) => panicked_or_cancelled.into(),
-                    Ok(()) => io::Error::other("opening was given up"),
+                    Ok(()) => {
+                        io::Error::other("the thread that opened the port ended without a result")
+                    }
                 };
-                Err(open_error(path, source))
+                Err(Error::open(path, source))
             }
         }
     }
-}
-
-pub(super) fn open_error(port: &str, source: io::Error) -> Error {
-    Error::Open { port: port.to_owned(), source: Arc::new(source) }
 }
 
 #[cfg(test)]
@@ -230,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn o12_a_speed_that_an_adapter_rounds_is_the_speed_and_another_is_not() {
+    fn o12_a_baud_rate_that_an_adapter_rounds_is_accepted_and_another_is_not() {
         for baud_rate in BaudRate::ALL {
             assert!(is_close(baud_rate, baud_rate.bits_per_second()));
             assert!(!is_close(baud_rate, 0));

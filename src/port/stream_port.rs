@@ -1,4 +1,4 @@
-//! [`StreamPort`]: any stream, as a port.
+//! [`StreamPort`]: any stream as a port.
 
 use std::io;
 use std::pin::Pin;
@@ -8,16 +8,15 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::Port;
 
-/// A stream of which nothing is known but that bytes go in and out, as a
-/// [`Port`]: without a baud rate, and with nothing to do before it is closed.
+/// Any stream of bytes as a [`Port`] without a baud rate.
 ///
-/// For a [`Connect`](super::Connect) of one's own, whose docs have an example.
-/// Dropping it drops the stream.
+/// For your own [`Connect`](super::Connect), which has an example. Dropping the port
+/// drops the stream.
 #[derive(Debug)]
 pub struct StreamPort<T>(T);
 
 impl<T> StreamPort<T> {
-    /// Makes a port of `stream`.
+    /// Wraps `stream`.
     pub fn new(stream: T) -> Self {
         Self(stream)
     }

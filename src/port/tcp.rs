@@ -3,28 +3,46 @@
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
-use std::sync::Arc;
 use std::task::{Context, Poll};
+use std::time::Duration;
 
+use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpSocket, TcpStream, lookup_host};
 
+use super::dial::connect_first;
 use super::{Endpoint, Port};
 use crate::{BaudRate, Error};
+
+/// The time without traffic after which the system probes a connection.
+const KEEPALIVE_TIME: Duration = Duration::from_secs(10);
+/// The time after which the system repeats an unanswered probe.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(5);
+/// The number of unanswered probes after which the system resets the connection.
+const KEEPALIVE_PROBES: u32 = 3;
 
 /// A TCP connection to a server that passes bytes to and from a sensor, such
 /// as `ser2net` in raw mode or `urg emulate --tcp`.
 ///
-/// Telnet servers are not such: they double the byte 0xFF and send commands of
-/// their own. The speed of the line behind the server is the server's affair,
-/// so [`set_baud_rate`](Port::set_baud_rate) is refused with
+/// A Telnet server does not pass bytes unchanged: it doubles the byte 0xFF and sends
+/// commands of its own. The baud rate of the line behind the server cannot be changed
+/// from here, so [`set_baud_rate`](Port::set_baud_rate) fails with
 /// [`io::ErrorKind::Unsupported`].
 ///
-/// What is written goes out at once (`TCP_NODELAY`), and the system probes an
-/// idle connection (`SO_KEEPALIVE`, at the system's intervals, often hours; a
-/// server that is gone shows in a missed deadline long before). An end or a
-/// reset of the connection is what a read or write returns. Dropping the port
-/// closes the connection without waiting.
+/// Written bytes are sent at once (`TCP_NODELAY`).
+///
+/// # A server that disappears
+///
+/// A server that closes or resets the connection ends reads at once. One that
+/// disappears without a word (power cut, cable pulled) does not. While scans are
+/// polled, the driver notices it by a missed deadline. On an idle connection the
+/// system probes the server after 10 s without traffic and resets the connection
+/// after three probes without an answer, 25 s in all (`SO_KEEPALIVE`). The cost is
+/// six small packets a minute in each direction. On other systems than Android,
+/// FreeBSD, Linux, macOS and Windows the number and the interval of the probes are the
+/// system's.
+///
+/// Dropping the port closes the connection without waiting.
 #[derive(Debug)]
 pub struct TcpPort {
     stream: TcpStream,
@@ -33,54 +51,82 @@ pub struct TcpPort {
 
 impl TcpPort {
     /// Connects to `host` (a name or an address) and `port`, behind which is a
-    /// line at `baud_rate`. A name's addresses are tried one after the other.
+    /// line at `baud_rate`.
     ///
-    /// There is no time limit but the system's. Cancel-safe: dropping the
-    /// future closes what it has opened.
+    /// The addresses of a name are tried as RFC 8305 describes: IPv6 and IPv4 in
+    /// turn, the next one after 250 ms or after a failure, and the first one that
+    /// accepts is used.
+    ///
+    /// There is no time limit but the system's, which is about two minutes on Linux; a
+    /// [`Sensor`](crate::Sensor) has its open timeout. Cancel-safe: dropping the
+    /// future closes all connections it has opened. The lookup of a name runs on one
+    /// of tokio's blocking threads, and ends there when the system returns, also if
+    /// the future was dropped.
     ///
     /// # Errors
     ///
-    /// [`Error::Open`], which is transient, with the last address's failure as
-    /// its source: refused, unreachable, no such host.
+    /// Fails with [`Error::Open`], which is transient. Its source is the system's error
+    /// (refused, unreachable, no such host), or the list of addresses with the error
+    /// of each.
     pub async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
         match connect(host, port).await {
             Ok(stream) => Ok(Self { stream, baud_rate }),
             Err(source) => {
                 let endpoint = Endpoint::Tcp { host: host.to_owned(), port, baud_rate };
-                Err(Error::Open { port: endpoint.to_string(), source: Arc::new(source) })
+                Err(Error::open(endpoint.to_string(), source))
             }
         }
     }
 }
 
 async fn connect(host: &str, port: u16) -> io::Result<TcpStream> {
-    let mut failure = None;
-    for address in lookup_host((host, port)).await? {
-        match connect_to(address).await {
-            Ok(stream) => return Ok(stream),
-            Err(error) => failure = Some(error),
-        }
-    }
-    Err(failure
-        .unwrap_or_else(|| io::Error::new(io::ErrorKind::NotFound, "the host has no address")))
+    let addresses = lookup_host((host, port)).await?.collect();
+    connect_first(addresses, connect_to).await
 }
 
 async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
-    // Not TcpStream::connect: only a TcpSocket can be told to keep alive.
     let socket = match address {
         SocketAddr::V4(_) => TcpSocket::new_v4()?,
         SocketAddr::V6(_) => TcpSocket::new_v6()?,
     };
-    socket.set_keepalive(true)?;
+    SockRef::from(&socket).set_tcp_keepalive(&keepalive())?;
     let stream = socket.connect(address).await?;
-    // A command is one small segment and nothing follows it: it must not wait
-    // for an acknowledgement.
+    // Without it a command, which is one small segment, may wait for the
+    // acknowledgement of the one before.
     stream.set_nodelay(true)?;
     Ok(stream)
 }
 
+#[cfg(any(
+    target_os = "android",
+    target_os = "freebsd",
+    target_os = "linux",
+    target_os = "macos",
+    windows
+))]
+fn keepalive() -> TcpKeepalive {
+    TcpKeepalive::new()
+        .with_time(KEEPALIVE_TIME)
+        .with_interval(KEEPALIVE_INTERVAL)
+        .with_retries(KEEPALIVE_PROBES)
+}
+
+/// Leaves the interval and the number of probes to the system: not every other system
+/// has them as settings of a socket.
+#[cfg(not(any(
+    target_os = "android",
+    target_os = "freebsd",
+    target_os = "linux",
+    target_os = "macos",
+    windows
+)))]
+fn keepalive() -> TcpKeepalive {
+    let _ = (KEEPALIVE_INTERVAL, KEEPALIVE_PROBES);
+    TcpKeepalive::new().with_time(KEEPALIVE_TIME)
+}
+
 impl Port for TcpPort {
-    /// What the address says.
+    /// Returns the baud rate of the endpoint's address.
     fn baud_rate(&self) -> Option<BaudRate> {
         Some(self.baud_rate)
     }
@@ -123,7 +169,34 @@ mod tests {
         let server = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await?;
         let stream = connect("127.0.0.1", server.local_addr()?.port()).await?;
         assert!(stream.nodelay()?);
-        assert!(TcpSocket::from_std_stream(stream.into_std()?).keepalive()?);
+        let socket = SockRef::from(&stream);
+        assert!(socket.keepalive()?);
+        #[cfg(target_os = "linux")]
+        assert_eq!(
+            (socket.tcp_keepalive_time()?, socket.tcp_keepalive_interval()?),
+            (KEEPALIVE_TIME, KEEPALIVE_INTERVAL)
+        );
+        Ok(())
+    }
+
+    /// A server whose queue of connections is full takes no part in the handshake,
+    /// as an address that is black-holed. Linux drops the SYN; other systems refuse.
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn a_host_is_reached_though_its_first_address_never_answers() -> io::Result<()> {
+        let full = TcpSocket::new_v4()?;
+        full.bind(([127, 0, 0, 1], 0).into())?;
+        let full = full.listen(0)?;
+        let hangs = full.local_addr()?;
+        let mut queued = Vec::new();
+        while let Ok(connection) =
+            tokio::time::timeout(Duration::from_millis(200), TcpStream::connect(hangs)).await
+        {
+            queued.push(connection?);
+        }
+        let server = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await?;
+        let stream = connect_first(vec![hangs, server.local_addr()?], connect_to).await?;
+        assert_eq!(stream.peer_addr()?, server.local_addr()?);
         Ok(())
     }
 }

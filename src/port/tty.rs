@@ -1,4 +1,4 @@
-//! [`Tty`]: the bytes of a serial port on Unix, with no wake-up that does nothing.
+//! [`Tty`]: reads and writes of a serial port on Unix, without needless wake-ups.
 
 use std::future::Future;
 use std::io::{self, Read as _, Write as _};
@@ -12,27 +12,26 @@ use tokio::io::{Interest, ReadBuf};
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
-/// How much is read at once, at most. All of it is initialised first, and no
-/// reply of a sensor is longer.
-const MAX_READ: usize = 2048;
-/// Whether a read that fills less than its room has taken all there was, and what
-/// comes later is told of: so it is with ttys and epoll.
-const SHORT_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
-/// When a port that takes no more is tried again: about as long as the slowest
-/// line takes for a command.
-const RETRY: Duration = Duration::from_millis(5);
+/// The longest read. The buffer is initialised before each read, and no reply of a
+/// sensor is longer.
+const MAX_READ_BYTES: usize = 2048;
+/// Whether a short read proves that the system's buffer is empty and that new bytes
+/// re-arm readiness. True for terminals with edge-triggered epoll.
+const SHORT_READ_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
+/// The time until a write is retried on a port whose buffer is full: about that of one
+/// command on the slowest line.
+const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 
-/// A serial port that wakes its reader when there is something to read, and
-/// nobody else.
+/// A serial port that is registered for reading only.
 ///
-/// tokio-serial's stream also watches for room to write. The system tells of
-/// that after each write, and again when the line has sent it: two wake-ups for
-/// each command, in which nobody has anything to do. A port takes a command at
-/// once but for the rarest case, which here is waited for by the clock.
+/// tokio-serial's stream is registered for writing, too. The system then reports room
+/// to write after each write, and again when the line has sent it: two needless
+/// wake-ups for each command. A port's buffer practically always has room for a command;
+/// if it has not, the write is retried by a timer.
 #[derive(Debug)]
 pub(super) struct Tty {
     fd: AsyncFd<SerialStream>,
-    /// The port took no more; until then it is left alone.
+    /// Runs after a write that found the port's buffer full.
     retry: Option<Pin<Box<Sleep>>>,
 }
 
@@ -56,25 +55,25 @@ impl Tty {
         self.fd.get_ref().clear(buffer)
     }
 
-    /// Reads what the system has by now, whatever the runtime has been told.
+    /// Reads the bytes that the system has, without the runtime's I/O driver.
     pub(super) fn try_read(&self, bytes: &mut [u8]) -> io::Result<usize> {
         self.fd.get_ref().read(bytes)
     }
 
-    /// As [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read).
+    /// Reads as [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read).
     pub(super) fn poll_read(
         self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        let room = buffer.remaining().min(MAX_READ);
+        let room = buffer.remaining().min(MAX_READ_BYTES);
         loop {
             let mut guard = ready!(self.fd.poll_read_ready(cx))?;
             let read = guard.try_io(|fd| fd.get_ref().read(buffer.initialize_unfilled_to(room)));
             match read {
                 Ok(Ok(read)) => {
                     buffer.advance(read);
-                    if SHORT_IS_ALL && (1..room).contains(&read) {
+                    if SHORT_READ_IS_ALL && (1..room).contains(&read) {
                         guard.clear_ready();
                     }
                     return Poll::Ready(Ok(()));
@@ -85,7 +84,7 @@ impl Tty {
         }
     }
 
-    /// As [`AsyncWrite::poll_write`](tokio::io::AsyncWrite::poll_write).
+    /// Writes as [`AsyncWrite::poll_write`](tokio::io::AsyncWrite::poll_write).
     pub(super) fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -98,7 +97,7 @@ impl Tty {
             }
             match self.fd.get_ref().write(bytes) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    self.retry = Some(Box::pin(sleep(RETRY)));
+                    self.retry = Some(Box::pin(sleep(RETRY_INTERVAL)));
                 }
                 outcome => return Poll::Ready(outcome),
             }

@@ -148,7 +148,8 @@ impl Sensor {
     /// # Errors
     ///
     /// [`Error::UnsupportedBaudRate`] before the sensor is told anything, if the
-    /// port cannot be set to this speed or, as a TCP connection, to any.
+    /// port cannot be set to this baud rate or, as a TCP connection, to any other than
+    /// that of its endpoint.
     /// [`Error::NotConfirmed`] if the sensor accepted and stayed where it was, or,
     /// with `L0` as its command, if the laser was off by request and will not go
     /// off at the new speed.

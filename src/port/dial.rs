@@ -1,0 +1,158 @@
+//! Connects to the first address of a host that accepts (RFC 8305, "Happy
+//! Eyeballs"): attempts start one after another without waiting for the failure of
+//! the one before, so that an address that never answers costs a fraction of a
+//! second and not the whole time limit.
+
+use std::future::Future;
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use tokio::task::JoinSet;
+use tokio::time::sleep;
+
+/// The time after which the next address is tried, too (RFC 8305, section 5).
+const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
+
+/// Connects to each of `addresses` by `connect` until one attempt succeeds; the
+/// others are then dropped.
+///
+/// Has no time limit: an address that neither accepts nor refuses keeps it waiting
+/// if no other accepts. Cancel-safe: dropping the future aborts all attempts.
+///
+/// # Errors
+///
+/// Fails if every attempt has failed, with the error of the only address, or with
+/// one that lists all addresses and their errors.
+pub(super) async fn connect_first<T, F>(
+    addresses: Vec<SocketAddr>,
+    connect: impl Fn(SocketAddr) -> F,
+) -> io::Result<T>
+where
+    T: Send + 'static,
+    F: Future<Output = io::Result<T>> + Send + 'static,
+{
+    let mut untried = alternate_families(addresses).into_iter();
+    let mut attempts = JoinSet::new();
+    let mut failures = Vec::new();
+    loop {
+        if let Some(address) = untried.next() {
+            let attempt = connect(address);
+            attempts.spawn(async move { (address, attempt.await) });
+        }
+        tokio::select! {
+            biased;
+            ended = attempts.join_next() => match ended {
+                Some(Ok((_, Ok(connection)))) => return Ok(connection),
+                Some(Ok((address, Err(error)))) => failures.push((address, error)),
+                Some(Err(panicked_or_aborted)) => return Err(panicked_or_aborted.into()),
+                None => return Err(all_failed(failures)),
+            },
+            () = sleep(ATTEMPT_DELAY), if untried.len() > 0 => {}
+        }
+    }
+}
+
+/// Sorts addresses so that the two families alternate, beginning with the family of
+/// the first one (RFC 8305, section 4). One whole family may be unreachable.
+fn alternate_families(addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
+    let is_v6_first = addresses.first().is_some_and(SocketAddr::is_ipv6);
+    let (first, second): (Vec<_>, Vec<_>) =
+        addresses.into_iter().partition(|address| address.is_ipv6() == is_v6_first);
+    let mut second = second.into_iter();
+    let mut alternating: Vec<_> =
+        first.into_iter().flat_map(|address| [Some(address), second.next()]).flatten().collect();
+    alternating.extend(second);
+    alternating
+}
+
+fn all_failed(mut failures: Vec<(SocketAddr, io::Error)>) -> io::Error {
+    let Some((_, last)) = failures.last() else {
+        return io::Error::new(io::ErrorKind::NotFound, "the host has no address");
+    };
+    let kind = last.kind();
+    if failures.len() == 1
+        && let Some((_, only)) = failures.pop()
+    {
+        return only;
+    }
+    let list: Vec<_> =
+        failures.iter().map(|(address, error)| format!("{address}: {error}")).collect();
+    io::Error::new(kind, list.join("; "))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use tokio::time::Instant;
+
+    use super::*;
+
+    const HANGS: u16 = 1;
+    const REFUSES: u16 = 2;
+    const ACCEPTS: u16 = 3;
+    const IS_SLOW: u16 = 4;
+
+    /// What an address does is in its TCP port.
+    async fn fake(address: SocketAddr) -> io::Result<SocketAddr> {
+        match address.port() {
+            HANGS => std::future::pending().await,
+            REFUSES => return Err(io::ErrorKind::ConnectionRefused.into()),
+            IS_SLOW => sleep(Duration::from_millis(400)).await,
+            _ => {}
+        }
+        Ok(address)
+    }
+
+    fn v4(port: u16) -> SocketAddr {
+        ([10, 0, 0, 1], port).into()
+    }
+
+    fn v6(port: u16) -> SocketAddr {
+        ([0xfd00, 0, 0, 0, 0, 0, 0, 1], port).into()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_address_that_never_answers_costs_a_quarter_of_a_second() {
+        let start = Instant::now();
+        let addresses = vec![v6(HANGS), v4(HANGS), v4(ACCEPTS)];
+        assert_eq!(connect_first(addresses, fake).await.unwrap(), v4(ACCEPTS));
+        assert_eq!(start.elapsed(), 2 * ATTEMPT_DELAY);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn after_a_refusal_the_next_address_is_tried_at_once() {
+        let start = Instant::now();
+        let addresses = vec![v4(REFUSES), v4(ACCEPTS)];
+        assert_eq!(connect_first(addresses, fake).await.unwrap(), v4(ACCEPTS));
+        assert_eq!(start.elapsed(), Duration::ZERO);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_address_still_wins_over_later_ones_that_hang() {
+        let start = Instant::now();
+        let addresses = vec![v4(IS_SLOW), v4(HANGS), v4(HANGS)];
+        assert_eq!(connect_first(addresses, fake).await.unwrap(), v4(IS_SLOW));
+        assert_eq!(start.elapsed(), Duration::from_millis(400));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn if_all_fail_the_error_lists_every_address() {
+        let error = connect_first(vec![v4(REFUSES), v6(REFUSES)], fake).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
+        assert_eq!(
+            error.to_string(),
+            "10.0.0.1:2: connection refused; [fd00::1]:2: connection refused"
+        );
+        let error = connect_first(Vec::new(), fake).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+    }
+
+    #[test]
+    fn the_families_alternate_and_no_address_is_lost() {
+        let addresses = vec![v6(1), v6(2), v6(3), v4(1)];
+        assert_eq!(alternate_families(addresses), [v6(1), v4(1), v6(2), v6(3)]);
+        let addresses = vec![v4(1), v6(1), v6(2), v6(3)];
+        assert_eq!(alternate_families(addresses), [v4(1), v6(1), v6(2), v6(3)]);
+    }
+}
