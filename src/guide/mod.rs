@@ -8,7 +8,8 @@
 //! 4. [`baud_rates`]: baud rates, and the scan rate that each can carry
 //! 5. [`geometry`]: steps, angles, ranges, error codes
 //! 6. [`testing`]: how to test a service without a sensor
-//! 7. [`operating`]: set-up on Linux, systemd, Docker, a Raspberry Pi, Windows
+//! 7. [`operating`]: set-up on Linux, systemd, Docker, a Raspberry Pi, a serial
+//!    server, Windows
 //! 8. [`logging`]: what is logged, and what to attach to a report
 //! 9. [`common_issues`]: messages and symptoms, their causes and remedies
 //! 10. [`recipes`]: short programs for common uses of a scanner
