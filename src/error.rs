@@ -164,12 +164,18 @@ pub enum Error {
     /// The laser is off by request, so that there is no scan.
     #[error("the laser is switched off: switch it on before asking for scans")]
     LaserOff,
-    /// The sensor accepted a command and did not act on it.
-    #[error("the sensor accepted {command} and did not act on it")]
+    /// The sensor answered a command and did not act on it: its laser or its baud
+    /// rate stays as it was.
+    #[error("{}", not_confirmed(command, *status, *refusal))]
     #[non_exhaustive]
     NotConfirmed {
         /// The command.
         command: Command,
+        /// The status of its reply, or `None` if no reply came.
+        status: Option<Status>,
+        /// The status with which the sensor refuses to measure, where the laser
+        /// stays off.
+        refusal: Option<Status>,
     },
     /// The port cannot be set to this baud rate.
     #[error("the port cannot be set to {baud_rate} baud{}", if source.is_some() { "" } else { ": its baud rate is fixed at the other end" })]
@@ -183,6 +189,25 @@ pub enum Error {
     /// The driver has ended: it was closed, or its task was dropped.
     #[error("the driver of the sensor has ended")]
     Closed,
+}
+
+/// Returns the message of [`Error::NotConfirmed`].
+fn not_confirmed(command: &Command, status: Option<Status>, refusal: Option<Status>) -> String {
+    let mut text = match command {
+        Command::LaserOn => "the laser stays off".to_owned(),
+        Command::LaserOff => "the laser stays on".to_owned(),
+        _ => "the sensor keeps its baud rate".to_owned(),
+    };
+    text += &match status {
+        Some(status) => format!(": the sensor answered {command} with status {status}"),
+        None => format!(": the sensor did not answer {command}"),
+    };
+    text += &match (refusal, command) {
+        (Some(refusal), _) => format!(", and refuses to measure with status {refusal}"),
+        (None, Command::LaserOff) => ", and still measures".to_owned(),
+        (None, _) => ", and did not act on it".to_owned(),
+    };
+    text + "; power-cycle it"
 }
 
 impl Error {

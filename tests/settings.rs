@@ -2,6 +2,7 @@
 
 use crate::common::{builder, ms, truthful};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Pace};
+use tokio_scip::protocol::Command;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
 
 async fn open(emulator: &Emulator) -> Sensor {
@@ -53,6 +54,31 @@ async fn w04_a_sensor_that_only_pretends_to_obey_is_found_out() {
     emulator.set_faults(faults);
     let error = sensor.laser_off().await.unwrap_err();
     assert!(matches!(error, Error::NotConfirmed { .. }), "{error:?}");
+    let text = error.to_string();
+    assert!(text.contains("laser stays on") && text.contains("L0 with status '0'"), "{text}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn d14_a_baud_rate_that_stays_is_reported_with_the_status_of_s() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    // Behind a fence; refused, which shows as "already so".
+    let shown = Fault::Flip(15, b'1' ^ b'3');
+    emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')).at(1, shown));
+    let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
+    let text = error.to_string();
+    assert!(text.contains("baud rate") && text.contains("with status '3'"), "{text}");
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
+    sensor.scan(Window::DETECTION).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn t04_a_command_that_fails_is_named_and_not_the_fence() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().rate(1.0, Fault::CommandLost));
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error, Error::Timeout { command: Command::LaserOff, .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,4 +1,4 @@
-//! [`Backoff`]: how long to wait before a port is opened again.
+//! [`Backoff`]: how long to wait before something that failed is tried again.
 
 use std::time::Duration;
 
@@ -21,8 +21,13 @@ impl Backoff {
     /// a hurry.
     pub(crate) fn note_uptime(&mut self, up: Duration) {
         if up > self.next {
-            self.next = self.shortest;
+            self.restart();
         }
+    }
+
+    /// Starts over with the shortest wait.
+    pub(crate) fn restart(&mut self) {
+        self.next = self.shortest;
     }
 
     /// Returns the next wait: up to a tenth longer than half of the one after it.

@@ -84,10 +84,11 @@ pub(crate) async fn change(
     session: &mut Session,
     baud_rate: BaudRate,
 ) -> Result<(), ExchangeError> {
+    let command = Command::BaudRate(baud_rate);
     let old = session.baud_rate();
     if old == Some(baud_rate) {
         // The sensor may have restarted unseen.
-        return session.fence().await.map(drop);
+        return session.fence().await.map(drop).map_err(|error| error.of(command));
     }
     // The sensor must not go where the port cannot follow.
     if let Err(error) = session.set_baud_rate(baud_rate) {
@@ -97,27 +98,28 @@ pub(crate) async fn change(
         }
         return Err(ExchangeError::Command(Error::UnsupportedBaudRate { baud_rate, source }));
     }
-    let command = Command::BaudRate(baud_rate);
     let Some(old) = old else {
         // USB: accepted without effect (C-42-3320-A p. 5).
         return session.command_twice(command, |_| ()).await;
     };
     session.set_baud_rate(old).map_err(lost)?;
-    match session.command(command, |_| ()).await {
+    let status = match session.command(command, |reply| reply.status()).await {
+        Ok(status) => Some(status),
         // Without a reply the sensor may or may not have changed.
-        Ok(_) | Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {}
-        Err(failure) => return Err(failure),
-    }
+        Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => None,
+        Err(error) => return Err(error),
+    };
     sleep(CHANGE_TIME).await;
     session.set_baud_rate(baud_rate).map_err(lost)?;
     if answers(session, 3).await? {
         return Ok(());
     }
     session.set_baud_rate(old).map_err(lost)?;
+    let not_confirmed = Error::NotConfirmed { command, status, refusal: None };
     if answers(session, 3).await? {
-        return Err(ExchangeError::Command(Error::NotConfirmed { command }));
+        return Err(ExchangeError::Command(not_confirmed));
     }
-    Err(ExchangeError::Silent(Error::NotConfirmed { command }))
+    Err(ExchangeError::Silent(not_confirmed))
 }
 
 /// Returns whether the sensor answers one of `tries` fences.

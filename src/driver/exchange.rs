@@ -1,6 +1,7 @@
 //! [`ExchangeError`]: why a command was not answered.
 
 use crate::Error;
+use crate::protocol::Command;
 
 /// Why a command was not answered, by what the driver has to do next.
 #[derive(Debug)]
@@ -18,6 +19,20 @@ impl ExchangeError {
     pub(crate) fn into_error(self) -> Error {
         match self {
             Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
+        }
+    }
+
+    /// Returns the error of `command`, where it is one of the fence before or after
+    /// it: whoever asked for `command` knows nothing of fences.
+    pub(crate) fn of(self, command: Command) -> Self {
+        match self {
+            Self::Silent(Error::Timeout { after, .. }) => {
+                Self::Silent(Error::Timeout { command, after })
+            }
+            Self::Silent(Error::Malformed { source, .. }) => {
+                Self::Silent(Error::Malformed { command, source })
+            }
+            other => other,
         }
     }
 }

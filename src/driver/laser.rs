@@ -1,19 +1,111 @@
-//! The laser: switched, and confirmed. A status alone is never believed.
+//! The laser: switched, confirmed, and switched on again where somebody else
+//! switched it off. A status alone is never believed.
 
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::backoff::Backoff;
 use super::exchange::ExchangeError;
 use super::session::Session;
 use crate::Error;
-use crate::protocol::Command;
+use crate::protocol::{Command, Status};
+
+/// Waits between two attempts to switch a laser on that stays off.
+const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 
 /// Switches the laser, and confirms it by a fence: a `G` is refused if and only
 /// if the laser is off.
 pub(crate) async fn set_laser(session: &mut Session, on: bool) -> Result<(), ExchangeError> {
     let command = if on { Command::LaserOn } else { Command::LaserOff };
-    for _ in 0..2 {
-        session.command_twice(command, |_| ()).await?;
-        if session.fence().await?.is_ok() == on {
+    let mut tries = 2;
+    loop {
+        tries -= 1;
+        let status = session.command_twice(command, |reply| reply.status()).await?;
+        // The caller asked for `command`, and knows nothing of fences.
+        let measured = session.fence().await.map_err(|error| error.of(command))?;
+        if measured.is_ok() == on {
             return Ok(());
         }
+        if tries == 0 {
+            let (status, refusal) = (Some(status), Some(measured).filter(|_| on));
+            return Err(ExchangeError::Command(Error::NotConfirmed { command, status, refusal }));
+        }
     }
-    Err(ExchangeError::Command(Error::NotConfirmed { command }))
+}
+
+/// Switches on a laser that is off though nobody here switched it off, with
+/// back-off: a laser that stays off would otherwise cost two commands a poll.
+pub(crate) struct LaserRecovery {
+    backoff: Backoff,
+    /// Why the last attempt was of no use, and when to try again: the laser stays
+    /// off, or, with no error, the sensor refuses with the laser on.
+    failed: Option<(Option<Error>, Instant)>,
+}
+
+impl LaserRecovery {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self { backoff: Backoff::new(RETRY, seed), failed: None }
+    }
+
+    /// Notes that the laser is on: scans come.
+    pub(crate) fn note_scan(&mut self) {
+        if self.failed.take().is_some() {
+            self.backoff.restart();
+        }
+    }
+
+    /// Switches the laser on after a poll was refused with `refusal`: sources do
+    /// not agree on the status of a `G` while the laser is off.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotConfirmed`] with both statuses if it stays off. Until the next
+    /// attempt is due: the same again, or the refusal if that is not the laser's.
+    pub(crate) async fn switch_on(
+        &mut self,
+        session: &mut Session,
+        refusal: Refusal,
+    ) -> Result<(), ExchangeError> {
+        if let Some((error, retry_at)) = &self.failed
+            && Instant::now() < *retry_at
+        {
+            let error = error.clone().unwrap_or_else(|| refusal.into());
+            return Err(ExchangeError::Command(error));
+        }
+        let error = match set_laser(session, true).await {
+            Ok(()) => {
+                let status = refusal.status;
+                tracing::info!(%status, "the sensor refused a poll: its laser is switched on");
+                return Ok(());
+            }
+            Err(ExchangeError::Command(Error::Refused { command, status })) => {
+                let (status, refusal) = (Some(status), Some(refusal.status));
+                Error::NotConfirmed { command, status, refusal }
+            }
+            Err(ExchangeError::Command(error @ Error::NotConfirmed { .. })) => error,
+            // Nothing is known of the laser.
+            Err(error) => return Err(error),
+        };
+        self.failed = Some((Some(error.clone()), Instant::now() + self.backoff.next()));
+        Err(ExchangeError::Command(error))
+    }
+
+    /// Notes that the sensor refuses to measure though its laser is on.
+    pub(crate) fn note_refusal(&mut self) {
+        self.failed = Some((None, Instant::now() + self.backoff.next()));
+    }
+}
+
+/// A `G` that the sensor refused.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Refusal {
+    pub(crate) command: Command,
+    pub(crate) status: Status,
+}
+
+impl From<Refusal> for Error {
+    fn from(Refusal { command, status }: Refusal) -> Self {
+        Self::Refused { command, status }
+    }
 }

@@ -7,7 +7,7 @@ use tokio::time::{Instant, sleep_until};
 
 use super::baud_rate;
 use super::exchange::ExchangeError;
-use super::laser::set_laser;
+use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::open::Wanted;
 use super::request::{Abandoned, Promise, Request, RequestQueue};
 use super::schedule::{DuePoll, Schedules};
@@ -17,9 +17,6 @@ use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::{Error, Window};
-
-/// The status of a `G` while the laser is off.
-const LASER_IS_OFF: Status = Status::new(b'6');
 
 /// Why a session is served no longer.
 #[derive(Debug)]
@@ -59,6 +56,7 @@ pub(crate) struct Service<'a> {
     pub(crate) scan_time: Duration,
     /// The values of the latest reply, in one buffer for all polls.
     pub(crate) values: &'a mut Vec<u16>,
+    pub(crate) laser_recovery: LaserRecovery,
 }
 
 impl Service<'_> {
@@ -210,21 +208,30 @@ impl Service<'_> {
         delivered.repeat
     }
 
-    /// Polls; where the laser is off and nobody here switched it off, once more
-    /// after switching it on.
+    /// Polls; if the sensor refuses, once more after switching the laser on: it is
+    /// off, and nobody here switched it off.
     async fn poll_with_laser(
         &mut self,
         session: &mut Session,
         window: Window,
     ) -> Result<Timing, ExchangeError> {
-        match session.poll(window, self.values).await {
-            Err(ExchangeError::Command(Error::Refused { status: LASER_IS_OFF, .. })) => {
-                set_laser(session, true).await?;
-                tracing::info!("the sensor's laser was off: it is switched on");
-                session.poll(window, self.values).await
+        let refusal = match session.poll(window, self.values).await {
+            Err(ExchangeError::Command(Error::Refused { command, status })) => {
+                Refusal { command, status }
             }
-            outcome => outcome,
+            outcome => {
+                if outcome.is_ok() {
+                    self.laser_recovery.note_scan();
+                }
+                return outcome;
+            }
+        };
+        self.laser_recovery.switch_on(session, refusal).await?;
+        let outcome = session.poll(window, self.values).await;
+        if let Err(ExchangeError::Command(Error::Refused { .. })) = &outcome {
+            self.laser_recovery.note_refusal();
         }
+        outcome
     }
 
     /// Answers a request; a failure of the line is also a reason to stop.

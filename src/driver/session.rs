@@ -115,7 +115,7 @@ impl Session {
         values: &mut Vec<u16>,
     ) -> Result<Timing, ExchangeError> {
         // First: what a fence clears must not be this poll.
-        self.settle().await?;
+        self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
         let (asked, surplus) = self.fence.widen(window);
         self.telemetry.stats().polls += 1;
         let ((), timing) = self.exchange(Command::Distances(asked), values, |_| ()).await?;
@@ -137,7 +137,7 @@ impl Session {
         command: Command,
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<T, ExchangeError> {
-        self.settle().await?;
+        self.settle().await.map_err(|error| error.of(command))?;
         let (answer, _) = self.exchange(command, &mut Vec::new(), read).await?;
         Ok(answer)
     }

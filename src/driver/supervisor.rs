@@ -9,6 +9,7 @@ use tokio::time::{Instant, sleep};
 
 use super::backoff::Backoff;
 use super::config::Config;
+use super::laser::LaserRecovery;
 use super::open::Opener;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
@@ -108,6 +109,7 @@ impl<C: Connect> Supervisor<C> {
             telemetry: &self.telemetry,
             scan_time,
             values: &mut self.values,
+            laser_recovery: LaserRecovery::new(self.config.seed()),
         };
         service.run(session).await
     }

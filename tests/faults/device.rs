@@ -1,5 +1,7 @@
 //! Rows D: a sensor that restarts, refuses, or is not what it was.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -142,21 +144,96 @@ async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d07_each_status_of_refusal_is_told_and_the_line_stays_clean() {
+async fn d07_a_refusal_with_any_status_is_reported_and_the_link_stays_clean() {
     let emulator = prompt().build();
     let sensor = open(&emulator).await;
-    let fences = sensor.stats().fences;
-    for status in (0x21..=0x7e).filter(|status| !b"06".contains(status)) {
-        emulator.set_faults(Faults::none().at(0, Fault::Status(status)));
+    for status in (0x21..=0x7e).filter(|status| *status != b'0') {
+        // The poll, and the one after the laser was found to be on; or one poll
+        // while no further attempt is due.
+        let fault = Fault::Status(status);
+        emulator.set_faults(Faults::none().at(0, fault.clone()).at(3, fault));
         let error = sensor.scan(WINDOW).await.unwrap_err();
-        let Error::Refused { status: told, .. } = error else { panic!("{error:?}") };
-        assert_eq!(char::from(told), char::from(status));
+        let Error::Refused { status: found, .. } = error else { panic!("{error:?}") };
+        assert_eq!(char::from(found), char::from(status));
     }
-    assert_eq!(sensor.stats().fences, fences, "a refusal is no damage");
-    // `6` means that the laser is off: it is switched on, and the poll repeated.
-    emulator.set_faults(Faults::none().at(0, Fault::Status(b'6')));
-    sensor.scan(WINDOW).await.unwrap();
-    assert_eq!(sensor.stats().refused, 0x7e - 0x20 - 1);
+    let stats = sensor.stats();
+    assert_eq!(stats.fence_timeouts, 0);
+    // One to open, and one that confirmed the laser: no clock moves meanwhile.
+    assert_eq!(stats.fences, 2, "a refusal is no doubt");
+}
+
+#[tokio::test(start_paused = true)]
+async fn d13_a_laser_that_is_off_with_any_status_is_switched_on() {
+    for status in [b'1', b'5', b'6', b'E'] {
+        let emulator = prompt().build();
+        let sensor = open(&emulator).await;
+        emulator.set_faults(Faults::none().at(0, Fault::Status(status)));
+        sensor.scan(WINDOW).await.unwrap();
+        let stats = sensor.stats();
+        assert_eq!((stats.refused, stats.scans), (1, 1));
+    }
+}
+
+/// A sensor that answers at once, each command with what `reply` returns.
+fn peer(reply: impl Fn(&str) -> &'static str + Send + 'static) -> tokio::io::DuplexStream {
+    use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
+    let (near, far) = duplex(4096);
+    tokio::spawn(async move {
+        let (read, mut write) = split(far);
+        let mut commands = BufReader::new(read).lines();
+        while let Ok(Some(command)) = commands.next_line().await {
+            let reply = if command == "V" {
+                "0
+SERI:H0713090"
+            } else {
+                reply(&command)
+            };
+            if !command.is_empty() {
+                write
+                    .write_all(
+                        format!(
+                            "{command}
+{reply}
+
+"
+                        )
+                        .as_bytes(),
+                    )
+                    .await
+                    .unwrap();
+            }
+        }
+    });
+    near
+}
+
+#[tokio::test(start_paused = true)]
+async fn d14_a_laser_that_stays_off_is_reported_with_both_statuses_and_tried_with_back_off() {
+    for (answer, refusal) in [("2", "6"), ("0", "6"), ("1", "5")] {
+        let sent = Arc::new(AtomicUsize::new(0));
+        let count = Arc::clone(&sent);
+        let sensor = builder()
+            .attach(peer(move |command| {
+                count.fetch_add(usize::from(command == "L1"), Ordering::Relaxed);
+                if command.starts_with('G') { refusal } else { answer }
+            }))
+            .await
+            .unwrap();
+        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let mut errors = Vec::new();
+        let end = Instant::now() + Duration::from_secs(5);
+        while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
+            errors.extend(item.unwrap().err());
+        }
+        let [error] = &errors[..] else { panic!("{errors:?}") };
+        let text = error.to_string();
+        for part in ["laser", &format!("'{answer}'"), &format!("'{refusal}'")] {
+            assert!(text.contains(part), "{text}");
+        }
+        // After 0, 1 and 3 seconds, each twice where the status is one of success.
+        assert!((3..=6).contains(&sent.load(Ordering::Relaxed)), "{sent:?}");
+        assert!(sensor.stats().polls >= 50);
+    }
 }
 
 #[tokio::test(start_paused = true)]
