@@ -61,3 +61,20 @@ fn a_check_that_is_interrupted_is_no_good_one() {
     let (status, notices) = check.end();
     assert_eq!((status.code(), notices.len()), (Some(1), 1), "{notices:?}");
 }
+
+#[test]
+fn replies_that_are_faster_than_the_baud_rate_disprove_it() {
+    let link = Scratch::new("outrun");
+    // A pseudo-terminal takes any baud rate, and the sensor on it has none.
+    let sensor = Emulated::start(&format!("--revolution 20ms --link {}", link.path()));
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    let row = info.lines().find(|line| line.starts_with("baud rate")).unwrap();
+    assert!(row.contains("this port ignores the baud rate"), "{info}");
+    assert!(!row.contains("at most"), "{info}");
+    let baud = run(&format!("baud {} 115200", sensor.port), 0).stderr;
+    assert!(baud.contains("replies come faster than"), "{baud}");
+    let check = run(&format!("check {} --duration 2s", sensor.port), 0).stdout;
+    let rate = check.lines().find(|line| line.contains(" rate ")).unwrap();
+    assert!(rate.contains("replies come faster than"), "{check}");
+    assert!(!check.contains("would do"), "{check}");
+}

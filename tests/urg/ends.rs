@@ -1,6 +1,10 @@
 //! How the program ends when it is told to, or when nobody reads it any more.
 
-use super::program::{Emulated, Running, Scratch, shell};
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+
+use super::program::{Emulated, Running, Scratch, run, shell};
+use crate::common::prompt;
 
 #[test]
 fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
@@ -85,4 +89,43 @@ fn a_stream_that_is_to_outlive_its_terminal_does_so() {
     stream.signal("HUP");
     assert_eq!(stream.rest().len(), 4);
     assert_eq!(stream.end().0.code(), Some(0));
+}
+
+/// Serves a sensor on TCP that answers everything but polls, and returns its
+/// PORT.
+fn sensor_without_scans() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = format!("tcp://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let commands = BufReader::new(stream.try_clone().unwrap()).split(b'\n');
+        for command in commands.map_while(Result::ok).filter(|command| !command.is_empty()) {
+            let is_poll = command.starts_with(b"G") && command[1..4] != command[4..7];
+            if !is_poll {
+                let mut reply = Vec::new();
+                prompt::reply(&command, &mut reply);
+                stream.write_all(&reply).unwrap();
+            }
+        }
+    });
+    port
+}
+
+#[test]
+fn no_scan_is_no_success_and_the_last_line_has_the_reason() {
+    let stream = run(&format!("stream {} --duration 3s", sensor_without_scans()), 1);
+    let reason = stream.stderr.lines().last().unwrap();
+    assert!(reason.contains("no scan in 3."), "{}", stream.stderr);
+    assert!(reason.contains("did not answer"), "{}", stream.stderr);
+}
+
+#[cfg(feature = "mcap")]
+#[test]
+fn a_recording_without_a_scan_is_no_success() {
+    let file = Scratch::with_extension("no-scan", ".mcap");
+    let port = sensor_without_scans();
+    let record = run(&format!("record {port} {} --duration 3s", file.path()), 1);
+    let lines: Vec<_> = record.stderr.lines().rev().take(2).collect();
+    assert!(lines[0].contains("no scan in 3."), "{}", record.stderr);
+    assert!(lines[1].contains(": 0 scans in 0:03, "), "{}", record.stderr);
 }

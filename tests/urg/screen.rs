@@ -186,3 +186,17 @@ async fn a_radar_of_a_recording_ends_with_it_and_says_so() {
     terminal.until(&["URG-04LX", "\x1b[?1049l", "the recording has ended"]).await;
     assert_eq!(terminal.end().await, Some(0));
 }
+
+#[tokio::test]
+async fn a_stream_on_a_terminal_is_one_short_line_for_each_scan() {
+    let mut terminal = Terminal::start("stream emulated --count 3").await;
+    terminal.until(&["    0 ", "/682 points", " nearest ", "    1 ", "    2 ", "\n"]).await;
+    assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
+    let lines: Vec<_> = terminal.drawn.lines().map(str::trim_end).collect();
+    assert_eq!(lines.len(), 3, "{lines:?}");
+    assert!(lines.iter().all(|line| line.chars().count() <= 80), "{lines:?}");
+
+    // For programs, also there.
+    let mut terminal = Terminal::start("stream emulated --count 1 --format ndjson").await;
+    terminal.until(&["{\"sequence\":0", "\"ranges\":[", "}"]).await;
+}

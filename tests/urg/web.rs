@@ -1,7 +1,9 @@
 //! `urg serve`: what it serves to whom, over real sockets.
 
 use std::collections::HashMap;
-use std::time::Instant;
+use std::io::Write;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -245,19 +247,58 @@ fn what_cannot_be_served_is_said_so() {
 }
 
 #[test]
-fn viewers_are_bounded_and_one_that_goes_makes_room() {
+fn viewers_are_bounded_and_the_oldest_of_a_crowded_address_makes_room() {
     let served = Served::start("emulated");
-    let mut viewers: Vec<_> = (0..32).map(|_| served.get("/scans")).collect();
+    let mut viewers: Vec<_> = (0..33).map(|_| served.get("/scans")).collect();
     assert!(viewers.iter().all(|viewer| viewer.status == 200));
     assert_eq!(served.json("/state")["viewers"], 32);
-    let refused = served.get("/scans");
-    assert_eq!(refused.status, 503);
-    assert!(refused.has("retry-after"));
-    viewers.pop();
-    let patience = Instant::now() + PATIENCE;
-    while served.get("/scans?max=1").status != 200 {
-        assert!(Instant::now() < patience, "nobody may come in any more");
+    scan(&viewers[32].line().unwrap());
+    // The first one ends, somewhere in a line or between two.
+    let oldest = viewers.remove(0);
+    assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| oldest.text())).is_err());
+}
+
+/// What a supervisor and a new viewer find while others misuse the server.
+fn is_served_in_time(served: &Served) {
+    for _ in 0..5 {
+        let asked = Instant::now();
+        assert_eq!(served.get("/health").status, 200);
+        assert!(asked.elapsed() < Duration::from_secs(2), "{:?}", asked.elapsed());
     }
+    let asked = Instant::now();
+    let mut viewer = served.get("/scans?max=20");
+    assert_eq!(viewer.status, 200);
+    for n in 0..20 {
+        scan(&viewer.line().unwrap());
+        assert!(n > 0 || asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+    }
+}
+
+#[test]
+fn clients_that_send_their_request_byte_by_byte_keep_nobody_out() {
+    let served = Served::start("emulated");
+    served.health(200);
+    let mut slow: Vec<_> = (0..300).map(|_| TcpStream::connect(&served.address).unwrap()).collect();
+    for byte in b"GET /health HT" {
+        // Those that had to make room for others are closed by now.
+        slow.retain(|mut client| client.write_all(&[*byte]).is_ok());
+    }
+    assert!(slow.len() >= 100, "{} are still open", slow.len());
+    is_served_in_time(&served);
+}
+
+#[test]
+fn clients_that_never_read_their_scans_keep_nobody_out() {
+    let served = Served::start("emulated");
+    served.health(200);
+    let clients = (0..200).map(|_| {
+        let mut client = TcpStream::connect(&served.address).unwrap();
+        let host = &served.address;
+        write!(client, "GET /scans HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
+        client
+    });
+    let _clients: Vec<_> = clients.collect();
+    is_served_in_time(&served);
 }
 
 #[test]

@@ -1,23 +1,25 @@
-//! The self-test of a sensor: its steps, and what counts as good, weak and
-//! failed.
+//! The self-test of a sensor: its steps, and the limits of a good, a weak and a
+//! failed one.
 
-use std::fmt;
+use std::fmt::{self, Write};
 use std::time::Duration;
+
 use tokio::time::Instant;
 
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 
 use crate::failure::chain;
-use crate::stream::rate_watch::ENOUGH;
+use crate::stream::rate_watch::{ENOUGH, sufficient_baud_rate};
+use crate::stream::wire_speed;
 
-/// More than this part of the polls lost is a failure; less is weak.
-const MOST_LOST: f64 = 0.05;
-/// Below this part of what the line could carry, the rate is a failure.
-const HALF: f64 = 0.5;
-/// A sensor answers in a turn of its motor, and takes another one at most.
-const TURNS: f64 = 2.5;
+/// A greater part of the polls without a scan is a failure, a smaller one weak.
+const MAX_LOSS: f64 = 0.05;
+/// Below this part of the rate that the link can carry, the rate is a failure.
+const FAILED_RATE: f64 = 0.5;
+/// A sensor answers within one revolution of its motor, or two.
+const MAX_REVOLUTIONS: f64 = 2.5;
 
-/// How a step went.
+/// The outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Verdict {
     Ok,
@@ -30,7 +32,7 @@ pub(crate) enum Verdict {
 pub(crate) struct Step {
     pub(crate) name: &'static str,
     pub(crate) verdict: Verdict,
-    /// What was found, and why it is not good where it is not.
+    /// The findings, and the reason if they are not good.
     text: String,
 }
 
@@ -55,16 +57,16 @@ impl fmt::Display for Step {
     }
 }
 
-/// That the sensor was found, `after` so long.
+/// Reports that the sensor was found, `after` so long.
 pub(crate) fn link(sensor: &Sensor, after: Duration) -> Step {
     let place = match baud_rate(sensor) {
-        Some(speed) => format!("at {speed} baud"),
+        Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),
     };
     Step::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
 }
 
-/// Who it is.
+/// Asks for the identity of the sensor.
 pub(crate) async fn version(sensor: &Sensor) -> Step {
     const NAME: &str = "version";
     let version = match sensor.version().await {
@@ -75,7 +77,7 @@ pub(crate) async fn version(sensor: &Sensor) -> Step {
     let status = version.status.as_ref().map(ToString::to_string);
     match status {
         _ if version.product.is_empty() || version.serial_number.is_empty() => {
-            Step::new(NAME, Verdict::Weak, format!("it does not say who it is: {who}"))
+            Step::new(NAME, Verdict::Weak, format!("product or serial number missing: {who}"))
         }
         Some(status) if !status.contains("Normal") => {
             Step::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
@@ -84,7 +86,7 @@ pub(crate) async fn version(sensor: &Sensor) -> Step {
     }
 }
 
-/// Switches it off and on; the driver makes sure of both.
+/// Switches the laser off and on; the driver confirms both.
 pub(crate) async fn laser(sensor: &Sensor) -> Step {
     const NAME: &str = "laser";
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
@@ -96,8 +98,8 @@ pub(crate) async fn laser(sensor: &Sensor) -> Step {
     Step::new(NAME, Verdict::Ok, "goes off and on")
 }
 
-/// Streams the window for a while: at the pace of its motor, or at the one that
-/// was recorded.
+/// Streams the window for a while: at the rate of its motor, or at the recorded
+/// one.
 pub(crate) async fn scans(
     sensor: &Sensor,
     window: Window,
@@ -110,20 +112,22 @@ pub(crate) async fn scans(
     }
 }
 
-/// What came while it was watched.
+/// A stream, as it was measured.
 #[derive(Debug)]
 struct Measured {
     window: Window,
     baud_rate: Option<BaudRate>,
-    /// Scans a second.
+    /// The rate asked for, in scans a second.
     asked: f64,
     scans: Vec<Seen>,
-    /// What the driver counted before and after.
+    /// A baud rate that replies have disproved; `baud_rate` is `None` then.
+    outrun: Option<BaudRate>,
+    /// The driver's counters before and after.
     before: Stats,
     after: Stats,
 }
 
-/// What is kept of a scan.
+/// The measured part of a scan.
 #[derive(Debug)]
 struct Seen {
     requested_at: Instant,
@@ -145,25 +149,29 @@ impl Measured {
         let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
         let before = sensor.stats();
         let mut stream = sensor.scans(window, Rate::hz(asked)).await?;
-        let mut scans = Vec::new();
+        let link_rate = baud_rate(sensor);
+        let (mut scans, mut outrun) = (Vec::new(), None);
         let watch = async {
             // Errors are counted by the driver.
             while let Some(item) = stream.next().await {
-                scans.extend(item.ok().as_ref().map(Seen::of));
+                let Ok(scan) = item else { continue };
+                let link_rate = link_rate.filter(|rate| wire_speed::outruns(&scan, *rate));
+                outrun = outrun.or(link_rate);
+                scans.push(Seen::of(&scan));
             }
         };
         let _ = tokio::time::timeout(duration, watch).await;
         drop(stream);
-        // Behind the poll that is under way; its outcome is in the figures.
+        // Runs after the poll in flight, so that its outcome is counted.
         let _ = sensor.laser_on().await;
         let mut after = sensor.stats();
         if recorded.is_some() && matches!(&*sensor.state().borrow(), State::Closed { .. }) {
-            // That is how a replay ends: with a poll that nothing was recorded for.
+            // A replay ends with a poll that has no recorded reply.
             after.polls = after.polls.saturating_sub(1);
             after.disconnects = before.disconnects;
         }
-        let baud_rate = baud_rate(sensor);
-        Ok(Self { window, baud_rate, asked, scans, before, after })
+        let baud_rate = link_rate.filter(|_| outrun.is_none());
+        Ok(Self { window, baud_rate, asked, scans, outrun, before, after })
     }
 
     fn steps(&self) -> Vec<Step> {
@@ -178,12 +186,17 @@ impl Measured {
         counter(&self.after).saturating_sub(counter(&self.before))
     }
 
+    /// The number of polls without a scan.
+    fn lost(&self) -> u64 {
+        self.count(|stats| stats.polls).saturating_sub(self.count(|stats| stats.scans))
+    }
+
     fn polls(&self) -> Step {
         let polls = self.count(|stats| stats.polls);
-        let lost = polls.saturating_sub(self.count(|stats| stats.scans));
+        let lost = self.lost();
         let reasons = [
-            (self.count(|stats| stats.timeouts), "late"),
-            (self.count(|stats| stats.malformed.total()), "damaged"),
+            (self.count(|stats| stats.timeouts), "unanswered in time"),
+            (self.count(|stats| stats.malformed.total()), "malformed"),
             (self.count(|stats| stats.refused), "refused"),
             (self.count(|stats| stats.disconnects), "times the link was lost"),
         ];
@@ -195,7 +208,7 @@ impl Measured {
         let verdict = if polls == 0
             || self.scans.is_empty()
             || self.count(|stats| stats.disconnects) > 0
-            || lost as f64 > MOST_LOST * polls as f64
+            || lost as f64 > MAX_LOSS * polls as f64
         {
             Verdict::Failed
         } else if lost > 0 || !reasons.is_empty() {
@@ -207,7 +220,7 @@ impl Measured {
         if !reasons.is_empty() {
             text.push_str(": ");
             text.push_str(&reasons.join(", "));
-            text.push_str("; look at cable, plugs and power");
+            text.push_str("; check cable, plugs and power");
         }
         Step::new("polls", verdict, text)
     }
@@ -223,35 +236,48 @@ impl Measured {
         }
         let reached = (self.scans.len() - 1) as f64 / time;
         let asked = self.asked;
-        let text = format!("{reached:.1} scans a second of {asked:.1}");
-        // What the line carries, where it has a speed.
+        let mut text = format!("{reached:.1} scans a second of {asked:.1}");
+        if let Some(baud_rate) = self.outrun {
+            // Writing to a string does not fail.
+            let _ = write!(text, "; {}", wire_speed::explanation(baud_rate));
+        }
+        if reached >= ENOUGH * asked {
+            return Step::new(NAME, Verdict::Ok, text);
+        }
         let carried = self
             .baud_rate
-            .map_or(f64::INFINITY, |speed| 1.0 / self.window.wire_time(speed).as_secs_f64());
-        if reached >= ENOUGH * asked {
-            Step::new(NAME, Verdict::Ok, text)
-        } else if reached < HALF * asked.min(carried) {
-            Step::new(NAME, Verdict::Failed, format!("{text}: far less than it should be"))
-        } else if carried < asked / ENOUGH {
-            let text = format!("{text}: the line carries {carried:.1}; --baud 250000 would do");
-            Step::new(NAME, Verdict::Weak, text)
-        } else {
-            Step::new(NAME, Verdict::Weak, format!("{text}: some turns of the motor are missed"))
-        }
+            .map_or(f64::INFINITY, |rate| 1.0 / self.window.wire_time(rate).as_secs_f64());
+        let verdict = match reached < FAILED_RATE * asked.min(carried) {
+            true => Verdict::Failed,
+            false => Verdict::Weak,
+        };
+        let cause = match self.baud_rate {
+            Some(baud_rate) if carried < asked / ENOUGH => {
+                let helps = match sufficient_baud_rate(self.window, asked) {
+                    Some(faster) => format!("--baud {faster} would do"),
+                    None => "fewer steps would help".to_owned(),
+                };
+                format!("a line at {baud_rate} baud carries {carried:.1}; {helps}")
+            }
+            _ if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
+            _ => "some revolutions of the motor brought no scan".to_owned(),
+        };
+        Step::new(NAME, verdict, format!("{text}: {cause}"))
     }
 
     fn latency(&self) -> Step {
-        let took = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
-        let longest = self.scans.iter().map(took).max().unwrap_or_default();
-        let mean = self.scans.iter().map(took).sum::<Duration>() / self.scans.len().max(1) as u32;
+        let latency = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
+        let longest = self.scans.iter().map(latency).max().unwrap_or_default();
+        let mean =
+            self.scans.iter().map(latency).sum::<Duration>() / self.scans.len().max(1) as u32;
         let (mean, most) = (mean.as_millis(), longest.as_millis());
-        let text = format!("a whole scan comes in {mean} ms, {most} ms at most");
+        let text = format!("a whole scan takes {mean} ms, {most} ms at most");
         let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
-        let good = Duration::from_secs_f64(TURNS / self.asked) + wire.unwrap_or_default();
+        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / self.asked) + wire.unwrap_or_default();
         if longest <= good {
             return Step::new("latency", Verdict::Ok, text);
         }
-        let text = format!("{text}: more than {} ms is slow", good.as_millis());
+        let text = format!("{text}: expected at most {} ms", good.as_millis());
         Step::new("latency", Verdict::Weak, text)
     }
 
@@ -263,9 +289,13 @@ impl Measured {
         let text = format!("{distances} of {points} points have a distance");
         let repeats = self.count(|stats| stats.repeats) as usize;
         if distances == 0 {
-            Step::new(NAME, Verdict::Weak, format!("{text}: is it covered, or alone in a field?"))
+            Step::new(
+                NAME,
+                Verdict::Weak,
+                format!("{text}: is the sensor covered, or everything farther away than 4 m?"),
+            )
         } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
-            let text = format!("{text}, the same in all scans: does it measure at all?");
+            let text = format!("{text}, and all scans are equal: does the sensor measure at all?");
             Step::new(NAME, Verdict::Weak, text)
         } else {
             Step::new(NAME, Verdict::Ok, text)
@@ -327,16 +357,26 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
+    async fn a_low_rate_after_losses_is_reported_as_losses() {
+        let lossy = Faults::none().rate(0.2, Fault::Lost).seed(1);
+        let (bad, text) = test(Emulator::builder().baud_rate(BaudRate::B750000), lossy).await;
+        assert!(bad.iter().any(|(step, _)| *step == "rate"), "{text}");
+        let rate = text.lines().find(|line| line.contains(" rate ")).unwrap();
+        assert!(rate.contains("polls brought no scan"), "{text}");
+        assert!(!rate.contains("carries"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
     async fn some_loss_is_weak_and_much_is_a_failure() {
         let one = Faults::none().at(20, Fault::Lost);
         let (bad, text) = test(Emulator::builder().usb(), one).await;
         assert!(bad.contains(&("polls", Verdict::Weak)), "{text}");
         assert!(!bad.iter().any(|(_, verdict)| *verdict == Verdict::Failed), "{text}");
-        assert!(text.contains("1 late"), "{text}");
+        assert!(text.contains("1 unanswered in time"), "{text}");
         let much = Faults::none().rate(0.2, Fault::Damaged).seed(1);
         let (bad, text) = test(Emulator::builder().usb(), much).await;
         assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
-        assert!(text.contains("damaged"), "{text}");
+        assert!(text.contains("malformed"), "{text}");
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,25 +1,27 @@
 //! `urg baud`: moves the sensor to another baud rate.
 
-use tokio_scip::BaudRate;
+use tokio_scip::{BaudRate, Sensor};
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortArg;
-use crate::port::open::open;
+use crate::port::open::open_with;
+use crate::stream::wire_speed::{self, FastestReply};
 
 /// Move the sensor to another baud rate
 ///
-/// It stays there when the program has ended, until it is powered up anew: then
-/// it is at 19200 baud. Programs of this crate find it at any speed.
+/// The sensor keeps it when the program has ended, until its next power-up: then
+/// it is at 19200 baud again. Programs of this crate find it at any baud rate.
 #[derive(Debug, clap::Args)]
 #[command(allow_missing_positional = true, after_help = "Example:\n  urg baud /dev/ttyUSB0 115200")]
 pub(crate) struct Baud {
     #[command(flatten)]
     port: PortArg,
     /// 19200, 57600, 115200, 250000, 500000 or 750000
-    speed: BaudRate,
+    #[arg(value_name = "RATE")]
+    baud_rate: BaudRate,
     /// Wait for the sensor to appear, however long that takes
     #[arg(long)]
     wait: bool,
@@ -29,13 +31,24 @@ impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
         let link = LinkArgs { baud: None, wait: self.wait };
-        let sensor = open(&port, &link, Delivery::Newest).await?;
-        let moved = sensor.set_baud_rate(self.speed).await;
+        let fastest = FastestReply::default();
+        let builder = Sensor::builder().on_reply(fastest.observer());
+        let sensor = open_with(&port, &link, Delivery::Newest, builder).await?;
+        let before = sensor.state().borrow().baud_rate();
+        let ignored = before.filter(|before| fastest.outruns(*before));
+        let moved = sensor.set_baud_rate(self.baud_rate).await;
         moved.map_err(|error| Failure::at(&port.to_string(), &error))?;
-        let baud_rate = sensor.state().borrow().baud_rate();
-        match baud_rate {
-            Some(baud_rate) => notice(format_args!("{port}: the baud rate is {baud_rate} baud")),
-            None => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
+        let after = sensor.state().borrow().baud_rate();
+        match (after, ignored) {
+            (None, _) => {
+                notice(format_args!("{port}: the sensor is on USB, which has no baud rate"));
+            }
+            (Some(_), Some(ignored)) => {
+                notice(format_args!("{port}: {}", wire_speed::explanation(ignored)));
+            }
+            (Some(after), None) => {
+                notice(format_args!("{port}: the baud rate is {after} baud"));
+            }
         }
         Ok(())
     }

@@ -1,4 +1,4 @@
-//! `urg record`: scans and all that the sensor sends, into a file.
+//! `urg record`: scans, and every reply of the sensor, into a file.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -21,16 +21,17 @@ use crate::recording::file::{Existing, RecorderFile};
 use crate::recording::progress::Progress;
 use crate::recording::recorded::Recorded;
 use crate::stream::feed::{Feed, Update};
-use crate::stream::follow::{Ended, follow};
+use crate::stream::follow::follow;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 
-/// Record scans, and all that the sensor sends, into a file
+/// Record scans, and every reply of the sensor, into a file
 ///
-/// Goes on until Ctrl-C, --count or --duration, also when the sensor is
-/// unplugged and comes back. What is older than a second is in the file, also
+/// Runs until Ctrl-C, --count or --duration, also while the sensor is unplugged
+/// and when it comes back. Whatever is older than a second is in the file, also
 /// after a kill or on a full disk. The file is MCAP as ROS 2 writes it: `ros2 bag
-/// play`, Foxglove, PlotJuggler and others open it. As PORT it is the sensor again.
+/// play`, Foxglove, PlotJuggler and others open it. As PORT it replaces the sensor.
+/// A recording without a single scan is a failure.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg record [OPTIONS] <PORT> <FILE>",
@@ -38,8 +39,8 @@ use crate::stream::reporter::Reporter;
 Examples:
   urg record /dev/ttyACM0 run.mcap
   urg record serial:H0713090 night.mcap --wait --duration 8h
-  urg view run.mcap                      as it was
-  urg stream run.mcap --rate max         as fast as it goes"
+  urg view run.mcap                      replay at the recorded pace
+  urg stream run.mcap --rate max         replay as fast as possible"
 )]
 pub(crate) struct Record {
     #[command(flatten)]
@@ -47,10 +48,10 @@ pub(crate) struct Record {
     /// File to write: FILE.mcap
     #[arg(value_name = "FILE")]
     file: Option<PathBuf>,
-    /// Write over a file that exists, once the sensor is found
+    /// Overwrite a file that exists, once the sensor is found
     #[arg(long)]
     force: bool,
-    /// Frame that the scans are in, for ROS
+    /// Name of the sensor's coordinate frame, for ROS
     #[arg(long, value_name = "NAME", default_value = "laser")]
     frame_id: String,
     #[command(flatten)]
@@ -77,7 +78,7 @@ impl Record {
             _ = interrupt.requested() => return Ok(()),
         };
         file.begin()?;
-        let run = Run {
+        let run = RecordRun {
             recorder,
             watch: RateWatch::new(&port, window, rate),
             feed: Feed::new(&port, scans),
@@ -105,7 +106,7 @@ impl Record {
         let name = file.display();
         if !Recorded::is_name(file) {
             return Err(Failure::Usage(format!(
-                "call the file {name}.mcap: by that it is known as a recording"
+                "cannot record into {name}: expected a name that ends in .mcap, such as {name}.mcap"
             )));
         }
         if port.recorded().is_some_and(|recorded| recorded.is(file)) {
@@ -132,7 +133,7 @@ impl Record {
 }
 
 /// A stream on its way into the file.
-struct Run {
+struct RecordRun {
     recorder: Recorder,
     feed: Feed,
     reporter: Reporter,
@@ -143,7 +144,7 @@ struct Run {
     missed: u64,
 }
 
-impl Run {
+impl RecordRun {
     async fn run(
         mut self,
         pace: &PaceArgs,
@@ -157,7 +158,7 @@ impl Run {
                 Update::Scan(scan) => Ok(scan),
                 Update::Error(error) => Err(error),
                 Update::Reconnected => {
-                    watch.interrupted();
+                    watch.restart();
                     return Ok(());
                 }
                 Update::Missed(scans) => {
@@ -166,66 +167,65 @@ impl Run {
                 }
             };
             recorder.record(&item).map_err(|error| file.failure(&error))?;
+            if let Ok(scan) = &item
+                && let Some(text) = watch.scanned(scan, &reporter.sensor)
+            {
+                notice(text);
+            }
             if reporter.port.recorded().is_some() {
-                // What plays it waits for this.
+                // The replay waits for the recorder.
                 tokio::select! {
                     () = recorder.ready() => {}
                     _ = interrupt.requested() => {}
                 }
-            }
-            if let Some(text) = watch.look(&reporter.sensor) {
-                notice(text);
             }
             progress.show(|| {
                 let away = match &*reporter.sensor.state().borrow() {
                     State::Connected { .. } => "",
                     _ => "; sensor away",
                 };
-                let tally = Tally::new(recorder, reporter, *missed);
-                format!("{}{away} (Ctrl-C ends it)", tally.after(began.elapsed()))
+                let totals = RecordTotals::new(recorder, reporter, *missed);
+                format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
             });
             Ok(())
         };
         let followed = follow(feed, pace, interrupt, take).await;
-        let took = self.began.elapsed();
-        let mut tally = Tally::new(&self.recorder, &self.reporter, self.missed);
+        let elapsed = self.began.elapsed();
+        let mut totals = RecordTotals::new(&self.recorder, &self.reporter, self.missed);
         let name = file.path().display();
         let finished = tokio::select! {
             finished = self.recorder.finish() => finished.map_err(|error| file.failure(&error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(
-                "{name}: the disk takes too long: the end of the file is missing; what is in it can be read"
+                "{name}: the disk is too slow: the end of the file is missing, and the rest can be read"
             ))),
         };
-        let ended = match followed? {
-            Ended::AsAsked => Ok(()),
-            Ended::ByItself => self.reporter.end(),
-        };
+        let ended = self.reporter.finish(followed?);
         finished?;
-        tally.bytes = file.len();
-        notice(format_args!("{name}: {}", tally.after(took)));
+        totals.bytes = file.len();
+        notice(format_args!("{name}: {}", totals.after(elapsed)));
         ended
     }
 }
 
-/// What was recorded and what was not.
+/// The numbers of what was recorded and what was not.
 #[derive(Debug, Clone, Copy, Default)]
-struct Tally {
+struct RecordTotals {
     scans: u64,
     bytes: u64,
-    /// Scans that are not in the file, though they came.
+    /// Scans that are not in the file, though they arrived.
     lost: u64,
     /// Replies that are not in the file, so that a replay lacks them.
     lost_replies: u64,
-    /// Polls that brought no scan over a link that was there.
+    /// Polls without a scan over a working link.
     failed: u64,
     disconnects: u64,
 }
 
-impl Tally {
+impl RecordTotals {
     fn new(recorder: &Recorder, reporter: &Reporter, missed: u64) -> Self {
         let progress = recorder.progress();
         let disconnects = match reporter.port.recorded() {
-            // That is how a replay ends.
+            // A replay ends with the link.
             Some(_) => 0,
             None => reporter.sensor.stats().disconnects,
         };
@@ -239,10 +239,10 @@ impl Tally {
         }
     }
 
-    /// As a line of text.
-    fn after(self, took: Duration) -> String {
+    /// Returns a line of text.
+    fn after(self, elapsed: Duration) -> String {
         let Self { scans, bytes, lost, lost_replies, failed, disconnects } = self;
-        let mut text = format!("{scans} scans in {}, ", clock(took.as_secs_f64()));
+        let mut text = format!("{scans} scans in {}, ", clock(elapsed.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
             _ => format!("{:.1} MB", bytes as f64 / 1e6),
@@ -270,12 +270,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_tally_tells_how_long_how_much_and_what_is_missing() {
-        let good = Tally { scans: 598, bytes: 2_345_678, ..Tally::default() };
+    fn a_line_has_the_time_the_size_and_what_is_missing() {
+        let good = RecordTotals { scans: 598, bytes: 2_345_678, ..RecordTotals::default() };
         assert_eq!(good.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
         assert!(good.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
-        let bad =
-            Tally { scans: 3, bytes: 13_999, lost: 2, lost_replies: 5, failed: 4, disconnects: 1 };
+        let bad = RecordTotals {
+            scans: 3,
+            bytes: 13_999,
+            lost: 2,
+            lost_replies: 5,
+            failed: 4,
+            disconnects: 1,
+        };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
             "3 scans in 0:00, 13 kB, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x"

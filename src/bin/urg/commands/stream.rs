@@ -1,25 +1,30 @@
 //! `urg stream`: scans on standard output.
 
+use std::io::{self, IsTerminal};
+
 use clap::ValueEnum;
+
+use tokio_scip::Window;
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::format::csv;
+use crate::format::{csv, summary};
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
 use crate::port::open::open;
 use crate::stream::feed::{Feed, Update};
-use crate::stream::follow::{Ended, follow};
+use crate::stream::follow::follow;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 
 /// Write scans to standard output as they come
 ///
-/// Goes on until Ctrl-C, --count or --duration, also when the sensor is
-/// unplugged and comes back; a recording goes on to its end.
+/// Runs until Ctrl-C, --count or --duration, also while the sensor is unplugged
+/// and when it comes back; a recording runs to its end. A run without a single
+/// scan is a failure.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "`--help` explains the formats",
@@ -28,9 +33,9 @@ use crate::stream::reporter::Reporter;
 pub(crate) struct Stream {
     #[command(flatten)]
     port: PortArg,
-    /// How to write them
-    #[arg(long, value_enum, default_value_t = Format::Ndjson)]
-    format: Format,
+    /// Form of the output [default: summary on a terminal, else ndjson]
+    #[arg(long, value_enum)]
+    format: Option<StreamFormat>,
     #[command(flatten)]
     pace: PaceArgs,
     #[command(flatten)]
@@ -46,8 +51,8 @@ Examples:
   urg stream emulated --count 20 --format csv";
 
 const NDJSON: &str = "\
-NDJSON has one object a line. One with \"event\" tells of something else than a
-scan: disconnected, reconnected, error, missed. All others are scans:
+NDJSON has one object a line. One with \"event\" is no scan but an event:
+disconnected, reconnected, error, missed. All others are scans:
   sequence         number of the scan; a gap means that scans were missed
   stamp            seconds since 1970, when the reply began to arrive
   start,end        the first and the last step
@@ -63,11 +68,19 @@ scan: disconnected, reconnected, error, missed. All others are scans:
   ranges           metres; null where there is no distance";
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Format {
-    /// One object a line, for programs
+enum StreamFormat {
+    /// One short line for each scan, for people
+    Summary,
+    /// One JSON object a line, for programs
     Ndjson,
-    /// A row a point, for spreadsheets and data frames
+    /// A row for each point, for spreadsheets and data frames
     Csv,
+}
+
+impl StreamFormat {
+    fn default_for_stdout() -> Self {
+        if io::stdout().is_terminal() { Self::Summary } else { Self::Ndjson }
+    }
 }
 
 impl Stream {
@@ -93,47 +106,54 @@ impl Stream {
             _ = interrupt.requested() => return Ok(()),
         };
         let mut feed = Feed::new(&port, scans);
-        let mut run = Run {
+        let mut run = StreamRun {
             watch: RateWatch::new(&port, window, rate),
             reporter: Reporter::new(port, sensor),
-            format: self.format,
+            window,
+            format: self.format.unwrap_or_else(StreamFormat::default_for_stdout),
             output: Output::new(),
         };
-        if self.format == Format::Csv {
+        if run.format == StreamFormat::Csv {
             run.output.write(csv::HEADER).await?;
         }
         let write = async |update: Update| run.write(&update).await;
-        match follow(&mut feed, &self.pace, interrupt, write).await? {
-            Ended::AsAsked => Ok(()),
-            Ended::ByItself => run.reporter.end(),
-        }
+        let ended = follow(&mut feed, &self.pace, interrupt, write).await?;
+        run.reporter.finish(ended)
     }
 }
 
 /// A stream on its way to standard output.
-struct Run {
+struct StreamRun {
     reporter: Reporter,
-    format: Format,
+    window: Window,
+    format: StreamFormat,
     output: Output,
     watch: RateWatch,
 }
 
-impl Run {
+impl StreamRun {
     async fn write(&mut self, update: &Update) -> Result<(), Failure> {
         self.reporter.report(update);
         match (self.format, update) {
-            (Format::Ndjson, update) => self.output.write(&update.line()?).await?,
-            (Format::Csv, Update::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
-            // A table has no place for anything else.
-            (Format::Csv, _) => {}
+            (StreamFormat::Ndjson, update) => self.output.write(&update.line()?).await?,
+            (StreamFormat::Csv, Update::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
+            (StreamFormat::Summary, Update::Scan(scan)) => {
+                let stats = self.reporter.sensor.stats();
+                let schedules = stats.schedules.iter();
+                let reached = schedules.filter(|schedule| schedule.window == self.window);
+                let rate = reached.map(|schedule| schedule.reached).next().unwrap_or_default();
+                self.output.write(&summary::line(scan, rate)).await?;
+            }
+            // Events are on standard error too.
+            (StreamFormat::Csv | StreamFormat::Summary, _) => {}
         }
         match update {
-            Update::Scan(_) => {
-                if let Some(text) = self.watch.look(&self.reporter.sensor) {
+            Update::Scan(scan) => {
+                if let Some(text) = self.watch.scanned(scan, &self.reporter.sensor) {
                     notice(text);
                 }
             }
-            Update::Reconnected => self.watch.interrupted(),
+            Update::Reconnected => self.watch.restart(),
             Update::Error(_) | Update::Missed(_) => {}
         }
         Ok(())

@@ -63,7 +63,7 @@ impl View {
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
-            _ = interrupt.requested() => Ok(Ended::AsAsked),
+            _ = interrupt.requested() => Ok(Ended::Interrupted),
         };
         screen.give_back().await;
         let outcome = match outcome {

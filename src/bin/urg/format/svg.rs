@@ -6,7 +6,8 @@ use std::fmt::{self, Write};
 use tokio_scip::{Point, Scan, Version};
 
 use super::time;
-use crate::plot::missing::{DistanceCount, MissingKind};
+use crate::plot::missing::MissingKind;
+use crate::plot::summary::ScanSummary;
 use crate::plot::{self, Anchor, Place, REACH, Sector};
 
 const WIDTH: f64 = 180.0;
@@ -88,7 +89,7 @@ impl Paper {
         self.seen(out, scan)?;
         self.grid(out)?;
         self.points(out, scan)?;
-        self.kinds(out, scan)?;
+        self.missing(out, scan)?;
         self.legend(out, scan)?;
         writeln!(out, "</svg>")
     }
@@ -181,7 +182,7 @@ impl Paper {
 
     /// Outside of the sector a track for each kind of error code, so that they
     /// differ without colours too.
-    fn kinds(&self, out: &mut String, scan: &Scan) -> fmt::Result {
+    fn missing(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let half = plot::width(scan.window().cluster_count()) / 2.0;
         for (track, kind) in (1..).zip(MissingKind::ALL.into_iter().rev()) {
             let radius = REACH + f64::from(track) * TRACK / self.scale;
@@ -212,22 +213,19 @@ impl Paper {
             y += LINE;
             Ok(())
         };
-        let count = DistanceCount::of(scan);
-        let mut text = format!("{} of {} points have a distance", count.distances, scan.len());
-        let by_range = |a: &Point, b: &Point| a.range.total_cmp(&b.range);
-        if let (Some(near), Some(far)) =
-            (scan.points().min_by(by_range), scan.points().max_by(by_range))
-        {
-            let _ = write!(text, ", nearest {}, farthest {}", whereabouts(near), whereabouts(far));
+        let summary = ScanSummary::of(scan);
+        let mut text = format!("{} of {} points have a distance", summary.distances, scan.len());
+        if let (Some(near), Some(far)) = (summary.nearest, summary.farthest) {
+            let _ = write!(text, ", nearest {}, farthest {}", place_name(near), place_name(far));
         }
         row(out, r#"<circle class="points" cx="2" r="0.7"/>"#, &text)?;
         for (kind, track) in MissingKind::ALL.into_iter().zip(["outer", "middle", "inner"]) {
-            let mut text = format!("{} {}", count.count(kind), kind.meaning());
-            for (n, (value, count)) in count.values(kind).enumerate() {
+            let mut text = format!("{} {}", summary.count(kind), kind.meaning());
+            for (n, (measurement, points)) in summary.missing_of(kind).enumerate() {
                 let before = if n == 0 { " (" } else { ", " };
-                let _ = write!(text, "{before}code {value}: {count}");
+                let _ = write!(text, "{before}code {}: {points}", measurement.value());
             }
-            if count.count(kind) > 0 {
+            if summary.count(kind) > 0 {
                 let _ = write!(text, "), {track} track");
             }
             row(out, &format!(r#"<path class="track {}" d="M0 0H4"/>"#, kind.name()), &text)?;
@@ -277,7 +275,7 @@ fn label(
     )
 }
 
-fn whereabouts(point: Point) -> String {
+fn place_name(point: Point) -> String {
     format!("{:.3} m at {:.1}°", point.range, point.angle.to_degrees())
 }
 

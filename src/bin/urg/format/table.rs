@@ -1,12 +1,13 @@
-//! A scan for eyes: a line a point, and a summary below, where the terminal
-//! ends up.
+//! A scan as a table: a line for each point, and a summary at the end, which
+//! stays on the terminal.
 
-use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use tokio_scip::{Measurement, Point, Scan, Version};
 
-/// The whole text, with who measured.
+use crate::plot::summary::ScanSummary;
+
+/// Returns the whole text, with the sensor's name.
 pub(crate) fn table(scan: &Scan, version: &Version) -> String {
     let mut text = String::from("step  direction   distance\n");
     let cluster = scan.window().cluster_count();
@@ -26,29 +27,20 @@ pub(crate) fn table(scan: &Scan, version: &Version) -> String {
     text
 }
 
-/// Who measured, what, and how it looks on the whole.
+/// Returns the sensor's name, the window, and the figures of the scan.
 fn summary(scan: &Scan, version: &Version) -> String {
     let mut text = format!("{} {}: {}\n", version.product, version.serial_number, scan.window());
-    let found = scan.points().count();
-    let _ = writeln!(text, "{found} of {} points have a distance", scan.len());
-    let by_range = |a: &Point, b: &Point| a.range.total_cmp(&b.range);
-    if let (Some(near), Some(far)) =
-        (scan.points().min_by(by_range), scan.points().max_by(by_range))
-    {
+    let figures = ScanSummary::of(scan);
+    let _ = writeln!(text, "{} of {} points have a distance", figures.distances, figures.points);
+    if let (Some(near), Some(far)) = (figures.nearest, figures.farthest) {
         let _ = writeln!(text, "  nearest  {}", place(near));
         let _ = writeln!(text, "  farthest {}", place(far));
     }
-    let mut codes = BTreeMap::<_, usize>::new();
-    for measurement in scan.measurements() {
-        if measurement.distance().is_none() {
-            *codes.entry(measurement.value()).or_default() += 1;
-        }
+    if figures.distances < figures.points {
+        let _ = writeln!(text, "the others, by the reason that the sensor reports");
     }
-    if !codes.is_empty() {
-        let _ = writeln!(text, "the others, by what the sensor says");
-    }
-    for (value, count) in codes {
-        let _ = writeln!(text, "  {count:>4} x {}", reason(Measurement::from_value(value)));
+    for (measurement, points) in figures.missing() {
+        let _ = writeln!(text, "  {points:>4} x {}", reason(measurement));
     }
     text
 }
@@ -57,7 +49,7 @@ fn place(point: Point) -> String {
     format!("{:.3} m at {:.2}°", point.range, point.angle.to_degrees())
 }
 
-/// Why there is no distance.
+/// Returns the reason for a missing distance.
 fn reason(measurement: Measurement) -> String {
     match measurement {
         Measurement::Error(code) => code.to_string(),

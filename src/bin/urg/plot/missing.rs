@@ -1,11 +1,10 @@
-//! Why a direction has no distance, in the few kinds that eyes can tell apart
-//! on a plot.
+//! The reasons why a direction has no distance, in the three kinds that eyes can
+//! distinguish on a plot. Terminal, SVG and page use the same words, marks and
+//! colours for them.
 
-use std::collections::BTreeMap;
+use tokio_scip::Measurement;
 
-use tokio_scip::{Measurement, Scan};
-
-/// A kind of error code.
+/// A reason for a missing distance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) enum MissingKind {
     /// Possibly an object beyond the range.
@@ -19,7 +18,7 @@ pub(crate) enum MissingKind {
 impl MissingKind {
     pub(crate) const ALL: [Self; 3] = [Self::Far, Self::Weak, Self::Nothing];
 
-    /// Why `measurement` is no distance, if it is none.
+    /// Returns the kind of `measurement`; `None` for a distance.
     pub(crate) fn of(measurement: Measurement) -> Option<Self> {
         match measurement {
             Measurement::Distance(_) => None,
@@ -30,7 +29,7 @@ impl MissingKind {
         }
     }
 
-    /// In one word.
+    /// Returns one word for it.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Far => "far",
@@ -39,49 +38,13 @@ impl MissingKind {
         }
     }
 
-    /// In a few words.
+    /// Returns a few words for it.
     pub(crate) const fn meaning(self) -> &'static str {
         match self {
             Self::Far => "possibly beyond the range",
             Self::Weak => "too little light came back",
             Self::Nothing => "no distance for other reasons",
         }
-    }
-}
-
-/// How many directions of a scan have a distance, and why others have none.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct DistanceCount {
-    pub(crate) distances: usize,
-    /// How often each value came that is no distance.
-    values: BTreeMap<u16, usize>,
-}
-
-impl DistanceCount {
-    pub(crate) fn of(scan: &Scan) -> Self {
-        let mut count = Self::default();
-        for measurement in scan.measurements() {
-            if measurement.distance().is_some() {
-                count.distances += 1;
-            } else {
-                *count.values.entry(measurement.value()).or_default() += 1;
-            }
-        }
-        count
-    }
-
-    /// The values of one kind, each with how often it came.
-    pub(crate) fn values(&self, kind: MissingKind) -> impl Iterator<Item = (u16, usize)> {
-        let of = move |value: u16| MissingKind::of(Measurement::from_value(value));
-        self.values
-            .iter()
-            .filter(move |(value, _)| of(**value) == Some(kind))
-            .map(|(value, count)| (*value, *count))
-    }
-
-    /// How many directions have none for this reason.
-    pub(crate) fn count(&self, kind: MissingKind) -> usize {
-        self.values(kind).map(|(_, count)| count).sum()
     }
 }
 

@@ -3,6 +3,7 @@
 //! sensor's front up.
 
 pub(crate) mod missing;
+pub(crate) mod summary;
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 

@@ -11,8 +11,10 @@ use crate::interrupt::Interrupt;
 /// The reason why a stream is followed no further.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Ended {
-    /// The requested number or time is reached, or the user stopped it.
-    AsAsked,
+    /// The requested number of scans or time is reached.
+    Complete,
+    /// The user stopped it.
+    Interrupted,
     /// The stream has ended.
     ByItself,
 }
@@ -31,15 +33,17 @@ pub(crate) async fn follow(
     while left > 0 {
         let update = tokio::select! {
             biased;
-            since = &mut end, if ended.is_none() => {
-                ended = Some(since);
+            end = &mut end, if ended.is_none() => {
+                ended = Some(end);
                 continue;
             }
             update = feed.next() => update,
             () = std::future::ready(()), if ended.is_some() => break,
         };
         match update {
-            Some(Update::Scan(scan)) if ended.is_some_and(|end| scan.received_at() > end) => break,
+            Some(Update::Scan(scan)) if ended.is_some_and(|(_, at)| scan.received_at() > at) => {
+                break;
+            }
             Some(update) => {
                 left -= u64::from(matches!(update, Update::Scan(_)));
                 take(update).await?;
@@ -47,15 +51,24 @@ pub(crate) async fn follow(
             None => return Ok(Ended::ByItself),
         }
     }
-    Ok(Ended::AsAsked)
+    Ok(ended.map_or(Ended::Complete, |(ended, _)| ended))
 }
 
 /// Waits for the requested end, and returns its time.
-async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> Instant {
-    let Some(duration) = pace.duration else { return interrupt.requested().await };
-    let end = Instant::now() + duration;
+async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> (Ended, Instant) {
+    let begin = Instant::now();
+    let complete = async {
+        match pace.duration.and_then(|duration| begin.checked_add(duration)) {
+            Some(end) => {
+                tokio::time::sleep_until(end).await;
+                end
+            }
+            // Without a duration, or with one longer than any clock.
+            None => std::future::pending().await,
+        }
+    };
     tokio::select! {
-        () = tokio::time::sleep_until(end) => end,
-        since = interrupt.requested() => since,
+        at = complete => (Ended::Complete, at),
+        at = interrupt.requested() => (Ended::Interrupted, at),
     }
 }

@@ -1,9 +1,13 @@
 //! Reports the events of a stream to the user, on standard error, and maps the
 //! stream's end to the program's.
 
+use std::time::Instant;
+
 use tokio_scip::{Error, Sensor, State};
 
 use super::feed::Update;
+use super::follow::Ended;
+use super::link;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 use crate::port::name::PortName;
@@ -16,39 +20,61 @@ pub(crate) struct Reporter {
     /// The number of polls without a scan over a working link, as far as the
     /// stream reported them: while its reader is behind it keeps the latest only.
     pub(crate) failed: u64,
+    scans: u64,
+    last_error: Option<String>,
+    began: Instant,
 }
 
 impl Reporter {
     pub(crate) fn new(port: PortName, sensor: Sensor) -> Self {
-        Self { port, sensor, failed: 0 }
+        Self { port, sensor, failed: 0, scans: 0, last_error: None, began: Instant::now() }
     }
 
     /// Reports `update`, unless it is a scan.
     pub(crate) fn report(&mut self, update: &Update) {
-        let of_one_scan = matches!(update, Update::Error(error) if is_of_one_scan(error));
-        self.failed += u64::from(of_one_scan);
         match update {
-            Update::Scan(_) => {}
+            Update::Scan(_) => self.scans += 1,
             Update::Reconnected => notice(format_args!("{}: the sensor is back", self.port)),
             Update::Missed(scans) => {
                 notice(format_args!("{scans} scans missed: the reader of the output is too slow"));
             }
-            // The cause of the end, which is reported last.
-            Update::Error(_) if matches!(&*self.sensor.state().borrow(), State::Closed { .. }) => {}
-            Update::Error(error) if of_one_scan => {
-                // A bad cable would flood the terminal.
-                if self.failed == 1 {
-                    let text = chain(error);
-                    notice(format_args!("{}: {text} (reported once; polls go on)", self.port));
-                }
-            }
-            Update::Error(error) => notice(format_args!("{}: {}", self.port, chain(error))),
+            Update::Error(error) => self.error(error),
         }
     }
 
-    /// Maps the end of the stream to that of the program.
-    pub(crate) fn end(&self) -> Result<(), Failure> {
-        end(&self.port, &self.sensor)
+    fn error(&mut self, error: &Error) {
+        let text = chain(error);
+        if matches!(&*self.sensor.state().borrow(), State::Closed { .. }) {
+            // The cause of the end, which is reported last.
+        } else if is_of_one_scan(error) {
+            self.failed += 1;
+            // A bad cable would flood the terminal.
+            if self.failed == 1 {
+                notice(format_args!("{}: {text} (reported once; polls go on)", self.port));
+            }
+        } else {
+            notice(format_args!("{}: {text}", self.port));
+        }
+        self.last_error = Some(text);
+    }
+
+    /// Maps the end of the stream to that of the program. A stream that was to
+    /// bring scans and brought none is a failure.
+    pub(crate) fn finish(&self, ended: Ended) -> Result<(), Failure> {
+        match ended {
+            Ended::Interrupted => return Ok(()),
+            Ended::Complete => {}
+            Ended::ByItself => end(&self.port, &self.sensor)?,
+        }
+        if self.scans > 0 {
+            return Ok(());
+        }
+        let why = link::trouble(&self.sensor.state().borrow())
+            .filter(|_| self.port.recorded().is_none())
+            .or_else(|| self.last_error.clone())
+            .unwrap_or_else(|| "no poll was answered yet".to_owned());
+        let seconds = self.began.elapsed().as_secs_f64();
+        Err(Failure::Failed(format!("{}: no scan in {seconds:.1} s: {why}", self.port)))
     }
 }
 

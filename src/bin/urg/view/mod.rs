@@ -101,13 +101,13 @@ impl Viewer {
                 }
                 event = keys.next() => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {
-                        Some(Action::Quit) => return Ok(Ended::AsAsked),
+                        Some(Action::Quit) => return Ok(Ended::Interrupted),
                         action => self.act(action),
                     },
                     // A resize, mostly: the next frame has the new size.
                     Some(Ok(_)) => {}
                     Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
-                    None => return Ok(Ended::AsAsked),
+                    None => return Ok(Ended::Interrupted),
                 },
                 item = self.scans.next() => match item {
                     Some(Ok(scan)) => self.scanned(scan),
@@ -148,24 +148,25 @@ impl Viewer {
 
     fn scanned(&mut self, scan: Scan) {
         if !matches!(self.model.state, State::Connected { .. }) {
-            self.pace.interrupted();
+            self.pace.restart();
         }
+        let notice = self.pace.scanned(&scan, &self.sensor);
         self.model.scanned(scan);
-        if let Some(text) = self.pace.look(&self.sensor) {
-            self.say(text);
+        if let Some(text) = notice {
+            self.show(text);
         }
     }
 
     fn trouble(&mut self, error: &Error) {
         // That the link is lost is the state, and told as long as it is.
         if !matches!(error, Error::Disconnected { .. }) {
-            self.say(chain(error));
+            self.show(chain(error));
         }
     }
 
-    fn say(&mut self, text: impl Into<String>) {
+    fn show(&mut self, text: impl Into<String>) {
         self.model.now = Instant::now();
-        self.model.say(text);
+        self.model.show(text);
     }
 
     /// Does what a key asks for, without waiting for it.
@@ -189,7 +190,7 @@ impl Viewer {
                     let version = self.model.version.clone();
                     self.jobs.spawn_blocking(move || Done::Saved(save::save(&scan, &version)));
                 }
-                None => self.say("there is no scan yet to save"),
+                None => self.show("there is no scan yet to save"),
             },
             Some(Action::Quit) | None => {}
         }
@@ -204,19 +205,23 @@ impl Viewer {
             }
             Done::Watching(window, Err(error)) if window == self.model.window => {
                 self.model.window = self.scans.window();
-                self.say(format!("the window stays as it was: {}", chain(&error)));
+                self.show(format!("the window stays as it was: {}", chain(&error)));
             }
             Done::Watching(..) => {}
             Done::Laser(on, Ok(())) => {
                 self.model.laser = on;
-                self.pace.interrupted();
-                self.say(if on { "the laser is on" } else { "the laser is off: l switches it on" });
+                self.pace.restart();
+                self.show(if on {
+                    "the laser is on"
+                } else {
+                    "the laser is off: l switches it on"
+                });
             }
             Done::Laser(_, Err(error)) => {
-                self.say(format!("the laser was not switched: {}", chain(&error)));
+                self.show(format!("the laser was not switched: {}", chain(&error)));
             }
-            Done::Saved(Ok(path)) => self.say(format!("saved as {path}")),
-            Done::Saved(Err(error)) => self.say(error),
+            Done::Saved(Ok(path)) => self.show(format!("saved as {path}")),
+            Done::Saved(Err(error)) => self.show(error),
         }
     }
 }

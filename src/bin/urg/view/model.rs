@@ -117,8 +117,8 @@ impl Model {
         }
     }
 
-    /// Tells the user something for some seconds.
-    pub(crate) fn say(&mut self, text: impl Into<String>) {
+    /// Shows a message for some seconds.
+    pub(crate) fn show(&mut self, text: impl Into<String>) {
         self.message = Some((self.now, text.into()));
     }
 

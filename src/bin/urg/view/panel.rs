@@ -2,12 +2,14 @@
 
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use tokio_scip::{Point, Scan, State};
+use tokio_scip::{Scan, State};
 
 use super::model::Model;
 use super::palette::{BAND, Palette};
 use super::radar::mark;
-use crate::plot::missing::{DistanceCount, MissingKind};
+use crate::plot::missing::MissingKind;
+use crate::plot::summary::ScanSummary;
+use crate::stream::link;
 use crate::stream::rate_watch::ENOUGH;
 
 /// The whole panel, in at most `rows` lines where that can be.
@@ -133,14 +135,13 @@ impl Panel<'_> {
 
     fn scan(&self) -> Vec<Line<'static>> {
         let Some(scan) = &self.model.scan else { return vec![self.row("points", "none yet")] };
-        let count = DistanceCount::of(scan);
-        let nearest =
-            scan.points().min_by(|a: &Point, b: &Point| a.range.total_cmp(&b.range)).map_or_else(
-                || "-".to_owned(),
-                |point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees()),
-            );
+        let summary = ScanSummary::of(scan);
+        let nearest = summary.nearest.map_or_else(
+            || "-".to_owned(),
+            |point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees()),
+        );
         let mut lines = vec![
-            self.row("points", format!("{} of {}", count.distances, scan.len())),
+            self.row("points", format!("{} of {}", summary.distances, summary.points)),
             self.row("nearest", nearest),
         ];
         let hidden = scan.points().filter(|point| f64::from(point.range) > self.model.reach());
@@ -151,7 +152,7 @@ impl Panel<'_> {
         lines.push(Line::styled("no distance, at the rim", Palette::quiet()));
         for kind in MissingKind::ALL {
             let style = Style::new().fg(self.palette.missing(kind));
-            let text = format!("{} {:<5} {}", mark(kind), kind.name(), count.count(kind));
+            let text = format!("{} {:<5} {}", mark(kind), kind.name(), summary.count(kind));
             lines.push(Line::styled(text, style));
         }
         lines
@@ -181,26 +182,23 @@ pub(crate) fn brief(model: &Model) -> String {
     format!("{points}, {rate:.1} Hz")
 }
 
-/// What is wrong with the link, in a sentence for the line that tells it.
+/// Returns the trouble with the link, for the message line.
 pub(crate) fn trouble(state: &State) -> Option<String> {
     match state {
-        State::Disconnected { error, .. } => {
-            Some(format!("{}; it goes on when the sensor is back", crate::failure::chain(error)))
+        State::Disconnected { .. } => {
+            link::trouble(state).map(|why| format!("{why}; goes on when the sensor is back"))
         }
-        State::Recovering => {
-            Some("the sensor is silent: looking for it at every baud rate".to_owned())
-        }
-        State::Connecting { .. } => Some("looking for the sensor".to_owned()),
-        _ => None,
+        State::Closed { .. } => None,
+        state => link::trouble(state),
     }
 }
 
-/// The scan that is shown, for the title.
+/// Returns the port and the sensor, for the title.
 pub(crate) fn who(model: &Model) -> String {
     format!("{}  {} {}", model.port, model.version.product, model.version.serial_number)
 }
 
-/// Whether the picture is held.
+/// Returns a note for the title while the picture is paused.
 pub(crate) fn held(model: &Model) -> Option<String> {
     let number = model.scan.as_ref().map(Scan::sequence)?;
     model.paused.then(|| format!(" PAUSED at scan {number} "))

@@ -1,4 +1,4 @@
-//! The one stream of scans that all viewers share, and how it goes.
+//! The one stream of scans that all viewers share, and its health.
 
 use std::fmt::Write;
 use std::sync::{Arc, OnceLock};
@@ -11,14 +11,17 @@ use tokio_scip::{Rate, Sensor, State, Window};
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
+use crate::output::notice::notice;
 use crate::port::name::PortName;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
+use crate::stream::follow::Ended;
+use crate::stream::link::trouble;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 
-/// What scans may be late by, beside some periods.
-const GRACE: Duration = Duration::from_secs(2);
+/// A scan may be late by three periods and this.
+const SCAN_GRACE: Duration = Duration::from_secs(2);
 
 /// One sensor and one stream of it, for everybody.
 #[derive(Debug)]
@@ -32,24 +35,23 @@ pub(crate) struct Hub {
     live: watch::Sender<Option<Live>>,
 }
 
-/// How it goes, as of the latest update of the stream.
+/// The stream as of its latest update.
 #[derive(Debug, Clone)]
 pub(super) struct Live {
     pub(super) sensor: Sensor,
-    /// Where the stream is: a copy goes on with what comes next.
+    /// The stream at its current place: a clone continues from there.
     feed: Feed,
-    /// When the latest scan came.
+    /// The arrival of the latest scan.
     pub(super) scanned: Option<Instant>,
-    /// What came instead of a scan since then.
+    /// The latest error since then.
     error: Option<String>,
 }
 
-/// Whether scans flow.
+/// The state of the link in a word, and the reason if no scans flow.
 #[derive(Debug)]
 pub(super) struct Health {
-    /// One word for it.
     pub(super) link: &'static str,
-    /// Why no scans flow; `None` while they do.
+    /// `None` while scans flow.
     pub(super) why: Option<String>,
 }
 
@@ -59,7 +61,7 @@ impl Hub {
         Arc::new(Self { port, window, rate, sensor, live })
     }
 
-    /// Finds the sensor and begins its stream, if that was not done yet.
+    /// Finds the sensor and starts its stream, unless that is done.
     pub(crate) async fn open(&self, link: &LinkArgs) -> Result<(), Failure> {
         if self.live.borrow().is_some() {
             return Ok(());
@@ -76,7 +78,7 @@ impl Hub {
         Ok(())
     }
 
-    /// Follows the stream, until it ends for good.
+    /// Follows the stream until it ends for good.
     pub(crate) async fn run(&self, link: &LinkArgs) -> Result<(), Failure> {
         self.open(link).await?;
         let Some(mut live) = self.live.borrow().clone() else { return Ok(()) };
@@ -88,17 +90,17 @@ impl Hub {
                 Update::Scan(scan) => {
                     live.scanned = Some(scan.received_at());
                     live.error = None;
-                    pace.look(&live.sensor);
+                    pace.scanned(scan, &live.sensor).into_iter().for_each(notice);
                 }
                 Update::Error(error) => live.error = Some(chain(error)),
                 Update::Reconnected | Update::Missed(_) => {}
             }
             self.live.send_replace(Some(live.clone()));
         }
-        reporter.end()
+        reporter.finish(Ended::ByItself)
     }
 
-    /// A feed of its own for a viewer, once there is one.
+    /// Returns a feed for a viewer, once the sensor is found.
     pub(super) async fn feed(&self) -> Option<Feed> {
         let mut live = self.live.subscribe();
         let live = live.wait_for(Option::is_some).await.ok()?;
@@ -125,38 +127,32 @@ impl Hub {
         let Some(sensor) = self.sensor.get() else {
             return Health { link: "waiting", why: Some("looking for the sensor".to_owned()) };
         };
-        let (link, why) = match &*sensor.state().borrow() {
-            State::Connected { baud_rate, .. } => {
-                let wire = baud_rate.map_or(Duration::ZERO, |speed| self.window.wire_time(speed));
-                let period = self.rate.period().unwrap_or_default().max(wire);
-                let why = self.live().map_or_else(
-                    || Some("no scan yet".to_owned()),
-                    |live| live.overdue(3 * period + GRACE),
-                );
-                ("connected", why)
-            }
-            State::Connecting { error } => {
-                let why =
-                    error.as_ref().map(|error| format!("waiting for a sensor: {}", chain(error)));
-                ("waiting", Some(why.unwrap_or_else(|| "looking for the sensor".to_owned())))
-            }
-            State::Recovering => ("recovering", Some("the sensor is silent".to_owned())),
-            State::Disconnected { error, .. } => ("disconnected", Some(chain(error))),
-            State::Closed { error } => {
-                let why = error.as_ref().map_or_else(|| "closed".to_owned(), |error| chain(error));
-                ("closed", Some(why))
-            }
-            _ => ("unknown", Some("in a state of no name".to_owned())),
+        let state = sensor.state().borrow().clone();
+        let link = match &state {
+            State::Connected { .. } => "connected",
+            State::Connecting { .. } => "waiting",
+            State::Recovering => "recovering",
+            State::Disconnected { .. } => "disconnected",
+            State::Closed { .. } => "closed",
+            _ => "unknown",
         };
+        let why = trouble(&state).or_else(|| {
+            let wire_time = state.baud_rate().map(|rate| self.window.wire_time(rate));
+            let period = self.rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
+            match self.live() {
+                None => Some("no scan yet".to_owned()),
+                Some(live) => live.overdue(3 * period + SCAN_GRACE),
+            }
+        });
         Health { link, why }
     }
 }
 
 impl Live {
-    /// Why scans do not flow over a link that is there, if they do not.
-    fn overdue(&self, patience: Duration) -> Option<String> {
+    /// Returns the reason why no scans flow over a working link, if none do.
+    fn overdue(&self, limit: Duration) -> Option<String> {
         let mut why = match self.scanned.map(|scanned| scanned.elapsed()) {
-            Some(age) if age <= patience => return None,
+            Some(age) if age <= limit => return None,
             Some(age) => format!("no scan for {:.1} s", age.as_secs_f64()),
             None => "no scan yet".to_owned(),
         };

@@ -1,11 +1,14 @@
-//! `urg serve` behind its command line: what is served on which address.
+//! `urg serve` behind its command line: the pages and streams, and the addresses
+//! that they are served at.
 
+mod app;
 mod guard;
 mod hub;
 mod page;
 mod scans;
 mod server;
 mod state;
+mod viewers;
 
 use std::sync::Arc;
 
@@ -13,21 +16,11 @@ use axum::Router;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 
+use self::app::App;
 pub(crate) use self::hub::Hub;
+use self::viewers::Viewers;
 use crate::interrupt::Interrupt;
-
-/// How many streams of scans may be open at a time.
-const MAX_VIEWERS: usize = 32;
-
-/// What the handlers share.
-#[derive(Debug, Clone)]
-struct App {
-    hub: Arc<Hub>,
-    viewers: Arc<Semaphore>,
-    interrupt: Interrupt,
-}
 
 /// Serves `hub` on `listener`, an address of this machine only if `loopback`,
 /// until the user stops the program and all connections have ended.
@@ -39,7 +32,7 @@ pub(crate) async fn serve(
 ) {
     let app = App {
         hub: Arc::clone(hub),
-        viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
+        viewers: Arc::new(Viewers::default()),
         interrupt: interrupt.clone(),
     };
     let router = Router::new()

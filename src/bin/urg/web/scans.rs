@@ -1,35 +1,43 @@
 //! `/scans`: scans and events as they come, as NDJSON or server-sent events.
 
+use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use futures::stream;
-use tokio::sync::OwnedSemaphorePermit;
 
-use super::App;
+use super::app::App;
+use super::server::Connection;
+use super::viewers::Seat;
 use crate::failure::Failure;
 use crate::stream::feed::{Feed, Update};
 
-/// How long a stream of events stays silent before it says that it still is
-/// there.
-const SILENCE: Duration = Duration::from_secs(15);
+/// A stream of events without data sends a comment after this time, so that
+/// proxies keep it open.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(15);
 
-pub(super) async fn scans(State(app): State<App>, headers: HeaderMap, uri: Uri) -> Response {
+pub(super) async fn scans(
+    State(app): State<App>,
+    Extension(connection): Extension<Arc<Connection>>,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Response {
     let Some(left) = count(uri.query()) else {
-        let text = "write it as /scans?max=N, with a number of scans from 1\n";
+        let text = "invalid query: expected /scans?max=N, with a number of scans from 1\n";
         return (StatusCode::BAD_REQUEST, text).into_response();
     };
-    let Ok(place) = app.viewers.clone().try_acquire_owned() else {
-        let text = "too many viewers: try again when one has gone\n";
+    let Some(seat) = app.viewers.admit(connection) else {
+        let text = "too many viewers: try again when one has left\n";
         return (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], text)
             .into_response();
     };
     let format = ScansFormat::accepted(&headers);
-    let viewer = Viewer { app, feed: None, left, format, _place: place };
-    // What the client is slow to take is not asked for: the newest comes next.
+    let viewer = Viewer { app, feed: None, left, format, seat };
+    // A client that is slow is not polled for: the newest scan comes next.
     let lines = stream::unfold(viewer, async |mut viewer| {
         let text = viewer.next().await?;
         Some((text.map_err(|_| "cannot write JSON"), viewer))
@@ -38,7 +46,7 @@ pub(super) async fn scans(State(app): State<App>, headers: HeaderMap, uri: Uri) 
     (headers, Body::from_stream(lines)).into_response()
 }
 
-/// How many scans the query asks for, if it makes sense.
+/// Returns the number of scans that the query asks for; `None` if it is invalid.
 fn count(query: Option<&str>) -> Option<u64> {
     let parts = query.unwrap_or_default().split('&').filter(|part| !part.is_empty());
     parts.into_iter().try_fold(u64::MAX, |_, part| {
@@ -69,7 +77,7 @@ impl ScansFormat {
         }
     }
 
-    /// A line of NDJSON, which ends in LF, in this format.
+    /// Converts a line of NDJSON, which ends in LF, to this format.
     fn frame(self, line: String) -> String {
         match self {
             Self::Ndjson => line,
@@ -78,29 +86,32 @@ impl ScansFormat {
     }
 }
 
-/// Somebody who takes scans.
+/// A client that takes scans.
 struct Viewer {
     app: App,
-    /// `None` until the sensor was found.
+    /// `None` until the sensor is found.
     feed: Option<Feed>,
-    /// How many scans are still wanted.
+    /// The number of scans that are still wanted.
     left: u64,
     format: ScansFormat,
-    _place: OwnedSemaphorePermit,
+    seat: Seat,
 }
 
 impl Viewer {
-    /// The next piece of text; `None` after the end.
+    /// Returns the next piece of text; `None` after the end.
     async fn next(&mut self) -> Option<Result<String, Failure>> {
         let (interrupt, format) = (self.app.interrupt.clone(), self.format);
-        tokio::select! {
+        self.seat.waits();
+        let text = tokio::select! {
             biased;
             _ = interrupt.requested() => None,
             line = self.line() => Some(line?.map(|line| format.frame(line))),
-            () = tokio::time::sleep(SILENCE), if format == ScansFormat::Events => {
+            () = tokio::time::sleep(KEEPALIVE_INTERVAL), if format == ScansFormat::Events => {
                 Some(Ok(":\n\n".to_owned()))
             }
-        }
+        };
+        self.seat.handed();
+        text
     }
 
     async fn line(&mut self) -> Option<Result<String, Failure>> {

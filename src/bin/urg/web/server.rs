@@ -1,68 +1,138 @@
-//! Connections: how many there may be, how long they may take, and their end.
+//! Connections: how many there may be, how long they may take, and which one is
+//! closed to make room for a new one.
 
+use std::net::IpAddr;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-use axum::Router;
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Notify;
 use tokio::task::JoinSet;
 
 use crate::interrupt::Interrupt;
 
-/// How many connections may be open at a time; others wait to be accepted.
+/// So many connections may be open at a time. A new one takes the place of the
+/// oldest that serves no stream of scans.
 const MAX_CONNECTIONS: usize = 128;
-/// How long a connection may be open without a request.
-const IDLE: Duration = Duration::from_secs(30);
-/// What is taken in of a request's head, and kept of a response that the system
-/// does not take yet.
-const BUFFER: usize = 16 * 1024;
-/// How long to rest after a connection could not be accepted, as when too many
-/// files are open.
-const REST: Duration = Duration::from_millis(100);
+/// The longest time for the head of a request, and between two requests.
+const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
+/// The size of the buffers for the head of a request, and for the part of a
+/// response that the system does not take yet.
+const BUFFER_BYTES: usize = 16 * 1024;
+/// The pause after a connection could not be accepted, as with too many open
+/// files.
+const ACCEPT_BACKOFF: Duration = Duration::from_millis(100);
+
+/// A connection, as its handlers and the server see it.
+#[derive(Debug)]
+pub(super) struct Connection {
+    pub(super) address: IpAddr,
+    /// Whether it serves a stream of scans.
+    is_viewer: AtomicBool,
+    closed: Notify,
+}
+
+impl Connection {
+    fn new(address: IpAddr) -> Arc<Self> {
+        Arc::new(Self { address, is_viewer: AtomicBool::new(false), closed: Notify::new() })
+    }
+
+    /// Marks the connection as one that serves a stream of scans, or not.
+    pub(super) fn set_viewer(&self, is_viewer: bool) {
+        self.is_viewer.store(is_viewer, Ordering::Relaxed);
+    }
+
+    fn is_viewer(&self) -> bool {
+        self.is_viewer.load(Ordering::Relaxed)
+    }
+
+    /// Closes the connection, whatever it is doing.
+    pub(super) fn close(&self) {
+        self.closed.notify_one();
+    }
+}
 
 /// Serves until the user stops the program, and then until all connections have
 /// ended.
 pub(super) async fn serve(listener: TcpListener, router: Router, interrupt: &Interrupt) {
-    let service = TowerToHyperService::new(router);
-    let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(IDLE).max_buf_size(BUFFER);
-    let mut connections = JoinSet::new();
+    let mut connections = Connections::default();
     loop {
         let stream = tokio::select! {
             _ = interrupt.requested() => break,
-            Some(_) = connections.join_next() => continue,
-            accepted = listener.accept(), if connections.len() < MAX_CONNECTIONS => {
-                match accepted {
-                    Ok((stream, _)) => stream,
-                    Err(error) => {
-                        tracing::warn!(%error, "cannot accept a connection");
-                        tokio::time::sleep(REST).await;
-                        continue;
-                    }
+            Some(_) = connections.tasks.join_next() => continue,
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => stream,
+                Err(error) => {
+                    tracing::warn!(%error, "cannot accept a connection");
+                    tokio::time::sleep(ACCEPT_BACKOFF).await;
+                    continue;
                 }
-            }
+            },
         };
-        // A scan is worth a packet of its own at once. Without it, it works.
-        let _ = stream.set_nodelay(true);
-        let connection = http.serve_connection(TokioIo::new(stream), service.clone());
-        let interrupt = interrupt.clone();
-        connections.spawn(async move {
-            tokio::pin!(connection);
-            let outcome = tokio::select! {
-                outcome = &mut connection => outcome,
-                _ = interrupt.requested() => {
-                    // Streams of scans end by themselves.
-                    connection.as_mut().graceful_shutdown();
-                    connection.await
-                }
-            };
-            if let Err(error) = outcome {
-                tracing::debug!(%error, "a connection ended early");
-            }
-        });
+        let Ok(address) = stream.peer_addr() else { continue };
+        if connections.make_room() {
+            let connection = Connection::new(address.ip().to_canonical());
+            connections.open.push(Arc::downgrade(&connection));
+            connections.tasks.spawn(run(stream, router.clone(), connection, interrupt.clone()));
+        }
     }
     drop(listener);
-    while connections.join_next().await.is_some() {}
+    while connections.tasks.join_next().await.is_some() {}
+}
+
+/// The open connections.
+#[derive(Default)]
+struct Connections {
+    tasks: JoinSet<()>,
+    /// In the order in which they were opened.
+    open: Vec<Weak<Connection>>,
+}
+
+impl Connections {
+    /// Closes the oldest connection without a viewer if there are too many: a
+    /// client that sends its request at once has its response by then, and one
+    /// that does not is no loss. Returns whether there is room now; viewers alone
+    /// never take all of it.
+    fn make_room(&mut self) -> bool {
+        self.open.retain(|connection| connection.strong_count() > 0);
+        if self.open.len() < MAX_CONNECTIONS {
+            return true;
+        }
+        let is_idle = |connection: &Weak<Connection>| {
+            connection.upgrade().is_none_or(|connection| !connection.is_viewer())
+        };
+        let Some(oldest) = self.open.iter().position(is_idle) else { return false };
+        if let Some(connection) = self.open.remove(oldest).upgrade() {
+            connection.close();
+        }
+        true
+    }
+}
+
+async fn run(stream: TcpStream, router: Router, connection: Arc<Connection>, interrupt: Interrupt) {
+    // A scan is worth a packet of its own at once. Without it, all else works.
+    let _ = stream.set_nodelay(true);
+    // Handlers may ask which connection a request came on.
+    let service = TowerToHyperService::new(router.layer(Extension(Arc::clone(&connection))));
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).max_buf_size(BUFFER_BYTES);
+    let served = http.serve_connection(TokioIo::new(stream), service);
+    tokio::pin!(served);
+    let outcome = tokio::select! {
+        outcome = &mut served => outcome,
+        () = connection.closed.notified() => return,
+        _ = interrupt.requested() => {
+            // Streams of scans end by themselves.
+            served.as_mut().graceful_shutdown();
+            served.await
+        }
+    };
+    if let Err(error) = outcome {
+        tracing::debug!(%error, "a connection ended early");
+    }
 }

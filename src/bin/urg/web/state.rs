@@ -1,4 +1,5 @@
-//! `/state` and `/health`: how it goes, for the page and for a supervisor.
+//! `/state` and `/health`: the state of sensor and stream, for the page and for a
+//! supervisor.
 
 use axum::extract::State;
 use axum::http::{StatusCode, header};
@@ -8,36 +9,36 @@ use serde::Serialize;
 use serde_json::json;
 use tokio_scip::{Stats, Version, Window};
 
-use super::{App, MAX_VIEWERS};
+use super::app::App;
 use crate::format::json;
 
-/// How it goes.
+/// The state of sensor and stream.
 #[derive(Debug, Serialize)]
-struct Report {
+struct StateReport {
     /// The program's version.
     urg: &'static str,
     port: String,
     /// One of connected, recovering, disconnected, waiting, closed.
     link: &'static str,
-    /// Why no scans flow; null while they do.
+    /// The reason why no scans flow; null while they do.
     why: Option<String>,
     baud_rate: Option<tokio_scip::BaudRate>,
     window: Window,
-    /// Scans a second; null for as many as the sensor gives.
+    /// The rate asked for, in scans a second; null for as many as possible.
     asked: Option<f64>,
-    /// Scans a second over the last three seconds or so.
+    /// The rate over the last three seconds or so, in scans a second.
     reached: f64,
-    /// Seconds since the latest scan.
+    /// The age of the latest scan in seconds.
     age: Option<f64>,
-    latency: Option<Latency>,
+    latency: Option<LatencySeconds>,
     viewers: usize,
     sensor: Option<Version>,
     stats: Stats,
 }
 
-/// How long replies took, in seconds.
+/// The time that replies took, in seconds.
 #[derive(Debug, Serialize)]
-struct Latency {
+struct LatencySeconds {
     last: f64,
     mean: f64,
     max: f64,
@@ -54,7 +55,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
     let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
     respond(
         StatusCode::OK,
-        &Report {
+        &StateReport {
             urg: env!("CARGO_PKG_VERSION"),
             port: hub.port().to_string(),
             link: health.link,
@@ -64,13 +65,13 @@ pub(super) async fn state(State(app): State<App>) -> Response {
             asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
             reached: stats.schedules.first().map_or(0.0, |schedule| schedule.reached),
             age: live.as_ref().and_then(|live| live.scanned).map(|at| at.elapsed().as_secs_f64()),
-            latency: latency.map(|latency| Latency {
+            latency: latency.map(|latency| LatencySeconds {
                 last: latency.last.as_secs_f64(),
                 mean: latency.mean().as_secs_f64(),
                 max: latency.max.as_secs_f64(),
             }),
-            viewers: MAX_VIEWERS - app.viewers.available_permits(),
-            // Known already, or not to be had now.
+            viewers: app.viewers.len(),
+            // Cached, or not available now.
             sensor: sensor.and_then(|sensor| sensor.version().now_or_never()).and_then(Result::ok),
             stats,
         },
