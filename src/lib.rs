@@ -82,6 +82,7 @@
 //! | `serial` (default) | serial ports: RS-232 and USB |
 //! | `serde` | scans, windows, versions, states and counters as data |
 //! | `emulator` | a sensor in software, to test a service without hardware |
+//! | `ros` | scans and diagnostics as ROS 2 messages (CDR) |
 //! | `mcap` | recordings that ROS 2's tools open, and their replay |
 //! | `cli` | the program `urg` |
 //! | `web` | `urg serve`: a live page for any browser, and scans over HTTP |
@@ -130,8 +131,8 @@ mod rate;
 #[cfg(feature = "mcap")]
 pub mod recording;
 mod ring;
-#[cfg(feature = "mcap")]
-mod ros;
+#[cfg(feature = "ros")]
+pub mod ros;
 mod scan;
 mod sensor;
 mod state;

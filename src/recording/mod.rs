@@ -52,9 +52,11 @@
 //!
 //! All are CDR with their definitions, and of types that every ROS 2 has. The
 //! log time runs steadily from the wall clock at the beginning of the recording;
-//! the publish time is the wall clock when a reply's first byte arrived, as is
-//! a scan's stamp. Metadata of the name `tokio_scip` tells who the sensor was.
-//! It is a record each time, so a file ends as it is where writing it ends.
+//! the publish time is the wall clock when a reply's first byte arrived
+//! ([`Scan::stamp`](crate::Scan::stamp)); the header of a scan has the time of its
+//! [first ray](crate::Scan::first_ray_stamp). Metadata of the name `tokio_scip`
+//! identifies the sensor. It is a record each time, so a file ends as it is where
+//! writing it ends.
 //!
 //! # Replaying
 //!

@@ -1,6 +1,6 @@
 //! [`Topic`]: the topics of a recording and their message types.
 
-use crate::ros::{self, MessageType};
+use crate::ros::MessageType;
 
 /// A topic of a recording. Each has one channel of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -26,9 +26,9 @@ impl Topic {
 
     pub(super) const fn message_type(self) -> MessageType {
         match self {
-            Self::Scans => ros::LASER_SCAN,
-            Self::Replies => ros::LABELLED_BYTES,
-            Self::Events => ros::TEXT,
+            Self::Scans => MessageType::LASER_SCAN,
+            Self::Replies => MessageType::LABELLED_BYTES,
+            Self::Events => MessageType::TEXT,
         }
     }
 }

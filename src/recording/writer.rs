@@ -72,7 +72,8 @@ impl<W: Write> Writer<W> {
             .create(NoSeek::new(out))?;
         let mut channel = |topic: Topic| {
             let message = topic.message_type();
-            let schema = mcap.add_schema(message.name, "ros2msg", message.definition.as_bytes())?;
+            let schema =
+                mcap.add_schema(message.name(), "ros2msg", message.definition().as_bytes())?;
             mcap.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())
         };
         let scans = channel(Topic::Scans)?;
@@ -92,7 +93,7 @@ impl<W: Write> Writer<W> {
     }
 
     pub(super) fn scan(&mut self, scan: &Scan) -> McapResult<()> {
-        ros::write_scan(&mut self.message, scan, &self.frame_id);
+        ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
         let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
         // The field has 32 bits; a gap is a gap all the same.
         self.write(self.scans, scan.sequence() as u32, times)

@@ -22,6 +22,10 @@ impl<'a> CdrWriter<'a> {
         Self { out }
     }
 
+    pub(super) fn u8(&mut self, value: u8) {
+        self.out.push(value);
+    }
+
     pub(super) fn i32(&mut self, value: i32) {
         self.align();
         self.out.extend_from_slice(&value.to_le_bytes());
@@ -49,13 +53,14 @@ impl<'a> CdrWriter<'a> {
         self.u32(u32::try_from(elements).unwrap_or(u32::MAX));
     }
 
+    #[cfg(feature = "mcap")]
     pub(super) fn bytes(&mut self, parts: &[&[u8]]) {
         self.length(parts.iter().map(|part| part.len()).sum());
         parts.iter().for_each(|part| self.out.extend_from_slice(part));
     }
 
-    /// Pads to a multiple of four, the size of every number here. The header has
-    /// four bytes, too.
+    /// Pads to a multiple of four, the size of every number here but the byte. The
+    /// header has four bytes, too.
     fn align(&mut self) {
         self.out.resize(self.out.len().next_multiple_of(4), 0);
     }
@@ -63,12 +68,14 @@ impl<'a> CdrWriter<'a> {
 
 /// Reads one message. Each method returns `None` if the message is too short or
 /// malformed.
+#[cfg(feature = "mcap")]
 #[derive(Debug)]
 pub(super) struct CdrReader<'a> {
     message: &'a [u8],
     at: usize,
 }
 
+#[cfg(feature = "mcap")]
 impl<'a> CdrReader<'a> {
     pub(super) fn new(message: &'a [u8]) -> Option<Self> {
         message.starts_with(&HEADER).then_some(Self { message, at: HEADER.len() })
@@ -116,7 +123,7 @@ impl<'a> CdrReader<'a> {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "mcap"))]
 mod tests {
     use super::*;
 

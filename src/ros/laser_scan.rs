@@ -1,9 +1,13 @@
 //! `sensor_msgs/msg/LaserScan`: its definition, and how a scan is encoded.
 
-use std::time::{Duration, SystemTime};
+#[cfg(feature = "mcap")]
+use std::time::Duration;
+use std::time::SystemTime;
 
-use super::cdr::{CdrReader, CdrWriter};
-use super::{MessageType, since_1970};
+#[cfg(feature = "mcap")]
+use super::cdr::CdrReader;
+use super::cdr::CdrWriter;
+use super::{MessageType, write_header};
 use crate::Scan;
 
 pub(super) const TYPE: MessageType = MessageType {
@@ -28,14 +32,16 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 ",
+    hash: "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
 };
 
 /// A scan as ROS has it: the fields of `sensor_msgs/msg/LaserScan`, in metres,
 /// radians and seconds. [`Scan`] explains them.
+#[cfg(feature = "mcap")]
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LaserScan {
-    /// The wall clock when the reply's first byte arrived.
+    /// The wall clock when the first point was measured.
     pub stamp: SystemTime,
     /// The frame that the angles are in.
     pub frame_id: String,
@@ -57,12 +63,15 @@ pub struct LaserScan {
     pub ranges: Vec<f32>,
 }
 
-pub(crate) fn write_scan(out: &mut Vec<u8>, scan: &Scan, frame_id: &str) {
+/// Writes `scan` as a `sensor_msgs/msg/LaserScan` into `out`, in place of what was
+/// there.
+///
+/// `stamp` is the time of the first point, [`Scan::first_ray_stamp`] unless a clock
+/// has to be corrected; a time before 1970 is written as 1970. The angles are in the
+/// frame `frame_id`.
+pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &str) {
     let mut cdr = CdrWriter::new(out);
-    let stamp = since_1970(scan.stamp());
-    cdr.i32(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX));
-    cdr.u32(stamp.subsec_nanos());
-    cdr.string(frame_id);
+    write_header(&mut cdr, stamp, frame_id);
     for field in [
         scan.angle_min(),
         scan.angle_max(),
@@ -81,6 +90,7 @@ pub(crate) fn write_scan(out: &mut Vec<u8>, scan: &Scan, frame_id: &str) {
 }
 
 /// Returns the scan, or `None` if `message` is malformed.
+#[cfg(feature = "mcap")]
 pub(crate) fn read_scan(message: &[u8]) -> Option<LaserScan> {
     let mut cdr = CdrReader::new(message)?;
     let (seconds, nanos) = (cdr.i32()?, cdr.u32()?);

@@ -1,36 +1,172 @@
-//! ROS 2 messages as CDR, with their definitions: for whatever hands scans to
-//! ROS, today recordings.
+//! ROS 2 messages of a sensor (feature `ros`): scans and diagnostics as CDR, for
+//! whatever carries them to ROS. Recordings and `urg publish` are made of them; a
+//! service can hand them to an engine of its own.
 //!
-//! A module beside `recording` and not in it, because a publisher encodes the
-//! same messages. Knows no topics, files or networks.
+//! ```
+//! use tokio_scip::emulator::Emulator;
+//! use tokio_scip::ros::{self, MessageType};
+//! use tokio_scip::{Sensor, Window};
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), tokio_scip::Error> {
+//! let sensor = Sensor::builder().connect(Emulator::default()).await?;
+//! let scan = sensor.scan(Window::DETECTION).await?;
+//! let mut message = Vec::new();
+//! ros::write_scan(&mut message, &scan, scan.first_ray_stamp(), "laser");
+//! assert_eq!(MessageType::LASER_SCAN.dds_name(), "sensor_msgs::msg::dds_::LaserScan_");
+//! assert_eq!(message.len(), 4 + 8 + 12 + 28 + 4 + 4 * 682 + 4);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A message is XCDR1, little-endian, with its encapsulation header of four bytes:
+//! the form that DDS, `rmw_zenoh` and MCAP files have in common. The module knows no
+//! topics, files or networks.
 
 mod cdr;
+mod diagnostics;
 mod laser_scan;
+#[cfg(feature = "mcap")]
 mod std_msgs;
 
 use std::time::{Duration, SystemTime};
 
+use self::cdr::CdrWriter;
+pub use self::diagnostics::{DiagnosticLevel, DiagnosticStatus, write_diagnostics};
+#[cfg(feature = "mcap")]
 pub use self::laser_scan::LaserScan;
-pub(crate) use self::laser_scan::{read_scan, write_scan};
-pub(crate) use self::std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text};
+pub use self::laser_scan::write_scan;
+#[cfg(feature = "mcap")]
+pub(crate) use self::{
+    laser_scan::read_scan,
+    std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text},
+};
 
 /// A message type, as ROS 2 names and defines it.
-#[derive(Debug)]
-pub(crate) struct MessageType {
-    /// Its full name, such as `std_msgs/msg/String`.
-    pub(crate) name: &'static str,
-    /// Its definition (`ros2msg`), and those of all messages in it.
-    pub(crate) definition: &'static str,
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MessageType {
+    name: &'static str,
+    definition: &'static str,
+    hash: &'static str,
 }
 
-/// A scan, as every laser scanner publishes it.
-pub(crate) const LASER_SCAN: MessageType = laser_scan::TYPE;
-/// Bytes with a label.
-pub(crate) const LABELLED_BYTES: MessageType = std_msgs::BYTES_TYPE;
-/// A text.
-pub(crate) const TEXT: MessageType = std_msgs::TEXT_TYPE;
+impl MessageType {
+    /// A scan, as every laser scanner publishes it.
+    pub const LASER_SCAN: Self = laser_scan::TYPE;
+    /// The condition of devices.
+    pub const DIAGNOSTIC_ARRAY: Self = diagnostics::TYPE;
+    /// Bytes with a label.
+    #[cfg(feature = "mcap")]
+    pub(crate) const LABELLED_BYTES: Self = std_msgs::BYTES_TYPE;
+    /// A text.
+    #[cfg(feature = "mcap")]
+    pub(crate) const TEXT: Self = std_msgs::TEXT_TYPE;
+
+    /// Returns the full name, such as `sensor_msgs/msg/LaserScan`.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Returns the definition (`ros2msg`), and those of all messages in it.
+    pub fn definition(&self) -> &'static str {
+        self.definition
+    }
+
+    /// Returns the hash of the definition (REP 2016), which Jazzy and later compare.
+    pub fn hash(&self) -> &'static str {
+        self.hash
+    }
+
+    /// Returns the name on a network: `sensor_msgs::msg::dds_::LaserScan_`.
+    pub fn dds_name(&self) -> String {
+        let mut parts = self.name.split('/');
+        let (package, kind) = (parts.next().unwrap_or(""), parts.next().unwrap_or(""));
+        format!("{package}::{kind}::dds_::{}_", parts.next().unwrap_or(""))
+    }
+}
+
+/// Writes a `std_msgs/msg/Header`.
+fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
+    let stamp = since_1970(stamp);
+    cdr.i32(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX));
+    cdr.u32(stamp.subsec_nanos());
+    cdr.string(frame_id);
+}
 
 /// Returns how long after 1970 `time` is; zero for a time before 1970.
 pub(crate) fn since_1970(time: SystemTime) -> Duration {
     time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use sha2::{Digest, Sha256};
+
+    use super::*;
+
+    /// The hash of REP 2016: SHA-256 over the definition as JSON, in Python's way of
+    /// writing it.
+    fn hash(message: &MessageType) -> String {
+        let line = format!("{}\n", "=".repeat(80));
+        let mut parts = message.definition.split(&line);
+        let fields = fields(parts.next().unwrap());
+        let others: BTreeMap<String, String> = parts
+            .map(|part| {
+                let (name, definition) =
+                    part.strip_prefix("MSG: ").unwrap().split_once('\n').unwrap();
+                (name.replace('/', "/msg/"), self::fields(definition))
+            })
+            .collect();
+        let description = |name: &str, fields: &str| {
+            format!("{{\"type_name\": \"{name}\", \"fields\": [{fields}]}}")
+        };
+        let others: Vec<_> =
+            others.iter().map(|(name, fields)| description(name, fields)).collect();
+        let json = format!(
+            "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
+            description(message.name, &fields),
+            others.join(", ")
+        );
+        let digest = Sha256::digest(json.as_bytes());
+        let digits: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("RIHS01_{digits}")
+    }
+
+    fn fields(definition: &str) -> String {
+        // Constants are no fields.
+        let fields = definition.lines().filter(|line| !line.is_empty() && !line.contains('='));
+        let fields = fields.map(|line| {
+            let (kind, name) = line.split_once(' ').unwrap();
+            let element = kind.strip_suffix("[]").unwrap_or(kind);
+            let sequence = if element == kind { 0 } else { 144 };
+            let (id, nested) = match element {
+                "uint8" => (3, String::new()),
+                "int32" => (6, String::new()),
+                "uint32" => (7, String::new()),
+                "float32" => (10, String::new()),
+                "byte" => (16, String::new()),
+                "string" => (17, String::new()),
+                message => (1, message.replace('/', "/msg/")),
+            };
+            format!(
+                "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {}, \"capacity\": 0, \
+                 \"string_capacity\": 0, \"nested_type_name\": \"{nested}\"}}}}",
+                id + sequence
+            )
+        });
+        fields.collect::<Vec<_>>().join(", ")
+    }
+
+    #[test]
+    fn each_type_has_the_hash_of_its_definition() {
+        for message in [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY] {
+            assert_eq!(hash(&message), message.hash, "{}", message.name);
+        }
+        #[cfg(feature = "mcap")]
+        for message in [MessageType::LABELLED_BYTES, MessageType::TEXT] {
+            assert_eq!(hash(&message), message.hash, "{}", message.name);
+        }
+    }
 }

@@ -261,6 +261,40 @@ impl Scan {
         self.meta.stamp
     }
 
+    /// Returns the wall clock when the first point was measured, the time that ROS
+    /// wants in the header of a `sensor_msgs/LaserScan`: point `n` was measured
+    /// `n * time_increment` later.
+    ///
+    /// SCIP 1.1 has no time stamps, so it is computed. The motor turns
+    /// counter-clockwise, and a revolution begins and ends at the rear (-180
+    /// degrees). The reply is assumed to begin when a revolution ends, so its first
+    /// point lies `(angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time)
+    /// behind the revolution's beginning: for
+    /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms before
+    /// [`stamp`](Self::stamp). A [crop](Self::crop) has the time of its own first
+    /// point.
+    ///
+    /// # Error
+    ///
+    /// The true time is at or before this one, as far as the speed of the motor
+    /// is known:
+    ///
+    /// - by the time that the first byte takes, if the sensor answers at the end of
+    ///   each revolution, as it does on USB: one or two milliseconds;
+    /// - by up to one `scan_time` more, on average half of one, if it answers at
+    ///   once from its memory, as it may on RS-232: the revolution there ended
+    ///   some time before. How long the reply then takes does not matter;
+    /// - by the time between both replies for a [repeat](Self::is_repeat), which most
+    ///   likely shows the revolution of the scan before it.
+    ///
+    /// The sensor's angles and the phase of its replies are from the protocol's text
+    /// and from captures of replies, not from a measurement of moving objects.
+    pub fn first_ray_stamp(&self) -> SystemTime {
+        let from_rear = (f64::from(self.angle_min()) / std::f64::consts::TAU + 0.5).clamp(0.0, 1.0);
+        let before = self.meta.scan_time.mul_f64(1.0 - from_rear);
+        self.stamp().checked_sub(before).unwrap_or(self.stamp())
+    }
+
     /// Returns true if all values are the same as those of the scan before: most
     /// likely two polls in one revolution of the motor. SCIP 1.1 has no time stamps
     /// that would prove it.
@@ -326,6 +360,26 @@ mod tests {
         assert_eq!(scan.angle_increment(), (360.0f64 / 1024.0).to_radians() as f32);
         assert!((scan.time_increment() - 97.66e-6).abs() < 1e-8);
         assert_eq!((scan.range_min(), scan.range_max(), scan.scan_time()), (0.020, 4.094, 0.1));
+    }
+
+    #[test]
+    fn the_first_ray_is_as_long_before_the_reply_as_the_motor_turned_on() {
+        let before = |scan: &Scan| {
+            let before = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
+            (before.as_secs_f64() * 1e5).round() / 100.0
+        };
+        // Steps from the rear to the first one, of 1,024: 128 to step 0.
+        let ms = |steps: f64| ((1.0 - steps / 1024.0) * 1e4).round() / 100.0;
+        assert_eq!(before(&scan(Window::FULL)), 87.5);
+        assert_eq!(before(&scan(Window::DETECTION)), ms(128.0 + 44.0));
+        assert_eq!(before(&scan(window(640, 700, 1))), ms(128.0 + 640.0));
+        // The middle of the first cluster.
+        assert_eq!(before(&scan(window(640, 700, 3))), ms(128.0 + 641.0));
+        let part = scan(Window::FULL).crop(window(384, 768, 1)).unwrap();
+        assert_eq!(before(&part), 50.0);
+        let mut slow = scan(Window::FULL);
+        slow.meta.scan_time = Duration::from_millis(200);
+        assert_eq!(before(&slow), 175.0);
     }
 
     #[test]

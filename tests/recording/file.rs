@@ -31,7 +31,7 @@ impl Drop for Folder {
 fn assert_same(scan: &Scan, recorded: &LaserScan) {
     let bits = |ranges: &[f32]| ranges.iter().map(|range| range.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&scan.ranges().collect::<Vec<_>>()), bits(&recorded.ranges));
-    assert_eq!(recorded.stamp, scan.stamp());
+    assert_eq!(recorded.stamp, scan.first_ray_stamp());
     assert_eq!(recorded.frame_id, "laser");
     assert_eq!(
         [
@@ -165,7 +165,7 @@ async fn other_readers_have_a_recording_to_read() {
     let items = record(sensor(), &sink, Window::DETECTION, 400).await;
     let mut truth = String::new();
     for scan in items.iter().map(|item| item.as_ref().unwrap()) {
-        let stamp = scan.stamp().duration_since(std::time::UNIX_EPOCH).unwrap();
+        let stamp = scan.first_ray_stamp().duration_since(std::time::UNIX_EPOCH).unwrap();
         write!(truth, "{} laser", stamp.as_nanos()).unwrap();
         scan.ranges().for_each(|range| write!(truth, " {range}").unwrap());
         truth.push('\n');

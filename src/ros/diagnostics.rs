@@ -1,0 +1,111 @@
+//! `diagnostic_msgs/msg/DiagnosticArray`: its definition, and how the condition of
+//! devices is encoded.
+
+use std::time::SystemTime;
+
+use super::cdr::CdrWriter;
+use super::{MessageType, write_header};
+
+pub(super) const TYPE: MessageType = MessageType {
+    name: "diagnostic_msgs/msg/DiagnosticArray",
+    definition: "\
+std_msgs/Header header
+diagnostic_msgs/DiagnosticStatus[] status
+================================================================================
+MSG: diagnostic_msgs/DiagnosticStatus
+byte OK=0
+byte WARN=1
+byte ERROR=2
+byte STALE=3
+byte level
+string name
+string message
+string hardware_id
+diagnostic_msgs/KeyValue[] values
+================================================================================
+MSG: diagnostic_msgs/KeyValue
+string key
+string value
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+",
+    hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
+};
+
+/// The level of a [`DiagnosticStatus`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum DiagnosticLevel {
+    /// All is well.
+    Ok,
+    /// It works, and somebody should look at it.
+    Warn,
+    /// It does not work.
+    Error,
+    /// Nothing was reported for too long.
+    Stale,
+}
+
+/// The condition of a device, as in `diagnostic_msgs/msg/DiagnosticStatus`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DiagnosticStatus {
+    /// How it goes.
+    pub level: DiagnosticLevel,
+    /// The part that it is about: a node and a topic of it, by convention.
+    pub name: String,
+    /// How it goes, in words.
+    pub message: String,
+    /// The device, such as its serial number.
+    pub hardware_id: String,
+    /// Values by name.
+    pub values: Vec<(&'static str, String)>,
+}
+
+/// Writes a `diagnostic_msgs/msg/DiagnosticArray` into `out`, in place of what was
+/// there. A `stamp` before 1970 is written as 1970.
+pub fn write_diagnostics(out: &mut Vec<u8>, stamp: SystemTime, statuses: &[DiagnosticStatus]) {
+    let mut cdr = CdrWriter::new(out);
+    write_header(&mut cdr, stamp, "");
+    cdr.length(statuses.len());
+    for status in statuses {
+        cdr.u8(status.level as u8);
+        cdr.string(&status.name);
+        cdr.string(&status.message);
+        cdr.string(&status.hardware_id);
+        cdr.length(status.values.len());
+        for (key, value) in &status.values {
+            cdr.string(key);
+            cdr.string(value);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_status_is_a_byte_and_aligned_strings() {
+        let status = DiagnosticStatus {
+            level: DiagnosticLevel::Warn,
+            name: "urg".to_owned(),
+            message: String::new(),
+            hardware_id: "H1".to_owned(),
+            values: vec![("a", "bc".to_owned())],
+        };
+        let mut out = vec![9];
+        write_diagnostics(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 3), &[status]);
+        let expected: &[u8] =
+            b"\0\x01\0\0\x02\0\0\0\x03\0\0\0\x01\0\0\0\0\0\0\0\x01\0\0\0\x01\0\0\0\
+            \x04\0\0\0urg\0\x01\0\0\0\0\0\0\0\x03\0\0\0H1\0\0\x01\0\0\0\
+            \x02\0\0\0a\0\0\0\x03\0\0\0bc\0";
+        assert_eq!(out, expected);
+    }
+}
