@@ -2,8 +2,8 @@
 //!
 //! [`Emulator`] behaves as a URG sensor does, by the protocol text and by what is
 //! known of real sensors. It answers `V`, `L`, `S` and `G`, keeps its laser's state
-//! and its baud rate, measures a [`Room`] with people in it (or a [`World`] of
-//! yours), needs as much time as a real sensor, and injects [`Faults`] on demand.
+//! and its baud rate, measures a [`Room`] with people in it (or a [`Scene`] or
+//! [`World`] of yours), needs as much time as a real sensor, and injects [`Faults`] on demand.
 //! The same seed and the same commands at the same times have the same bytes as
 //! their result.
 //!
@@ -80,4 +80,4 @@ pub use self::link::Pty;
 pub(crate) use self::playback::{PlaybackPace, Script};
 pub use self::scip::{EmptyCommand, Firmware, Mode, RepeatedLaser};
 pub use self::timing::Pace;
-pub use self::world::{Fixed, Room, STEPS, Values, World, WorldTime};
+pub use self::world::{Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};

@@ -1,13 +1,15 @@
-//! What the sensor sees.
+//! The surroundings that the emulated sensor measures.
 
 use std::time::Duration;
 
-use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
+use tokio_scip::emulator::{
+    Emulator, Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime,
+};
 
 use super::ask;
 
-/// The room at ten looks a second, as a sensor would ask for them.
-fn looks(mut room: Room, count: usize) -> Vec<Values> {
+/// The values of a world in the first revolutions of a sensor, ten a second.
+fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
     let (sender, receiver) = std::sync::mpsc::channel();
     let world = move |look: WorldTime, codes: &mut Values| {
         room.measure(look, codes);
@@ -97,6 +99,96 @@ fn a_room_is_the_same_on_every_machine() {
         checksum, 7576578781778081501,
         "the room has changed: recordings of it are not what they were"
     );
+}
+
+/// The figures are those of six captures of a real URG-04LX indoors.
+#[test]
+fn a_hard_room_lacks_as_many_points_as_a_real_one() {
+    let mut total = 0;
+    for seed in 0..20 {
+        let (mut counts, mut points) = ([0_u32; 20], 0);
+        let (mut nearest, mut farthest) = (u16::MAX, 0);
+        for values in looks(Room::hard(seed), 20) {
+            for &value in &values[44..=725] {
+                points += 1;
+                match counts.get_mut(usize::from(value)) {
+                    Some(count) => *count += 1,
+                    None => (nearest, farthest) = (nearest.min(value), farthest.max(value)),
+                }
+            }
+        }
+        let missing = counts.iter().sum::<u32>();
+        let usual = counts[0] + counts[6] + counts[16] + counts[7];
+        assert!((45..=65).contains(&(100 * missing / points)), "seed {seed}: {counts:?} {points}");
+        assert!(usual * 100 > missing * 85, "seed {seed}: {counts:?}");
+        assert!(nearest < 400 && farthest > 3700, "seed {seed}: {nearest} {farthest}");
+        total += 100 * missing / points;
+    }
+    assert!((52..=58).contains(&(total / 20)), "{total}");
+}
+
+#[test]
+fn a_scene_has_its_walls_discs_and_openings_where_they_were_put() {
+    let scene = Scene::new(0)
+        .without_noise()
+        .wall((2.0, -1.0), (2.0, 1.0))
+        .rectangle((-0.5, 1.5), (0.5, 2.5))
+        .disc((0.0, -3.0), 0.5);
+    let values = looks(scene, 1)[0];
+    let degrees = |angle: f64| values[(384.0 + angle * 1024.0 / 360.0).round() as usize];
+    assert_eq!(degrees(0.0), 2000);
+    // The wall's end, at 26.6 degrees, and past it.
+    assert!(degrees(26.3).abs_diff(2231) < 5, "{}", degrees(26.3));
+    assert_eq!(degrees(27.0), 0, "nothing is there");
+    assert_eq!((degrees(90.0), degrees(-90.0)), (1500, 2500));
+    assert!(degrees(-89.0) < 2510 && degrees(-100.0) == 0);
+}
+
+#[test]
+fn a_person_walks_by_at_the_time_and_at_the_place_of_the_walk() {
+    let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).starting_at(Duration::from_secs(2)).speed(1.0);
+    assert_eq!(walk.duration(), Duration::from_secs(2));
+    let scans = looks(Scene::new(7).person(walk), 60);
+    let place = |values: &Values| {
+        let steps: Vec<usize> = (44..=725).filter(|&step| values[step] >= 20).collect();
+        (!steps.is_empty()).then(|| steps.iter().sum::<usize>() / steps.len())
+    };
+    let places: Vec<_> = scans.iter().map(place).collect();
+    // Scan n shows the revolution that ended n * 0.1 s after power-up.
+    assert!(places[..18].iter().chain(&places[41..]).all(Option::is_none), "{places:?}");
+    let walked: Vec<usize> = places[20..39].iter().map(|place| place.unwrap()).collect();
+    assert!(walked.windows(2).all(|pair| pair[0] < pair[1] + 6), "from right to left: {walked:?}");
+    assert!(walked[0] < 290 && walked[18] > 480, "{walked:?}");
+}
+
+#[test]
+fn a_disc_goes_back_and_forth() {
+    let walk = Walk::new((1.0, 0.0), (2.0, 0.0)).speed(1.0).back_and_forth();
+    let scans = looks(Scene::new(0).without_noise().moving_disc(0.2, walk), 45);
+    let ahead: Vec<u16> = scans.iter().map(|values| values[384]).collect();
+    let turns: Vec<usize> = (1..44)
+        .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
+        .collect();
+    assert_eq!(ahead.iter().max(), Some(&1800));
+    assert!(turns.windows(2).all(|pair| pair[1] - pair[0] == 10), "{turns:?}");
+}
+
+#[test]
+fn a_sparse_world_lacks_the_share_that_was_asked_for_and_keeps_the_rest() {
+    for (share, from, to) in
+        [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
+    {
+        let scans = looks(Sparse::new(Fixed::filled(1234), share, 3), 20);
+        let values: Vec<u16> = scans.iter().flat_map(|values| values[44..=725].to_vec()).collect();
+        let missing = values.iter().filter(|&&value| value < 20).count() * 100 / values.len();
+        assert!((from..=to).contains(&missing), "{share}: {missing} %");
+        assert!(values.iter().all(|value| [0, 6, 16, 7, 1234].contains(value)));
+        // Missing points stay where they are, except at the ends of a run.
+        let changed = scans
+            .windows(2)
+            .map(|pair| (0..STEPS).filter(|&step| pair[0][step] != pair[1][step]).count());
+        assert!(changed.max() < Some(120));
+    }
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,12 +1,23 @@
 //! The surroundings that the sensor measures: the [`World`] trait, and [`Fixed`],
-//! whose distances are known in advance. Surroundings with shapes are in `room`.
+//! whose values are known in advance.
+//!
+//! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
+//! turns into values. `sparse` removes distances of any world.
 
 mod room;
+mod scene;
+mod sparse;
+mod surface;
+mod sweep;
+mod walk;
 
 use std::fmt;
 use std::time::Duration;
 
 pub use self::room::Room;
+pub use self::scene::Scene;
+pub use self::sparse::Sparse;
+pub use self::walk::Walk;
 
 /// The number of steps that a sensor reports on, 0..=768.
 pub const STEPS: usize = 769;

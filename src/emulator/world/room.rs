@@ -1,17 +1,11 @@
 //! [`Room`]: a room with furniture and people in it, so that scans look real.
-//!
-//! Plane geometry in millimetres, x forward and y left of the sensor. It uses
-//! additions, multiplications, divisions and square roots only, which IEEE 754
-//! defines to the last bit: the scans are the same on every machine.
 
+use super::sparse::Sparse;
+use super::surface::{Echo, Surface, Vector, nearest};
+use super::sweep::{Noise, sweep};
+use super::walk::Stride;
 use super::{Values, World, WorldTime};
-use crate::emulator::random::{Random, fraction, mix};
-
-/// The steps at which a sensor measures.
-const WINDOW: std::ops::RangeInclusive<usize> = 44..=725;
-
-/// Cosine and sine of one step, 1/1024 of a full angle.
-const STEP: (f64, f64) = (0.999_981_175_282_601_1, 0.006_135_884_649_154_475);
+use crate::emulator::random::{Random, mix};
 
 /// The speed of people.
 const WALK_MM_PER_SECOND: f64 = 700.0;
@@ -29,7 +23,7 @@ pub struct Room {
     seed: u64,
     /// The distances of the walls: front, left, back and right.
     walls: [f64; 4],
-    furniture: Vec<Thing>,
+    furniture: Vec<Surface>,
     people: Vec<Person>,
 }
 
@@ -54,14 +48,14 @@ impl Room {
         let mut furniture = vec![
             // A cupboard at the left wall, a dark cabinet at the right one, a
             // pillar in the front left corner and a bin.
-            Thing::block((cupboard, left - 450.0), (cupboard + 900.0, left), 0.8),
-            Thing::block((-0.4 * back, -right), (0.1 * front, 350.0 - right), 0.016),
-            Thing::round((front - 300.0, left - 300.0), between(120.0, 180.0), 0.7),
-            Thing::round((between(-0.5, -0.2) * back, 0.6 * left), 150.0, 0.5),
+            Surface::block((cupboard, left - 450.0), (cupboard + 900.0, left), 0.8),
+            Surface::block((-0.4 * back, -right), (0.1 * front, 350.0 - right), 0.016),
+            Surface::disc((front - 300.0, left - 300.0), between(120.0, 180.0), 0.7),
+            Surface::disc((between(-0.5, -0.2) * back, 0.6 * left), 150.0, 0.5),
         ];
         // Only the four legs of the table are at the height of the beam.
         for (x, y) in [(0.0, 0.0), (700.0, 0.0), (0.0, 500.0), (700.0, 500.0)] {
-            furniture.push(Thing::round((table.0 + x, table.1 + y), 30.0, 0.6));
+            furniture.push(Surface::disc((table.0 + x, table.1 + y), 30.0, 0.6));
         }
         let people = (0..people)
             .map(|_| {
@@ -74,18 +68,20 @@ impl Room {
         Self { seed, walls, furniture, people }
     }
 
-    /// Returns the distance of the nearest surface in this direction, and the share
-    /// of the light that it reflects to the sensor.
-    fn beam(&self, direction: (f64, f64), legs: &[Thing]) -> (f64, f64) {
-        let wall = self.wall(direction);
-        self.furniture
-            .iter()
-            .chain(legs)
-            .filter_map(|thing| thing.meet(direction))
-            .fold(wall, |nearest, met| if met.0 < nearest.0 { met } else { nearest })
+    /// Creates a room as hard to measure as the one in captures of a real sensor: 55 % of
+    /// the points have no distance, mostly with error codes 0, 6, 16 and 7. The others
+    /// are of objects from 0.25 m to about 4 m away.
+    pub fn hard(seed: u64) -> Sparse<Self> {
+        let mut room = Self::sized(seed, 5400, 4700, 3);
+        // Two posts next to the sensor, as of the vehicle that it is mounted on.
+        for centre in [(60.0, 280.0), (90.0, -340.0)] {
+            room.furniture.push(Surface::disc(centre, 20.0, 0.6));
+        }
+        Sparse::new(room, 0.44, seed)
     }
 
-    fn wall(&self, (x, y): (f64, f64)) -> (f64, f64) {
+    /// Returns the echo of the walls, the doorway and the window.
+    fn wall(&self, (x, y): Vector) -> Echo {
         let [front, left, back, right] = self.walls;
         let along_x = if x > 0.0 { front / x } else { back / -x };
         let along_y = if y > 0.0 { left / y } else { right / -y };
@@ -93,32 +89,16 @@ impl Room {
             let across = y * along_x;
             // A doorway in the front wall, with a corridor's wall behind it.
             if x > 0.0 && across > 0.1 * left && across < 0.1 * left + 800.0 {
-                return ((front + 2500.0) / x, 0.8);
+                return Echo { distance: (front + 2500.0) / x, light: 0.8 };
             }
-            (along_x, 0.9 * x.abs())
+            Echo { distance: along_x, light: 0.9 * x.abs() }
         } else {
             let across = x * along_y;
             // A window in the left wall, and nothing behind it.
             if y > 0.0 && across > 0.55 * front && across < 0.55 * front + 500.0 {
-                return (22_000.0, 1.0);
+                return Echo::NONE;
             }
-            (along_y, 0.9 * y.abs())
-        }
-    }
-
-    /// Returns the value for a beam that met a surface at `distance`.
-    fn value(&self, (distance, light): (f64, f64), noise: u64) -> u16 {
-        let spread = fraction(noise) + fraction(mix(noise)) - 1.0;
-        let measured = distance + spread * (4.0 + 0.004 * distance);
-        let metres = distance / 1000.0;
-        match measured {
-            _ if noise.is_multiple_of(300) => 9,
-            d if d < 20.0 => 8,
-            d if d > 12_000.0 => 0,
-            d if d > 5_600.0 => 6,
-            d if d > 4_094.0 => 16,
-            _ if light < 0.004 * metres * metres => 1 + (noise % 5) as u16,
-            d => d as u16,
+            Echo { distance: along_y, light: 0.9 * y.abs() }
         }
     }
 }
@@ -132,127 +112,26 @@ impl Default for Room {
 
 impl World for Room {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
-        let legs: Vec<Thing> = self
-            .people
-            .iter()
-            .flat_map(|person| person.legs(time.at.as_micros() as f64 / 1_000_000.0))
-            .collect();
-        let moment = mix(self.seed ^ mix(time.revolution.wrapping_add(1)));
-
-        // Step 0 looks to the right rear, -135 degrees.
-        let half = 0.5_f64.sqrt();
-        let mut direction = (-half, -half);
-        for (step, value) in values.iter_mut().enumerate() {
-            if WINDOW.contains(&step) {
-                let noise = mix(moment.wrapping_add(step as u64));
-                *value = self.value(self.beam(direction, &legs), noise);
-            }
-            direction = (
-                direction.0 * STEP.0 - direction.1 * STEP.1,
-                direction.1 * STEP.0 + direction.0 * STEP.1,
-            );
-        }
-        hide_lone_points(values);
+        let walked = WALK_MM_PER_SECOND * (time.at.as_micros() as f64 / 1_000_000.0);
+        let people = self.people.iter();
+        let legs: Vec<_> = people.flat_map(|person| person.legs(walked)).collect();
+        sweep(Noise::Seeded(self.seed), time, values, |direction| {
+            nearest(self.furniture.iter().chain(&legs), direction, self.wall(direction))
+        });
     }
-}
-
-/// Replaces each distance between two error codes by error code 7, as the sensor does.
-fn hide_lone_points(values: &mut Values) {
-    let mut before = true;
-    for step in WINDOW {
-        let after = values.get(step + 1).is_none_or(|&value| value < 20);
-        if let Some(value) = values.get_mut(step) {
-            let is_distance = *value >= 20;
-            if is_distance && before && after {
-                *value = 7;
-            }
-            before = !is_distance;
-        }
-    }
-}
-
-/// An object with a surface.
-#[derive(Debug, Clone, Copy)]
-struct Thing {
-    shape: Shape,
-    /// The share of the light that its surface reflects.
-    reflects: f64,
-}
-
-#[derive(Debug, Clone, Copy)]
-enum Shape {
-    Round { centre: (f64, f64), radius: f64 },
-    Block { low: (f64, f64), high: (f64, f64) },
-}
-
-impl Thing {
-    fn round(centre: (f64, f64), radius: f64, reflects: f64) -> Self {
-        Self { shape: Shape::Round { centre, radius }, reflects }
-    }
-
-    fn block(low: (f64, f64), high: (f64, f64), reflects: f64) -> Self {
-        Self { shape: Shape::Block { low, high }, reflects }
-    }
-
-    /// Returns the distance at which a beam from the sensor meets it, and the share of
-    /// the light that is reflected: less at a flat angle.
-    fn meet(&self, (x, y): (f64, f64)) -> Option<(f64, f64)> {
-        let (distance, cosine) = match self.shape {
-            Shape::Round { centre, radius } => {
-                let nearest = centre.0 * x + centre.1 * y;
-                let away = centre.0 * y - centre.1 * x;
-                let inside = radius * radius - away * away;
-                if inside < 0.0 {
-                    return None;
-                }
-                (nearest - inside.sqrt(), inside.sqrt() / radius)
-            }
-            Shape::Block { low, high } => {
-                let (x_in, x_out) = crossing(low.0 / x, high.0 / x);
-                let (y_in, y_out) = crossing(low.1 / y, high.1 / y);
-                if x_in.max(y_in) > x_out.min(y_out) {
-                    return None;
-                }
-                (x_in.max(y_in), if x_in > y_in { x.abs() } else { y.abs() })
-            }
-        };
-        (distance > 0.0).then_some((distance, self.reflects * cosine))
-    }
-}
-
-fn crossing(a: f64, b: f64) -> (f64, f64) {
-    (a.min(b), a.max(b))
 }
 
 /// A person who walks back and forth between two places.
 #[derive(Debug, Clone)]
 struct Person {
-    from: (f64, f64),
-    to: (f64, f64),
+    from: Vector,
+    to: Vector,
     /// The way walked before power-up, in millimetres.
     ahead: f64,
 }
 
 impl Person {
-    /// Returns the two legs, which is all that a sensor at shin height meets.
-    fn legs(&self, seconds: f64) -> [Thing; 2] {
-        let (dx, dy) = (self.to.0 - self.from.0, self.to.1 - self.from.1);
-        let way = (dx * dx + dy * dy).sqrt().max(1.0);
-        let walked = self.ahead + WALK_MM_PER_SECOND * seconds;
-        let along = back_and_forth(walked, way) / way;
-        let (x, y) = (self.from.0 + dx * along, self.from.1 + dy * along);
-        // The legs swing in opposite directions, by half a stride each.
-        let stride = back_and_forth(walked, 350.0) - 175.0;
-        let (ux, uy) = (dx / way, dy / way);
-        let leg = |side: f64, swing: f64| {
-            Thing::round((x + ux * swing - uy * side, y + uy * swing + ux * side), 65.0, 0.5)
-        };
-        [leg(110.0, stride), leg(-110.0, -stride)]
+    fn legs(&self, walked: f64) -> [Surface; 2] {
+        Stride::between(self.from, self.to, self.ahead + walked).legs()
     }
-}
-
-/// Returns a position that moves from 0 to `length` and back as `distance` grows.
-fn back_and_forth(distance: f64, length: f64) -> f64 {
-    let phase = distance % (2.0 * length);
-    if phase < length { phase } else { 2.0 * length - phase }
 }

@@ -1,0 +1,100 @@
+//! Surfaces that reflect the sensor's beam, and where a beam meets them.
+//!
+//! Plane geometry in millimetres, x forward and y left of the sensor. It uses
+//! additions, multiplications, divisions and square roots only, which IEEE 754
+//! defines to the last bit: the scans are the same on every machine.
+
+/// A position, or a direction of length 1.
+pub(super) type Vector = (f64, f64);
+
+/// The nearest surface that a beam meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Echo {
+    /// The distance in millimetres.
+    pub(super) distance: f64,
+    /// The share of the light that is reflected to the sensor.
+    pub(super) light: f64,
+}
+
+impl Echo {
+    /// No surface, as through a window.
+    pub(super) const NONE: Self = Self { distance: 22_000.0, light: 1.0 };
+}
+
+/// An object with a surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    shape: Shape,
+    /// The share of the light that it reflects.
+    reflects: f64,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Shape {
+    Disc { centre: Vector, radius: f64 },
+    Block { low: Vector, high: Vector },
+    Wall { from: Vector, to: Vector },
+}
+
+impl Surface {
+    pub(super) fn disc(centre: Vector, radius: f64, reflects: f64) -> Self {
+        Self { shape: Shape::Disc { centre, radius }, reflects }
+    }
+
+    pub(super) fn block(low: Vector, high: Vector, reflects: f64) -> Self {
+        Self { shape: Shape::Block { low, high }, reflects }
+    }
+
+    pub(super) fn wall(from: Vector, to: Vector, reflects: f64) -> Self {
+        Self { shape: Shape::Wall { from, to }, reflects }
+    }
+
+    /// Returns the echo of a beam from the sensor in this direction, if it meets the
+    /// surface. Less light is reflected at a flat angle.
+    pub(super) fn echo(&self, direction: Vector) -> Option<Echo> {
+        let (distance, cosine) = match self.shape {
+            Shape::Disc { centre, radius } => disc(direction, centre, radius)?,
+            Shape::Block { low, high } => block(direction, low, high)?,
+            Shape::Wall { from, to } => wall(direction, from, to)?,
+        };
+        (distance > 0.0).then_some(Echo { distance, light: self.reflects * cosine })
+    }
+}
+
+fn disc((x, y): Vector, centre: Vector, radius: f64) -> Option<(f64, f64)> {
+    let nearest = centre.0 * x + centre.1 * y;
+    let away = centre.0 * y - centre.1 * x;
+    let inside = radius * radius - away * away;
+    (inside >= 0.0).then(|| (nearest - inside.sqrt(), inside.sqrt() / radius))
+}
+
+fn block((x, y): Vector, low: Vector, high: Vector) -> Option<(f64, f64)> {
+    let sorted = |a: f64, b: f64| (a.min(b), a.max(b));
+    let (x_in, x_out) = sorted(low.0 / x, high.0 / x);
+    let (y_in, y_out) = sorted(low.1 / y, high.1 / y);
+    let is_met = x_in.max(y_in) <= x_out.min(y_out);
+    is_met.then(|| (x_in.max(y_in), if x_in > y_in { x.abs() } else { y.abs() }))
+}
+
+fn wall(direction: Vector, from: Vector, to: Vector) -> Option<(f64, f64)> {
+    let cross = |a: Vector, b: Vector| a.0 * b.1 - a.1 * b.0;
+    let along = (to.0 - from.0, to.1 - from.1);
+    // Solves distance * direction = from + share * along.
+    let flatness = cross(direction, along);
+    let share = cross(from, direction) / flatness;
+    let length = (along.0 * along.0 + along.1 * along.1).sqrt();
+    // Not a number for a beam along the wall, or a wall without length: no echo.
+    (0.0..=1.0).contains(&share).then(|| (cross(from, along) / flatness, flatness.abs() / length))
+}
+
+/// Returns the nearest echo of `surfaces`, or `background` if that is nearer.
+pub(super) fn nearest<'a>(
+    surfaces: impl IntoIterator<Item = &'a Surface>,
+    direction: Vector,
+    background: Echo,
+) -> Echo {
+    surfaces.into_iter().filter_map(|surface| surface.echo(direction)).fold(
+        background,
+        |nearest, echo| if echo.distance < nearest.distance { echo } else { nearest },
+    )
+}
