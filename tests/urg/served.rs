@@ -171,3 +171,19 @@ fn what_a_sensor_says_cannot_write_to_the_terminal() {
     assert!(info.contains(r"\x1b[31mred"), "{info}");
     assert!(!info.contains('\x1b'), "{info:?}");
 }
+
+#[test]
+fn a_hard_room_and_the_answer_to_a_repeated_laser_command_are_options() {
+    let arguments = "--tcp 0 --room hard --repeated-laser 0 --firmware text";
+    let sensor = Emulated::start(&format!("{arguments} {FAST}"));
+    let scan = scans(&run(&format!("scan {} --format json", sensor.port), 0).stdout).remove(0);
+    let missing = values(&scan).iter().filter(|&&value| value < 20).count();
+    assert!((300..=450).contains(&missing), "{missing} of 682");
+
+    let address = sensor.port.strip_prefix("tcp://").unwrap();
+    let mut link = std::net::TcpStream::connect(address).unwrap();
+    std::io::Write::write_all(&mut link, b"L1\n").unwrap();
+    let mut reply = [0; 6];
+    std::io::Read::read_exact(&mut link, &mut reply).unwrap();
+    assert_eq!(&reply, b"L1\n0\n\n");
+}

@@ -9,7 +9,7 @@ use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
 use tokio_scip::emulator::Pty;
-use tokio_scip::emulator::{self, Emulator, Faults};
+use tokio_scip::emulator::{self, Emulator, Faults, RepeatedLaser, Room};
 
 use crate::args::{default_to_loopback, duration};
 use crate::failure::Failure;
@@ -51,6 +51,13 @@ pub(crate) struct Emulate {
     /// Time that the motor takes for a turn, of which each gives one scan
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
     revolution: Duration,
+    /// Room that the sensor stands in
+    #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
+    room: RoomKind,
+    /// Status of the answer to L if the laser is in that state already: real sensors
+    /// differ
+    #[arg(long, value_enum, value_name = "STATUS", default_value_t = LaserStatus::Two)]
+    repeated_laser: LaserStatus,
     /// Seed of the room and of faults
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
@@ -72,6 +79,24 @@ enum Firmware {
     V3,
 }
 
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RoomKind {
+    /// 5.0 by 4.4 m with two people; about 8 % of the points have no distance
+    Easy,
+    /// About 55 % of the points have no distance, as in captures of a real sensor
+    Hard,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LaserStatus {
+    /// As if the state had changed
+    #[value(name = "0")]
+    Zero,
+    /// Refused
+    #[value(name = "2")]
+    Two,
+}
+
 impl Emulate {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let emulator = self.emulator();
@@ -88,9 +113,17 @@ impl Emulate {
                 Firmware::V3 => emulator::Firmware::V3,
             })
             .serial_number(&self.serial_number)
+            .repeated_laser(match self.repeated_laser {
+                LaserStatus::Zero => RepeatedLaser::Status0,
+                LaserStatus::Two => RepeatedLaser::Status2,
+            })
             .revolution(self.revolution)
             .seed(self.seed)
             .faults(self.faults.clone().unwrap_or_default());
+        let builder = match self.room {
+            RoomKind::Easy => builder.world(Room::new(self.seed)),
+            RoomKind::Hard => builder.world(Room::hard(self.seed)),
+        };
         match self.baud {
             Some(speed) => builder.baud_rate(speed),
             None => builder.usb(),
