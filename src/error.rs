@@ -186,6 +186,14 @@ pub enum Error {
         #[source]
         source: Option<Arc<io::Error>>,
     },
+    /// The driver's task has panicked: in an observer, a `Connect` or a `Port` of the
+    /// caller, or in the driver itself.
+    #[error("the driver's task has panicked: {message}")]
+    #[non_exhaustive]
+    Panicked {
+        /// The message of the panic.
+        message: String,
+    },
     /// The driver has ended: it was closed, or its task was dropped.
     #[error("the driver of the sensor has ended")]
     Closed,
@@ -238,6 +246,7 @@ impl Error {
             | Self::AnotherSensor { .. }
             | Self::Refused { .. }
             | Self::LaserOff
+            | Self::Panicked { .. }
             | Self::UnsupportedBaudRate { .. }
             | Self::Closed => false,
         }

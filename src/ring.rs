@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll, Waker};
 
+use crate::state::Audience;
 use crate::{Error, Scan};
 
 /// The newest scans of a schedule, and its latest error.
@@ -38,6 +39,12 @@ enum Reader {
     Gone,
     Busy,
     Waiting(Waker),
+}
+
+impl Audience for Ring {
+    fn is_present(&self) -> bool {
+        self.readers() > 0
+    }
 }
 
 impl Ring {

@@ -1,13 +1,14 @@
 //! What a driver tells of itself: [`State`], to be awaited, and [`Stats`], to
 //! be counted.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use crate::protocol::{Malformed, ReplyError, Version};
+use crate::protocol::{Malformed, ReplyError, Text, Version};
 use crate::{BaudRate, Error, Rate, Window};
 
 /// What the driver is about. [`Sensor::state`](crate::Sensor::state) gives a
@@ -36,6 +37,10 @@ pub enum State {
         /// Whether scans are polled: a stream is open, and the laser was not
         /// switched off.
         streaming: bool,
+        /// The sensor's serial number, as in its `SERI:` line. It changes when
+        /// another sensor has taken the place of the one before, which
+        /// [`any_sensor`](crate::SensorBuilder::any_sensor) allows.
+        serial_number: Text,
     },
     /// The sensor fell silent on a port that is still open, and is looked for at
     /// every baud rate.
@@ -225,12 +230,16 @@ pub struct ScheduleStats {
     /// Scans a second that came, over the last three seconds or so that they
     /// were polled; 0 before that, and while the link is lost.
     pub reached: f64,
+    /// Polls of those seconds that failed: their replies were lost, malformed or
+    /// refused. While there are some, `reached` says nothing of what the line and
+    /// the sensor can carry.
+    pub failed: u32,
 }
 
 impl ScheduleStats {
-    pub(crate) fn new(window: Window, rate: Rate, reached: f64) -> Self {
+    pub(crate) fn new(window: Window, rate: Rate, reached: f64, failed: u32) -> Self {
         let asked = rate.period().map(|period| 1.0 / period.as_secs_f64());
-        Self { window, asked, reached }
+        Self { window, asked, reached, failed }
     }
 }
 
@@ -240,7 +249,16 @@ impl ScheduleStats {
 pub(crate) struct Telemetry {
     state: watch::Sender<State>,
     stats: Mutex<Stats>,
+    schedules: Mutex<Vec<(ScheduleStats, Weak<dyn Audience>)>>,
     version: Mutex<Option<Version>>,
+    /// Handles that wait for the driver to close.
+    closing: AtomicUsize,
+}
+
+/// The streams of a schedule, which may all be gone before the driver notices.
+pub(crate) trait Audience: Send + Sync + std::fmt::Debug {
+    /// Returns whether a stream is left.
+    fn is_present(&self) -> bool;
 }
 
 impl Telemetry {
@@ -248,7 +266,9 @@ impl Telemetry {
         Self {
             state: watch::Sender::new(State::Connecting { error: None }),
             stats: Mutex::default(),
+            schedules: Mutex::default(),
             version: Mutex::default(),
+            closing: AtomicUsize::new(0),
         }
     }
 
@@ -263,9 +283,9 @@ impl Telemetry {
                 tracing::debug!(%error, "waiting for the sensor");
             }
             State::Connecting { error: None } => tracing::debug!("looking for the sensor"),
-            State::Connected { baud_rate, streaming } => {
+            State::Connected { baud_rate, streaming, serial_number } => {
                 let baud_rate = baud_rate.map(u32::from);
-                tracing::info!(baud_rate, streaming, "connected");
+                tracing::info!(baud_rate, streaming, %serial_number, "connected");
             }
             State::Recovering => tracing::warn!("the sensor is silent: looking for it"),
             State::Disconnected { error, .. } => tracing::warn!(%error, "disconnected"),
@@ -316,12 +336,55 @@ impl Telemetry {
         lock(&self.stats)
     }
 
+    /// Returns a copy of the counters, with the schedules that have a stream.
+    pub(crate) fn snapshot(&self) -> Stats {
+        let mut stats = self.stats().clone();
+        let is_read = |audience: &Weak<dyn Audience>| {
+            audience.upgrade().is_some_and(|audience| audience.is_present())
+        };
+        let schedules = lock(&self.schedules);
+        let read = schedules.iter().filter(|(_, audience)| is_read(audience));
+        stats.schedules.extend(read.map(|(schedule, _)| *schedule));
+        stats
+    }
+
+    /// Replaces the schedules, in place and without allocating.
+    pub(crate) fn set_schedules(
+        &self,
+        schedules: impl Iterator<Item = (ScheduleStats, Weak<dyn Audience>)>,
+    ) {
+        let mut noted = lock(&self.schedules);
+        noted.clear();
+        noted.extend(schedules);
+    }
+
+    /// Notes that the driver is asked to close, as long as the guard lives.
+    pub(crate) fn closing(&self) -> Closing<'_> {
+        self.closing.fetch_add(1, Ordering::Relaxed);
+        Closing(&self.closing)
+    }
+
+    /// Returns whether the driver is asked to close: a sensor that does not answer
+    /// gets no further chance.
+    pub(crate) fn is_closing(&self) -> bool {
+        self.closing.load(Ordering::Relaxed) > 0
+    }
+
     pub(crate) fn version(&self) -> Option<Version> {
         lock(&self.version).clone()
     }
 
     pub(crate) fn set_version(&self, version: Version) {
         *lock(&self.version) = Some(version);
+    }
+}
+
+/// A handle that waits for the driver to close.
+pub(crate) struct Closing<'a>(&'a AtomicUsize);
+
+impl Drop for Closing<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

@@ -370,6 +370,9 @@ async fn the_rate_that_is_reached_falls_when_no_scans_come() {
     tokio::time::sleep(Duration::from_secs(10)).await;
     let stats = sensor.stats();
     assert!(stats.schedules[0].reached < 6.0, "{stats:?}");
+    assert!(stats.schedules[0].failed > 10, "{stats:?}");
+    drop(stream);
+    assert_eq!(sensor.stats().schedules, [], "the schedule of a stream that is gone");
 }
 
 #[tokio::test(start_paused = true)]

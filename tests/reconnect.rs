@@ -155,6 +155,35 @@ async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken
 }
 
 #[tokio::test(start_paused = true)]
+async fn d09_any_sensor_takes_a_spare_and_sets_it_like_the_one_before() {
+    let emulator = truthful().serial_number("H0000001").build();
+    let sensor = builder().any_sensor().connect(emulator.clone()).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    let mut state = sensor.state();
+    emulator.unplug();
+    emulator.set_serial_number("H0000002");
+    emulator.power_cycle();
+    emulator.plug_in();
+    let spare = |state: &State| matches!(state, State::Connected { serial_number, .. } if *serial_number == "H0000002");
+    state.wait_for(spare).await.unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0000002");
+    assert!(!emulator.is_laser_on());
+}
+
+#[tokio::test(start_paused = true)]
+async fn d09_waiting_for_a_sensor_goes_on_while_another_one_is_there() {
+    let emulator = truthful().serial_number("H0000002").build();
+    let builder = builder().wait_for_sensor().serial_number("H0000001");
+    let opening = tokio::spawn(builder.connect(emulator.clone()));
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert!(!opening.is_finished());
+    emulator.unplug();
+    emulator.set_serial_number("H0000001");
+    emulator.plug_in();
+    opening.await.unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
 async fn d09_a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;

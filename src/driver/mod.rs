@@ -50,7 +50,7 @@ const QUEUE_CAPACITY: usize = 16;
 /// It returns `Ok` when the last handle and stream are gone or after
 /// [`Sensor::close`](crate::Sensor::close), and the cause when the link is lost
 /// for good. Dropping it closes the port; handles and streams then end with
-/// [`Error::Closed`].
+/// [`Error::Closed`]. If it panics they end with [`Error::Panicked`].
 ///
 /// It needs tokio's timer; without it, tokio panics when it is first polled.
 #[must_use = "a driver does nothing unless it is spawned or polled"]

@@ -33,6 +33,8 @@ pub(crate) struct Opener<C> {
     found: Option<BaudRate>,
     /// The sensor that is expected: the one asked for, or the first one found.
     identity: Option<Text>,
+    /// The serial number of the sensor that was found last.
+    serial_number: Option<Text>,
     /// What earlier sessions asked for: the system keeps what arrives while a
     /// port is closed, so that the next session may get answers to it.
     unique_requests: UniqueRequests,
@@ -55,6 +57,7 @@ impl<C: Connect> Opener<C> {
         Self {
             wanted: Wanted { laser: None, baud_rate: config.baud_rate },
             found: None,
+            serial_number: None,
             identity: config.serial_number.clone().or(asked),
             unique_requests: UniqueRequests::starting(config.seed()),
             opened: false,
@@ -67,6 +70,11 @@ impl<C: Connect> Opener<C> {
 
     pub(crate) fn wanted(&mut self) -> &mut Wanted {
         &mut self.wanted
+    }
+
+    /// The serial number of the sensor that was found last.
+    pub(crate) fn serial_number(&self) -> Text {
+        self.serial_number.clone().unwrap_or_default()
     }
 
     /// The time of a revolution of the motor, as the sensor's version reports it.
@@ -129,6 +137,10 @@ impl<C: Connect> Opener<C> {
             Ok(version)
         };
         let version = outcome.await.map_err(ExchangeError::into_error)?;
+        let before = self.serial_number.replace(version.serial_number.clone());
+        if let Some(before) = before.filter(|before| *before != version.serial_number) {
+            tracing::warn!(%before, now = %version.serial_number, "another sensor has taken its place");
+        }
         self.telemetry.set_version(version);
         self.connect.found();
         self.found = session.baud_rate();
@@ -178,7 +190,7 @@ impl<C: Connect> Opener<C> {
             // An empty serial number never counts as confirmed where one is expected.
             let counts = self.identity.is_none() || !before.is_empty();
             if counts && version.serial_number == before {
-                if !before.is_empty() {
+                if !before.is_empty() && !self.config.any_sensor {
                     self.identity.get_or_insert(before);
                 }
                 break;

@@ -1,41 +1,143 @@
-//! The rate that a schedule reaches.
+//! [`RateMeter`]: the rate that a schedule reaches, and whether it falls short
+//! because of its link's capacity or because of failures.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// How long the rate that is reached is averaged.
+/// The span that the rate is averaged over.
 const RATE_SPAN: Duration = Duration::from_secs(3);
+/// The share of the rate asked for that counts as reached.
+const REACHED: f64 = 0.95;
+/// A shortfall is reported again after so many spans without it, half a minute.
+const SPANS_BETWEEN_REPORTS: u32 = 10;
 
-/// Measures the rate that is reached.
+/// Measures the rate that is reached, span by span.
 #[derive(Debug)]
 pub(crate) struct RateMeter {
     since: Instant,
     scans: u32,
+    failures: u32,
+    /// The latest whole span.
+    span: Span,
+    /// The number of spans since each kind of shortfall was last there.
+    since_slow: u32,
+    since_loss: u32,
+}
+
+/// What came of the polls of one span.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(crate) struct Span {
+    /// Scans a second.
     pub(crate) reached: f64,
-    /// Whether it was said that the rate is not reached.
-    pub(crate) told: bool,
+    /// Polls that failed.
+    pub(crate) failed: u32,
+}
+
+/// Why a rate is not reached.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shortfall {
+    /// Every poll succeeded: the line or the sensor cannot keep up.
+    Slow,
+    /// Polls failed. How many the line could carry is not known then.
+    Loss,
 }
 
 impl RateMeter {
     pub(crate) fn new(now: Instant) -> Self {
-        Self { since: now, scans: 0, reached: 0.0, told: false }
+        Self {
+            since: now,
+            scans: 0,
+            failures: 0,
+            span: Span::default(),
+            since_slow: SPANS_BETWEEN_REPORTS,
+            since_loss: SPANS_BETWEEN_REPORTS,
+        }
     }
 
-    /// Counts a poll that brought so many scans; gives the rate at the end of
-    /// each span.
-    pub(crate) fn count(&mut self, scans: u32, now: Instant) -> Option<f64> {
-        self.scans += scans;
+    pub(crate) fn span(&self) -> Span {
+        self.span
+    }
+
+    pub(crate) fn count_scan(&mut self) {
+        self.scans += 1;
+    }
+
+    pub(crate) fn count_failure(&mut self) {
+        self.failures += 1;
+    }
+
+    /// Ends the span if it is over, and returns it.
+    pub(crate) fn finish_span(&mut self, now: Instant) -> Option<Span> {
         let span = now.saturating_duration_since(self.since);
         if span < RATE_SPAN {
             return None;
         }
-        self.reached = f64::from(self.scans) / span.as_secs_f64();
+        let reached = f64::from(self.scans) / span.as_secs_f64();
+        self.span = Span { reached, failed: self.failures };
         self.restart(now);
-        Some(self.reached)
+        Some(self.span)
     }
 
+    /// Returns why a span falls short of a poll each `period`, if it does and did
+    /// not for some time.
+    pub(crate) fn report(&mut self, span: Span, period: Duration) -> Option<Shortfall> {
+        let is_short = span.reached * period.as_secs_f64() < REACHED;
+        let shortfall = match (is_short, span.failed) {
+            (false, _) => None,
+            (true, 0) => Some(Shortfall::Slow),
+            (true, _) => Some(Shortfall::Loss),
+        };
+        let mut news = None;
+        for (kind, since) in
+            [(Shortfall::Slow, &mut self.since_slow), (Shortfall::Loss, &mut self.since_loss)]
+        {
+            if shortfall == Some(kind) {
+                news = shortfall.filter(|_| *since >= SPANS_BETWEEN_REPORTS);
+                *since = 0;
+            } else {
+                *since = since.saturating_add(1);
+            }
+        }
+        news
+    }
+
+    /// Forgets the latest span: the link is lost.
+    pub(crate) fn clear(&mut self) {
+        self.span = Span::default();
+    }
+
+    /// Starts a new span.
     pub(crate) fn restart(&mut self, now: Instant) {
-        (self.since, self.scans) = (now, 0);
+        (self.since, self.scans, self.failures) = (now, 0, 0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_millis(100);
+
+    #[test]
+    fn a_shortfall_is_reported_once_and_again_after_it_was_gone() {
+        let mut meter = RateMeter::new(Instant::now());
+        let mut report = |reached| meter.report(Span { reached, failed: 0 }, PERIOD);
+        assert_eq!(report(10.0), None);
+        assert_eq!(report(5.0), Some(Shortfall::Slow));
+        assert_eq!(report(5.0), None);
+        assert_eq!((0..10).find_map(|_| report(9.6)), None);
+        assert_eq!(report(5.0), Some(Shortfall::Slow));
+    }
+
+    #[test]
+    fn a_span_with_failures_is_a_loss_and_no_lack_of_speed() {
+        let mut meter = RateMeter::new(Instant::now());
+        let mut report = |reached, failed| meter.report(Span { reached, failed }, PERIOD);
+        assert_eq!(report(9.7, 1), None, "a scan lost now and then");
+        assert_eq!(report(5.0, 3), Some(Shortfall::Loss));
+        assert_eq!(report(5.0, 3), None);
+        assert_eq!(report(5.0, 0), Some(Shortfall::Slow));
+        assert_eq!(report(5.0, 3), None);
     }
 }

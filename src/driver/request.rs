@@ -1,5 +1,5 @@
-//! What handles ask the driver for. Each request is answered exactly once: by
-//! the driver, or by being dropped with it.
+//! Requests from handles to the driver, and their queue. Each request is answered
+//! exactly once: by the driver, or by being dropped with it.
 
 use std::collections::VecDeque;
 
@@ -10,10 +10,10 @@ use crate::protocol::Version;
 use crate::ring::Cursor;
 use crate::{BaudRate, Error, Rate, Scan, Window};
 
-/// Where the answer to a request goes.
+/// The receiver of the answer to a request.
 pub(crate) type Promise<T> = oneshot::Sender<Result<T, Error>>;
 
-/// Something that a handle asks for.
+/// A request of a handle.
 #[derive(Debug)]
 pub(crate) enum Request {
     Version(Promise<Version>),
@@ -25,7 +25,7 @@ pub(crate) enum Request {
 }
 
 impl Request {
-    /// True if nobody waits for the answer any more.
+    /// Returns whether nobody waits for the answer any more.
     fn is_abandoned(&self) -> bool {
         match self {
             Self::Version(promise) => promise.is_closed(),
@@ -54,7 +54,7 @@ impl Request {
 #[derive(Debug)]
 pub(crate) struct QueuedRequest {
     pub(crate) request: Request,
-    /// When to give up if there is no link by then.
+    /// The time to fail at if there is no link by then.
     pub(crate) expires: Instant,
 }
 
@@ -73,62 +73,62 @@ pub(crate) struct Abandoned;
 #[derive(Debug)]
 pub(crate) struct RequestQueue {
     receiver: mpsc::Receiver<QueuedRequest>,
-    /// Taken out of the channel and not served yet.
+    /// Requests that need a link, from the time when there was none; the first
+    /// one expires first, since all wait equally long.
     waiting: VecDeque<QueuedRequest>,
+    /// The request after those, if it was taken out of the channel already.
+    next: Option<QueuedRequest>,
 }
 
 impl RequestQueue {
     pub(crate) fn new(receiver: mpsc::Receiver<QueuedRequest>) -> Self {
-        Self { receiver, waiting: VecDeque::new() }
+        Self { receiver, waiting: VecDeque::new(), next: None }
     }
 
-    /// The next request, if one is there.
+    /// Returns the next request, if one is there.
     pub(crate) fn pop(&mut self) -> Result<Option<Request>, Abandoned> {
         loop {
-            let letter = match self.waiting.pop_front() {
-                Some(letter) => letter,
+            let queued = match self.waiting.pop_front().or_else(|| self.next.take()) {
+                Some(queued) => queued,
                 None => match self.receiver.try_recv() {
-                    Ok(letter) => letter,
+                    Ok(queued) => queued,
                     Err(mpsc::error::TryRecvError::Empty) => return Ok(None),
                     Err(mpsc::error::TryRecvError::Disconnected) => return Err(Abandoned),
                 },
             };
-            if !letter.request.is_abandoned() {
-                return Ok(Some(letter.request));
+            if !queued.request.is_abandoned() {
+                return Ok(Some(queued.request));
             }
         }
     }
 
     /// Waits until there is a request to [`pop`](Self::pop). Cancel-safe.
     pub(crate) async fn ready(&mut self) -> Result<(), Abandoned> {
-        if self.waiting.is_empty() {
-            let letter = self.receiver.recv().await.ok_or(Abandoned)?;
-            self.waiting.push_back(letter);
+        if self.waiting.is_empty() && self.next.is_none() {
+            self.next = Some(self.receiver.recv().await.ok_or(Abandoned)?);
         }
         Ok(())
     }
 
-    /// While there is no link: gives out the requests that need none, and lets
-    /// the others wait until they expire with `Disconnected`. Cancel-safe.
+    /// While there is no link: returns the next request that needs none, and lets
+    /// the others wait until they expire with `Disconnected`. Looks at each
+    /// request once. Cancel-safe.
     pub(crate) async fn next_unlinked(&mut self) -> Result<Unlinked, Abandoned> {
         loop {
-            self.waiting.retain(|letter| !letter.request.is_abandoned());
-            let unlinked = |letter: &QueuedRequest| {
-                matches!(letter.request, Request::Subscribe { .. } | Request::Close(_))
-            };
-            let place = self.waiting.iter().position(unlinked);
-            match place.and_then(|place| self.waiting.remove(place)).map(|letter| letter.request) {
-                Some(Request::Subscribe { window, rate, promise }) => {
-                    return Ok(Unlinked::Subscribe { window, rate, promise });
+            if let Some(queued) = self.next.take().filter(|queued| !queued.request.is_abandoned()) {
+                match queued.request {
+                    Request::Subscribe { window, rate, promise } => {
+                        return Ok(Unlinked::Subscribe { window, rate, promise });
+                    }
+                    Request::Close(promise) => return Ok(Unlinked::Close(promise)),
+                    _ => self.waiting.push_back(queued),
                 }
-                Some(Request::Close(promise)) => return Ok(Unlinked::Close(promise)),
-                _ => {}
             }
             self.expire();
-            let first = self.waiting.iter().map(|letter| letter.expires).min();
+            let first = self.waiting.front().map(|queued| queued.expires);
             tokio::select! {
                 biased;
-                letter = self.receiver.recv() => self.waiting.push_back(letter.ok_or(Abandoned)?),
+                queued = self.receiver.recv() => self.next = Some(queued.ok_or(Abandoned)?),
                 () = sleep_until(first.unwrap_or_else(Instant::now)), if first.is_some() => {}
             }
         }
@@ -136,11 +136,9 @@ impl RequestQueue {
 
     fn expire(&mut self) {
         let now = Instant::now();
-        for letter in std::mem::take(&mut self.waiting) {
-            if letter.expires > now {
-                self.waiting.push_back(letter);
-            } else {
-                letter.request.fail(Error::disconnected(None));
+        while self.waiting.front().is_some_and(|queued| queued.expires <= now) {
+            if let Some(queued) = self.waiting.pop_front() {
+                queued.request.fail(Error::disconnected(None));
             }
         }
     }
@@ -148,11 +146,11 @@ impl RequestQueue {
     /// Answers everything that is still queued.
     pub(crate) fn end(&mut self, error: &Error) {
         self.receiver.close();
-        while let Some(letter) = self.waiting.pop_front() {
-            letter.request.fail(error.clone());
+        for queued in self.waiting.drain(..).chain(self.next.take()) {
+            queued.request.fail(error.clone());
         }
-        while let Ok(letter) = self.receiver.try_recv() {
-            letter.request.fail(error.clone());
+        while let Ok(queued) = self.receiver.try_recv() {
+            queued.request.fail(error.clone());
         }
     }
 }

@@ -1,15 +1,15 @@
 //! Which poll is due when. Knows nothing of ports and replies.
 
 use std::mem::{Discriminant, discriminant};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::rate_meter::RateMeter;
+use super::rate_meter::{RateMeter, Shortfall};
 use crate::ring::{Cursor, Ring};
 use crate::scan::{Scan, ScanMeta};
-use crate::state::ScheduleStats;
+use crate::state::{Audience, ScheduleStats, Telemetry};
 use crate::{Error, Rate, Window};
 
 /// Everything that is polled.
@@ -49,13 +49,13 @@ pub(crate) struct DuePoll {
     pub(crate) rate: Rate,
 }
 
-/// What became of values that were delivered.
+/// What became of a poll.
 #[derive(Debug, Default)]
 pub(crate) struct Delivered {
-    /// They are the same as those before.
+    /// Its values are the same as those before.
     pub(crate) repeat: bool,
-    /// The rate is not reached, which is said once.
-    pub(crate) slow: Option<ScheduleStats>,
+    /// The rate is not reached, which is reported once, and what is.
+    pub(crate) shortfall: Option<(Shortfall, ScheduleStats)>,
 }
 
 impl Schedules {
@@ -131,43 +131,42 @@ impl Schedules {
         if schedule.rate.period().is_none() {
             schedule.due = now;
         }
-        let reached = schedule.speed.count(1, now);
-        let slow = reached
-            .filter(|reached| schedule.is_slow(*reached))
-            .filter(|_| !std::mem::replace(&mut schedule.speed.told, true))
-            .map(|reached| ScheduleStats::new(poll.window, poll.rate, reached));
-        self.changed |= reached.is_some();
-        Delivered { repeat: meta.repeat, slow }
+        schedule.speed.count_scan();
+        let (changed, shortfall) = schedule.finish_span(now);
+        self.changed |= changed;
+        Delivered { repeat: meta.repeat, shortfall }
     }
 
     /// Reports the error of one poll.
-    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) {
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return };
+    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) -> Delivered {
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
         let now = Instant::now();
         schedule.report(error);
         if schedule.rate.period().is_none() {
             schedule.due = now;
         }
-        let reached = schedule.speed.count(0, now);
-        self.changed |= reached.is_some();
+        schedule.speed.count_failure();
+        let (changed, shortfall) = schedule.finish_span(now);
+        self.changed |= changed;
+        Delivered { repeat: false, shortfall }
     }
 
     /// The link is lost: tells everyone why, and no rate is reached.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
-            schedule.speed.reached = 0.0;
+            schedule.speed.clear();
             self.changed = true;
         }
     }
 
-    /// Notes what is polled, and how fast, if that has changed.
-    pub(crate) fn note(&mut self, noted: &mut Vec<ScheduleStats>) {
-        let stats = |one: &Schedule| ScheduleStats::new(one.window, one.rate, one.speed.reached);
+    /// Passes on what is polled, and how fast, if that has changed.
+    pub(crate) fn note(&mut self, telemetry: &Telemetry) {
         if std::mem::take(&mut self.changed) {
-            // In place, without allocating.
-            noted.clear();
-            noted.extend(self.all.iter().map(stats));
+            telemetry.set_schedules(self.all.iter().map(|one| {
+                let audience: Weak<Ring> = Arc::downgrade(&one.ring);
+                (one.stats(), audience as Weak<dyn Audience>)
+            }));
         }
     }
 
@@ -198,13 +197,6 @@ impl Schedules {
 
     fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
         self.all.iter_mut().find(|schedule| schedule.window == window && schedule.rate == rate)
-    }
-}
-
-impl Drop for Schedules {
-    /// Streams never wait for a driver that is gone.
-    fn drop(&mut self) {
-        self.end(Some(&Error::Closed));
     }
 }
 
@@ -276,8 +268,17 @@ impl Schedule {
         }
     }
 
-    fn is_slow(&self, reached: f64) -> bool {
-        self.rate.period().is_some_and(|period| reached * period.as_secs_f64() < 0.95)
+    fn stats(&self) -> ScheduleStats {
+        let span = self.speed.span();
+        ScheduleStats::new(self.window, self.rate, span.reached, span.failed)
+    }
+
+    /// Returns whether a span of the rate's measurement is over, and why it falls
+    /// short, if that is news.
+    fn finish_span(&mut self, now: Instant) -> (bool, Option<(Shortfall, ScheduleStats)>) {
+        let Some(span) = self.speed.finish_span(now) else { return (false, None) };
+        let shortfall = self.rate.period().and_then(|period| self.speed.report(span, period));
+        (true, shortfall.map(|shortfall| (shortfall, self.stats())))
     }
 }
 
@@ -344,15 +345,14 @@ mod tests {
     async fn equal_schedules_are_one_and_one_without_readers_ends() {
         let same = (Window::FULL, Rate::MAX);
         let (mut schedules, readers) = schedules(&[same, same]);
-        let mut noted = Vec::new();
-        schedules.note(&mut noted);
-        assert_eq!(noted.len(), 1);
+        let telemetry = Telemetry::new();
+        schedules.note(&telemetry);
+        assert_eq!(telemetry.snapshot().schedules.len(), 1);
         assert!(schedules.take_due(Instant::now()).is_some());
         drop(readers);
+        assert_eq!(telemetry.snapshot().schedules, [], "before the driver has noticed");
         assert!(schedules.take_due(Instant::now()).is_none());
         assert!(schedules.is_empty());
-        schedules.note(&mut noted);
-        assert_eq!(noted, []);
     }
 
     #[tokio::test(start_paused = true)]
@@ -373,7 +373,7 @@ mod tests {
         let mut errors = 0;
         let mut count = |schedules: &mut Schedules, error: Option<Error>| {
             match error {
-                Some(error) => schedules.fail(poll, &error),
+                Some(error) => drop(schedules.fail(poll, &error)),
                 None => drop(schedules.deliver(poll, &[1000], meta)),
             }
             let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));

@@ -9,13 +9,14 @@ use super::baud_rate;
 use super::exchange::ExchangeError;
 use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::open::Wanted;
+use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Promise, Request, RequestQueue};
-use super::schedule::{DuePoll, Schedules};
+use super::schedule::{Delivered, DuePoll, Schedules};
 use super::session::Session;
 use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
-use crate::state::Telemetry;
+use crate::state::{ScheduleStats, Telemetry};
 use crate::{Error, Window};
 
 /// Why a session is served no longer.
@@ -169,7 +170,7 @@ impl Service<'_> {
                     return Ok(Scan::new(window, values, 0, meta(timing, scan_time)));
                 }
                 Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
-                    if tries > 0 => {}
+                    if tries > 0 && !self.telemetry.is_closing() => {}
                 Err(failure) => return Err(failure),
             }
         }
@@ -180,32 +181,26 @@ impl Service<'_> {
             self.note_schedules();
             return Ok(());
         };
-        let (outcome, repeats) = match self.poll_with_laser(session, poll.window).await {
-            Ok(timing) => (Ok(()), u64::from(self.deliver(poll, timing))),
-            Err(failure) => {
-                (command_error(failure).map(|error| self.schedules.fail(poll, &error)), 0)
+        let (outcome, delivered) = match self.poll_with_laser(session, poll.window).await {
+            Ok(timing) => {
+                let meta = meta(timing, self.scan_time);
+                (Ok(()), self.schedules.deliver(poll, self.values, meta))
             }
+            Err(failure) => match command_error(failure) {
+                Ok(error) => (Ok(()), self.schedules.fail(poll, &error)),
+                Err(stop) => (Err(stop), Delivered::default()),
+            },
         };
+        if let Some((shortfall, stats)) = delivered.shortfall {
+            warn_of(shortfall, poll, stats);
+        }
         let mut stats = self.telemetry.stats();
-        stats.repeats += repeats;
+        stats.repeats += u64::from(delivered.repeat);
         stats.polls_skipped += skipped;
         stats.missed = self.schedules.missed();
-        self.schedules.note(&mut stats.schedules);
         drop(stats);
+        self.note_schedules();
         outcome
-    }
-
-    /// Delivers a scan; gives whether its values are those of the one before.
-    fn deliver(&mut self, poll: DuePoll, timing: Timing) -> bool {
-        let meta = meta(timing, self.scan_time);
-        let delivered = self.schedules.deliver(poll, self.values, meta);
-        if let Some(slow) = delivered.slow {
-            tracing::warn!(
-                window = %poll.window, asked = %poll.rate, reached = slow.reached,
-                "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
-            );
-        }
-        delivered.repeat
     }
 
     /// Polls; if the sensor refuses, once more after switching the laser on: it is
@@ -253,7 +248,26 @@ impl Service<'_> {
     }
 
     fn note_schedules(&mut self) {
-        self.schedules.note(&mut self.telemetry.stats().schedules);
+        self.schedules.note(self.telemetry);
+    }
+}
+
+/// Logs why the rate of a schedule is not reached.
+fn warn_of(
+    shortfall: Shortfall,
+    poll: DuePoll,
+    ScheduleStats { reached, failed, .. }: ScheduleStats,
+) {
+    let DuePoll { window, rate } = poll;
+    match shortfall {
+        Shortfall::Slow => tracing::warn!(
+            %window, asked = %rate, reached,
+            "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
+        ),
+        Shortfall::Loss => tracing::warn!(
+            %window, asked = %rate, reached, failed,
+            "replies are lost, malformed or refused: check the cable and the sensor's power"
+        ),
     }
 }
 

@@ -150,7 +150,9 @@ impl Session {
         read: impl Fn(&Reply<'_>) -> T,
     ) -> Result<T, ExchangeError> {
         match self.command(command, &read).await {
-            Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
+            Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
+                if !self.telemetry.is_closing() =>
+            {
                 self.command(command, &read).await
             }
             outcome => outcome,

@@ -16,6 +16,7 @@ use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
 use crate::Error;
+use crate::observer::ReplyObserver;
 use crate::port::Connect;
 use crate::state::{State, Telemetry};
 
@@ -37,6 +38,7 @@ pub(crate) struct Supervisor<C> {
 struct OfflineQueue {
     queue: RequestQueue,
     schedules: Schedules,
+    telemetry: Arc<Telemetry>,
 }
 
 impl<C: Connect> Supervisor<C> {
@@ -48,10 +50,14 @@ impl<C: Connect> Supervisor<C> {
     ) -> Self {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
         let schedules = Schedules::new(config.ring_depth);
+        let offline = OfflineQueue { queue, schedules, telemetry: Arc::clone(&telemetry) };
         Self {
-            _closing: Closing(Arc::clone(&telemetry)),
+            _closing: Closing {
+                telemetry: Arc::clone(&telemetry),
+                observer: config.observer.clone(),
+            },
             opener,
-            offline: OfflineQueue { queue, schedules },
+            offline,
             values: Vec::new(),
             backoff: Backoff::new(config.backoff, config.seed()),
             config,
@@ -100,7 +106,8 @@ impl<C: Connect> Supervisor<C> {
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
         let baud_rate = session.baud_rate();
-        self.telemetry.enter(State::Connected { baud_rate, streaming: false });
+        let serial_number = self.opener.serial_number();
+        self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
         let mut service = Service {
             queue: &mut self.offline.queue,
@@ -121,10 +128,11 @@ impl<C: Connect> Supervisor<C> {
                 Ok(session) => return Ok(session),
                 Err(error) => error,
             };
-            // A port that has just appeared may be nobody's for a moment, until
-            // the system has set its owner: only twice is for good.
+            // udev may not have set the owner of a port yet: fails only if the
+            // error repeats. Another sensor may be replaced by the right one.
             let again = latest.replace(discriminant(&error)) == Some(discriminant(&error));
-            if !self.config.wait_for_sensor || again && !error.is_transient() {
+            let may_pass = error.is_transient() || matches!(error, Error::AnotherSensor { .. });
+            if !self.config.wait_for_sensor || again && !may_pass {
                 return Err(Stop::Lost(error));
             }
             self.telemetry.enter(State::Connecting { error: Some(error) });
@@ -161,7 +169,7 @@ impl<C: Connect> Supervisor<C> {
             return Err(Stop::Lost(error));
         }
         self.offline.schedules.fail_all(&error);
-        self.offline.schedules.note(&mut self.telemetry.stats().schedules);
+        self.offline.schedules.note(&self.telemetry);
         let since = Instant::now();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
@@ -210,13 +218,30 @@ impl OfflineQueue {
     }
 }
 
-/// Sees to it that nobody waits for a driver that is gone.
-struct Closing(Arc<Telemetry>);
+impl Drop for OfflineQueue {
+    /// Ends what still waits for a driver that is dropped, with the cause.
+    fn drop(&mut self) {
+        let cause = self.telemetry.cause();
+        self.schedules.end(Some(&cause));
+        self.queue.end(&cause);
+    }
+}
+
+/// Enters the last state when a driver is dropped, so that nobody waits for it.
+struct Closing {
+    telemetry: Arc<Telemetry>,
+    observer: ReplyObserver,
+}
 
 impl Drop for Closing {
     fn drop(&mut self) {
-        if !self.0.is_closed() {
-            self.0.enter(State::Closed { error: None });
+        if self.telemetry.is_closed() {
+            return;
         }
+        let error = std::thread::panicking().then(|| {
+            let elsewhere = || "its message is on standard error".to_owned();
+            Error::Panicked { message: self.observer.panic_message().unwrap_or_else(elsewhere) }
+        });
+        self.telemetry.enter(State::Closed { error });
     }
 }

@@ -105,6 +105,16 @@ impl SensorBuilder {
         self
     }
 
+    /// Accepts any sensor after a reconnect, such as a spare in the place of one
+    /// that failed: it is set like the one before, and its serial number is in
+    /// [`State::Connected`](crate::State::Connected). Unless set, another sensor
+    /// is refused with [`Error::AnotherSensor`]. Without effect where
+    /// [`serial_number`](Self::serial_number) was set.
+    pub fn any_sensor(mut self) -> Self {
+        self.config.any_sensor = true;
+        self
+    }
+
     /// How many scans a stream keeps for a consumer that is slow, at least 1. 1
     /// unless set: the newest. Who wants every scan asks for more: a recorder, or
     /// a replay as fast as it goes, which is faster than any consumer.

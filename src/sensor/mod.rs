@@ -192,7 +192,7 @@ impl Sensor {
 
     /// What happened since the driver began, across all links.
     pub fn stats(&self) -> Stats {
-        self.client.telemetry().stats().clone()
+        self.client.telemetry().snapshot()
     }
 
     /// A watch of what the driver is about.
@@ -227,10 +227,16 @@ impl Sensor {
         self.client.telemetry().watch()
     }
 
-    /// Ends the driver and closes the port. Requests that were made before are
-    /// answered first, if there is a link; later ones fail with
-    /// [`Error::Closed`], and streams end. No error if it has ended already.
+    /// Ends the driver and closes the port. Requests made before are answered
+    /// first, if there is a link; later ones fail with [`Error::Closed`], and
+    /// streams end. Returns at once if the driver has ended already.
+    ///
+    /// If the sensor does not answer, this waits for the deadlines of the command
+    /// under way and of one fence: 1.5 s unless
+    /// [`reply_latency`](SensorBuilder::reply_latency) was set, and their time on
+    /// the wire.
     pub async fn close(&self) {
+        let _closing = self.client.telemetry().closing();
         // The only answer is that the driver has ended, one way or the other.
         let _ = self.client.ask(Request::Close).await;
     }

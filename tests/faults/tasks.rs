@@ -3,7 +3,7 @@
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -133,13 +133,78 @@ async fn a06_a_driver_that_panics_leaves_nobody_waiting() {
             }
         };
         let error: Error = work.map(|outcome: Result<(), Error>| outcome.unwrap_err()).await;
-        assert!(matches!(error, Error::Closed), "{error:?}");
+        assert!(matches!(error, Error::Panicked { .. }), "{error:?}");
         assert!(driver.await.unwrap_err().is_panic());
-        assert!(matches!(sensor.scan(WINDOW).await, Err(Error::Closed)));
-        assert!(matches!(&*sensor.state().borrow(), State::Closed { .. }));
+        assert!(matches!(sensor.scan(WINDOW).await, Err(Error::Panicked { .. })));
+        assert!(matches!(&*sensor.state().borrow(), State::Closed { error: Some(_) }));
     }
     assert!(ended_in_work > 10);
     let _ = std::panic::take_hook();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a06_an_observer_that_panics_ends_the_driver_with_the_cause() {
+    let emulator = prompt().build();
+    let armed = Arc::new(AtomicBool::new(false));
+    let trigger = Arc::clone(&armed);
+    let sensor = builder()
+        .on_reply(move |_| assert!(!trigger.load(Relaxed), "the disk is on fire"))
+        .connect(emulator)
+        .await
+        .unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    armed.store(true, Relaxed);
+    let error = loop {
+        match stream.next().await {
+            Some(Ok(_)) => {}
+            Some(Err(error)) => break error,
+            None => panic!("ended without a cause"),
+        }
+    };
+    assert!(error.to_string().contains("the disk is on fire"), "{error}");
+    assert!(stream.next().await.is_none());
+    let error = sensor.scan(WINDOW).await.unwrap_err();
+    assert!(matches!(error, Error::Panicked { .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most() {
+    for rate in [Rate::hz(10.0), Rate::hz(0.1)] {
+        let emulator = prompt().build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(WINDOW, rate).await.unwrap();
+        scans(&mut stream, 1).await;
+        emulator.set_faults(Faults::none().rate(1.0, Fault::CommandLost));
+        let asker = sensor.clone();
+        let request = tokio::spawn(async move { asker.laser_off().await });
+        tokio::time::sleep(ms(150)).await;
+        let start = tokio::time::Instant::now();
+        sensor.close().await;
+        assert!(start.elapsed() <= ms(1500), "{rate}: {:?}", start.elapsed());
+        assert!(request.await.unwrap().is_err());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a10_sixteen_thousand_requests_that_wait_for_a_link_are_each_looked_at_once() {
+    let emulator = prompt().build();
+    let sensor = open(&emulator).await;
+    emulator.unplug();
+    let mut state = sensor.state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    let start = std::time::Instant::now();
+    let asking: Vec<_> = (0..16_000)
+        .map(|_| {
+            let sensor = sensor.clone();
+            tokio::spawn(async move { sensor.scan(WINDOW).await })
+        })
+        .collect();
+    for task in asking {
+        assert!(matches!(task.await.unwrap(), Err(Error::Disconnected { .. })));
+    }
+    // 7.6 s when each request that came was held against all that waited.
+    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
 }
 
 #[tokio::test(start_paused = true)]

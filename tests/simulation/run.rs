@@ -266,7 +266,7 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
 async fn check_rest(run: &Run, sensor: &Sensor) {
     sleep(Duration::from_secs(2)).await;
     let emulator = &run.case.emulator;
-    let State::Connected { baud_rate, streaming } = sensor.state().borrow().clone() else {
+    let State::Connected { baud_rate, streaming, .. } = sensor.state().borrow().clone() else {
         panic!("not connected: {:?}", sensor.state().borrow());
     };
     assert_eq!(baud_rate, emulator.baud_rate());

@@ -71,6 +71,9 @@ impl Fence {
                 Err(ExchangeError::Command(error)) => failure = ExchangeError::Silent(error),
                 outcome => return outcome,
             }
+            if self.telemetry.is_closing() {
+                break;
+            }
         }
         Err(failure)
     }
