@@ -14,6 +14,7 @@ mod emulator;
 mod faults;
 mod flood;
 mod grid;
+mod idle_probe;
 mod layering;
 mod memory;
 mod nth_failure;

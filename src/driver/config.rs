@@ -9,6 +9,34 @@ use crate::BaudRate;
 use crate::observer::ReplyObserver;
 use crate::protocol::Text;
 
+/// The interval of probes on a link that may die silently
+/// ([`Port::can_die_silently`](crate::Port::can_die_silently)). A lost link is noticed
+/// after it and the deadlines of the fences that are then tried, within 10 s in all. A
+/// probe costs 26 bytes on the wire.
+pub(crate) const PROBE_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Which idle links are probed, and how often.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum IdleProbe {
+    /// Those that may die silently, every [`PROBE_INTERVAL`].
+    ByPort,
+    /// All of them, with this interval.
+    Every(Duration),
+    /// None.
+    Off,
+}
+
+impl IdleProbe {
+    /// Returns the interval for a link, `None` if it is not to be probed.
+    pub(crate) fn interval(self, can_die_silently: bool) -> Option<Duration> {
+        match self {
+            Self::ByPort => can_die_silently.then_some(PROBE_INTERVAL),
+            Self::Every(interval) => Some(interval),
+            Self::Off => None,
+        }
+    }
+}
+
 /// The settings of a driver.
 #[derive(Debug, Clone)]
 pub(crate) struct Config {
@@ -22,6 +50,7 @@ pub(crate) struct Config {
     pub(crate) any_sensor: bool,
     pub(crate) ring_depth: usize,
     pub(crate) reply_latency: Option<Duration>,
+    pub(crate) idle_probe: IdleProbe,
     pub(crate) observer: ReplyObserver,
 }
 
@@ -46,6 +75,7 @@ impl Default for Config {
             any_sensor: false,
             ring_depth: 1,
             reply_latency: None,
+            idle_probe: IdleProbe::ByPort,
             observer: ReplyObserver::default(),
         }
     }

@@ -33,7 +33,7 @@ use std::time::Duration;
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
-pub(crate) use self::config::Config;
+pub(crate) use self::config::{Config, IdleProbe};
 pub(crate) use self::request::{Promise, Request};
 use self::request::{QueuedRequest, RequestQueue};
 use self::supervisor::Supervisor;

@@ -55,6 +55,8 @@ pub(crate) struct Service<'a> {
     pub(crate) wanted: &'a mut Wanted,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
+    /// The time without an exchange after which a fence is raised.
+    pub(crate) idle_probe: Option<Duration>,
     /// The values of the latest reply, in one buffer for all polls.
     pub(crate) values: &'a mut Vec<u16>,
     pub(crate) laser_recovery: LaserRecovery,
@@ -94,11 +96,18 @@ impl Service<'_> {
         if poll_is_due {
             return self.poll_due(session).await;
         }
+        let probe = self.idle_probe.map(|interval| Instant::now() + interval);
+        let wake = due.into_iter().chain(probe).min();
         tokio::select! {
             biased;
             outcome = session.idle() => ignore_command_errors(outcome)?,
             outcome = self.queue.ready() => outcome?,
-            () = sleep_until(due.unwrap_or_else(Instant::now)), if due.is_some() => {}
+            () = sleep_until(wake.unwrap_or_else(Instant::now)), if wake.is_some() => {
+                if wake == probe {
+                    // The fence is raised at the next turn.
+                    session.mark_dirty();
+                }
+            }
         }
         Ok(())
     }

@@ -51,6 +51,10 @@ impl Session {
         self.transport.baud_rate()
     }
 
+    pub(crate) fn can_die_silently(&self) -> bool {
+        self.transport.can_die_silently()
+    }
+
     /// Sets this side's baud rate.
     pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.transport.set_baud_rate(baud_rate)
@@ -90,6 +94,12 @@ impl Session {
             return Ok(None);
         }
         self.fence().await.map(Some)
+    }
+
+    /// Demands a fence before the next command, as if something had cast doubt on the
+    /// link.
+    pub(crate) fn mark_dirty(&mut self) {
+        self.transport.mark_dirty();
     }
 
     /// Drops what came unasked.

@@ -109,12 +109,14 @@ impl<C: Connect> Supervisor<C> {
         let serial_number = self.opener.serial_number();
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
+        let idle_probe = self.config.idle_probe.interval(session.can_die_silently());
         let mut service = Service {
             queue: &mut self.offline.queue,
             schedules: &mut self.offline.schedules,
             wanted: self.opener.wanted(),
             telemetry: &self.telemetry,
             scan_time,
+            idle_probe,
             values: &mut self.values,
             laser_recovery: LaserRecovery::new(self.config.seed()),
         };

@@ -86,6 +86,14 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         None
     }
 
+    /// Returns true if the link can be lost without a failing read or write, as a TCP
+    /// connection or an RS-232 line. The driver then probes the sensor while it is idle
+    /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)). `false` is the
+    /// default.
+    fn can_die_silently(&self) -> bool {
+        false
+    }
+
     /// Drops bytes that were written and are not on the line yet, so that closing the
     /// port does not wait for them. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
@@ -106,6 +114,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         (**self).try_read(buffer)
+    }
+
+    fn can_die_silently(&self) -> bool {
+        (**self).can_die_silently()
     }
 
     fn discard_output(&mut self) {

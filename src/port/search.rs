@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_port_that_hangs_does_not_keep_the_others_from_being_tried() {
+    async fn o25_a_port_that_hangs_does_not_keep_the_others_from_being_tried() {
         let mut search = search(&[("a", "h"), ("b", "h"), ("c", "o")]);
         let start = Instant::now();
         assert_eq!(next(&mut search).await, "c");

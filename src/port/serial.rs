@@ -138,6 +138,12 @@ impl Port for SerialPort {
         }
     }
 
+    /// Returns true for RS-232, where a sensor without power is silent. A sensor's own USB
+    /// port disappears with it.
+    fn can_die_silently(&self) -> bool {
+        !self.is_usb_sensor
+    }
+
     #[cfg(unix)]
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         Some(self.inner.try_read(buffer))

@@ -38,7 +38,9 @@ const KEEPALIVE_PROBES: u32 = 3;
 /// polled, the driver notices it by a missed deadline. On an idle connection the
 /// system probes the server after 10 s without traffic and resets the connection
 /// after three probes without an answer, 25 s in all (`SO_KEEPALIVE`). The cost is
-/// six small packets a minute in each direction. On other systems than Android,
+/// six small packets a minute in each direction. The driver's own probe
+/// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a
+/// server that lives while its sensor does not answer. On other systems than Android,
 /// FreeBSD, Linux, macOS and Windows the number and the interval of the probes are the
 /// system's.
 ///
@@ -130,6 +132,11 @@ impl Port for TcpPort {
     fn baud_rate(&self) -> Option<BaudRate> {
         Some(self.baud_rate)
     }
+
+    /// Returns true.
+    fn can_die_silently(&self) -> bool {
+        true
+    }
 }
 
 impl AsyncRead for TcpPort {
@@ -183,7 +190,7 @@ mod tests {
     /// as an address that is black-holed. Linux drops the SYN; other systems refuse.
     #[cfg(target_os = "linux")]
     #[tokio::test]
-    async fn a_host_is_reached_though_its_first_address_never_answers() -> io::Result<()> {
+    async fn o24_a_host_is_reached_though_its_first_address_never_answers() -> io::Result<()> {
         let full = TcpSocket::new_v4()?;
         full.bind(([127, 0, 0, 1], 0).into())?;
         let full = full.listen(0)?;

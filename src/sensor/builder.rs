@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::Sensor;
-use crate::driver::{self, Config, Driver};
+use crate::driver::{self, Config, Driver, IdleProbe};
 use crate::observer::{RawReply, ReplyObserver};
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Text;
@@ -17,6 +17,9 @@ use crate::{BaudRate, Error};
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
 /// A shorter wait would be a busy loop.
 const SHORTEST_BACKOFF: Duration = Duration::from_millis(10);
+
+/// A shorter interval would keep the line busy with probes.
+const SHORTEST_PROBE: Duration = Duration::from_millis(100);
 
 /// Says how a [`Sensor`] is opened and kept. Nothing has to be said: each method
 /// tells what holds unless it is called.
@@ -128,6 +131,29 @@ impl SensorBuilder {
     /// commands.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
         self.config.reply_latency = Some(latency.min(LONGEST));
+        self
+    }
+
+    /// Sets the time without an exchange after which the driver probes the sensor, or
+    /// switches the probe off with `None`. Unless set, 5 s on links that can be lost
+    /// without a word ([`Port::can_die_silently`](crate::Port::can_die_silently): TCP and
+    /// RS-232), and off on others.
+    ///
+    /// Without a probe, a link that died silently shows as
+    /// [`State::Connected`](crate::State::Connected) until the next request or poll. A
+    /// probe is a fence: 10 bytes to the sensor and at most 16 back, on RS-232 at 19,200
+    /// baud 14 ms of the line, and one or two wake-ups of the driver. A request that comes
+    /// meanwhile waits for its end. Streams that poll more often are not probed. A probe
+    /// without an answer is repeated as any fence. After 10 s in all, with the default
+    /// interval, the link counts as lost, and the driver reconnects. With the laser switched off it also finds a sensor that has
+    /// restarted, and switches its laser off again.
+    ///
+    /// From 100 ms to a day.
+    pub fn idle_probe(mut self, interval: Option<Duration>) -> Self {
+        self.config.idle_probe = match interval {
+            Some(interval) => IdleProbe::Every(interval.clamp(SHORTEST_PROBE, LONGEST)),
+            None => IdleProbe::Off,
+        };
         self
     }
 

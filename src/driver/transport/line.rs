@@ -128,6 +128,10 @@ impl Line {
         self.port.baud_rate()
     }
 
+    pub(super) fn can_die_silently(&self) -> bool {
+        self.port.can_die_silently()
+    }
+
     pub(super) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.port.set_baud_rate(baud_rate)
     }

@@ -86,6 +86,10 @@ impl Transport {
         self.framed.get_ref().baud_rate()
     }
 
+    pub(crate) fn can_die_silently(&self) -> bool {
+        self.framed.get_ref().can_die_silently()
+    }
+
     /// Sets this side's baud rate, and drops what arrived at another one.
     pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.dirty = true;

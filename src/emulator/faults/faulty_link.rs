@@ -327,6 +327,10 @@ impl<S: Port> Port for FaultyLink<S> {
         }
     }
 
+    fn can_die_silently(&self) -> bool {
+        self.inner.can_die_silently()
+    }
+
     fn discard_output(&mut self) {
         self.inner.discard_output();
     }

@@ -1,0 +1,136 @@
+//! A link that nothing was asked of for a while: its sensor is probed where it could
+//! disappear without a word.
+
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Instant, sleep};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
+use tokio_scip::{BaudRate, Connect, Error, Port, Rate, Sensor, SensorBuilder, State, Window};
+
+const S: Duration = Duration::from_secs(1);
+
+/// A link that can die silently, as one over TCP.
+struct Remote(Link);
+
+impl Port for Remote {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.0.baud_rate()
+    }
+
+    fn can_die_silently(&self) -> bool {
+        true
+    }
+}
+
+impl AsyncRead for Remote {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_read(context, buffer)
+    }
+}
+
+impl AsyncWrite for Remote {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.0).poll_write(context, bytes)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+struct ConnectRemote(Emulator);
+
+impl Connect for ConnectRemote {
+    type Port = Remote;
+
+    async fn connect(&mut self) -> Result<Remote, Error> {
+        self.0.connect().await.map(Remote)
+    }
+}
+
+/// A sensor on a link that can die silently.
+async fn remote(builder: SensorBuilder) -> (Sensor, Emulator) {
+    let emulator = Emulator::default();
+    let sensor = builder.connect(ConnectRemote(emulator.clone())).await.unwrap();
+    (sensor, emulator)
+}
+
+/// The number of commands that the sensor gets in one idle minute.
+async fn commands_in_a_minute(emulator: &Emulator) -> u64 {
+    let before = emulator.counts().commands;
+    sleep(60 * S).await;
+    emulator.counts().commands - before
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_idle_link_is_probed_if_it_can_die_silently_and_otherwise_on_request() {
+    let (_sensor, emulator) = remote(Sensor::builder()).await;
+    assert!((11..=12).contains(&commands_in_a_minute(&emulator).await), "every five seconds");
+    let (_sensor, emulator) = remote(Sensor::builder().idle_probe(None)).await;
+    assert_eq!(commands_in_a_minute(&emulator).await, 0, "switched off");
+
+    let emulator = Emulator::default();
+    let _local = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    assert_eq!(commands_in_a_minute(&emulator).await, 0, "USB reports its end by itself");
+    let emulator = Emulator::default();
+    let builder = Sensor::builder().idle_probe(Some(10 * S));
+    let _local = builder.connect(emulator.clone()).await.unwrap();
+    assert!((5..=6).contains(&commands_in_a_minute(&emulator).await), "on request");
+}
+
+#[tokio::test(start_paused = true)]
+async fn o22_a_link_that_died_silently_while_idle_is_noticed_by_the_probe() {
+    let (sensor, emulator) = remote(Sensor::builder()).await;
+    let mut state = sensor.state();
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    let start = Instant::now();
+    state.wait_for(|state| !matches!(state, State::Connected { .. })).await.unwrap();
+    assert!((5 * S..10 * S).contains(&start.elapsed()), "{:?}", start.elapsed());
+
+    emulator.set_faults(Faults::none());
+    state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
+
+    let (sensor, emulator) = remote(Sensor::builder().idle_probe(None)).await;
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    sleep(3600 * S).await;
+    assert!(matches!(*sensor.state().borrow(), State::Connected { .. }), "nobody asked");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_polls_more_often_is_not_probed() {
+    let (sensor, emulator) = remote(Sensor::builder().idle_probe(Some(2 * S))).await;
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(1.0)).await.unwrap();
+    let before = emulator.counts();
+    for _ in 0..60 {
+        scans.next().await.unwrap().unwrap();
+    }
+    let after = emulator.counts();
+    assert_eq!(after.commands - before.commands, after.scans - before.scans);
+    assert_eq!(after.scans - before.scans, 60, "no fence among them");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_restarts_with_its_laser_off_by_request_is_found_by_the_probe() {
+    let (sensor, emulator) = remote(Sensor::builder()).await;
+    sensor.laser_off().await.unwrap();
+    emulator.power_cycle();
+    assert!(emulator.is_laser_on(), "as after every power-up");
+    sleep(6 * S).await;
+    assert!(!emulator.is_laser_on());
+}
