@@ -52,7 +52,7 @@ pub(crate) struct WindowArgs {
 }
 
 impl WindowArgs {
-    /// Returns the window that is asked for; what is not given is as in
+    /// Returns the window that is asked for; all else is as in
     /// `default`. Fails if there is no such window.
     pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
         let window = if self.from.is_some() || self.to.is_some() {

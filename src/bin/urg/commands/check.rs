@@ -13,10 +13,10 @@ use crate::port::open::open;
 
 /// Test a sensor, with a verdict for each step
 ///
-/// Finds it, asks who it is, switches its laser off and on, and streams scans
-/// for some seconds. The laser is on afterwards. A step is ok, weak (it works,
-/// and something could be better) or FAILED. The exit code is 0 unless one has
-/// failed.
+/// Finds the sensor, asks for its identity, switches its laser off and on, and
+/// streams scans for some seconds. The laser is on afterwards. A step is ok, weak
+/// (it works, but not as well as it should) or FAILED. The exit code is 0 unless
+/// a step has failed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -25,7 +25,7 @@ Examples:
 pub(crate) struct Check {
     #[command(flatten)]
     port: PortArg,
-    /// How long to stream scans: 10s, 500ms, 5m, 1h
+    /// Duration of the stream of scans: 10s, 500ms, 5m, 1h
     #[arg(long, value_name = "TIME", value_parser = duration, default_value = "5s")]
     duration: Duration,
     #[command(flatten)]
@@ -36,15 +36,15 @@ impl Check {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         tokio::select! {
             outcome = self.check() => outcome,
-            // Who asks for a verdict must not take this for a good one.
-            _ = interrupt.requested() => Err(Failure::Failed("stopped before the end".to_owned())),
+            // Without a verdict the sensor must not count as good.
+            _ = interrupt.requested() => Err(Failure::Failed("interrupted before the end of the test".to_owned())),
         }
     }
 
     async fn check(&self) -> Result<(), Failure> {
         let (port, rate) = self.port.polled_at(None).await?;
         let recorded = port.recorded().map(|_| rate);
-        let mut report = Report { output: Output::new(), steps: Vec::new() };
+        let mut report = CheckReport { output: Output::new(), steps: Vec::new() };
         let begin = Instant::now();
         match open(&port, &self.link, Delivery::Newest).await {
             Ok(sensor) => {
@@ -66,13 +66,13 @@ impl Check {
     }
 }
 
-/// What was found, written as it is found.
-struct Report {
+/// The findings, written as they come.
+struct CheckReport {
     output: Output,
     steps: Vec<Step>,
 }
 
-impl Report {
+impl CheckReport {
     async fn add(&mut self, step: Step) -> Result<(), Failure> {
         self.output.write(&format!("{step}\n")).await?;
         self.steps.push(step);

@@ -1,4 +1,4 @@
-//! `urg completions`: what a shell needs to complete command lines.
+//! `urg completions`: scripts with which shells complete command lines.
 
 use clap_complete::Shell;
 
@@ -13,7 +13,7 @@ Examples:
   urg completions zsh > ~/.zfunc/_urg
   urg completions fish > ~/.config/fish/completions/urg.fish")]
 pub(crate) struct Completions {
-    /// Which shell
+    /// The shell
     #[arg(value_enum)]
     shell: Shell,
 }

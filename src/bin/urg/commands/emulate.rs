@@ -15,11 +15,11 @@ use crate::args::{default_to_loopback, duration};
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
-/// Be a sensor for other programs, until Ctrl-C
+/// Emulate a sensor for other programs, until Ctrl-C
 ///
-/// It looks into a room in which people walk about. By default it is a URG-04LX
+/// The sensor sees a room in which people walk about. By default it is a URG-04LX
 /// on USB, on a pseudo-terminal that programs open as they would a serial port.
-/// The same seed gives the same scans at the same times.
+/// With the same seed it sends the same scans at the same times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -36,19 +36,19 @@ pub(crate) struct Emulate {
     #[arg(long, value_name = "ADDR")]
     #[cfg_attr(unix, arg(conflicts_with = "link"))]
     tcp: Option<String>,
-    /// Be on RS-232, at this baud rate: 19200 after power-up on a real one
-    #[arg(long, value_name = "SPEED")]
+    /// Emulate RS-232 at this baud rate; a real sensor has 19200 after power-up
+    #[arg(long, value_name = "RATE")]
     baud: Option<BaudRate>,
-    /// Be on USB, which has no baud rate: so it is unless --baud is given
+    /// Emulate USB, which has no baud rate; the default without --baud
     #[arg(long, conflicts_with = "baud")]
     usb: bool,
-    /// What kind of sensor to be
+    /// Dialect of the sensor
     #[arg(long, value_enum, default_value_t = Firmware::V3)]
     firmware: Firmware,
-    /// Serial number to tell
+    /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
     serial_number: String,
-    /// Time that the motor takes for a turn, of which each gives one scan
+    /// Duration of one revolution of the motor, and so of one scan
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
     revolution: Duration,
     /// Room that the sensor stands in
@@ -61,7 +61,7 @@ pub(crate) struct Emulate {
     /// Seed of the room and of faults
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
-    /// What goes wrong, each with its probability, such as
+    /// Faults to inject, each with its probability, such as
     /// late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
     ///
     /// The names are late and pause (with a longest time), lost, command-lost,
@@ -73,9 +73,9 @@ pub(crate) struct Emulate {
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Firmware {
-    /// As the protocol text has it: five lines to V, no answer to what is undefined
+    /// As in the protocol text: V has five lines, unknown commands are not answered
     Text,
-    /// As real sensors have it: six lines to V, status E for what is undefined
+    /// As real sensors: V has six lines, unknown commands are answered with E
     V3,
 }
 
@@ -154,16 +154,16 @@ impl Emulate {
 
     #[cfg(not(unix))]
     async fn serve_pty(&self, _: &Emulator) -> Result<(), Failure> {
-        Err(Failure::Usage("no pseudo-terminals here: use --tcp 4001".to_owned()))
+        Err(Failure::Usage("this system has no pseudo-terminals: use --tcp 4001".to_owned()))
     }
 
-    /// Tells where the sensor is, and how to get at it.
+    /// Reports the port of the sensor, and an example.
     fn announce(&self, port: &str) {
         let line = match self.baud {
             Some(speed) => format!("at {speed} baud"),
             None => "on USB".to_owned(),
         };
         notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
-        notice(format_args!("try `urg info {port}`; Ctrl-C ends it"));
+        notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
     }
 }

@@ -11,14 +11,14 @@ use crate::port::open::open;
 
 /// Switch the laser on or off
 ///
-/// It stays so when the program has ended, until the sensor is powered up anew
-/// or another program asks for scans.
+/// The laser keeps the state when the program has ended, until the next power-up
+/// of the sensor or until another program asks for scans.
 #[derive(Debug, clap::Args)]
 #[command(allow_missing_positional = true, after_help = "Example:\n  urg laser /dev/ttyACM0 off")]
 pub(crate) struct Laser {
     #[command(flatten)]
     port: PortArg,
-    /// What it is to be
+    /// The new state
     #[arg(value_enum, value_name = "on|off", hide_possible_values = true)]
     switch: Switch,
     #[command(flatten)]

@@ -14,22 +14,21 @@ use crate::output::stdout::print;
 /// List the serial ports, likely sensors first
 ///
 /// A likely sensor has the USB id of the URG sensors, 15d1:0000. A sensor behind
-/// a USB-to-serial adapter shows the adapter's id, and one on RS-232 cannot be
-/// told from anything else: `urg info PORT` asks who is there. No port is
-/// opened.
+/// a USB-to-serial adapter shows the adapter's id, and one on RS-232 looks like
+/// any other device: `urg info PORT` identifies it. No port is opened.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Examples:\n  urg list\n  urg list --format json | jq -r '.[] | select(.likely_sensor).path'"
 )]
 pub(crate) struct List {
-    /// How to write it
-    #[arg(long, value_enum, default_value_t = Format::Text)]
-    format: Format,
+    /// Form of the output
+    #[arg(long, value_enum, default_value_t = ListFormat::Text)]
+    format: ListFormat,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Format {
-    /// A line a port, and below it the names that stay the same
+enum ListFormat {
+    /// A line for each port, and its stable names below it
     Text,
     /// An array with an object for each port
     Json,
@@ -46,14 +45,14 @@ struct ListedPort<'a> {
 impl List {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let ports = port::list().await.map_err(|error| Failure::Failed(chain(&error)))?;
-        if matches!(self.format, Format::Json) {
+        if matches!(self.format, ListFormat::Json) {
             let listed =
                 |port| ListedPort { port, likely_sensor: PortInfo::is_likely_sensor(port) };
             let ports: Vec<_> = ports.iter().map(listed).collect();
             return print(&json::line(&ports)?).await;
         }
         if ports.is_empty() {
-            notice("no serial ports here: plug a sensor in, or try `urg info emulated`");
+            notice("this machine has no serial port: plug a sensor in, or try `urg info emulated`");
         }
         print(&text(&ports)).await
     }
@@ -65,7 +64,7 @@ fn text(ports: &[PortInfo]) -> String {
     for port in ports {
         let id = port.usb_id.map(|id| id.to_string()).unwrap_or_default();
         let mut line = format!("{:width$}  {id:9}", port.path);
-        // What a USB device says of itself is escaped by its `Display`.
+        // `Display` escapes the texts of USB devices.
         for part in [&port.manufacturer, &port.product].into_iter().flatten() {
             let _ = write!(line, "  {part}");
         }

@@ -12,7 +12,7 @@ Examples:
   urg man | man -l -
   urg man scan > urg-scan.1")]
 pub(crate) struct Manual {
-    /// The command that the page is about; without one, the program
+    /// Command to describe; by default the whole program
     command: Option<String>,
 }
 
@@ -25,7 +25,7 @@ impl Manual {
         let about = match &self.command {
             None => program,
             Some(name) => program.find_subcommand(name).cloned().ok_or_else(|| {
-                Failure::Usage(format!("{name:?} is no command: `urg help` lists them"))
+                Failure::Usage(format!("unknown command {name:?}: `urg help` lists all commands"))
             })?,
         };
         let mut page = Vec::new();

@@ -12,15 +12,15 @@ use crate::port::open::open;
 
 /// Take one scan
 ///
-/// A laser that is off is switched on.
+/// Switches a laser on that is off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the formats", after_long_help = format!("{EXAMPLES}\n\n{}", csv::COLUMNS))]
 pub(crate) struct ScanOnce {
     #[command(flatten)]
     port: PortArg,
-    /// How to write it: for eyes, or for programs
-    #[arg(long, value_enum, default_value_t = Format::Table)]
-    format: Format,
+    /// Form of the output
+    #[arg(long, value_enum, default_value_t = ScanFormat::Table)]
+    format: ScanFormat,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -35,14 +35,14 @@ Examples:
   urg scan /dev/ttyACM0 --format svg > scan.svg";
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Format {
-    /// A line a point with direction and distance, and a summary
+enum ScanFormat {
+    /// A line for each point with direction and distance, and a summary, for people
     Table,
-    /// One object, as `urg stream` writes it
+    /// One JSON object, as `urg stream` writes it
     Json,
-    /// A row a point
+    /// A row for each point
     Csv,
-    /// A picture for a report: a polar plot
+    /// A polar plot, for a report
     Svg,
 }
 
@@ -54,10 +54,10 @@ impl ScanOnce {
         let at_port = |error| Failure::at(&port.to_string(), &error);
         let scan = sensor.scan(window).await.map_err(at_port)?;
         let text = match self.format {
-            Format::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
-            Format::Json => json::line(&scan)?,
-            Format::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
-            Format::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
+            ScanFormat::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
+            ScanFormat::Json => json::line(&scan)?,
+            ScanFormat::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
+            ScanFormat::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };
         print(&text).await
     }

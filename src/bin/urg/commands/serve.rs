@@ -12,14 +12,14 @@ use crate::output::notice::notice;
 use crate::port::name::PortArg;
 use crate::web::{self, Hub};
 
-/// What the system keeps for a client that is slow to read, some ten scans:
-/// what waits there grows old, and is sent all the same.
-const SEND_BUFFER: u32 = 64 * 1024;
+/// The system's send buffer for each client, some ten scans: a slow client gets
+/// those of the past that are in it.
+const SEND_BUFFER_BYTES: u32 = 64 * 1024;
 
 /// Show a live page to any browser, and scans to programs
 ///
-/// Goes on until Ctrl-C, also when the sensor is unplugged and comes back. All
-/// viewers together cost the sensor no more than one does.
+/// Runs until Ctrl-C, also while the sensor is unplugged and when it comes back.
+/// Any number of viewers costs the sensor no more than one.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {
@@ -28,9 +28,8 @@ pub(crate) struct Serve {
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
     /// `0.0.0.0:8080` and `[::]:8080` let everybody on the network look, without a
-    /// password. Where the address is of this machine only, requests that name
-    /// another host are refused, so that no page elsewhere can look by having
-    /// its own name lead here.
+    /// password. An address of this machine only refuses requests that name another
+    /// host: no page of another site can look by resolving its own name to here.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: String,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
@@ -47,10 +46,10 @@ const HELP: &str = "\
 Addresses:
   /        the page
   /scans   scans and events as they come: NDJSON as `urg stream` writes it, or
-           server-sent events if asked for (Accept: text/event-stream);
+           server-sent events if requested (Accept: text/event-stream);
            /scans?max=N ends after N scans
-  /state   who the sensor is and how it goes, one JSON object
-  /health  200 while scans flow, 503 while they do not, and why
+  /state   the sensor and the state of its stream, one JSON object
+  /health  200 while scans flow, else 503 with the reason
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/
@@ -61,7 +60,7 @@ impl Serve {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         tokio::select! {
             outcome = self.serve(interrupt) => outcome,
-            // A client that does not read would have its connection kept.
+            // Does not wait for a client that does not read.
             () = interrupt.overdue() => Ok(()),
         }
     }
@@ -117,7 +116,7 @@ fn bind(address: SocketAddr) -> io::Result<TcpListener> {
     #[cfg(unix)]
     socket.set_reuseaddr(true)?;
     // Connections inherit it.
-    socket.set_send_buffer_size(SEND_BUFFER)?;
+    socket.set_send_buffer_size(SEND_BUFFER_BYTES)?;
     socket.bind(address)?;
     socket.listen(128)
 }

@@ -14,9 +14,8 @@ use crate::view::{Screen, Viewer};
 
 /// Show a live radar in the terminal
 ///
-/// Goes on by itself when the sensor is unplugged and comes back; a recording
-/// goes on to its end. `?` shows the keys, `q` quits. NO_COLOR=1 does without
-/// colours.
+/// Continues by itself when an unplugged sensor comes back; a recording runs to
+/// its end. `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = examples())]
 pub(crate) struct View {
@@ -50,12 +49,12 @@ impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (port, rate) = self.port.polled_at(self.rate).await?;
         let window = self.window.window(port.default_window())?;
-        Screen::possible()?;
+        Screen::require_terminal()?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::Newest).await?;
             Viewer::new(&port, sensor, window, rate).await
         };
-        // What cannot be opened is told on the terminal as it is.
+        // An error is reported before the terminal is taken over.
         let mut viewer = tokio::select! {
             opened = opening => opened?,
             _ = interrupt.requested() => return Ok(()),
@@ -65,7 +64,7 @@ impl View {
             outcome = viewer.run(&mut screen) => outcome,
             _ = interrupt.requested() => Ok(Ended::Interrupted),
         };
-        screen.give_back().await;
+        screen.restore().await;
         let outcome = match outcome {
             Ok(Ended::ByItself) => viewer.end(),
             outcome => outcome.map(drop),

@@ -1,4 +1,4 @@
-//! CSV in long form: one row a point, as spreadsheets and data frames like it.
+//! CSV in long form: one row for each point, for spreadsheets and data frames.
 
 use std::fmt::Write;
 use std::time::SystemTime;
@@ -8,7 +8,7 @@ use tokio_scip::{Measurement, Scan};
 /// The names of the columns.
 pub(crate) const HEADER: &str = "sequence,stamp,step,angle,range,code\n";
 
-/// What the columns hold, for help texts.
+/// The contents of the columns, for help texts.
 pub(crate) const COLUMNS: &str = "\
 CSV has one row a point, with the columns
   sequence  number of the scan; a gap means that scans were missed
@@ -19,7 +19,7 @@ CSV has one row a point, with the columns
   code      empty where there is a distance; else the error code, 0 to 19, or
             4095 for a saturated value";
 
-/// A row for each point of `scan`.
+/// Returns a row for each point of `scan`.
 pub(crate) fn rows(scan: &Scan) -> String {
     let stamp = scan.stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let stamp = format!("{}.{:06}", stamp.as_secs(), stamp.subsec_micros());

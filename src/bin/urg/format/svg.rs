@@ -15,12 +15,12 @@ const WIDTH: f64 = 180.0;
 const MARGIN: f64 = 14.0;
 const HEADER: f64 = 21.0;
 /// No plot is higher, whatever its sector.
-const MOST: f64 = 170.0;
+const MAX_HEIGHT: f64 = 170.0;
 const LINE: f64 = 4.6;
 /// Between the tracks outside of the sector that show what has no distance.
 const TRACK: f64 = 1.7;
 /// Longer texts of the sensor are cut.
-const LONGEST: usize = 90;
+const MAX_TEXT_CHARS: usize = 90;
 
 const STYLE: &str = "\
 text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1px; fill: #222 }
@@ -36,7 +36,7 @@ text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1p
 .none { stroke: #c2185b }
 .sensor { fill: #222 }";
 
-/// The whole picture, with who measured.
+/// Returns the whole picture, with the name of the sensor.
 pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
     let paper = Paper::of(Sector::of(scan.window()));
     let mut text = String::with_capacity(64 * 1024);
@@ -45,15 +45,15 @@ pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
     text
 }
 
-/// Where the plot is on the paper.
+/// The place of the plot on the paper.
 struct Paper {
     sector: Sector,
     /// Millimetres of paper for a metre.
     scale: f64,
-    /// Where the sensor is.
+    /// The place of the sensor.
     x: f64,
     y: f64,
-    /// Where the plot ends.
+    /// The lower end of the plot.
     bottom: f64,
 }
 
@@ -62,7 +62,7 @@ impl Paper {
         let extent = sector.extent();
         let (width, height) = (extent.left + extent.right, extent.ahead + extent.behind);
         let room = WIDTH - 2.0 * MARGIN;
-        let scale = (room / width).min(MOST / height) / REACH;
+        let scale = (room / width).min(MAX_HEIGHT / height) / REACH;
         let radius = scale * REACH;
         let top = HEADER + MARGIN;
         Self {
@@ -94,7 +94,7 @@ impl Paper {
         writeln!(out, "</svg>")
     }
 
-    /// Who, when and what.
+    /// Writes the sensor, the time and the window.
     fn header(
         &self,
         out: &mut String,
@@ -124,7 +124,7 @@ impl Paper {
         Ok(())
     }
 
-    /// Range rings and directions with their names.
+    /// Draws range rings and directions with their names.
     fn grid(&self, out: &mut String) -> fmt::Result {
         let (sector, radius) = (self.sector, self.scale * REACH);
         let (x, y) = (self.x, self.y);
@@ -146,8 +146,8 @@ impl Paper {
         Ok(())
     }
 
-    /// The sector, and in it the space between sensor and points: the laser
-    /// went through there.
+    /// Draws the sector, and in it the space between sensor and points, which the
+    /// laser crossed.
     fn seen(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let (x, y, rim) = (self.x, self.y, self.arc(self.sector, REACH));
         writeln!(out, r#"<path class="sector" d="M{x:.2} {y:.2}L{rim}Z"/>"#)?;
@@ -180,8 +180,8 @@ impl Paper {
         writeln!(out, r#"<circle class="sensor" cx="{:.2}" cy="{:.2}" r="1"/>"#, self.x, self.y)
     }
 
-    /// Outside of the sector a track for each kind of error code, so that they
-    /// differ without colours too.
+    /// Draws a track outside of the sector for each kind of missing distance, so
+    /// that they differ without colours too.
     fn missing(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let half = plot::width(scan.window().cluster_count()) / 2.0;
         for (track, kind) in (1..).zip(MissingKind::ALL.into_iter().rev()) {
@@ -204,7 +204,7 @@ impl Paper {
         Ok(())
     }
 
-    /// What there is to see, in figures.
+    /// Writes the legend, with the figures of the scan.
     fn legend(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let mut y = self.bottom + LINE;
         let mut row = |out: &mut String, mark: &str, text: &str| {
@@ -244,7 +244,7 @@ impl Paper {
         (self.x + place.right * self.scale, self.y - place.ahead * self.scale)
     }
 
-    /// A path along an arc, without its first `M`.
+    /// Returns a path along an arc, without its first `M`.
     fn arc(&self, sector: Sector, range: f64) -> String {
         let (x, y) = self.at(plot::place(range, sector.from));
         let (to_x, to_y) = self.at(plot::place(range, sector.to));
@@ -254,7 +254,7 @@ impl Paper {
     }
 }
 
-/// Text at a place, up and down its middle.
+/// Writes text, vertically centred at a place.
 fn label(
     out: &mut String,
     class: &str,
@@ -280,13 +280,13 @@ fn place_name(point: Point) -> String {
 }
 
 fn clip(text: &str) -> String {
-    match text.char_indices().nth(LONGEST) {
+    match text.char_indices().nth(MAX_TEXT_CHARS) {
         Some((end, _)) => format!("{}…", text.get(..end).unwrap_or_default()),
         None => text.to_owned(),
     }
 }
 
-/// Text as XML has it. Control characters, which XML lacks, are left out.
+/// Escapes text for XML. Control characters, which XML lacks, are left out.
 fn xml(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for c in text.chars() {

@@ -31,8 +31,8 @@ pub(crate) fn show(line: impl FnOnce() -> String) {
     }
 }
 
-/// Waits until the queue is written. Gives up only on a reader that takes
-/// nothing for a second: however busy the machine is, no message is lost.
+/// Waits until the queue is written. Abandons only a reader that takes nothing
+/// for a second: however busy the machine is, no message is lost.
 pub(crate) fn finish() {
     STDERR.finish(SHUTDOWN_GRACE);
 }
@@ -102,9 +102,9 @@ struct Queue {
     text: Vec<u8>,
     /// A line to show behind the text, until other output overwrites it.
     line: Option<String>,
-    /// Whether the thread is writing.
+    /// Set while the thread writes.
     writing: bool,
-    /// Whether the thread runs.
+    /// Set once the thread runs.
     started: bool,
 }
 

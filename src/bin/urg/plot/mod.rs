@@ -1,5 +1,5 @@
-//! What a polar plot of a scan shows, whatever it is drawn with: its sector,
-//! its range rings, and where a point goes. Plots look from above, with the
+//! The geometry of a polar plot of a scan, in any medium: its sector, its range
+//! rings, and the place of a point. Plots look from above, with the
 //! sensor's front up.
 
 pub(crate) mod missing;
@@ -22,13 +22,13 @@ pub(crate) struct Place {
     pub(crate) ahead: f64,
 }
 
-/// Where `range` metres in the direction `angle` (radians counter-clockwise
-/// from the front) are.
+/// Returns the place `range` metres in the direction `angle` (radians counter-clockwise
+/// from the front).
 pub(crate) fn place(range: f64, angle: f64) -> Place {
     Place { right: -range * angle.sin(), ahead: range * angle.cos() }
 }
 
-/// Which part of a text is at its place.
+/// The part of a text that is at its place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Anchor {
     Start,

@@ -1,4 +1,4 @@
-//! Opens the sensor on a PORT, and says what it waits for where that takes long.
+//! Opens the sensor on a PORT, with a notice if that takes long.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 
-/// Opening may take so long before the user is told what it waits for.
+/// Opening may take so long before a notice names what it waits for.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
 
 /// Opens the sensor.
@@ -70,8 +70,8 @@ fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
     sensor
 }
 
-/// Waits until the sensor is open. After a second a notice says what it waits
-/// for.
+/// Waits until the sensor is open. After a second a notice names what it
+/// waits for.
 pub(crate) async fn opened(
     port: &PortName,
     link: &LinkArgs,

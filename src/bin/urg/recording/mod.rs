@@ -16,5 +16,5 @@ pub(crate) mod recorded;
 #[cfg(not(feature = "mcap"))]
 pub(crate) use self::absent as recorded;
 
-/// Whether this build reads and writes recordings.
+/// Set if this build reads and writes recordings.
 pub(crate) const AVAILABLE: bool = cfg!(feature = "mcap");

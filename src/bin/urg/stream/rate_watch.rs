@@ -1,5 +1,5 @@
 //! Compares the rate that a stream reaches with the one that was asked for, and
-//! says why it is lower and what helps. Each cause is reported once, and again
+//! names the cause if it is lower, and what helps. Each cause is reported once, and again
 //! only after the rate was reached in between.
 
 use std::fmt::Write;
@@ -24,11 +24,11 @@ pub(crate) struct RateWatch {
     window: Window,
     /// The rate asked for, in scans a second; `None` where none is promised.
     asked: Option<f64>,
-    /// Whether the port's own baud rate can be changed from here.
+    /// Set if the port's own baud rate can be changed from here.
     is_settable: bool,
     /// The start of the time that is judged next, and the driver's counters then.
     since: Option<(Instant, Counters)>,
-    /// Whether a reply has disproved the baud rate of the link.
+    /// Set once a reply has disproved the baud rate of the link.
     is_outrun: bool,
     reported: Reported,
 }

@@ -35,7 +35,7 @@ pub(crate) struct FastestReply(Arc<Mutex<Times>>);
 
 #[derive(Debug, Default)]
 struct Times {
-    /// When the reply before was read: the command was sent after that.
+    /// The time when the previous reply was read: the command was sent after it.
     previous: Option<Instant>,
     /// The most bytes in the least time, as seconds a byte.
     seconds_per_byte: Option<f64>,

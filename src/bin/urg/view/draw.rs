@@ -1,5 +1,5 @@
-//! The screen: a title, the radar and the figures beside it, a line for what
-//! happens, a line of keys, and the help on top.
+//! The screen: a title, the radar and the figures beside it, a message line, a
+//! line of keys, and the help on top.
 
 use ratatui::Frame;
 use ratatui::layout::{Alignment, Constraint, Layout, Rect};
@@ -11,8 +11,8 @@ use super::model::Model;
 use super::palette::Palette;
 use super::{panel, radar};
 
-/// In less than this nothing can be seen.
-const LEAST: (u16, u16) = (30, 10);
+/// A smaller terminal gets a message instead.
+const MIN_SIZE: (u16, u16) = (30, 10);
 /// From this width on there is a panel.
 const WITH_PANEL: u16 = 64;
 
@@ -46,7 +46,7 @@ x none   no distance for other reasons";
 /// Draws all of it.
 pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
     let area = frame.area();
-    let (width, height) = LEAST;
+    let (width, height) = MIN_SIZE;
     if area.width < width || area.height < height {
         let text = format!("too small:\n{width}x{height} is\nthe least");
         frame.render_widget(Paragraph::new(text), area);
@@ -73,7 +73,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
     } else {
         radar::draw(frame, body, model, palette);
     }
-    tell(frame, news, model, palette);
+    message(frame, news, model, palette);
     frame.render_widget(key_line(), keys);
     if model.help {
         help(frame, body);
@@ -84,8 +84,8 @@ fn title_line(model: &Model) -> String {
     format!(" urg view  {}", panel::who(model))
 }
 
-/// What happens, the most urgent first; what is long goes over the plot.
-fn tell(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
+/// Draws the most urgent message; a long one covers a part of the plot.
+fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
     let (text, style) = if let Some(trouble) = panel::trouble(&model.state) {
         (trouble, palette.bad().add_modifier(Modifier::BOLD))
     } else if let Some(message) = model.message() {

@@ -1,5 +1,5 @@
-//! The live radar: what comes from the sensor and from the keyboard, and when
-//! the screen is drawn anew.
+//! The live radar: the loop over scans, keys and time, which draws a frame after
+//! each change.
 
 mod draw;
 mod model;
@@ -30,26 +30,26 @@ use crate::stream::follow::Ended;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::end;
 
-/// At least so long from one frame to the next: 20 a second.
-const FRAME: Duration = Duration::from_millis(50);
-/// How often what is told in seconds is looked at.
-const TICK: Duration = Duration::from_secs(1);
+/// The shortest time between two frames: 20 a second.
+const FRAME_INTERVAL: Duration = Duration::from_millis(50);
+/// The refresh interval of everything that is shown in seconds.
+const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A sensor, and what is shown of it.
+/// A sensor and its radar.
 pub(crate) struct Viewer {
     port: PortName,
     sensor: Sensor,
     scans: ScanStream,
-    /// What the sensor was asked for with a key, and what is being saved.
-    jobs: JoinSet<Done>,
+    /// The requests of keys that are not done yet.
+    jobs: JoinSet<Outcome>,
     pace: RateWatch,
     model: Model,
     palette: Palette,
 }
 
-/// What has become of something that a key asked for.
+/// The outcome of a request of a key.
 #[derive(Debug)]
-enum Done {
+enum Outcome {
     Watching(Window, Result<ScanStream, Error>),
     Laser(bool, Result<(), Error>),
     Saved(Result<String, String>),
@@ -81,7 +81,7 @@ impl Viewer {
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<Ended, Failure> {
         let mut keys = EventStream::new();
         let mut state = self.sensor.state();
-        let mut tick = tokio::time::interval(TICK);
+        let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
         let mut changed = true;
@@ -94,8 +94,8 @@ impl Viewer {
                 ready = frame, if changed => {
                     ready?;
                     changed = false;
-                    next_frame = Instant::now() + FRAME;
-                    self.look();
+                    next_frame = Instant::now() + FRAME_INTERVAL;
+                    self.refresh();
                     screen.draw(|frame| draw::draw(frame, &self.model, self.palette))?;
                     continue;
                 }
@@ -126,21 +126,20 @@ impl Viewer {
         }
     }
 
-    /// What to make of it that there are no more scans; told, so not while it
-    /// draws.
+    /// Maps the end of the stream to that of the program. It writes a notice, so
+    /// the terminal must be restored before.
     pub(crate) fn end(&self) -> Result<(), Failure> {
         end(&self.port, &self.sensor)
     }
 
-    /// Waits, not for ever, for what keys have asked for last: nobody wants
-    /// half a picture.
+    /// Waits a limited time for the last requests, so that no picture is cut off.
     pub(crate) async fn finish(mut self) {
         let done = async { while self.jobs.join_next().await.is_some() {} };
-        let _ = tokio::time::timeout(TICK, done).await;
+        let _ = tokio::time::timeout(REFRESH_INTERVAL, done).await;
     }
 
-    /// Sees how it is now.
-    fn look(&mut self) {
+    /// Updates the model with the current state and figures.
+    fn refresh(&mut self) {
         self.model.now = Instant::now();
         self.model.state = self.sensor.state().borrow().clone();
         self.model.stats = self.sensor.stats();
@@ -158,7 +157,7 @@ impl Viewer {
     }
 
     fn trouble(&mut self, error: &Error) {
-        // That the link is lost is the state, and told as long as it is.
+        // A lost link is shown as long as it lasts, by its state.
         if !matches!(error, Error::Disconnected { .. }) {
             self.show(chain(error));
         }
@@ -169,46 +168,47 @@ impl Viewer {
         self.model.show(text);
     }
 
-    /// Does what a key asks for, without waiting for it.
+    /// Starts what a key requests.
     fn act(&mut self, action: Option<Action>) {
         let sensor = self.sensor.clone();
         match action {
             Some(Action::Watch(window)) => {
                 let rate = self.model.rate;
-                self.jobs
-                    .spawn(async move { Done::Watching(window, sensor.scans(window, rate).await) });
+                self.jobs.spawn(async move {
+                    Outcome::Watching(window, sensor.scans(window, rate).await)
+                });
             }
             Some(Action::Laser(on)) => {
                 self.jobs.spawn(async move {
                     let switched =
                         if on { sensor.laser_on().await } else { sensor.laser_off().await };
-                    Done::Laser(on, switched)
+                    Outcome::Laser(on, switched)
                 });
             }
             Some(Action::Save) => match self.model.scan.clone() {
                 Some(scan) => {
                     let version = self.model.version.clone();
-                    self.jobs.spawn_blocking(move || Done::Saved(save::save(&scan, &version)));
+                    self.jobs.spawn_blocking(move || Outcome::Saved(save::save(&scan, &version)));
                 }
-                None => self.show("there is no scan yet to save"),
+                None => self.show("no scan to save yet"),
             },
             Some(Action::Quit) | None => {}
         }
     }
 
-    fn done(&mut self, done: Done) {
+    fn done(&mut self, done: Outcome) {
         match done {
             // The window may have been changed again meanwhile.
-            Done::Watching(window, Ok(scans)) if window == self.model.window => {
+            Outcome::Watching(window, Ok(scans)) if window == self.model.window => {
                 self.scans = scans;
                 self.pace = RateWatch::new(&self.port, window, self.model.rate);
             }
-            Done::Watching(window, Err(error)) if window == self.model.window => {
+            Outcome::Watching(window, Err(error)) if window == self.model.window => {
                 self.model.window = self.scans.window();
                 self.show(format!("the window stays as it was: {}", chain(&error)));
             }
-            Done::Watching(..) => {}
-            Done::Laser(on, Ok(())) => {
+            Outcome::Watching(..) => {}
+            Outcome::Laser(on, Ok(())) => {
                 self.model.laser = on;
                 self.pace.restart();
                 self.show(if on {
@@ -217,11 +217,11 @@ impl Viewer {
                     "the laser is off: l switches it on"
                 });
             }
-            Done::Laser(_, Err(error)) => {
+            Outcome::Laser(_, Err(error)) => {
                 self.show(format!("the laser was not switched: {}", chain(&error)));
             }
-            Done::Saved(Ok(path)) => self.show(format!("saved as {path}")),
-            Done::Saved(Err(error)) => self.show(error),
+            Outcome::Saved(Ok(path)) => self.show(format!("saved as {path}")),
+            Outcome::Saved(Err(error)) => self.show(error),
         }
     }
 }

@@ -1,5 +1,5 @@
-//! What the radar shows, and what each key does to it. No terminal and no
-//! sensor is in here.
+//! The state of the radar, and the effect of each key on it, without a terminal
+//! and without a sensor.
 
 use std::time::Duration;
 use tokio::time::Instant;
@@ -9,16 +9,16 @@ use tokio_scip::{Rate, Scan, ScheduleStats, State, Stats, Version, Window};
 
 use crate::plot::REACH;
 
-/// How far the radar reaches at each zoom, in metres.
+/// The range of the radar at each zoom, in metres.
 const ZOOMS: [f64; 5] = [REACH, 3.0, 2.0, 1.0, 0.5];
-/// What the cluster count goes round.
+/// The cluster counts that a key steps through.
 const CLUSTERS: [u8; 4] = [1, 2, 4, 8];
-/// How many steps an arrow key turns or widens the window by: 15 degrees.
-const TURN: i32 = 43;
-/// A window that is narrowed keeps so many steps.
-const NARROWEST: i32 = 86;
-/// How long a message stays.
-const STAYS: Duration = Duration::from_secs(6);
+/// The steps by which an arrow key turns or widens the window: 15 degrees.
+const ARROW_STEPS: i32 = 43;
+/// A window that is narrowed keeps at least so many steps.
+const MIN_STEPS: i32 = 86;
+/// A message is shown for this time.
+const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
 /// All that is on the screen.
 #[derive(Debug)]
@@ -27,22 +27,22 @@ pub(crate) struct Model {
     pub(crate) port: String,
     pub(crate) version: Version,
     pub(crate) rate: Rate,
-    /// What is asked for. The scan shown may be of the window before.
+    /// The requested window. The scan shown may be of the previous one.
     pub(crate) window: Window,
     pub(crate) scan: Option<Scan>,
     pub(crate) paused: bool,
     pub(crate) help: bool,
-    /// Whether the laser is on, as far as anybody can know.
+    /// Set unless the laser was switched off here: the sensor does not report it.
     pub(crate) laser: bool,
     pub(crate) state: State,
     pub(crate) stats: Stats,
-    /// What is the time, for all that is told in seconds.
+    /// The current time, for everything that is shown in seconds.
     pub(crate) now: Instant,
     message: Option<(Instant, String)>,
     zoom: usize,
 }
 
-/// What a key asks of the sensor or the program.
+/// A request of a key to the sensor or the program.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Action {
     Quit,
@@ -52,7 +52,7 @@ pub(crate) enum Action {
 }
 
 impl Model {
-    /// Nothing has been seen yet.
+    /// Creates a radar without a scan.
     pub(crate) fn new(port: String, version: Version, window: Window, rate: Rate) -> Self {
         Self {
             port,
@@ -71,7 +71,7 @@ impl Model {
         }
     }
 
-    /// Does what a key asks for, as far as it is about the screen.
+    /// Handles a key. Returns the request if it concerns more than the screen.
     pub(crate) fn key(&mut self, key: KeyEvent) -> Option<Action> {
         if key.kind == KeyEventKind::Release {
             return None;
@@ -92,10 +92,10 @@ impl Model {
             KeyCode::Char('s') => return Some(Action::Save),
             KeyCode::Char('w') => return self.watch(next_window(self.window)),
             KeyCode::Char('c') => return self.watch(next_cluster(self.window)),
-            KeyCode::Left => return self.watch(moved(self.window, TURN, TURN)),
-            KeyCode::Right => return self.watch(moved(self.window, -TURN, -TURN)),
-            KeyCode::Up => return self.watch(moved(self.window, -TURN, TURN)),
-            KeyCode::Down => return self.watch(moved(self.window, TURN, -TURN)),
+            KeyCode::Left => return self.watch(moved(self.window, ARROW_STEPS, ARROW_STEPS)),
+            KeyCode::Right => return self.watch(moved(self.window, -ARROW_STEPS, -ARROW_STEPS)),
+            KeyCode::Up => return self.watch(moved(self.window, -ARROW_STEPS, ARROW_STEPS)),
+            KeyCode::Down => return self.watch(moved(self.window, ARROW_STEPS, -ARROW_STEPS)),
             _ => {}
         }
         None
@@ -104,13 +104,13 @@ impl Model {
     fn watch(&mut self, window: Window) -> Option<Action> {
         (window != self.window).then(|| {
             self.window = window;
-            // Who changes the window wants to see it.
+            // A new window is to be seen.
             self.paused = false;
             Action::Watch(window)
         })
     }
 
-    /// A new scan, shown unless the picture is held.
+    /// Shows a new scan, unless the picture is paused.
     pub(crate) fn scanned(&mut self, scan: Scan) {
         if !self.paused {
             self.scan = Some(scan);
@@ -122,23 +122,23 @@ impl Model {
         self.message = Some((self.now, text.into()));
     }
 
-    /// What there is to tell now.
+    /// Returns the message to show now.
     pub(crate) fn message(&self) -> Option<&str> {
         let (since, text) = self.message.as_ref()?;
-        (self.now.saturating_duration_since(*since) < STAYS).then_some(text)
+        (self.now.saturating_duration_since(*since) < MESSAGE_TIME).then_some(text)
     }
 
-    /// How far the radar reaches, in metres.
+    /// Returns the range of the radar, in metres.
     pub(crate) fn reach(&self) -> f64 {
         ZOOMS.get(self.zoom).copied().unwrap_or(REACH)
     }
 
-    /// What the schedule that is watched gets.
+    /// Returns the figures of the schedule that is shown.
     pub(crate) fn pace(&self) -> Option<&ScheduleStats> {
         self.stats.schedules.iter().find(|schedule| schedule.window == self.window)
     }
 
-    /// Whether the picture is of now.
+    /// Returns whether the picture shows the present.
     pub(crate) fn is_live(&self) -> bool {
         matches!(self.state, State::Connected { .. }) && self.laser && !self.paused
     }
@@ -177,7 +177,7 @@ fn moved(window: Window, start: i32, end: i32) -> Window {
         (from + by, to + by)
     } else if end > 0 {
         ((from + start).max(least.min(from)), (to + end).min(most.max(to)))
-    } else if to - from + 1 + end - start < NARROWEST {
+    } else if to - from + 1 + end - start < MIN_STEPS {
         (from, to)
     } else {
         (from + start, to + end)

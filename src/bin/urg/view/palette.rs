@@ -24,7 +24,7 @@ const SIXTEEN: [Color; 9] = [
 /// Metres that share a colour.
 pub(crate) const BAND: f64 = 0.5;
 
-/// What the terminal can do.
+/// The colours that a terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Palette {
     Plain,
@@ -33,8 +33,8 @@ pub(crate) enum Palette {
 }
 
 impl Palette {
-    /// What the environment says of the terminal, and of the user's wish for
-    /// none (<https://no-color.org>).
+    /// Returns the palette for a terminal and a user, both as the environment
+    /// describes them (<https://no-color.org>).
     pub(crate) fn of(variable: impl Fn(&str) -> Option<OsString>) -> Self {
         let text = |name| variable(name).unwrap_or_default().to_string_lossy().into_owned();
         let term = text("TERM");

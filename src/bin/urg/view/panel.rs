@@ -12,7 +12,7 @@ use crate::plot::summary::ScanSummary;
 use crate::stream::link;
 use crate::stream::rate_watch::ENOUGH;
 
-/// The whole panel, in at most `rows` lines where that can be.
+/// Returns the whole panel, in at most `rows` lines if possible.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
     let panel = Panel { model, palette };
     let mut lines = panel.link();
@@ -112,7 +112,7 @@ impl Panel<'_> {
         self.row("latency", text)
     }
 
-    /// Polls that brought no scan, and why.
+    /// Returns the polls without a scan, by cause.
     fn losses(&self) -> Line<'static> {
         let stats = &self.model.stats;
         let kinds = [
@@ -158,7 +158,7 @@ impl Panel<'_> {
         lines
     }
 
-    /// What the colours stand for, where there are any.
+    /// Returns the legend of the colours, where there are any.
     fn colors(&self) -> Vec<Line<'static>> {
         if self.palette == Palette::Plain {
             return Vec::new();
@@ -172,7 +172,7 @@ impl Panel<'_> {
     }
 }
 
-/// The most important figures, where there is no room for a panel.
+/// Returns the most important figures, for a screen without a panel.
 pub(crate) fn brief(model: &Model) -> String {
     let points = match &model.scan {
         Some(scan) => format!("{} of {} points", scan.points().count(), scan.len()),

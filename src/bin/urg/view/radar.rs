@@ -1,5 +1,5 @@
-//! The radar itself: sector, rings, points, and marks at the rim for what has
-//! no distance.
+//! The radar itself: sector, rings, points, and marks at the rim for directions
+//! without a distance.
 
 use std::collections::BTreeMap;
 
@@ -20,7 +20,7 @@ use crate::plot::{self, Anchor, Place, Sector};
 const ACROSS: f64 = 2.0;
 const DOWN: f64 = 4.0;
 
-/// What marks a direction at the rim.
+/// Returns the mark of a direction at the rim.
 pub(crate) fn mark(kind: MissingKind) -> &'static str {
     match kind {
         MissingKind::Far => "^",
@@ -53,7 +53,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Pa
     chart.labels(buffer, Palette::quiet());
 }
 
-/// Where the plot is in its area.
+/// The place of the plot in its area.
 struct Chart {
     area: Rect,
     sector: Sector,
@@ -135,7 +135,7 @@ impl Chart {
 
     /// The sensor, the ranges beside the sector, and the angles around it.
     fn labels(&self, buffer: &mut Buffer, style: Style) {
-        let mut free = Free::default();
+        let mut free = LabelSpace::default();
         let origin = Place { right: 0.0, ahead: 0.0 };
         self.label(buffer, &mut free, origin, Anchor::Middle, "▲", style);
         for ring in plot::rings(self.reach) {
@@ -166,7 +166,7 @@ impl Chart {
     fn label(
         &self,
         buffer: &mut Buffer,
-        free: &mut Free,
+        free: &mut LabelSpace,
         place: Place,
         anchor: Anchor,
         text: &str,
@@ -202,13 +202,13 @@ impl Chart {
     }
 }
 
-/// Which cells have no label yet.
+/// The cells that have a label.
 #[derive(Default)]
-struct Free {
+struct LabelSpace {
     taken: Vec<(u16, u16, u16)>,
 }
 
-impl Free {
+impl LabelSpace {
     /// Takes so many cells and a blank on either side, if nobody has them.
     fn take(&mut self, row: u16, column: u16, width: u16) -> bool {
         let apart = |(other, from, until): &(u16, u16, u16)| {

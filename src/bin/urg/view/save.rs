@@ -9,9 +9,9 @@ use tokio_scip::{Scan, Version};
 use crate::format::svg::svg;
 use crate::format::time;
 
-/// Saves the picture in the current directory, under a name of its own: that
-/// of the scan's time, and nothing that the sensor says. Gives the name, or what
-/// to tell the user. Blocks.
+/// Saves the picture in the current directory, under a name made of the scan's
+/// time and of nothing that the sensor sent. Returns the name, or a message for
+/// the user. Blocks.
 pub(crate) fn save(scan: &Scan, version: &Version) -> Result<String, String> {
     save_in(Path::new("."), scan, version)
 }

@@ -1,5 +1,5 @@
-//! The terminal while the radar is on it: taken over, drawn to without ever
-//! holding up the driver, and given back as it was, however the program ends.
+//! The terminal while the radar is on it: taken over, drawn to without blocking
+//! the driver, and restored, however the program ends.
 
 use std::cell::RefCell;
 use std::io::{self, IsTerminal, Write};
@@ -21,11 +21,10 @@ use tokio::task::JoinHandle;
 
 use crate::failure::Failure;
 
-/// How long the last frame may take; a terminal that takes nothing any more is
-/// not waited for.
-const GRACE: Duration = Duration::from_secs(1);
+/// The last frame may take so long; a terminal that is stopped is not waited for.
+const LAST_FRAME_GRACE: Duration = Duration::from_secs(1);
 
-/// Whether the terminal has to be given back: a panic has no other way to know.
+/// Set while the terminal has to be restored, for the panic hook.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
 /// The terminal, taken over.
@@ -33,18 +32,18 @@ static TAKEN: AtomicBool = AtomicBool::new(false);
 /// Frames are written by a task of their own: a terminal that is slow, as over
 /// ssh, gets fewer of them and the driver never waits for it.
 pub(crate) struct Screen {
-    terminal: Terminal<CrosstermBackend<Bytes>>,
-    bytes: Bytes,
+    terminal: Terminal<CrosstermBackend<FrameBuffer>>,
+    bytes: FrameBuffer,
     frames: mpsc::Sender<Vec<u8>>,
     writer: JoinHandle<()>,
     taken: Taken,
 }
 
 impl Screen {
-    /// Whether there is a terminal to draw on; says what to do where not.
-    pub(crate) fn possible() -> Result<(), Failure> {
+    /// Fails with advice if standard output is no terminal.
+    pub(crate) fn require_terminal() -> Result<(), Failure> {
         if !io::stdout().is_terminal() {
-            let text = "view draws on a terminal, and standard output is none: \
+            let text = "standard output is not a terminal, which view needs: \
                         `urg stream` writes scans, `urg scan --format svg` a picture";
             return Err(Failure::Usage(text.to_owned()));
         }
@@ -58,7 +57,7 @@ impl Screen {
 
     fn take_over() -> io::Result<Self> {
         let taken = Taken::now()?;
-        let bytes = Bytes::default();
+        let bytes = FrameBuffer::default();
         let terminal = Terminal::new(CrosstermBackend::new(bytes.clone()))?;
         let (frames, receiver) = mpsc::channel(1);
         let writer = tokio::spawn(write(receiver));
@@ -79,8 +78,8 @@ impl Screen {
         self.frames.try_send(frame).map_err(|_| Failure::PipeClosed)
     }
 
-    /// Gives the terminal back, behind the last frame.
-    pub(crate) async fn give_back(self) {
+    /// Restores the terminal after the last frame.
+    pub(crate) async fn restore(self) {
         let Self { frames, writer, taken, .. } = self;
         let mut last = Vec::new();
         // Writing to memory does not fail.
@@ -91,7 +90,7 @@ impl Screen {
             let _ = writer.await;
         };
         // A terminal that takes nothing now would not take more later.
-        let _ = tokio::time::timeout(GRACE, written).await;
+        let _ = tokio::time::timeout(LAST_FRAME_GRACE, written).await;
         TAKEN.store(false, Ordering::SeqCst);
         let _ = disable_raw_mode();
         drop(taken);
@@ -116,7 +115,7 @@ async fn write(mut frames: mpsc::Receiver<Vec<u8>>) {
     }
 }
 
-/// That the terminal is taken over; dropped, it is given back at once.
+/// The taken-over terminal. Drop restores it at once.
 struct Taken;
 
 impl Taken {
@@ -125,8 +124,8 @@ impl Taken {
         HOOK.call_once(|| {
             let report = std::panic::take_hook();
             std::panic::set_hook(Box::new(move |panic| {
-                // On the radar's screen nobody would get to read it.
-                give_back_at_once();
+                // The radar would cover the message.
+                restore_now();
                 report(panic);
             }));
         });
@@ -140,13 +139,13 @@ impl Taken {
 
 impl Drop for Taken {
     fn drop(&mut self) {
-        give_back_at_once();
+        restore_now();
     }
 }
 
-fn give_back_at_once() {
+fn restore_now() {
     if TAKEN.swap(false, Ordering::SeqCst) {
-        // Nobody is left to be told that it failed.
+        // An error cannot be reported any more.
         let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
         let _ = disable_raw_mode();
     }
@@ -154,9 +153,9 @@ fn give_back_at_once() {
 
 /// The bytes of a frame, on their way from ratatui to the writer.
 #[derive(Clone, Default)]
-struct Bytes(Rc<RefCell<Vec<u8>>>);
+struct FrameBuffer(Rc<RefCell<Vec<u8>>>);
 
-impl Write for Bytes {
+impl Write for FrameBuffer {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.borrow_mut().extend_from_slice(bytes);
         Ok(bytes.len())

@@ -14,7 +14,7 @@ use super::draw::draw;
 use super::model::{Action, Model};
 use super::palette::Palette;
 
-/// What a sensor sees that sees the same for ever.
+/// The values of a sensor that always sees the same.
 type Sight = [u16; STEPS];
 
 fn seen(sight: Sight) -> Emulator {
@@ -30,7 +30,7 @@ fn model_for(sensor: &Sensor, version: tokio_scip::Version) -> Model {
     model
 }
 
-/// What is shown after some seconds.
+/// Returns the screen after some seconds.
 async fn watched(emulator: Emulator) -> Model {
     let sensor = Sensor::builder().connect(emulator).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -148,7 +148,7 @@ async fn a_point_is_where_it_was_measured() {
     press(&mut model, KeyCode::Char('+'));
     let closer = find(&model);
     assert!(closer[0] > whole[0], "{whole:?} {closer:?}");
-    // At 1 metre it is out of sight, and the panel says so.
+    // At 1 metre it is out of sight, and the panel reports it.
     press(&mut model, KeyCode::Char('+'));
     press(&mut model, KeyCode::Char('+'));
     assert_eq!(find(&model), [0; 0]);

@@ -1,5 +1,5 @@
-//! Who may ask: keeps pages of other sites from looking, and what is served
-//! from bringing in anything from elsewhere.
+//! Protection of the server against pages of other sites, and of its own page
+//! against content from elsewhere.
 
 use std::net::IpAddr;
 
@@ -8,7 +8,7 @@ use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-/// On every response. The page's policy goes with the page.
+/// The headers of every response. The page has a policy of its own.
 const HEADERS: [(HeaderName, HeaderValue); 6] = [
     (header::CACHE_CONTROL, HeaderValue::from_static("no-store")),
     (header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff")),
@@ -24,9 +24,9 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     ),
 ];
 
-/// Where `loopback` is served, only to those who ask for this machine: a page
-/// whose name was made to lead here (DNS rebinding) asks for that name. On other
-/// addresses anybody may look, and there is no telling by which names.
+/// Refuses requests that name another host, if `loopback` only is served: the
+/// page of a site whose name was made to resolve to this machine (DNS rebinding)
+/// asks for that name. On other addresses anybody may look, under any name.
 pub(super) async fn guard(State(loopback): State<bool>, request: Request, next: Next) -> Response {
     let host = request.headers().get(header::HOST);
     // A browser always names it.
@@ -42,8 +42,8 @@ pub(super) async fn guard(State(loopback): State<bool>, request: Request, next: 
     response
 }
 
-/// Whether a `Host` header names the machine itself, whatever the port: a
-/// tunnel has another one.
+/// Returns whether a `Host` header names this machine, with any port: a tunnel
+/// has another one.
 fn is_this_machine(host: &str) -> bool {
     let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         Some((address, _)) => address,

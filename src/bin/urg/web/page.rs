@@ -32,7 +32,7 @@ pub(super) async fn page() -> Response {
     (headers, page).into_response()
 }
 
-/// What each error code means, and of which kind it is.
+/// Returns the meaning and the kind of each error code.
 fn codes() -> serde_json::Value {
     let codes = ErrorCode::all().map(|code| {
         let kind = match code {

@@ -32,7 +32,7 @@ const ACCEPT_BACKOFF: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(super) struct Connection {
     pub(super) address: IpAddr,
-    /// Whether it serves a stream of scans.
+    /// Set while it serves a stream of scans.
     is_viewer: AtomicBool,
     closed: Notify,
 }

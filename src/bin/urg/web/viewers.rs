@@ -26,7 +26,7 @@ pub(super) struct Viewers {
 #[derive(Debug)]
 struct Place {
     connection: Arc<Connection>,
-    /// When the viewer was handed data last; `None` while it waits for more.
+    /// The time when the viewer was handed data last; `None` while it waits for more.
     handed_at: Mutex<Option<Instant>>,
 }
 
@@ -87,7 +87,7 @@ impl Drop for Seat {
     }
 }
 
-/// What counts when one of the viewers has to make room.
+/// The properties that decide which viewer has to make room.
 #[derive(Debug, Clone, Copy)]
 struct Standing {
     address: IpAddr,
