@@ -133,7 +133,7 @@ fn info_tells_who_the_sensor_is_for_eyes_and_for_programs() {
     let text = run("info emulated", 0).stdout;
     assert!(text.contains("serial number  H0713090"), "{text}");
     assert!(text.contains("baud rate      none (USB)"), "{text}");
-    assert!(text.contains("600 rpm, 10 scans a second"), "{text}");
+    assert!(text.contains("600 rpm: 10 revolutions, and so scans, a second"), "{text}");
     let json = run("info emulated --baud 115200 --format json", 0).stdout;
     let info: Value = serde_json::from_str(&json).unwrap();
     assert_eq!(info["port"], "emulated");
@@ -158,6 +158,29 @@ fn a_rate_that_the_line_cannot_carry_is_said_once_with_what_helps() {
     let output = run("stream emulated --baud 19200 --count 6", 0);
     assert_eq!(scans(&output.stdout).len(), 6);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
-    assert!(output.stderr.contains("where 10 Hz was asked for"), "{}", output.stderr);
+    assert!(output.stderr.contains("where 10 were asked for"), "{}", output.stderr);
     assert!(output.stderr.contains("--baud 250000"), "{}", output.stderr);
+}
+
+#[test]
+fn csv_has_x_and_y_on_request() {
+    let output = run("stream emulated --count 1 --format csv-xy", 0);
+    let mut lines = output.stdout.lines();
+    assert_eq!(lines.next(), Some("sequence,stamp,step,angle,range,code,x,y"));
+    let (mut points, mut missing) = (0, 0);
+    for line in lines {
+        let row: Vec<_> = line.split(',').collect();
+        let [_, _, _, angle, range, _, x, y] = row[..] else { panic!("{row:?}") };
+        if range.is_empty() {
+            assert_eq!((x, y), ("", ""));
+            missing += 1;
+            continue;
+        }
+        let number = |text: &str| text.parse::<f64>().unwrap();
+        let (sin, cos) = number(angle).sin_cos();
+        assert!((number(x) - number(range) * cos).abs() < 0.001, "{line}");
+        assert!((number(y) - number(range) * sin).abs() < 0.001, "{line}");
+        points += 1;
+    }
+    assert!(points > 300 && points + missing == 682, "{points} and {missing}");
 }

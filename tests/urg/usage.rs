@@ -155,3 +155,53 @@ fn logs_come_on_standard_error_and_only_when_asked_for() {
 fn the_ports_of_this_machine_can_be_listed() {
     run("list", 0);
 }
+
+#[test]
+fn a_misspelt_or_misplaced_word_gets_a_hint() {
+    for (arguments, hint) in [
+        ("stream emulatd", "did you mean `emulated`?"),
+        ("laser off emulated", "expected a port, and off after it"),
+        ("laser emulated of", "expected on or off, after PORT"),
+        ("steam emulated", "'stream'"),
+        ("scan /dev/null --firmware text", "--firmware is for PORT `emulated`"),
+        ("scan emulated --window half", "such as 44..725"),
+    ] {
+        let stderr = run(arguments, 2).stderr;
+        assert!(stderr.contains(hint), "{arguments}: {stderr}");
+    }
+}
+
+#[test]
+fn a_window_can_be_named_and_an_emulated_sensor_has_the_firmware_asked_for() {
+    let full = run("scan emulated --format json --window full", 0).stdout;
+    assert!(full.contains("\"start\":0,\"end\":768,"), "{full}");
+    let steps = run("scan emulated --format json --window 100..200 --cluster 2", 0).stdout;
+    assert!(steps.contains("\"start\":100,\"end\":200,\"cluster\":2,"), "{steps}");
+    let [text, v3] = ["text", "v3"].map(|firmware| {
+        run(&format!("info emulated --firmware {firmware}"), 0).stdout.contains("FW Normal")
+    });
+    assert!(!text && v3);
+}
+
+#[test]
+fn a_search_for_the_sensor_ends_at_its_timeout() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let began = std::time::Instant::now();
+    failure(&format!("info tcp://{} --timeout 500ms", listener.local_addr().unwrap()));
+    assert!(began.elapsed() < std::time::Duration::from_secs(4), "{:?}", began.elapsed());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_second_emulator_does_not_take_the_link_of_one_that_runs() {
+    let link = Scratch::new("claimed");
+    let first = Emulated::start(&format!("--link {}", link.path()));
+    let line = failure(&format!("emulate --link {}", link.path()));
+    assert!(line.contains("another `urg emulate` is serving there"), "{line}");
+    run(&format!("info {}", first.port), 0);
+    // The link of one that was killed is free again.
+    first.running.signal("KILL");
+    first.running.end();
+    let second = Emulated::start(&format!("--link {}", link.path()));
+    run(&format!("info {}", second.port), 0);
+}

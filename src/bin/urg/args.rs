@@ -4,14 +4,15 @@
 
 use std::time::Duration;
 
-use clap::Args;
+use clap::{Args, ValueEnum};
 use jiff::SignedDuration;
+use tokio_scip::emulator::Firmware;
 use tokio_scip::{BaudRate, Rate, Window};
 
 use crate::failure::Failure;
 
 /// The way to the sensor.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, Args)]
 #[command(next_help_heading = "Link")]
 pub(crate) struct LinkArgs {
     /// Baud rate to run at; without it the sensor keeps the one it has
@@ -24,12 +25,41 @@ pub(crate) struct LinkArgs {
     /// Wait for the sensor to appear, however long that takes
     #[arg(long)]
     pub(crate) wait: bool,
+    /// Give up if the sensor is not found within this time [default: 5s]
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "wait")]
+    pub(crate) timeout: Option<Duration>,
+    /// Dialect of the sensor that PORT `emulated` stands for [default: v3]
+    #[arg(long, value_enum)]
+    pub(crate) firmware: Option<FirmwareArg>,
+}
+
+/// A dialect of emulated sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FirmwareArg {
+    /// As in the protocol text: V has five lines, unknown commands are not answered
+    Text,
+    /// As real sensors: V has six lines, unknown commands are answered with E
+    V3,
+}
+
+impl From<FirmwareArg> for Firmware {
+    fn from(firmware: FirmwareArg) -> Self {
+        match firmware {
+            FirmwareArg::Text => Self::Text,
+            FirmwareArg::V3 => Self::V3,
+        }
+    }
 }
 
 /// The steps to measure. Those of a recording are the recorded ones by default.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
+    /// Steps to measure: detection (44..725), full (0..768), or START..END, both
+    /// included [default: detection, or as recorded]
+    #[arg(long, value_name = "WINDOW", value_parser = named_window,
+        conflicts_with_all = ["start", "end", "from", "to"])]
+    window: Option<Window>,
     /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44, or as recorded]
     #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
     start: Option<u16>,
@@ -55,7 +85,9 @@ impl WindowArgs {
     /// Returns the window that is asked for; all else is as in
     /// `default`. Fails if there is no such window.
     pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
-        let window = if self.from.is_some() || self.to.is_some() {
+        let window = if let Some(window) = self.window {
+            Ok(window)
+        } else if self.from.is_some() || self.to.is_some() {
             let from = self.from.unwrap_or_else(|| default.start().degrees().into());
             let to = self.to.unwrap_or_else(|| default.end().degrees().into());
             Window::degrees(from..=to)
@@ -85,6 +117,20 @@ pub(crate) struct PaceArgs {
     /// Stop after this time: 10s, 500ms, 5m, 1h
     #[arg(long, value_name = "TIME", value_parser = duration)]
     pub(crate) duration: Option<Duration>,
+}
+
+/// Parses `detection`, `full` or `44..725`.
+fn named_window(text: &str) -> Result<Window, String> {
+    let steps = || text.split_once("..").map(|(from, to)| (from, to.trim_start_matches('=')));
+    match text {
+        "detection" => return Ok(Window::DETECTION),
+        "full" => return Ok(Window::FULL),
+        _ => {}
+    }
+    match steps().map(|(from, to)| (from.parse::<u16>(), to.parse::<u16>())) {
+        Some((Ok(from), Ok(to))) => Window::new(from..=to).map_err(|error| error.to_string()),
+        _ => Err("expected detection, full, or two steps such as 44..725".to_owned()),
+    }
 }
 
 /// Parses `-90deg` or `-90`.
@@ -133,6 +179,18 @@ mod tests {
         }
         for text in ["10", "s", "", "-1s", "0s", "nans", "infs", "1e30h", "1d", "1y"] {
             assert!(duration(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_window_has_a_name_or_two_steps() {
+        assert_eq!(named_window("detection"), Ok(Window::DETECTION));
+        assert_eq!(named_window("full"), Ok(Window::FULL));
+        for text in ["100..200", "100..=200"] {
+            assert_eq!(named_window(text), Ok(Window::new(100..=200).unwrap()), "{text}");
+        }
+        for text in ["", "half", "..", "1..", "200..100", "0..769", "-1..5"] {
+            assert!(named_window(text).is_err(), "{text}");
         }
     }
 

@@ -30,7 +30,7 @@ pub(crate) struct Baud {
 impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
-        let link = LinkArgs { baud: None, wait: self.wait };
+        let link = LinkArgs { wait: self.wait, ..LinkArgs::default() };
         let fastest = FastestReply::default();
         let builder = Sensor::builder().on_reply(fastest.observer());
         let sensor = open_with(&port, &link, Delivery::Newest, builder).await?;

@@ -9,9 +9,10 @@ use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
 use tokio_scip::emulator::Pty;
-use tokio_scip::emulator::{self, Emulator, Faults, RepeatedLaser, Room};
+use tokio_scip::emulator::{Emulator, Faults, RepeatedLaser, Room};
 
-use crate::args::{default_to_loopback, duration};
+use super::link_claim::LinkClaim;
+use crate::args::{FirmwareArg, default_to_loopback, duration};
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
@@ -27,7 +28,8 @@ Examples:
   urg emulate --tcp 4001                        then: urg stream tcp://127.0.0.1:4001
   urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01")]
 pub(crate) struct Emulate {
-    /// Symbolic link to make to the pseudo-terminal; an old link is replaced
+    /// Symbolic link to make to the pseudo-terminal; the link of an emulator that
+    /// has ended is replaced
     #[cfg(unix)]
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
@@ -43,8 +45,8 @@ pub(crate) struct Emulate {
     #[arg(long, conflicts_with = "baud")]
     usb: bool,
     /// Dialect of the sensor
-    #[arg(long, value_enum, default_value_t = Firmware::V3)]
-    firmware: Firmware,
+    #[arg(long, value_enum, default_value_t = FirmwareArg::V3)]
+    firmware: FirmwareArg,
     /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
     serial_number: String,
@@ -69,14 +71,6 @@ pub(crate) struct Emulate {
     /// noise=0.01:64), reset, hang-up, and seed=NUMBER.
     #[arg(long, value_name = "SPEC")]
     faults: Option<Faults>,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Firmware {
-    /// As in the protocol text: V has five lines, unknown commands are not answered
-    Text,
-    /// As real sensors: V has six lines, unknown commands are answered with E
-    V3,
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -108,10 +102,7 @@ impl Emulate {
 
     fn emulator(&self) -> Emulator {
         let builder = Emulator::builder()
-            .firmware(match self.firmware {
-                Firmware::Text => emulator::Firmware::Text,
-                Firmware::V3 => emulator::Firmware::V3,
-            })
+            .firmware(self.firmware.into())
             .serial_number(&self.serial_number)
             .repeated_laser(match self.repeated_laser {
                 LaserStatus::Zero => RepeatedLaser::Status0,
@@ -147,6 +138,8 @@ impl Emulate {
             Some(link) => Failure::of(&format!("cannot serve on {}", link.display()), &error),
             None => Failure::of("cannot serve on a pseudo-terminal", &error),
         };
+        // Held until the end.
+        let _claim = self.link.as_deref().map(LinkClaim::take).transpose()?;
         let pty = Pty::open(emulator, self.link.as_deref()).map_err(failed)?;
         self.announce(&pty.path().display().to_string());
         pty.serve().await.map_err(failed)

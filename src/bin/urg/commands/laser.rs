@@ -1,6 +1,6 @@
 //! `urg laser`: switches the laser.
 
-use clap::ValueEnum;
+use std::str::FromStr;
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
@@ -19,16 +19,28 @@ pub(crate) struct Laser {
     #[command(flatten)]
     port: PortArg,
     /// The new state
-    #[arg(value_enum, value_name = "on|off", hide_possible_values = true)]
+    #[arg(value_name = "on|off")]
     switch: Switch,
     #[command(flatten)]
     link: LinkArgs,
 }
 
-#[derive(Debug, Clone, Copy, ValueEnum)]
+#[derive(Debug, Clone, Copy)]
 enum Switch {
     On,
     Off,
+}
+
+impl FromStr for Switch {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "on" => Ok(Self::On),
+            "off" => Ok(Self::Off),
+            _ => Err("expected on or off, after PORT: `urg laser PORT off`".to_owned()),
+        }
+    }
 }
 
 impl Laser {

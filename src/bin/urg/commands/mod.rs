@@ -7,6 +7,8 @@ pub(crate) mod completions;
 pub(crate) mod emulate;
 pub(crate) mod info;
 pub(crate) mod laser;
+#[cfg(unix)]
+mod link_claim;
 pub(crate) mod list;
 pub(crate) mod man;
 #[cfg(any(not(feature = "mcap"), not(feature = "web")))]

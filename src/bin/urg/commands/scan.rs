@@ -1,11 +1,13 @@
 //! `urg scan`: one scan.
 
 use clap::ValueEnum;
+use tokio_scip::Scan;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::format::{csv, json, svg, table};
+use crate::format::csv::{self, Columns};
+use crate::format::{json, svg, table};
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
@@ -42,6 +44,8 @@ enum ScanFormat {
     Json,
     /// A row for each point
     Csv,
+    /// As csv, with x and y
+    CsvXy,
     /// A polar plot, for a report
     Svg,
 }
@@ -56,9 +60,14 @@ impl ScanOnce {
         let text = match self.format {
             ScanFormat::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),
             ScanFormat::Json => json::line(&scan)?,
-            ScanFormat::Csv => format!("{}{}", csv::HEADER, csv::rows(&scan)),
+            ScanFormat::Csv => csv(&scan, Columns::Polar),
+            ScanFormat::CsvXy => csv(&scan, Columns::Cartesian),
             ScanFormat::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };
         print(&text).await
     }
+}
+
+fn csv(scan: &Scan, columns: Columns) -> String {
+    format!("{}{}", columns.header(), csv::rows(scan, columns))
 }

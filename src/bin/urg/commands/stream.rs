@@ -9,7 +9,8 @@ use tokio_scip::Window;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::format::{csv, summary};
+use crate::format::csv::{self, Columns};
+use crate::format::summary;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::output::stdout::Output;
@@ -75,11 +76,22 @@ enum StreamFormat {
     Ndjson,
     /// A row for each point, for spreadsheets and data frames
     Csv,
+    /// As csv, with x and y
+    CsvXy,
 }
 
 impl StreamFormat {
     fn default_for_stdout() -> Self {
         if io::stdout().is_terminal() { Self::Summary } else { Self::Ndjson }
+    }
+
+    /// Returns the columns of a table; `None` for a form without columns.
+    fn columns(self) -> Option<Columns> {
+        match self {
+            Self::Csv => Some(Columns::Polar),
+            Self::CsvXy => Some(Columns::Cartesian),
+            Self::Summary | Self::Ndjson => None,
+        }
     }
 }
 
@@ -113,8 +125,8 @@ impl Stream {
             format: self.format.unwrap_or_else(StreamFormat::default_for_stdout),
             output: Output::new(),
         };
-        if run.format == StreamFormat::Csv {
-            run.output.write(csv::HEADER).await?;
+        if let Some(columns) = run.format.columns() {
+            run.output.write(columns.header()).await?;
         }
         let write = async |update: Update| run.write(&update).await;
         let ended = follow(&mut feed, &self.pace, interrupt, write).await?;
@@ -134,10 +146,14 @@ struct StreamRun {
 impl StreamRun {
     async fn write(&mut self, update: &Update) -> Result<(), Failure> {
         self.reporter.report(update);
-        match (self.format, update) {
-            (StreamFormat::Ndjson, update) => self.output.write(&update.line()?).await?,
-            (StreamFormat::Csv, Update::Scan(scan)) => self.output.write(&csv::rows(scan)).await?,
-            (StreamFormat::Summary, Update::Scan(scan)) => {
+        match (self.format.columns(), update) {
+            (None, update) if self.format == StreamFormat::Ndjson => {
+                self.output.write(&update.line()?).await?;
+            }
+            (Some(columns), Update::Scan(scan)) => {
+                self.output.write(&csv::rows(scan, columns)).await?;
+            }
+            (None, Update::Scan(scan)) => {
                 let stats = self.reporter.sensor.stats();
                 let schedules = stats.schedules.iter();
                 let reached = schedules.filter(|schedule| schedule.window == self.window);
@@ -145,7 +161,7 @@ impl StreamRun {
                 self.output.write(&summary::line(scan, rate)).await?;
             }
             // Events are on standard error too.
-            (StreamFormat::Csv | StreamFormat::Summary, _) => {}
+            _ => {}
         }
         match update {
             Update::Scan(scan) => {

@@ -1,6 +1,7 @@
 //! The PORT argument: an endpoint of the library, `emulated`, or a recording.
 
 use std::fmt;
+use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
@@ -49,6 +50,8 @@ impl FromStr for PortName {
         }
         match text {
             "emulated" => Ok(Self::Emulated),
+            "on" | "off" => Err(format!("expected a port, and {text} after it")),
+            _ if is_nearly(text, "emulated") => Err("did you mean `emulated`?".to_owned()),
             _ => text.parse().map(Self::Endpoint).map_err(|error| match error {
                 // clap has shown the text already.
                 Error::InvalidEndpoint { reason, .. } => reason.to_owned(),
@@ -56,6 +59,11 @@ impl FromStr for PortName {
             }),
         }
     }
+}
+
+/// Returns whether `text` is a misspelt `word`, and no file.
+fn is_nearly(text: &str, word: &str) -> bool {
+    strsim::osa_distance(text, word) <= 2 && !Path::new(text).exists()
 }
 
 impl fmt::Display for PortName {

@@ -49,10 +49,21 @@ pub(crate) fn begin(
     if link.wait {
         builder = builder.wait_for_sensor();
     }
+    if let Some(timeout) = link.timeout {
+        builder = builder.open_timeout(timeout);
+    }
+    if link.firmware.is_some() && !matches!(port, PortName::Emulated) {
+        let text = format!("--firmware is for PORT `emulated`: {port} is a sensor of its own");
+        return Err(Failure::Usage(text));
+    }
     Ok(match port {
         PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
         PortName::Emulated => {
             let emulator = Emulator::builder();
+            let emulator = match link.firmware {
+                Some(firmware) => emulator.firmware(firmware.into()),
+                None => emulator,
+            };
             // A request for a baud rate needs a sensor that has one.
             let emulator = match link.baud {
                 Some(_) => emulator.baud_rate(BaudRate::B19200),

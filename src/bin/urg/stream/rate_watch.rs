@@ -14,9 +14,8 @@ use crate::port::name::PortName;
 /// Below this part of the rate asked for, it counts as not reached.
 pub(crate) const ENOUGH: f64 = 0.95;
 
-/// The rate is judged over times of this length: longer than the driver's
-/// average of the rate remembers.
-const JUDGED_OVER: Duration = Duration::from_secs(5);
+/// The rate is measured over times of at least this length.
+const MEASURED_OVER: Duration = Duration::from_secs(3);
 
 /// Watches the rate of one stream.
 #[derive(Debug)]
@@ -26,11 +25,19 @@ pub(crate) struct RateWatch {
     asked: Option<f64>,
     /// Set if the port's own baud rate can be changed from here.
     is_settable: bool,
-    /// The start of the time that is judged next, and the driver's counters then.
-    since: Option<(Instant, Counters)>,
+    /// The start of the time that is measured.
+    since: Option<Start>,
     /// Set once a reply has disproved the baud rate of the link.
     is_outrun: bool,
     reported: Reported,
+}
+
+/// The scan with which a measurement starts, and the driver's counters then.
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    at: Instant,
+    sequence: u64,
+    counters: Counters,
 }
 
 /// The causes that were reported since the rate was reached last.
@@ -96,20 +103,18 @@ impl RateWatch {
         let asked = self.asked?;
         let baud_rate = sensor.state().borrow().baud_rate();
         self.is_outrun |= baud_rate.is_some_and(|rate| wire_speed::outruns(scan, rate));
-        let now = Instant::now();
-        if self.since.is_some_and(|(since, _)| now < since + JUDGED_OVER) {
+        let at = scan.received_at();
+        if self.since.is_some_and(|since| at < since.at + MEASURED_OVER) {
             return None;
         }
-        let stats = sensor.stats();
-        let counters = Counters::of(&stats);
-        let (_, before) = self.since.replace((now, counters))?;
-        let schedule = stats.schedules.iter().find(|schedule| schedule.window == self.window)?;
-        // 0 until there is something to average.
-        if schedule.reached <= 0.0 {
-            return None;
-        }
+        let counters = Counters::of(&sensor.stats());
+        let start = Start { at, sequence: scan.sequence(), counters };
+        let since = self.since.replace(start)?;
+        // Scans that were missed here were reached by the sensor.
+        let scans = start.sequence.saturating_sub(since.sequence);
+        let reached = scans as f64 / (at - since.at).as_secs_f64();
         let baud_rate = baud_rate.filter(|_| !self.is_outrun);
-        self.judge(asked, schedule.reached, counters.since(before), baud_rate)
+        self.judge(asked, reached, counters.since(since.counters), baud_rate)
     }
 
     fn judge(
