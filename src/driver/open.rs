@@ -95,9 +95,13 @@ impl<C: Connect> Opener<C> {
             };
             match outcome {
                 Err(error) if self.connect.has_more() => {
-                    tracing::debug!(%error, "not this port");
+                    tracing::debug!(error = %error.chain(), "port skipped");
                 }
-                outcome => return outcome,
+                outcome => {
+                    return outcome.inspect_err(|error| {
+                        tracing::debug!(error = %error.chain(), "opening failed");
+                    });
+                }
             }
         }
     }
@@ -207,7 +211,7 @@ impl<C: Connect> Opener<C> {
             match baud_rate::change(session, baud_rate).await {
                 // Scans at another baud rate are better than none.
                 Err(ExchangeError::Command(error)) if self.opened => {
-                    tracing::warn!(%error, "the baud rate is not restored");
+                    tracing::warn!(error = %error.chain(), "the baud rate is not restored");
                 }
                 outcome => outcome?,
             }

@@ -153,7 +153,7 @@ impl<C: Connect> Supervisor<C> {
                 Ok(session)
             }
             Err(cause) => {
-                tracing::debug!(%cause, "not found");
+                tracing::debug!(error = %cause.chain(), "the sensor was not found at any baud rate");
                 self.reconnect(session, error).await
             }
         }
