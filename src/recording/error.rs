@@ -4,7 +4,7 @@ use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use mcap::McapError;
+use super::mcap::FileError;
 
 /// An error of recording, reading or replaying. As in all errors of this crate,
 /// `Display` covers its own layer, [`source`](std::error::Error::source) returns
@@ -42,11 +42,23 @@ pub enum RecordingError {
     /// The file is not MCAP.
     #[error("not a recording: expected an MCAP file, found other bytes at its start")]
     NotMcap,
-    /// The file is MCAP and malformed from here on. A missing end is no error.
-    #[error("the recording is damaged: {reason}")]
+    /// The file's chunks are compressed, by another program: recordings of this
+    /// crate are not.
+    #[error(
+        "cannot read a recording with `{compression}` compression: expected none, as `mcap compress --compression none` writes it"
+    )]
+    Compressed {
+        /// The name of the compression.
+        compression: String,
+    },
+    /// A part of the file is malformed: a chunk, about a second of a recording.
+    /// Reading goes on behind it. A missing end of the file is no error.
+    #[error("the recording is damaged at byte {offset}: {reason}")]
     Damaged {
+        /// The place of the malformed part in the file.
+        offset: u64,
         /// The failed check.
-        reason: String,
+        reason: &'static str,
     },
     /// The file has no replies of a sensor.
     #[error(
@@ -56,15 +68,18 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
-    pub(super) fn write(error: McapError) -> Self {
-        let source = match error {
-            McapError::Io(error) => error,
-            other => io::Error::other(other),
-        };
-        Self::Write { source: Arc::new(source) }
+    pub(super) fn write(error: io::Error) -> Self {
+        Self::Write { source: Arc::new(error) }
     }
+}
 
-    pub(super) fn read(error: McapError) -> Self {
-        Self::Damaged { reason: error.to_string() }
+impl From<FileError> for RecordingError {
+    fn from(error: FileError) -> Self {
+        match error {
+            FileError::Io(error) => Self::Read { source: Arc::new(error) },
+            FileError::NotMcap => Self::NotMcap,
+            FileError::Compressed(compression) => Self::Compressed { compression },
+            FileError::Damaged { offset, reason } => Self::Damaged { offset, reason },
+        }
     }
 }

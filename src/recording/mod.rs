@@ -77,13 +77,17 @@
 
 mod error;
 mod event;
+mod mcap;
+mod parts;
+mod polls;
 mod progress;
 mod queue;
 mod reader;
 mod record;
 mod recorder;
-mod records;
+mod repair;
 mod replay;
+mod scans;
 mod topics;
 mod writer;
 
@@ -93,7 +97,9 @@ pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, Reply};
 pub use self::recorder::{Recorder, RecorderBuilder};
+pub use self::repair::{Repaired, repair};
 pub use self::replay::ReplayPace;
+pub use self::scans::RecordedScans;
 pub use crate::ros::LaserScan;
 
 /// The name of the metadata record.

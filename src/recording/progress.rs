@@ -11,6 +11,8 @@ pub struct Progress {
     pub replies: u64,
     /// Bytes written.
     pub bytes: u64,
+    /// Files started: 1, and 1 more for each time the recording was split.
+    pub files: u64,
     /// Scans that are not in the file because the disk was too slow for too long
     /// (8 MiB wait for it), or had failed.
     pub lost: u64,

@@ -2,17 +2,19 @@
 //! and bounds how many bytes wait. The thread is here, too.
 
 use std::collections::BTreeMap;
-use std::io::{self, BufWriter, Write};
+use std::fs::File;
+use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use mcap::McapResult;
 use tokio::sync::{oneshot, watch};
 
 use super::RecordingError;
+use super::parts::{Limits, Output, Parts};
 use super::progress::Progress;
 use super::writer::{LogClock, Times, Writer};
 use crate::Scan;
@@ -36,6 +38,7 @@ pub(super) struct Queue {
     scans: AtomicU64,
     replies: AtomicU64,
     bytes: AtomicU64,
+    files: AtomicU64,
     lost: AtomicU64,
     lost_replies: AtomicU64,
     failure: Mutex<Option<RecordingError>>,
@@ -80,6 +83,7 @@ impl Queue {
             scans: AtomicU64::new(0),
             replies: AtomicU64::new(0),
             bytes: AtomicU64::new(0),
+            files: AtomicU64::new(1),
             lost: AtomicU64::new(0),
             lost_replies: AtomicU64::new(0),
             failure: Mutex::new(None),
@@ -87,15 +91,26 @@ impl Queue {
         (queue, receiver)
     }
 
-    /// Starts a file, and the thread that writes it.
+    /// Starts a file, and the thread that writes it. Further files are made beside
+    /// `path`, if there is one.
     pub(super) fn into_file(
         out: impl Write + Send + 'static,
+        path: Option<PathBuf>,
+        limits: Limits,
         frame_id: String,
     ) -> Result<Arc<Self>, RecordingError> {
         let (queue, receiver) = Self::new();
         let queue = Arc::new(queue);
-        let counted = Counted { out, queue: Arc::clone(&queue) };
-        let writer = Writer::new(BufWriter::new(counted), LogClock::starting_now(), frame_id)
+        let first = Box::new(Counted { out, queue: Arc::clone(&queue) });
+        let further = {
+            let queue = Arc::clone(&queue);
+            move |out: File| {
+                queue.files.fetch_add(1, Ordering::Relaxed);
+                Box::new(Counted { out, queue: Arc::clone(&queue) }) as Output
+            }
+        };
+        let parts = Parts::new(limits, path, further);
+        let writer = Writer::new(first, parts, LogClock::starting_now(), frame_id)
             .map_err(RecordingError::write)?;
         let thread = {
             let queue = Arc::clone(&queue);
@@ -104,7 +119,7 @@ impl Queue {
         std::thread::Builder::new()
             .name("recorder".to_owned())
             .spawn(thread)
-            .map_err(|error| RecordingError::Write { source: Arc::new(error) })?;
+            .map_err(RecordingError::write)?;
         Ok(queue)
     }
 
@@ -152,6 +167,7 @@ impl Queue {
             scans: count(&self.scans),
             replies: count(&self.replies),
             bytes: count(&self.bytes),
+            files: count(&self.files),
             lost: count(&self.lost),
             lost_replies: count(&self.lost_replies),
         }
@@ -163,13 +179,13 @@ impl Queue {
     }
 
     /// Marks the thread as ended, so that nobody waits for it.
-    fn end(&self, outcome: McapResult<()>) {
+    fn end(&self, outcome: io::Result<()>) {
         self.fail(outcome);
         self.waiting.send_replace(None);
     }
 
     /// Keeps and logs the error, if `outcome` is one.
-    fn fail(&self, outcome: McapResult<()>) {
+    fn fail(&self, outcome: io::Result<()>) {
         if let Err(error) = outcome.map_err(RecordingError::write) {
             let cause = std::error::Error::source(&error);
             tracing::error!(cause = cause.map(tracing::field::display), "{error}");
@@ -179,11 +195,11 @@ impl Queue {
 }
 
 /// Writes the file until it is finished.
-fn write_all<W: Write>(
-    mut writer: Writer<W>,
+fn write_all(
+    mut writer: Writer,
     items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
-) -> McapResult<()> {
+) -> io::Result<()> {
     // When the oldest message came that is not in the file.
     let mut unwritten: Option<Instant> = None;
     loop {
@@ -264,7 +280,7 @@ mod tests {
         push();
         push();
         assert!(queue.ready().now_or_never().is_none());
-        queue.end(Err(io::Error::from(io::ErrorKind::StorageFull).into()));
+        queue.end(Err(io::ErrorKind::StorageFull.into()));
         push();
         push();
         assert!(queue.ready().now_or_never().is_some());

@@ -1,4 +1,5 @@
-//! [`Recording`]: a file read from its beginning, as far as it goes.
+//! [`Recording`]: reads a file record by record, from its beginning to wherever
+//! it ends. Only the records that a recording needs are parsed.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
@@ -8,25 +9,28 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use mcap::parse_record;
-use mcap::records::{MessageHeader, Record as McapRecord};
-
+use super::mcap::{Fields, MessageHeader, Records, kind};
 use super::record::{Entry, Record, Reply, parse_command};
-use super::records::Records;
 use super::topics::Topic;
 use super::{Event, METADATA, RecordingError};
 use crate::ros;
 use crate::{Rate, Window};
 
-/// How many records are read to find the metadata: it stands near the
-/// beginning.
-const HEAD: usize = 256;
+/// The metadata is searched in so many records: it stands near the beginning.
+const METADATA_SEARCH_RECORDS: usize = 256;
+/// The reason of damage that no checksum covers.
+const MALFORMED: &str = "a message, channel or metadata is not of its form";
 
-/// A recording, read record by record, in the order in which they were written.
+/// A recording as an iterator over its records, in the order in which they were
+/// written.
 ///
-/// What is missing at the end, after a kill or a full disk, is no error: what
-/// was recorded before is read, and [`is_truncated`](Self::is_truncated) tells.
-/// Reading blocks, for as long as a file takes.
+/// A missing end, after a kill or a full disk, is no error: all that was recorded
+/// before is read, and then [`is_truncated`](Self::is_truncated) returns true. A
+/// damaged part is an item, [`RecordingError::Damaged`], and the records behind
+/// it follow; after any other error there are none. Reading blocks the thread.
+///
+/// Memory is bounded by the file's longest chunk, at most 64 MiB, whatever the
+/// file claims.
 ///
 /// ```no_run
 /// use tokio_scip::recording::{Entry, Recording};
@@ -40,21 +44,24 @@ const HEAD: usize = 256;
 /// ```
 pub struct Recording {
     records: Records,
-    channels: HashMap<u16, Topic>,
+    /// The topic of each channel; `None` if it is none of a recording.
+    channels: HashMap<u16, Option<Topic>>,
     metadata: BTreeMap<String, String>,
-    /// Read, and not given out yet.
-    ahead: VecDeque<Record>,
-    ended: bool,
+    /// Records read in advance.
+    ahead: VecDeque<Result<Record, RecordingError>>,
+    is_over: bool,
 }
 
 impl Recording {
-    /// Opens a recording, and reads its beginning.
+    /// Opens a recording and reads up to its metadata, at most its first 256
+    /// messages.
     ///
     /// # Errors
     ///
-    /// [`RecordingError::Open`] if there is no such file or it may not be read,
-    /// [`RecordingError::NotMcap`], [`RecordingError::Read`] and
-    /// [`RecordingError::Damaged`] for what is in it.
+    /// Fails with [`RecordingError::Open`] if the file cannot be opened,
+    /// [`RecordingError::NotMcap`] and [`RecordingError::Compressed`] if it is no
+    /// recording of this crate, and [`RecordingError::Read`] if reading fails. A
+    /// damaged beginning is an item of the iterator.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
         let path = path.as_ref();
         let file = File::open(path).map_err(|error| RecordingError::Open {
@@ -64,86 +71,97 @@ impl Recording {
         Self::read(file)
     }
 
-    /// Reads a recording from anything that has its bytes.
+    /// Reads a recording from any reader; otherwise the same as
+    /// [`open`](Self::open).
     ///
     /// # Errors
     ///
-    /// Those of [`open`](Self::open), but for those of opening a file.
+    /// Fails as [`open`](Self::open) does.
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
         let mut recording = Self {
             records: Records::new(input),
             channels: HashMap::new(),
             metadata: BTreeMap::new(),
             ahead: VecDeque::new(),
-            ended: false,
+            is_over: false,
         };
-        while recording.metadata.is_empty() && recording.ahead.len() < HEAD {
-            let Some(record) = recording.advance()? else { break };
-            recording.ahead.push_back(record);
+        while recording.metadata.is_empty() && recording.ahead.len() < METADATA_SEARCH_RECORDS {
+            match recording.advance() {
+                Ok(None) => break,
+                Ok(Some(record)) => recording.ahead.push_back(Ok(record)),
+                Err(error @ RecordingError::Damaged { .. }) => {
+                    recording.ahead.push_back(Err(error));
+                }
+                Err(error) => return Err(error),
+            }
         }
         Ok(recording)
     }
 
-    /// What was written down of the sensor, by
-    /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`,
-    /// `firmware`, `protocol`, `serial_number`, `status`, `baud_rate` (`none` on
-    /// USB), `start`, `end`, `cluster`, `rate`. Empty if nothing was.
+    /// Returns what [`Recorder::describe`](super::Recorder::describe) recorded of
+    /// the sensor: `vendor`, `product`, `firmware`, `protocol`, `serial_number`,
+    /// `status`, `baud_rate` (`none` on USB), `start`, `end`, `cluster`, `rate`.
+    /// Empty if it was not called.
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.metadata
     }
 
-    /// The window of the stream that was recorded, if it was written down.
+    /// Returns the window of the recorded stream, or `None` if it is not in the
+    /// metadata.
     pub fn window(&self) -> Option<Window> {
         let number = |key| self.metadata.get(key)?.parse().ok();
         let window = Window::new(number("start")?..=number("end")?).ok()?;
         window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
     }
 
-    /// The rate of the stream that was recorded, if it was written down.
+    /// Returns the rate of the recorded stream, or `None` if it is not in the
+    /// metadata.
     pub fn rate(&self) -> Option<Rate> {
         self.metadata.get("rate")?.parse().ok()
     }
 
-    /// True once the end was reached and the file's end was missing: the
-    /// recorder was killed, the disk full, or it is being recorded still.
+    /// Returns true if all of the file was read and its end is missing: the
+    /// recorder was killed, the disk was full, or it is still recording.
+    /// [`repair`](super::repair) makes a complete file of it.
     pub fn is_truncated(&self) -> bool {
         self.records.is_truncated()
     }
 
-    /// The next record of a kind that is known. Nothing comes after an error.
+    /// Returns the next record of a known kind. Only
+    /// [`RecordingError::Damaged`] is followed by more.
     fn advance(&mut self) -> Result<Option<Record>, RecordingError> {
-        if self.ended {
+        if self.is_over {
             return Ok(None);
         }
         let outcome = self.next_known();
-        self.ended = !matches!(outcome, Ok(Some(_)));
+        self.is_over = !matches!(outcome, Ok(Some(_)) | Err(RecordingError::Damaged { .. }));
         outcome
     }
 
     fn next_known(&mut self) -> Result<Option<Record>, RecordingError> {
-        while let Some((kind, content)) = self.records.next()? {
-            match parse_record(kind, content).map_err(RecordingError::read)? {
-                McapRecord::Channel(channel) => {
-                    let known = Topic::ALL.into_iter().find(|topic| topic.name() == channel.topic);
-                    self.channels.extend(known.map(|known| (channel.id, known)));
+        loop {
+            let Some((kind, content)) = self.records.next()? else { return Ok(None) };
+            let parsed = match kind {
+                kind::CHANNEL => channel(content).map(|(id, topic)| {
+                    self.channels.insert(id, topic);
+                    None
+                }),
+                kind::METADATA => metadata(content).map(|metadata| {
+                    self.metadata = metadata.unwrap_or(std::mem::take(&mut self.metadata));
+                    None
+                }),
+                kind::MESSAGE => message(content, &mut self.channels),
+                _ => Some(None),
+            };
+            match parsed {
+                Some(None) => {}
+                Some(record) => return Ok(record),
+                None => {
+                    let (offset, reason) = (self.records.offset(), MALFORMED);
+                    return Err(RecordingError::Damaged { offset, reason });
                 }
-                McapRecord::Metadata(metadata) if metadata.name == METADATA => {
-                    self.metadata = metadata.metadata;
-                }
-                McapRecord::Message { header, data } => {
-                    let Some(channel) = self.channels.get(&header.channel_id) else { continue };
-                    let entry = decode(*channel, &header, &data).ok_or_else(|| {
-                        RecordingError::Damaged {
-                            reason: "a message is not of its type".to_owned(),
-                        }
-                    })?;
-                    let (at, sequence) = (time(header.log_time), header.sequence);
-                    return Ok(Some(Record { at, sequence, entry }));
-                }
-                _ => {}
             }
         }
-        Ok(None)
     }
 }
 
@@ -151,7 +169,7 @@ impl Iterator for Recording {
     type Item = Result<Record, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.ahead.pop_front().map(Ok).or_else(|| self.advance().transpose())
+        self.ahead.pop_front().or_else(|| self.advance().transpose())
     }
 }
 
@@ -161,22 +179,52 @@ impl fmt::Debug for Recording {
     }
 }
 
-/// Decodes a message, or returns `None` if it is not of its topic's type.
-fn decode(topic: Topic, header: &MessageHeader, message: &[u8]) -> Option<Entry> {
-    match topic {
-        Topic::Scans => ros::read_scan(message).map(Entry::Scan),
+/// Parses a channel: its number, and its topic if that is one of a recording.
+fn channel(content: &[u8]) -> Option<(u16, Option<Topic>)> {
+    let mut fields = Fields(content);
+    let (id, _schema, name) = (fields.u16()?, fields.u16()?, fields.string()?);
+    Some((id, Topic::ALL.into_iter().find(|topic| topic.name() == name)))
+}
+
+/// Parses metadata: a map if it is that of a recording.
+#[expect(clippy::option_option, reason = "malformed, somebody else's, or ours")]
+fn metadata(content: &[u8]) -> Option<Option<BTreeMap<String, String>>> {
+    let mut fields = Fields(content);
+    if fields.string()? != METADATA {
+        return Some(None);
+    }
+    let mut pairs = Fields(fields.bytes()?);
+    let mut map = BTreeMap::new();
+    while !pairs.0.is_empty() {
+        map.insert(pairs.string()?.to_owned(), pairs.string()?.to_owned());
+    }
+    Some(Some(map))
+}
+
+/// Parses a message: a record if it is of a topic of a recording. A channel that
+/// the file does not define is reported once.
+#[expect(clippy::option_option, reason = "malformed, somebody else's, or ours")]
+fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option<Option<Record>> {
+    let (header, data) = MessageHeader::parse(content)?;
+    let Some(topic) = channels.get(&header.channel) else {
+        channels.insert(header.channel, None);
+        return None;
+    };
+    let Some(topic) = topic else { return Some(None) };
+    let entry = match topic {
+        Topic::Scans => Entry::Scan(ros::read_scan(data)?),
         Topic::Events => {
-            let text = ros::read_text(message)?;
+            let text = ros::read_text(data)?;
             let unknown = || Event::Unknown { text: text.to_owned() };
-            Some(Entry::Event(text.parse().unwrap_or_else(|_| unknown())))
+            Entry::Event(text.parse().unwrap_or_else(|_| unknown()))
         }
         Topic::Replies => {
-            let (command, bytes) = ros::read_labelled_bytes(message)?;
-            let command = parse_command(command);
-            let stamp = time(header.publish_time);
-            Some(Entry::Reply(Reply { command, bytes: bytes.to_vec(), stamp }))
+            let (command, bytes) = ros::read_labelled_bytes(data)?;
+            let (command, bytes) = (parse_command(command), bytes.to_vec());
+            Entry::Reply(Reply { command, bytes, stamp: time(header.publish_time) })
         }
-    }
+    };
+    Some(Some(Record { at: time(header.log_time), sequence: header.sequence, entry }))
 }
 
 fn time(nanos: u64) -> SystemTime {

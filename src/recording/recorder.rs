@@ -4,10 +4,11 @@
 use std::collections::BTreeMap;
 use std::fs::OpenOptions;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
+use super::parts::Limits;
 use super::progress::Progress;
 use super::queue::{Queue, WriteItem};
 use super::writer::Times;
@@ -39,6 +40,7 @@ pub struct Recorder {
 pub struct RecorderBuilder {
     frame_id: String,
     overwrite: bool,
+    limits: Limits,
 }
 
 impl Recorder {
@@ -56,7 +58,11 @@ impl Recorder {
 
     /// Returns a builder with the default settings.
     pub fn builder() -> RecorderBuilder {
-        RecorderBuilder { frame_id: "laser".to_owned(), overwrite: false }
+        RecorderBuilder {
+            frame_id: "laser".to_owned(),
+            overwrite: false,
+            limits: Limits::default(),
+        }
     }
 
     /// Returns an observer for
@@ -158,17 +164,18 @@ impl Recorder {
         self.queue.progress()
     }
 
-    /// Writes all queued items, the file's index and its end.
+    /// Writes all queued items, the file's index and its end. Returns the final
+    /// counts.
     ///
     /// Dropping this future does not stop that.
     ///
     /// # Errors
     ///
     /// Fails with [`RecordingError::Write`] if this or any write before it failed.
-    pub async fn finish(self) -> Result<(), RecordingError> {
+    pub async fn finish(self) -> Result<Progress, RecordingError> {
         // An error means that the thread has ended; `failure` returns why.
         let _ = self.queue.finish().await;
-        self.queue.failure().map_or(Ok(()), Err)
+        self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
     }
 
     fn event(&self, event: &Event, times: Times) {
@@ -198,6 +205,32 @@ impl RecorderBuilder {
         self
     }
 
+    /// Splits the recording into files of this duration.
+    ///
+    /// A file ends behind the first scan that reaches the limit, and the recording
+    /// goes on in the next one: `run.mcap` is followed by `run_0002.mcap`,
+    /// `run_0003.mcap` and so on. Numbers that exist already are left out, so no
+    /// file is overwritten. No scan is lost or doubled, and each file is complete:
+    /// it has the metadata and a reply to `V`, and can be replayed alone.
+    ///
+    /// Without a limit a recording is split after 65,536 chunks, which is 18 hours
+    /// or more. The index of a file stays in memory until its end, 100 bytes for
+    /// each chunk, and this bounds it.
+    ///
+    /// [`write_to`](Self::write_to) never splits.
+    pub fn split_duration(mut self, duration: Duration) -> Self {
+        self.limits.duration = Some(duration);
+        self
+    }
+
+    /// Splits the recording into files of this size; see
+    /// [`split_duration`](Self::split_duration). The index at the end of a file
+    /// comes on top, less than 3 % of it at 10 scans a second.
+    pub fn split_bytes(mut self, bytes: u64) -> Self {
+        self.limits.bytes = Some(bytes);
+        self
+    }
+
     /// Creates the file and records into it.
     ///
     /// # Errors
@@ -213,7 +246,11 @@ impl RecorderBuilder {
             options.create_new(true);
         }
         match options.open(path) {
-            Ok(file) => self.write_to(file),
+            Ok(file) => {
+                // A pipe or a device has no place for further files.
+                let is_file = file.metadata().is_ok_and(|metadata| metadata.is_file());
+                self.start(file, is_file.then(|| path.to_owned()))
+            }
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
                 Err(RecordingError::Exists { path: path.to_owned() })
             }
@@ -223,14 +260,39 @@ impl RecorderBuilder {
         }
     }
 
-    /// Records into any writer, such as a pipe.
+    /// Records into any writer, such as a pipe. There are no further files: a
+    /// recording of more than 65,536 chunks ends without an index, so that other
+    /// readers have to read it from its beginning.
     ///
     /// # Errors
     ///
     /// Fails with [`RecordingError::Write`] if the file's head cannot be written,
     /// or no thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
-        let queue = Queue::into_file(out, self.frame_id)?;
+        self.start(out, None)
+    }
+
+    /// Records into `first`, and after a split into files beside `path`, named as
+    /// [`split_duration`](Self::split_duration) describes. For a file that is
+    /// opened or wrapped by the caller.
+    ///
+    /// # Errors
+    ///
+    /// Fails as [`write_to`](Self::write_to) does.
+    pub fn write_to_parts(
+        self,
+        first: impl Write + Send + 'static,
+        path: impl Into<PathBuf>,
+    ) -> Result<Recorder, RecordingError> {
+        self.start(first, Some(path.into()))
+    }
+
+    fn start(
+        self,
+        out: impl Write + Send + 'static,
+        path: Option<PathBuf>,
+    ) -> Result<Recorder, RecordingError> {
+        let queue = Queue::into_file(out, path, self.limits, self.frame_id)?;
         Ok(Recorder { queue, expected: None, disconnected: false })
     }
 }

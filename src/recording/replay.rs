@@ -4,11 +4,12 @@
 use std::io;
 use std::time::{Duration, SystemTime};
 
+use super::polls::{PollReply, Polls};
 use super::record::{Entry, Reply, parse_command};
 use super::{Recording, RecordingError};
 use crate::Window;
 use crate::emulator::{Emulator, PlaybackPace, Script, Values};
-use crate::protocol::{Command, Reply as Parsed};
+use crate::protocol::Command;
 
 /// Error code 19, "Non-Measurable Distance": the value of a step that the
 /// recording does not cover.
@@ -34,10 +35,13 @@ impl Recording {
     /// # Errors
     ///
     /// Fails with [`RecordingError::NoReplies`] if there is nothing to replay, and
-    /// with the errors of reading the file up to the first scan.
+    /// with [`RecordingError::Damaged`] or [`RecordingError::Read`] if that is
+    /// because the file cannot be read.
     pub fn replay(mut self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
-        let version = skip_to(&mut self, |command| *command == Command::Version)?;
-        let replies = Replies::new(self, version.stamp)?;
+        let mut failure = None;
+        let version = first_version(&mut self, &mut failure)
+            .ok_or_else(|| failure.clone().unwrap_or(RecordingError::NoReplies))?;
+        let replies = Replies::new(Polls::new(self), version.stamp, failure)?;
         let lines = version.bytes.split(|&byte| byte == b'\n').skip(2);
         let lines = lines.filter(|line| !line.is_empty());
         let pace = match pace {
@@ -48,129 +52,93 @@ impl Recording {
     }
 }
 
-/// Returns the first successful reply to a command that is `wanted`.
-fn skip_to(
-    recording: &mut Recording,
-    wanted: impl Fn(&Command) -> bool,
-) -> Result<Reply, RecordingError> {
-    for record in recording {
-        if let Entry::Reply(reply) = record?.entry
-            && reply.command.as_ref().is_some_and(&wanted)
-            && reply.values().is_some()
-        {
-            return Ok(reply);
+/// Reads the first successful reply to `V`.
+fn first_version(recording: &mut Recording, failure: &mut Option<RecordingError>) -> Option<Reply> {
+    recording.find_map(|record| match keep_error(record, failure)?.entry {
+        Entry::Reply(reply) => {
+            let is_version = reply.command == Some(Command::Version) && reply.parse().is_some();
+            is_version.then_some(reply)
         }
-    }
-    Err(RecordingError::NoReplies)
+        _ => None,
+    })
 }
 
-impl Reply {
-    /// Returns the values of a successful reply to `G`, none for other commands,
-    /// and `None` if the reply is malformed or refused.
-    fn values(&self) -> Option<Vec<u16>> {
-        let command = self.command.as_ref()?;
-        let reply = Parsed::parse(command, self.bytes.strip_suffix(b"\n\n")?).ok()?;
-        let mut values = Vec::new();
-        if let Command::Distances(_) = command {
-            reply.values_into(&mut values);
-        }
-        reply.status().is_ok().then_some(values)
-    }
+/// Logs an error, and keeps the first one: the replay goes on with what can be
+/// read, and reports it at its end.
+fn keep_error<T>(
+    item: Result<T, RecordingError>,
+    failure: &mut Option<RecordingError>,
+) -> Option<T> {
+    item.inspect_err(|error| {
+        tracing::warn!(%error, "the replay leaves out a part of the recording");
+        failure.get_or_insert_with(|| error.clone());
+    })
+    .ok()
 }
 
 /// The replies to the polls of one stream, in the order in which they came.
 struct Replies {
-    recording: Recording,
+    polls: Polls,
     /// The window of the stream.
     window: Window,
-    next: Option<Due>,
+    next: Option<PollReply>,
     /// The wall clock when the latest reply came.
     stamp: SystemTime,
-    /// When the first of them came.
+    /// The log time of the first of them.
     began: SystemTime,
     /// The latest value of each step.
     memory: Box<Values>,
-    /// The error that ended reading the file.
+    /// The first error of reading the file.
     failure: Option<RecordingError>,
-}
-
-/// A reply and the time it was received.
-struct Due {
-    at: SystemTime,
-    reply: Reply,
 }
 
 impl Replies {
     /// Reads up to the first reply to a poll. `stamp` is the wall clock until
     /// then.
-    fn new(recording: Recording, stamp: SystemTime) -> Result<Self, RecordingError> {
-        let window = recording.window();
+    fn new(
+        polls: Polls,
+        stamp: SystemTime,
+        failure: Option<RecordingError>,
+    ) -> Result<Self, RecordingError> {
         let mut replies = Self {
-            recording,
-            window: window.unwrap_or(Window::FULL),
+            polls,
+            window: Window::FULL,
             next: None,
             stamp,
             began: SystemTime::UNIX_EPOCH,
             memory: Box::new([UNKNOWN; crate::emulator::STEPS]),
-            failure: None,
+            failure,
         };
-        replies.next = match window {
-            Some(_) => replies.read()?,
-            None => replies.read_any()?,
+        replies.read();
+        let (Some(first), Some(window)) = (&replies.next, replies.polls.window()) else {
+            return Err(replies.failure.unwrap_or(RecordingError::NoReplies));
         };
-        match &replies.next {
-            Some(first) => replies.began = first.at,
-            None => return Err(RecordingError::NoReplies),
-        }
+        (replies.began, replies.window) = (first.at, window);
         Ok(replies)
-    }
-
-    /// Reads the first reply to any poll, and takes its window for the stream's.
-    fn read_any(&mut self) -> Result<Option<Due>, RecordingError> {
-        for record in &mut self.recording {
-            let record = record?;
-            if let Entry::Reply(reply) = record.entry
-                && let Some(Command::Distances(window)) = reply.command
-            {
-                self.window = window;
-                return Ok(Some(Due { at: record.at, reply }));
-            }
-        }
-        Ok(None)
     }
 
     /// Reads the next reply to the stream's polls. The values of replies to other
     /// polls are remembered.
-    fn read(&mut self) -> Result<Option<Due>, RecordingError> {
-        while let Some(record) = self.recording.next() {
-            let record = record?;
-            if let Entry::Reply(reply) = record.entry
-                && let Some(Command::Distances(window)) = reply.command
-            {
-                if self.is_of_stream(window) {
-                    return Ok(Some(Due { at: record.at, reply }));
-                }
-                self.remember(window, &reply);
+    fn read(&mut self) {
+        self.next = None;
+        while let Some(item) = self.polls.next() {
+            let Some(poll) = keep_error(item, &mut self.failure) else { continue };
+            if self.polls.is_of_stream(poll.asked) {
+                self.next = Some(poll);
+                return;
             }
+            self.remember(&poll);
         }
-        Ok(None)
-    }
-
-    /// Checks if `window` is the stream's, or that widened by the driver.
-    fn is_of_stream(&self, window: Window) -> bool {
-        let widened =
-            (0..=Window::MAX_EXTRA_POINTS).filter_map(|groups| self.window.widened(groups));
-        widened.into_iter().any(|(widened, _)| widened == window)
     }
 
     /// Stores the values of a reply. Returns false if it has none.
-    fn remember(&mut self, window: Window, reply: &Reply) -> bool {
-        let Some(values) = reply.values() else { return false };
-        let first = usize::from(window.start().number());
-        let seen = self.memory.get_mut(first..first + window.steps()).unwrap_or_default();
+    fn remember(&mut self, poll: &PollReply) -> bool {
+        let Some(values) = poll.reply.values() else { return false };
+        let first = usize::from(poll.asked.start().number());
+        let seen = self.memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
         // Each step of a group gets the group's value, so that the emulated
         // sensor, which sends the smallest of them, sends that value again.
-        let groups = seen.chunks_mut(window.cluster_count().into());
+        let groups = seen.chunks_mut(poll.asked.cluster_count().into());
         groups.zip(values).for_each(|(group, value)| group.fill(value));
         true
     }
@@ -187,21 +155,17 @@ impl Script for Replies {
     }
 
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>> {
-        let Due { reply, .. } = self.next.take()?;
-        self.stamp = reply.stamp;
-        self.next = self.read().unwrap_or_else(|error| {
-            tracing::warn!(%error, "the replay ends here");
-            self.failure = Some(error);
-            None
-        });
-        let Some(Command::Distances(window)) = reply.command else { return None };
+        let poll = self.next.take()?;
+        self.stamp = poll.reply.stamp;
+        self.read();
         // The emulated sensor encodes distances for the current poll: the driver's
         // polls differ, so this one need not equal the recorded one.
-        if self.remember(window, &reply) {
+        if self.remember(&poll) {
             return None;
         }
         // A refused or malformed reply is sent as it was, with the echo of the
         // current poll, unless it would parse as distances by chance.
+        let PollReply { asked: window, reply, .. } = poll;
         let echo = Command::Distances(window).bytes();
         let rest = reply.bytes.strip_prefix(&*echo);
         let command = std::str::from_utf8(asked).ok().and_then(parse_command);

@@ -16,6 +16,11 @@ pub(super) enum Topic {
 impl Topic {
     pub(super) const ALL: [Self; 3] = [Self::Scans, Self::Replies, Self::Events];
 
+    /// Returns the number of its channel in the files that this crate writes.
+    pub(super) const fn channel(self) -> u16 {
+        self as u16
+    }
+
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Scans => "/scan",

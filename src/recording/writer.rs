@@ -1,31 +1,33 @@
-//! The file as it is written: header, channels, messages, and chunks that are
-//! ended often. Knows no threads.
+//! [`Writer`]: turns scans, replies and events into messages of a file, and
+//! starts the next file where the recording is split. Knows no threads.
 
 use std::collections::BTreeMap;
-use std::io::Write;
-use std::time::{Instant, SystemTime};
-
-use mcap::records::{MessageHeader, Metadata};
-use mcap::write::NoSeek;
-use mcap::{McapResult, WriteOptions};
+use std::io;
+use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
+use super::mcap::{self, MAX_CHUNKS, McapWriter, MessageHeader};
+use super::parts::{Output, Parts};
 use super::topics::Topic;
 use crate::Scan;
 use crate::ros::{self, since_1970};
 
 /// The library as the file's header names it.
 const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
+/// A file is split right behind a scan, so that its reply is in the same file. A
+/// consumer that is always behind never lets that be; after this time the file is
+/// split anywhere.
+const SEAM_PATIENCE: Duration = Duration::from_secs(1);
 
-/// When something happened, on both clocks.
+/// The time of an event, on both clocks.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Times {
     pub(super) steady: Instant,
     pub(super) wall: SystemTime,
 }
 
-/// Turns instants into times of the log: the wall clock when the recording
-/// began, and on from there steadily, whatever happens to the wall clock.
+/// Turns instants into times of the log: the wall clock at the start of the
+/// recording, and from there on a steady clock.
 #[derive(Debug)]
 pub(super) struct LogClock {
     began: Times,
@@ -38,108 +40,180 @@ impl LogClock {
         Self { began: Times { steady, wall: SystemTime::now() } }
     }
 
-    /// In nanoseconds since 1970.
+    /// Returns nanoseconds since 1970.
     fn log_time(&self, at: Instant) -> u64 {
         let since = at.saturating_duration_since(self.began.steady);
         let before = self.began.steady.saturating_duration_since(at);
         let began = since_1970(self.began.wall);
-        u64::try_from((began + since).saturating_sub(before).as_nanos()).unwrap_or(u64::MAX)
+        nanos((began + since).saturating_sub(before))
     }
 }
 
-pub(super) struct Writer<W: Write> {
-    mcap: mcap::Writer<NoSeek<W>>,
+/// Writes a recording, in one file or several.
+pub(super) struct Writer {
+    mcap: McapWriter<Output>,
+    parts: Parts,
     clock: LogClock,
     frame_id: String,
-    scans: u16,
-    replies: u16,
-    events: u16,
-    /// How many replies and events there are.
+    /// The numbers of replies and events.
     numbers: [u32; 2],
     message: Vec<u8>,
+    part: Part,
+    carried: Carried,
 }
 
-impl<W: Write> Writer<W> {
-    pub(super) fn new(out: W, clock: LogClock, frame_id: String) -> McapResult<Self> {
-        // Without seeking a chunk is put together in memory and written in one
-        // go: nothing in the file is ever changed, so no end of the program
-        // leaves it half changed.
-        let mut mcap = WriteOptions::new()
-            .profile("ros2")
-            .library(LIBRARY)
-            .compression(None)
-            .disable_seeking(true)
-            .create(NoSeek::new(out))?;
-        let mut channel = |topic: Topic| {
-            let message = topic.message_type();
-            let schema =
-                mcap.add_schema(message.name(), "ros2msg", message.definition().as_bytes())?;
-            mcap.add_channel(schema, topic.name(), "cdr", &BTreeMap::new())
-        };
-        let scans = channel(Topic::Scans)?;
-        let (replies, events) = (channel(Topic::Replies)?, channel(Topic::Events)?);
+/// The state of the file that is being written.
+#[derive(Debug, Default)]
+struct Part {
+    /// The log time of its first message.
+    began: Option<u64>,
+    /// The log time of the first message that it should not have.
+    full: Option<u64>,
+    /// The stamp of its latest reply.
+    reply: Option<SystemTime>,
+    /// True behind a scan whose reply was the latest.
+    at_seam: bool,
+}
+
+/// What each file repeats, so that it can be replayed alone.
+#[derive(Debug, Default)]
+struct Carried {
+    metadata: Option<BTreeMap<String, String>>,
+    /// The latest reply to `V`, and its stamp.
+    version: Option<(Box<[u8]>, SystemTime)>,
+}
+
+impl Writer {
+    pub(super) fn new(
+        out: Output,
+        parts: Parts,
+        clock: LogClock,
+        frame_id: String,
+    ) -> io::Result<Self> {
         let mut writer = Self {
-            mcap,
+            mcap: start(out)?,
+            parts,
             clock,
             frame_id,
-            scans,
-            replies,
-            events,
             numbers: [0; 2],
             message: Vec::with_capacity(4096),
+            part: Part::default(),
+            carried: Carried::default(),
         };
         writer.flush()?;
         Ok(writer)
     }
 
-    pub(super) fn scan(&mut self, scan: &Scan) -> McapResult<()> {
-        ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
+    pub(super) fn scan(&mut self, scan: &Scan) -> io::Result<()> {
         let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
-        // The field has 32 bits; a gap is a gap all the same.
-        self.write(self.scans, scan.sequence() as u32, times)
+        ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
+        // The field has 32 bits. A gap is still a gap.
+        self.write(Topic::Scans, scan.sequence() as u32, times)?;
+        self.part.at_seam = self.part.reply.is_none_or(|reply| reply <= scan.stamp());
+        Ok(())
     }
 
     /// `bytes` is a frame without its terminator.
-    pub(super) fn reply(&mut self, command: &str, bytes: &[u8], times: Times) -> McapResult<()> {
+    pub(super) fn reply(&mut self, command: &str, bytes: &[u8], times: Times) -> io::Result<()> {
         ros::write_labelled_bytes(&mut self.message, command, &[bytes, b"\n\n"]);
         let [number, _] = &mut self.numbers;
         let sequence = std::mem::replace(number, number.wrapping_add(1));
-        self.write(self.replies, sequence, times)
+        self.write(Topic::Replies, sequence, times)?;
+        self.part.reply = Some(times.wall);
+        self.part.at_seam = false;
+        if bytes.starts_with(b"V\n0\n") {
+            self.carried.version = Some((bytes.into(), times.wall));
+        }
+        Ok(())
     }
 
-    pub(super) fn event(&mut self, json: &str, times: Times) -> McapResult<()> {
+    pub(super) fn event(&mut self, json: &str, times: Times) -> io::Result<()> {
         ros::write_text(&mut self.message, json);
         let [_, number] = &mut self.numbers;
         let sequence = std::mem::replace(number, number.wrapping_add(1));
-        self.write(self.events, sequence, times)
+        self.write(Topic::Events, sequence, times)
     }
 
-    pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> McapResult<()> {
-        self.mcap.write_metadata(&Metadata { name: METADATA.to_owned(), metadata })
+    pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
+        self.mcap.metadata(METADATA, &metadata)?;
+        self.carried.metadata = Some(metadata);
+        Ok(())
     }
 
-    /// Ends the chunk: what was written so far is in the file and can be read.
-    pub(super) fn flush(&mut self) -> McapResult<()> {
+    /// Ends the chunk: all messages up to now are in the file and can be read.
+    pub(super) fn flush(&mut self) -> io::Result<()> {
         self.mcap.flush()
     }
 
     /// Writes the index and the end of the file.
-    pub(super) fn finish(mut self) -> McapResult<()> {
+    pub(super) fn finish(self) -> io::Result<()> {
         self.mcap.finish().map(drop)
     }
 
-    fn write(&mut self, channel_id: u16, sequence: u32, times: Times) -> McapResult<()> {
+    /// Writes the encoded message.
+    fn write(&mut self, topic: Topic, sequence: u32, times: Times) -> io::Result<()> {
         let log_time = self.clock.log_time(times.steady);
-        let publish_time = u64::try_from(since_1970(times.wall).as_nanos()).unwrap_or(u64::MAX);
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
-        self.mcap.write_to_known_channel(&header, &self.message)
+        if self.is_split_due(log_time) {
+            self.start_next_part(log_time)?;
+        }
+        self.part.began.get_or_insert(log_time);
+        let publish_time = nanos(since_1970(times.wall));
+        let channel = topic.channel();
+        let header = MessageHeader { channel, sequence, log_time, publish_time };
+        self.mcap.message(header, &self.message)
     }
+
+    /// Decides if the message of this log time starts the next file.
+    fn is_split_due(&mut self, log_time: u64) -> bool {
+        let Part { began, full, at_seam, .. } = &mut self.part;
+        let Some(began) = *began else { return false };
+        let length = Duration::from_nanos(log_time.saturating_sub(began));
+        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.chunks());
+        if !is_full {
+            return false;
+        }
+        let full = *full.get_or_insert(log_time);
+        *at_seam || log_time.saturating_sub(full) >= nanos(SEAM_PATIENCE)
+    }
+
+    fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
+        let next = start(self.parts.next()?)?;
+        std::mem::replace(&mut self.mcap, next).finish()?;
+        self.part = Part::default();
+        if let Some(metadata) = &self.carried.metadata {
+            self.mcap.metadata(METADATA, metadata)?;
+        }
+        if let Some((bytes, stamp)) = &self.carried.version {
+            // Encoded on its own: the message that is due is encoded already.
+            let mut message = Vec::new();
+            ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);
+            let publish_time = nanos(since_1970(*stamp));
+            let channel = Topic::Replies.channel();
+            // Its number is that of the next reply: it is no reply of its own.
+            let [sequence, _] = self.numbers;
+            let header = MessageHeader { channel, sequence, log_time, publish_time };
+            self.mcap.message(header, &message)?;
+        }
+        Ok(())
+    }
+}
+
+/// Starts a file with the three channels.
+fn start(out: Output) -> io::Result<McapWriter<Output>> {
+    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_CHUNKS)?;
+    for topic in Topic::ALL {
+        let message = topic.message_type();
+        mcap.add_channel(topic.channel(), topic.name(), message.name(), message.definition());
+    }
+    Ok(mcap)
+}
+
+fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
 
     #[test]

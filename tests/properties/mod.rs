@@ -5,6 +5,8 @@ mod commands;
 mod driver;
 mod framing;
 mod peer;
+#[cfg(feature = "mcap")]
+mod recordings;
 mod replies;
 mod script;
 mod versions;
@@ -30,6 +32,12 @@ proptest! {
     #[test]
     fn only_what_the_text_allows_is_accepted(script in prop::collection::vec(any::<u8>(), 0..60)) {
         replies::only_what_the_text_allows_is_accepted(&script);
+    }
+
+    #[cfg(feature = "mcap")]
+    #[test]
+    fn any_file_is_read_and_repaired(script in prop::collection::vec(any::<u8>(), 0..60)) {
+        recordings::any_file_is_read_and_repaired(&script);
     }
 
     #[test]

@@ -4,5 +4,9 @@
 mod crash_and_full_disk;
 mod events;
 mod file;
+mod hostile;
+mod repair;
 mod replay;
+mod scans;
 mod sink;
+mod split;

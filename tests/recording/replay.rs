@@ -100,7 +100,7 @@ async fn what_was_damaged_or_refused_is_so_again() {
         let kind = |item: &Result<Scan, Error>| match item {
             Ok(_) => "scan",
             Err(Error::Malformed { .. }) => "malformed",
-            Err(Error::Refused { .. }) => "refused",
+            Err(Error::Refused { .. } | Error::NotConfirmed { .. }) => "refused",
             Err(_) => "other",
         };
         items.iter().map(kind).collect::<Vec<_>>()
@@ -108,7 +108,11 @@ async fn what_was_damaged_or_refused_is_so_again() {
     // Replies 0 to 2 are those of opening; fences count, too.
     let faults = Faults::none()
         .at(5, Fault::Drop(700..701))
+        // The poll, the `L1` that follows, its fence, and the poll again.
         .at(9, Fault::Status(b'7'))
+        .at(10, Fault::Status(b'7'))
+        .at(11, Fault::Status(b'7'))
+        .at(12, Fault::Status(b'7'))
         .at(14, Fault::Drop(14..16));
     let sink = Sink::new();
     let emulator = sensor();

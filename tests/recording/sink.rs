@@ -52,7 +52,10 @@ impl Write for Sink {
             return Err(io::ErrorKind::StorageFull.into());
         }
         file.extend_from_slice(&bytes[..fits]);
-        self.length.send_replace(file.len());
+        let length = file.len();
+        // Whoever is woken looks at the file.
+        drop(file);
+        self.length.send_replace(length);
         Ok(fits)
     }
 

@@ -11,6 +11,8 @@ mod picture;
 mod program;
 #[cfg(feature = "mcap")]
 mod recorded;
+#[cfg(feature = "mcap")]
+mod repaired;
 mod screen;
 mod served;
 mod usage;

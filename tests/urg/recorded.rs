@@ -21,7 +21,7 @@ fn scratch(name: &str) -> Scratch {
 }
 
 /// A recording of so many scans at 10 Hz, made in no time; gives their values.
-async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
+pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
     let mut recorder = Recorder::create(path).unwrap();
     let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1024);
     let sensor = builder.connect(Emulator::builder().usb().build()).await.unwrap();

@@ -28,6 +28,8 @@ impl Interrupt {
     pub(crate) fn listen() -> io::Result<Self> {
         let (sender, since) = watch::channel(None);
         let signalled = signalled()?;
+        #[cfg(unix)]
+        report_file_size_limit()?;
         tokio::spawn(async move {
             signalled.await;
             sender.send_replace(Some(Instant::now()));
@@ -93,6 +95,15 @@ fn ignores_hangup() -> bool {
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     // SIGHUP is number 1: the lowest bit.
     ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0) & 1 == 1
+}
+
+/// Has a write beyond the limit on the size of files (`ulimit -f`) fail. Without a
+/// handler the signal ends the program without a word, and tokio's is never removed.
+#[cfg(unix)]
+fn report_file_size_limit() -> io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let exceeded = rustix::process::Signal::XFSZ.as_raw();
+    signal(SignalKind::from_raw(exceeded)).map(drop)
 }
 
 #[cfg(windows)]

@@ -24,8 +24,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
 use crate::commands::{
-    baud, check as self_test, completions, emulate, info, laser, list, man, record, scan, serve,
-    stream as streaming, view as radar,
+    baud, check as self_test, completions, emulate, info, laser, list, man, record, repair, scan,
+    serve, stream as streaming, view as radar,
 };
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -52,6 +52,7 @@ enum Command {
     Stream(streaming::Stream),
     View(radar::View),
     Record(record::Record),
+    Repair(repair::Repair),
     Check(self_test::Check),
     Serve(serve::Serve),
     Laser(laser::Laser),
@@ -137,6 +138,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::Check(check) => check.run(&interrupt).await,
         Command::View(view) => view.run(&interrupt).await,
         Command::Record(record) => record.run(&interrupt).await,
+        Command::Repair(repair) => repair.run(&interrupt).await,
         Command::Serve(serve) => serve.run(&interrupt).await,
         // These can be stopped anywhere.
         Command::List(list) => interrupt.or(list.run()).await,

@@ -44,4 +44,5 @@ macro_rules! stand_in {
 }
 
 stand_in!(record, Record, "mcap");
+stand_in!(repair, Repair, "mcap");
 stand_in!(serve, Serve, "web");

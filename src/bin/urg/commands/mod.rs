@@ -15,13 +15,15 @@ pub(crate) mod man;
 mod missing;
 #[cfg(feature = "mcap")]
 pub(crate) mod record;
+#[cfg(feature = "mcap")]
+pub(crate) mod repair;
 pub(crate) mod scan;
 #[cfg(feature = "web")]
 pub(crate) mod serve;
 pub(crate) mod stream;
 pub(crate) mod view;
 
-#[cfg(not(feature = "mcap"))]
-pub(crate) use self::missing::record;
 #[cfg(not(feature = "web"))]
 pub(crate) use self::missing::serve;
+#[cfg(not(feature = "mcap"))]
+pub(crate) use self::missing::{record, repair};

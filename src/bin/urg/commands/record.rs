@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::time::Instant;
 
-use tokio_scip::recording::Recorder;
+use tokio_scip::recording::{Recorder, RecordingError};
 use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
@@ -20,6 +20,7 @@ use crate::recording::contents::clock;
 use crate::recording::file::{Existing, RecorderFile};
 use crate::recording::progress::Progress;
 use crate::recording::recorded::Recorded;
+use crate::recording::split::SplitLimit;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
 use crate::stream::rate_watch::RateWatch;
@@ -51,6 +52,13 @@ pub(crate) struct Record {
     /// Overwrite a file that exists, once the sensor is found
     #[arg(long)]
     force: bool,
+    /// Go on in a further file, run_0002.mcap and so on, after this time or size:
+    /// 1h, 30m, 500MB, 2GB [default: after 65,536 seconds of data]
+    ///
+    /// Each file is complete and can be replayed alone. No scan is lost or doubled.
+    /// Further files overwrite nothing: they take the next number that is free.
+    #[arg(long, value_name = "LIMIT")]
+    split: Option<SplitLimit>,
     /// Name of the sensor's coordinate frame, for ROS
     #[arg(long, value_name = "NAME", default_value = "laser")]
     frame_id: String,
@@ -71,8 +79,7 @@ impl Record {
             file = self.file(&port, file) => file?,
             _ = interrupt.requested() => return Ok(()),
         };
-        let recorder = Recorder::builder().frame_id(&self.frame_id).write_to(file.writer());
-        let recorder = recorder.map_err(|error| file.failure(&error))?;
+        let recorder = self.recorder(&file).map_err(|error| file.failure(&error))?;
         let (sensor, scans) = tokio::select! {
             opened = self.open(&port, window, rate, &recorder) => opened?,
             _ = interrupt.requested() => return Ok(()),
@@ -114,6 +121,20 @@ impl Record {
         }
         let existing = if self.force { Existing::Overwrite } else { Existing::Refuse };
         RecorderFile::open(file, existing).await
+    }
+
+    /// Starts to record into the file. Only a regular file is followed by others.
+    fn recorder(&self, file: &RecorderFile) -> Result<Recorder, RecordingError> {
+        let builder = Recorder::builder().frame_id(&self.frame_id);
+        let builder = match self.split {
+            None => builder,
+            Some(SplitLimit::Duration(duration)) => builder.split_duration(duration),
+            Some(SplitLimit::Bytes(bytes)) => builder.split_bytes(bytes),
+        };
+        match file.is_regular() {
+            true => builder.write_to_parts(file.writer(), file.path()),
+            false => builder.write_to(file.writer()),
+        }
     }
 
     async fn open(
@@ -200,8 +221,8 @@ impl RecordRun {
             ))),
         };
         let ended = self.reporter.finish(followed?);
-        finished?;
-        totals.bytes = file.len();
+        let finished = finished?;
+        (totals.bytes, totals.files) = (finished.bytes, finished.files);
         notice(format_args!("{name}: {}", totals.after(elapsed)));
         ended
     }
@@ -212,6 +233,7 @@ impl RecordRun {
 struct RecordTotals {
     scans: u64,
     bytes: u64,
+    files: u64,
     /// Scans that are not in the file, though they arrived.
     lost: u64,
     /// Replies that are not in the file, so that a replay lacks them.
@@ -232,6 +254,7 @@ impl RecordTotals {
         Self {
             scans: progress.scans,
             bytes: progress.bytes,
+            files: progress.files,
             lost: progress.lost + missed,
             lost_replies: progress.lost_replies,
             failed: reporter.failed,
@@ -241,17 +264,20 @@ impl RecordTotals {
 
     /// Returns a line of text.
     fn after(self, elapsed: Duration) -> String {
-        let Self { scans, bytes, lost, lost_replies, failed, disconnects } = self;
+        let Self { scans, bytes, files, lost, lost_replies, failed, disconnects } = self;
         let mut text = format!("{scans} scans in {}, ", clock(elapsed.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
             _ => format!("{:.1} MB", bytes as f64 / 1e6),
         });
+        if files > 1 {
+            // Writing to a string does not fail.
+            let _ = write!(text, " in {files} files");
+        }
         text.push_str(&match lost {
             0 => ", none lost".to_owned(),
             lost => format!(", {lost} lost"),
         });
-        // Writing to a string does not fail.
         if lost_replies > 0 {
             let _ = write!(text, ", {lost_replies} replies lost");
         }
@@ -277,6 +303,7 @@ mod tests {
         let bad = RecordTotals {
             scans: 3,
             bytes: 13_999,
+            files: 2,
             lost: 2,
             lost_replies: 5,
             failed: 4,
@@ -284,7 +311,7 @@ mod tests {
         };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 13 kB, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x"
+            "3 scans in 0:00, 13 kB in 2 files, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x"
         );
     }
 }

@@ -1,10 +1,11 @@
 //! The contents of a recording: its time span, the number of its scans, and its
 //! gaps.
 
+use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
-use tokio_scip::recording::{Entry, Recording, RecordingError};
+use tokio_scip::recording::{Recording, RecordingError};
 
 use crate::format::time;
 
@@ -17,26 +18,46 @@ const GAP_TOLERANCE: Duration = Duration::from_secs(1);
 const MAX_LISTED_GAPS: usize = 5;
 
 /// Reads the whole recording; blocks for as long as that takes.
-pub(crate) fn rows(mut recording: Recording) -> Result<Vec<Row>, RecordingError> {
+pub(crate) fn rows(path: &Path, recording: Recording) -> Result<Vec<Row>, RecordingError> {
     let (window, rate) = (recording.window(), recording.rate());
     let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
     let mut times = Times::default();
-    for record in recording.by_ref() {
-        let record = record?;
-        // Stamps stay those of the original when a replay is recorded.
-        if let Entry::Scan(scan) = record.entry {
-            times.scan(scan.stamp, longest);
+    let mut damaged_at = Vec::new();
+    // The scans that a replay has. Their stamps stay those of the original when a
+    // replay is recorded.
+    let mut recorded = recording.scans();
+    for scan in recorded.by_ref() {
+        match scan {
+            Ok(scan) => times.scan(scan.stamp(), longest),
+            Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
+            Err(RecordingError::NoReplies) => {}
+            Err(error) => return Err(error),
         }
     }
-    let complete = !recording.is_truncated();
+    let complete = !recorded.is_truncated() && damaged_at.is_empty();
     let Times { scans, gaps, .. } = &times;
     let asked = window.map(|window| format!(" of {window}")).unwrap_or_default();
     let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
-    let end = if complete { "yes" } else { "no: its end is missing; all that was read is above" };
+    let mut end = Vec::new();
+    if recorded.is_truncated() {
+        end.push("its end is missing".to_owned());
+    }
+    if let Some(first) = damaged_at.first() {
+        let parts = damaged_at.len();
+        end.push(format!("{parts} damaged parts left out, the first at byte {first}"));
+    }
+    let end = match complete {
+        true => "yes".to_owned(),
+        false => format!(
+            "no: {}; all the rest is above; `urg repair {}` makes a complete file of it",
+            end.join("; "),
+            path.display()
+        ),
+    };
     let mut rows = vec![
         ("scans", json!(scans), format!("{scans}{asked}")),
         ("gaps", json!(gaps), listed(gaps)),
-        ("complete", json!(complete), end.to_owned()),
+        ("complete", json!(complete), end),
     ];
     if let Some((first, last)) = times.span {
         let (began, seconds) = (time::utc(first), since(first, last));

@@ -91,9 +91,9 @@ impl RecorderFile {
         Failure::at(&self.path.display().to_string(), error)
     }
 
-    /// Returns the number of bytes in the file.
-    pub(crate) fn len(&self) -> u64 {
-        lock(&self.contents).file.metadata().map_or(0, |metadata| metadata.len())
+    /// Returns true unless it is a pipe or a device.
+    pub(crate) fn is_regular(&self) -> bool {
+        lock(&self.contents).file.metadata().is_ok_and(|metadata| metadata.is_file())
     }
 }
 

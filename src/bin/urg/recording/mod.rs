@@ -12,6 +12,8 @@ pub(crate) mod file;
 pub(crate) mod progress;
 #[cfg(feature = "mcap")]
 pub(crate) mod recorded;
+#[cfg(feature = "mcap")]
+pub(crate) mod split;
 
 #[cfg(not(feature = "mcap"))]
 pub(crate) use self::absent as recorded;

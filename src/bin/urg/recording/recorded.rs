@@ -70,7 +70,8 @@ impl Recorded {
     /// Reads all of it, and returns a row for each thing to report.
     pub(crate) async fn contents(&self) -> Result<Vec<Row>, Failure> {
         let recording = self.open()?;
-        let read = tokio::task::spawn_blocking(|| contents::rows(recording)).await;
+        let path = self.path.clone();
+        let read = tokio::task::spawn_blocking(move || contents::rows(&path, recording)).await;
         match read {
             Ok(rows) => rows.map_err(|error| self.failure(&error)),
             Err(error) => Err(self.failure(&error)),

@@ -1,0 +1,126 @@
+//! MCAP, the container format of recordings (<https://mcap.dev/spec>): written,
+//! read and repaired. Knows nothing of scans and ROS.
+//!
+//! Written by hand. The crate `mcap` keeps the index of all chunks in memory
+//! however long the file gets, returns nothing of a chunk that is cut off, and
+//! panics or reserves gigabytes on hostile lengths. A tests' reader checks
+//! against that crate.
+
+mod read;
+mod write;
+
+pub(super) use self::read::{FileError, Records, Section, Sections, split_record};
+pub(super) use self::write::{MAX_CHUNKS, McapWriter, header};
+
+/// Starts and ends every file.
+pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
+/// The kind of a record, and the length of its content.
+const RECORD_HEAD: usize = 1 + 8;
+/// The longest chunk, or message outside of a chunk, that is read.
+const MAX_CHUNK_BYTES: u64 = 64 << 20;
+/// The longest record of another kind that is read.
+const MAX_RECORD_BYTES: u64 = 1 << 20;
+
+/// Kinds of records.
+pub(super) mod kind {
+    pub(in super::super) const HEADER: u8 = 0x01;
+    pub(super) const FOOTER: u8 = 0x02;
+    pub(in super::super) const SCHEMA: u8 = 0x03;
+    pub(in super::super) const CHANNEL: u8 = 0x04;
+    pub(in super::super) const MESSAGE: u8 = 0x05;
+    pub(super) const CHUNK: u8 = 0x06;
+    pub(super) const MESSAGE_INDEX: u8 = 0x07;
+    pub(super) const CHUNK_INDEX: u8 = 0x08;
+    pub(super) const ATTACHMENT: u8 = 0x09;
+    pub(super) const STATISTICS: u8 = 0x0b;
+    pub(in super::super) const METADATA: u8 = 0x0c;
+    pub(super) const METADATA_INDEX: u8 = 0x0d;
+    pub(super) const SUMMARY_OFFSET: u8 = 0x0e;
+    pub(super) const DATA_END: u8 = 0x0f;
+}
+
+/// The fields of a message besides its data.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct MessageHeader {
+    pub(super) channel: u16,
+    pub(super) sequence: u32,
+    /// Nanoseconds since 1970.
+    pub(super) log_time: u64,
+    /// Nanoseconds since 1970.
+    pub(super) publish_time: u64,
+}
+
+impl MessageHeader {
+    const BYTES: usize = 2 + 4 + 8 + 8;
+
+    /// Splits the content of a message into its header and its data.
+    pub(super) fn parse(content: &[u8]) -> Option<(Self, &[u8])> {
+        let mut fields = Fields(content);
+        let header = Self {
+            channel: fields.u16()?,
+            sequence: fields.u32()?,
+            log_time: fields.u64()?,
+            publish_time: fields.u64()?,
+        };
+        Some((header, fields.0))
+    }
+}
+
+/// Reads the fields of a record. Each method returns `None` if the content is
+/// too short, and checks a length before it uses it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Fields<'a>(pub(super) &'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(count)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn array<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    pub(super) fn u16(&mut self) -> Option<u16> {
+        self.array().map(u16::from_le_bytes)
+    }
+
+    pub(super) fn u32(&mut self) -> Option<u32> {
+        self.array().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn u64(&mut self) -> Option<u64> {
+        self.array().map(u64::from_le_bytes)
+    }
+
+    /// Returns bytes behind a length of 32 bits.
+    pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
+        let length = usize::try_from(self.u32()?).ok()?;
+        self.take(length)
+    }
+
+    pub(super) fn string(&mut self) -> Option<&'a str> {
+        std::str::from_utf8(self.bytes()?).ok()
+    }
+}
+
+fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
+    let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
+    out.extend_from_slice(&length.to_le_bytes());
+    out.extend_from_slice(bytes);
+}
+
+/// Appends a record whose content `write` appends.
+fn put_record(out: &mut Vec<u8>, kind: u8, write: impl FnOnce(&mut Vec<u8>)) {
+    let start = out.len();
+    out.push(kind);
+    out.extend_from_slice(&[0; 8]);
+    write(out);
+    let length = (out.len() - start - RECORD_HEAD) as u64;
+    if let Some(place) = out.get_mut(start + 1..start + RECORD_HEAD) {
+        place.copy_from_slice(&length.to_le_bytes());
+    }
+}

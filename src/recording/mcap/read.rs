@@ -1,0 +1,396 @@
+//! [`Sections`] and [`Records`]: read a file from its beginning to wherever it
+//! ends, one chunk at a time, and find the next chunk behind a damaged part.
+//!
+//! No length is believed before it agrees with another one or with the bytes that
+//! are there. So memory is bounded by the file, and by a chunk of it.
+
+use std::io::{self, Read};
+use std::ops::Range;
+
+use super::{Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind};
+
+/// A chunk's head, behind the record's, up to the name of its compression: start,
+/// end, size, CRC, length of that name.
+const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4;
+/// The longest name of a compression.
+const MAX_COMPRESSION_NAME: usize = 16;
+/// What is read at once.
+const READ_BYTES: usize = 64 << 10;
+/// The record that ends the data, up to its content.
+const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+
+/// An error of a file's form, or of reading it.
+#[derive(Debug)]
+pub(in super::super) enum FileError {
+    Io(io::Error),
+    NotMcap,
+    /// Chunks are compressed.
+    Compressed(String),
+    /// A part is malformed. Reading goes on behind it.
+    Damaged {
+        offset: u64,
+        reason: &'static str,
+    },
+}
+
+/// A part of a file. Ranges are those of [`Sections::bytes`].
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in super::super) enum Section {
+    /// A record outside of chunks.
+    Record { kind: u8, content: Range<usize> },
+    /// A chunk whose checksum is right: all of it, and its records.
+    Chunk { record: Range<usize>, records: Range<usize> },
+    /// The beginning of a chunk, where the file ends in it.
+    CutChunk { records: Range<usize> },
+}
+
+/// Reads the parts of a file up to its summary.
+pub(in super::super) struct Sections {
+    input: Box<dyn Read + Send>,
+    /// Bytes of the file; those before `start` were used.
+    window: Vec<u8>,
+    start: usize,
+    /// The place of `start` in the file.
+    offset: u64,
+    /// How many bytes the latest section takes.
+    used: usize,
+    is_started: bool,
+    is_over: bool,
+    is_truncated: bool,
+}
+
+/// The head of a chunk whose lengths agree with each other.
+struct ChunkHead {
+    crc: u32,
+    compression: Range<usize>,
+    /// From the beginning of the chunk's record.
+    records: Range<usize>,
+}
+
+impl Sections {
+    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+        Self {
+            input: Box::new(input),
+            window: Vec::new(),
+            start: 0,
+            offset: 0,
+            used: 0,
+            is_started: false,
+            is_over: false,
+            is_truncated: false,
+        }
+    }
+
+    /// Returns true if the file ended before its data did.
+    pub(in super::super) fn is_truncated(&self) -> bool {
+        self.is_truncated
+    }
+
+    /// Returns the place of the latest section in the file.
+    pub(in super::super) fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// Returns the bytes of a range of the latest section.
+    pub(in super::super) fn bytes(&self, range: Range<usize>) -> &[u8] {
+        self.window.get(range).unwrap_or_default()
+    }
+
+    /// Returns the next section, or `None` at the end of the data. Only
+    /// [`FileError::Damaged`] is followed by more.
+    pub(in super::super) fn next(&mut self) -> Result<Option<Section>, FileError> {
+        if self.is_over {
+            return Ok(None);
+        }
+        let section = self.section();
+        self.is_over = !matches!(section, Ok(Some(_)) | Err(FileError::Damaged { .. }));
+        section
+    }
+
+    fn section(&mut self) -> Result<Option<Section>, FileError> {
+        if !self.is_started {
+            self.is_started = true;
+            let magic = self.peek(MAGIC.len())?;
+            if !MAGIC.starts_with(magic.get(..MAGIC.len()).unwrap_or(magic)) {
+                return Err(FileError::NotMcap);
+            }
+            self.used = MAGIC.len();
+        }
+        loop {
+            self.drop_used();
+            let head = self.peek(RECORD_HEAD + CHUNK_FIELDS + MAX_COMPRESSION_NAME + 8)?;
+            let Some((kind, length)) = record_head(head) else {
+                return Ok(self.end_early());
+            };
+            if let Some(chunk) = chunk_head(head) {
+                return self.chunk(kind, chunk);
+            }
+            let content = head.get(RECORD_HEAD..).unwrap_or_default();
+            let is_plausible = match kind {
+                kind::DATA_END | kind::FOOTER => {
+                    if length == if kind == kind::FOOTER { 20 } else { 4 } {
+                        return Ok(None);
+                    }
+                    false
+                }
+                // A cut-off head has no agreeing lengths, nor has a damaged one.
+                kind::CHUNK if content.len() < CHUNK_FIELDS + 8 => return Ok(self.end_early()),
+                kind::CHUNK => false,
+                kind::MESSAGE_INDEX => {
+                    let mut fields = Fields(content);
+                    let entries = fields.u16().and_then(|_| fields.u32());
+                    entries.is_none_or(|bytes| u64::from(bytes) + 6 == length && bytes % 16 == 0)
+                }
+                kind::MESSAGE => length <= MAX_CHUNK_BYTES,
+                kind::ATTACHMENT => true,
+                kind::HEADER..=kind::DATA_END => length <= MAX_RECORD_BYTES,
+                // Private to others; 0 and the rest are no records.
+                0x80.. => true,
+                _ => false,
+            };
+            if !is_plausible {
+                return self.resynchronise("a record's kind or length is wrong");
+            }
+            if matches!(kind, kind::ATTACHMENT | kind::MESSAGE_INDEX | 0x10..) {
+                if !self.skip(RECORD_HEAD as u64, length)? {
+                    return Ok(self.end_early());
+                }
+                continue;
+            }
+            let length = usize::try_from(length).unwrap_or(usize::MAX);
+            let end = RECORD_HEAD.saturating_add(length);
+            let found = self.peek(end)?;
+            let content = found.get(RECORD_HEAD..end.min(found.len())).unwrap_or_default();
+            match fields_length(kind, content) {
+                Some(fields) if fields != length => {
+                    return self
+                        .resynchronise("a record's fields are longer or shorter than it is");
+                }
+                None if found.len() >= end => {
+                    return self.resynchronise("a record is shorter than its fields");
+                }
+                _ if found.len() < end => return Ok(self.end_early()),
+                _ => {}
+            }
+            self.used = end;
+            let content = self.start + RECORD_HEAD..self.start + end;
+            return Ok(Some(Section::Record { kind, content }));
+        }
+    }
+
+    fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {
+        let ChunkHead { crc, compression, records } = head;
+        if !compression.is_empty() {
+            let name = self.peek(compression.end)?.get(compression).unwrap_or_default();
+            return Err(FileError::Compressed(name.escape_ascii().to_string()));
+        }
+        let chunk = self.peek(records.end)?;
+        let is_whole = chunk.len() >= records.end;
+        let end = records.end.min(chunk.len());
+        let found = chunk.get(records.start..end).unwrap_or_default();
+        // What is cut short cannot be checked.
+        let is_right =
+            kind == kind::CHUNK && (!is_whole || crc == 0 || crc32fast::hash(found) == crc);
+        self.used = end;
+        let records = self.start + records.start.min(end)..self.start + end;
+        if !is_right {
+            return Err(self.damaged("a chunk's checksum is wrong"));
+        }
+        if is_whole {
+            let record = self.start..self.start + end;
+            return Ok(Some(Section::Chunk { record, records }));
+        }
+        self.is_truncated = true;
+        Ok(Some(Section::CutChunk { records }))
+    }
+
+    /// Skips to the next chunk, or to the end of the data.
+    fn resynchronise(&mut self, reason: &'static str) -> Result<Option<Section>, FileError> {
+        let error = self.damaged(reason);
+        let mut skipped = 1;
+        loop {
+            let bytes = self.peek(skipped + READ_BYTES)?;
+            let rest = bytes.get(skipped..).unwrap_or_default();
+            let is_next = |at: &usize| {
+                let rest = rest.get(*at..).unwrap_or_default();
+                rest.starts_with(&DATA_END_HEAD)
+                    || rest.first() == Some(&kind::CHUNK) && chunk_head(rest).is_some()
+            };
+            if let Some(next) = (0..rest.len()).find(is_next) {
+                self.used = skipped + next;
+                return Err(error);
+            }
+            if rest.len() < READ_BYTES {
+                // The next call finds the end of the file.
+                self.used = bytes.len();
+                return Err(error);
+            }
+            // A head may begin in what was read and end behind it.
+            let tail = RECORD_HEAD + CHUNK_FIELDS + 8;
+            self.used = skipped + rest.len() - tail;
+            self.drop_used();
+            skipped = 0;
+        }
+    }
+
+    fn damaged(&self, reason: &'static str) -> FileError {
+        FileError::Damaged { offset: self.offset, reason }
+    }
+
+    fn end_early<T>(&mut self) -> Option<T> {
+        self.is_truncated = true;
+        None
+    }
+
+    /// Skips a record's content, however long it is. Returns false if the file
+    /// ends in it.
+    fn skip(&mut self, head: u64, length: u64) -> Result<bool, FileError> {
+        let mut rest = head.saturating_add(length);
+        while rest > 0 {
+            let next = rest.min(READ_BYTES as u64) as usize;
+            if self.peek(next)?.len() < next {
+                return Ok(false);
+            }
+            self.used = next;
+            self.drop_used();
+            rest -= next as u64;
+        }
+        Ok(true)
+    }
+
+    /// Returns the next bytes: at least so many, unless the file has fewer.
+    fn peek(&mut self, count: usize) -> Result<&[u8], FileError> {
+        let missing = (self.start.saturating_add(count)).saturating_sub(self.window.len());
+        if missing > 0 {
+            self.window.drain(..self.start);
+            self.start = 0;
+            // Grows with the bytes that are there, not with those that were claimed.
+            let wanted = missing.max(READ_BYTES) as u64;
+            let mut input = self.input.by_ref().take(wanted);
+            input.read_to_end(&mut self.window).map_err(FileError::Io)?;
+        }
+        Ok(self.window.get(self.start..).unwrap_or_default())
+    }
+
+    fn drop_used(&mut self) {
+        let used = std::mem::take(&mut self.used).min(self.window.len() - self.start);
+        self.start += used;
+        self.offset += used as u64;
+    }
+}
+
+/// The kind of a record and the length of its content.
+fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
+    let (&kind, rest) = bytes.split_first()?;
+    Some((kind, Fields(rest).u64()?))
+}
+
+/// Returns how long the fields of a record are, or `None` if they are longer than
+/// `content`. Without such a check a damaged length skips the chunks behind.
+fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
+    let (numbers, texts) = match kind {
+        kind::HEADER | kind::METADATA => (0, 2),
+        kind::SCHEMA => (1, 3),
+        kind::CHANNEL => (2, 3),
+        // Messages are as long as they are; the others are not read.
+        _ => return Some(content.len()),
+    };
+    let mut fields = Fields(content);
+    for _ in 0..numbers {
+        fields.u16()?;
+    }
+    for _ in 0..texts {
+        fields.bytes()?;
+    }
+    Some(content.len() - fields.0.len())
+}
+
+/// The head of the chunk at the beginning of `bytes`, whatever its kind says, if
+/// its lengths agree.
+fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
+    let (_, length) = record_head(bytes)?;
+    let mut fields = Fields(bytes.get(RECORD_HEAD..)?);
+    let (_start, _end, size) = (fields.u64()?, fields.u64()?, fields.u64()?);
+    let crc = fields.u32()?;
+    let name = fields.bytes()?;
+    let records = fields.u64()?;
+    let before = CHUNK_FIELDS + name.len() + 8;
+    let agrees = name.len() <= MAX_COMPRESSION_NAME
+        && length <= MAX_CHUNK_BYTES
+        && length.checked_sub(before as u64) == Some(records)
+        && (!name.is_empty() || size == records);
+    let compression = RECORD_HEAD + CHUNK_FIELDS;
+    let start = RECORD_HEAD + before;
+    let end = start.checked_add(usize::try_from(records).ok()?)?;
+    agrees.then_some(ChunkHead {
+        crc,
+        compression: compression..compression + name.len(),
+        records: start..end,
+    })
+}
+
+/// Splits off the first record of a chunk: its kind, its content, and the rest.
+pub(in super::super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+    let (kind, length) = record_head(records)?;
+    let rest = records.get(RECORD_HEAD..)?;
+    let (content, rest) = rest.split_at_checked(usize::try_from(length).ok()?)?;
+    Some((kind, content, rest))
+}
+
+/// Reads the records of a file, those in chunks included.
+pub(in super::super) struct Records {
+    sections: Sections,
+    /// The records of the current chunk that were not returned yet.
+    rest: Range<usize>,
+    is_cut: bool,
+}
+
+impl Records {
+    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+        Self { sections: Sections::new(input), rest: 0..0, is_cut: false }
+    }
+
+    /// Returns true if the file ended before its data did.
+    pub(in super::super) fn is_truncated(&self) -> bool {
+        self.sections.is_truncated()
+    }
+
+    /// Returns the place of the latest record's section in the file.
+    pub(in super::super) fn offset(&self) -> u64 {
+        self.sections.offset()
+    }
+
+    /// Returns the kind and content of the next record, or `None` at the end of
+    /// the data. Only [`FileError::Damaged`] is followed by more.
+    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
+        loop {
+            if !self.rest.is_empty() {
+                let rest = self.rest.clone();
+                let Some((_, content, behind)) = split_record(self.sections.bytes(rest.clone()))
+                else {
+                    self.rest = 0..0;
+                    if std::mem::take(&mut self.is_cut) {
+                        continue;
+                    }
+                    return Err(self.sections.damaged("a chunk ends in the middle of a record"));
+                };
+                let content = rest.end - behind.len() - content.len()..rest.end - behind.len();
+                self.rest = content.end..rest.end;
+                let kind = self.sections.bytes(rest).first().copied().unwrap_or_default();
+                return Ok(Some((kind, self.sections.bytes(content))));
+            }
+            match self.sections.next()? {
+                None => return Ok(None),
+                Some(Section::Record { kind, content }) => {
+                    return Ok(Some((kind, self.sections.bytes(content))));
+                }
+                Some(Section::Chunk { records, .. }) => {
+                    (self.rest, self.is_cut) = (records, false);
+                }
+                Some(Section::CutChunk { records }) => {
+                    (self.rest, self.is_cut) = (records, true);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! See `tests/properties/recordings.rs`.
+#![no_main]
+
+#[path = "../../properties/recordings.rs"]
+mod recordings;
+#[path = "../../properties/script.rs"]
+mod script;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| recordings::any_file_is_read_and_repaired(data));

@@ -1,0 +1,78 @@
+//! Files that were made to harm: they are read within the memory of their bytes.
+
+use std::io::Cursor;
+
+use tokio_scip::recording::{Recording, RecordingError, repair};
+
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+
+/// A record that claims this length.
+fn record(kind: u8, length: u64, content: &[u8]) -> Vec<u8> {
+    [&[kind][..], &length.to_le_bytes(), content].concat()
+}
+
+/// The fields of a chunk: times, size, CRC, compression, length of its records.
+fn chunk(size: u64, records: u64) -> Vec<u8> {
+    let (size, records) = (size.to_le_bytes(), records.to_le_bytes());
+    [&[0; 16][..], &size, &[0; 4], &[0; 4], &records].concat()
+}
+
+/// A string or a map that claims this length.
+fn claims(length: u32) -> [u8; 4] {
+    length.to_le_bytes()
+}
+
+#[test]
+fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
+    const G4: u64 = 4 << 30;
+    let cases = [
+        ("a header's string of 4 GB", record(0x01, 4, &claims(u32::MAX))),
+        ("a header of 4 GB", record(0x01, G4 + 4, &claims(u32::MAX))),
+        ("a short attachment", record(0x09, 24, &[0; 24])),
+        ("an attachment of 2^63", record(0x09, 1 << 63, &[0; 24])),
+        ("a record of 2^63", record(0x05, 1 << 63, &[0; 24])),
+        ("a private record of 2^64 - 1", record(0x80, u64::MAX, &[0; 24])),
+        ("a chunk of 4 GB", record(0x06, 40 + G4, &chunk(G4, G4))),
+        ("a chunk of 32 MB", record(0x06, 40 + (32 << 20), &chunk(32 << 20, 32 << 20))),
+        ("a chunk whose records claim 4 GB", record(0x06, 40, &chunk(0, G4))),
+        ("a chunk that becomes 4 GB", record(0x06, 40, &chunk(G4, 0))),
+        (
+            "a record of 2^63 in a chunk",
+            record(0x06, 49, &[chunk(9, 9), record(0x05, 1 << 63, &[])].concat()),
+        ),
+        (
+            "a map of 4 GB",
+            record(0x0c, 18, &[&claims(10)[..], b"tokio_scip", &claims(u32::MAX)].concat()),
+        ),
+        ("a message index of 4 GB", record(0x07, G4, &[&[0; 2][..], &claims(u32::MAX)].concat())),
+        ("a schema of 4 GB", record(0x03, 6, &[&[0; 2][..], &claims(u32::MAX)].concat())),
+        ("a record of no kind", record(0x00, 0, &[])),
+        ("zeros", vec![0; 1000]),
+    ];
+    for (name, bytes) in cases {
+        let file = [MAGIC, &bytes].concat();
+        let most = file.len() as u64;
+        let counted = allocation_counter::measure(|| {
+            let recording = Recording::read(Cursor::new(file.clone())).unwrap();
+            for item in recording {
+                assert!(matches!(item, Err(RecordingError::Damaged { .. })), "{name}: {item:?}");
+            }
+            let mut out = Vec::new();
+            repair(Cursor::new(file), &mut out).unwrap();
+            assert!(Recording::read(Cursor::new(out)).unwrap().next().is_none(), "{name}");
+        });
+        let (bytes, most) = (counted.bytes_max, 400_000 + 4 * most);
+        assert!(bytes < most, "{name}: {bytes} bytes in memory");
+    }
+}
+
+#[test]
+fn a_compressed_recording_is_reported_as_such() {
+    let head = [&[0; 16][..], &9u64.to_le_bytes(), &[0; 4], &claims(3), b"lz4"].concat();
+    let chunk = [&head[..], &9u64.to_le_bytes(), &[0; 9]].concat();
+    let file = [MAGIC, &record(0x06, chunk.len() as u64, &chunk)].concat();
+    let error = Recording::read(Cursor::new(file)).unwrap_err();
+    let RecordingError::Compressed { compression } = &error else { panic!("{error:?}") };
+    assert_eq!(compression, "lz4");
+    assert!(error.to_string().contains("`lz4`"), "{error}");
+}

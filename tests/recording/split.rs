@@ -1,0 +1,152 @@
+//! Recordings in several files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio::time::sleep;
+use tokio_scip::recording::{Entry, Record, Recorder, RecorderBuilder, Recording, ReplayPace};
+use tokio_scip::{Error, Rate, Sensor, Window};
+
+use super::file::{truth_of, write_truth};
+use super::sink::{polls, sensor};
+
+/// A folder for the files of a test, without those of the last run.
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// Records 350 scans, 35 s.
+async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> {
+    let mut recorder = builder.create(path).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64).jitter_seed(7);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let mut delivered = Vec::new();
+    while delivered.len() < 350 {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        delivered.push(item.unwrap());
+    }
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    delivered
+}
+
+/// The files of a recording, in order.
+fn parts(path: &Path) -> Vec<PathBuf> {
+    let name = path.file_stem().unwrap().to_str().unwrap();
+    let numbered = (2..).map(|n| path.with_file_name(format!("{name}_{n:04}.mcap")));
+    [path.to_owned()].into_iter().chain(numbered.take_while(|path| path.exists())).collect()
+}
+
+fn read(path: &Path) -> Vec<Record> {
+    let mut recording = Recording::open(path).unwrap();
+    let records = recording.by_ref().collect::<Result<_, _>>().unwrap();
+    assert!(!recording.is_truncated());
+    records
+}
+
+/// The numbers of the scans in a file.
+fn scans(records: &[Record]) -> Vec<u32> {
+    let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
+    scans.map(|record| record.sequence).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_replays_alone() {
+    let folder = folder("split");
+    for (name, builder, count) in [
+        ("duration", Recorder::builder().split_duration(Duration::from_secs(10)), 4),
+        ("bytes", Recorder::builder().split_bytes(400_000), 4),
+    ] {
+        let path = folder.join(format!("{name}.mcap"));
+        let delivered = record(builder, &path).await;
+        let parts = parts(&path);
+        assert_eq!(parts.len(), count, "{name}");
+        let mut all = Vec::new();
+        for part in &parts {
+            let records = read(part);
+            let scans = scans(&records);
+            assert_eq!(polls(&records).len(), scans.len(), "{part:?}");
+            let began = records.iter().map(|record| record.at).min().unwrap();
+            let ended = records.iter().map(|record| record.at).max().unwrap();
+            let seconds = ended.duration_since(began).unwrap().as_secs_f64();
+            assert!(seconds <= 12.0, "{part:?}: {seconds} s");
+            // Those of the first seconds belong to a file that is replayed alone.
+            let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
+            let builder = Sensor::builder().reconnect(false).ring_depth(1 << 10);
+            let sensor = builder.connect(replay).await.unwrap();
+            let serial_number = sensor.version().await.unwrap().serial_number.clone();
+            assert_eq!(
+                serial_number.to_string(),
+                Recording::open(part).unwrap().metadata()["serial_number"]
+            );
+            let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+            let mut replayed = Vec::new();
+            while let Some(Ok(scan)) = stream.next().await {
+                replayed.push(scan.values().to_vec());
+            }
+            assert_eq!(replayed.len(), scans.len(), "{part:?}");
+            all.extend(replayed);
+            write_truth(&part.with_extension("txt"), &truth_of(&delivered, &scans));
+        }
+        let delivered: Vec<_> = delivered.iter().map(|scan| scan.values().to_vec()).collect();
+        assert!(all == delivered, "{name}: {} scans of {}", all.len(), delivered.len());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_file_is_overwritten_by_a_further_one() {
+    let path = folder("split-exists").join("run.mcap");
+    let taken = path.with_file_name("run_0002.mcap");
+    fs::write(&taken, "precious").unwrap();
+    let builder = Recorder::builder().overwrite(true).split_duration(Duration::from_secs(30));
+    record(builder, &path).await;
+    assert_eq!(fs::read(&taken).unwrap(), b"precious");
+    let (first, second) = (read(&path), read(&path.with_file_name("run_0003.mcap")));
+    assert_eq!(scans(&first).len() + scans(&second).len(), 350);
+}
+
+/// The consumer is always a scan behind: there is no place without an
+/// outstanding scan.
+#[tokio::test(start_paused = true)]
+async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
+    let path = folder("split-behind").join("run.mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(5)).create(&path).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut before = stream.next().await.unwrap();
+    for _ in 0..100 {
+        let item = stream.next().await.unwrap();
+        recorder.record(&std::mem::replace(&mut before, item)).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let numbers: Vec<_> = parts(&path).iter().flat_map(|part| scans(&read(part))).collect();
+    assert_eq!(parts(&path).len(), 2);
+    assert_eq!(numbers, (0..100).collect::<Vec<_>>());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_further_file_that_cannot_be_created_ends_the_recording_with_its_name() {
+    let folder = folder("split-gone");
+    let path = folder.join("run.mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();
+    fs::remove_dir_all(&folder).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let mut item: Result<_, Error> = sensor.scan(Window::DETECTION).await;
+    recorder.record(&item).unwrap();
+    sleep(Duration::from_secs(2)).await;
+    item = sensor.scan(Window::DETECTION).await;
+    let _ = recorder.record(&item);
+    let error = recorder.finish().await.unwrap_err();
+    let cause = std::error::Error::source(&error).unwrap().to_string();
+    assert!(cause.contains("run_0002.mcap"), "{cause}");
+}
