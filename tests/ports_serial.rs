@@ -61,15 +61,15 @@ impl Drop for Scratch {
 }
 
 #[tokio::test]
-async fn all_six_line_speeds_are_set_and_in_force() {
+async fn all_six_baud_rates_are_set_and_in_force() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     assert_eq!(port.baud_rate(), Some(BaudRate::B19200), "as a sensor after power-up");
     assert_eq!(line.near.baud_rate().unwrap(), 19_200);
-    for speed in BaudRate::ALL.into_iter().rev() {
-        port.set_baud_rate(speed).unwrap();
-        assert_eq!(port.baud_rate(), Some(speed));
-        assert_eq!(line.near.baud_rate().unwrap(), speed.bits_per_second());
+    for baud_rate in BaudRate::ALL.into_iter().rev() {
+        port.set_baud_rate(baud_rate).unwrap();
+        assert_eq!(port.baud_rate(), Some(baud_rate));
+        assert_eq!(line.near.baud_rate().unwrap(), baud_rate.bits_per_second());
     }
 }
 
@@ -295,7 +295,7 @@ async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
 }
 
 #[tokio::test]
-async fn o06_what_is_no_serial_port_is_told_apart_from_what_is_not_there() {
+async fn o06_a_file_that_is_not_a_serial_port_and_a_missing_path_have_different_errors() {
     let scratch = Scratch::new("files");
     let file = scratch.path("file");
     std::fs::write(&file, "no port").unwrap();

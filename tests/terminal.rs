@@ -32,7 +32,7 @@ struct Counts {
     opened: AtomicU64,
     /// A permit for each attempt to open the port that failed.
     refused: Semaphore,
-    /// Reads that told that the port is gone.
+    /// Reads that reported that the port is gone.
     dead_reads: AtomicU64,
     flushes: AtomicU64,
 }
@@ -71,8 +71,8 @@ impl Port for Counted {
         self.port.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, speed: BaudRate) -> std::io::Result<()> {
-        self.port.set_baud_rate(speed)
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> std::io::Result<()> {
+        self.port.set_baud_rate(baud_rate)
     }
 
     fn discard_output(&mut self) {
@@ -151,15 +151,15 @@ async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_
 }
 
 #[tokio::test]
-async fn a_sensor_at_another_speed_is_found_and_moved_on_a_real_terminal() {
+async fn a_sensor_at_another_baud_rate_is_found_and_moved_on_a_real_terminal() {
     let emulator = truthful().baud_rate(BaudRate::B57600).build();
-    let (path, _serving) = serve(&emulator, "speed");
+    let (path, _serving) = serve(&emulator, "baud_rate");
     let sensor = builder().baud_rate(BaudRate::B250000).open(path.to_str().unwrap()).await.unwrap();
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
-    assert!(emulator.counts().garbled > 0, "the wrong speed was not garbled");
+    assert!(emulator.counts().garbled > 0, "the wrong baud_rate was not garbled");
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
     Truth::of(&emulator.log()).check(&scan).unwrap();
-    // Somebody else gets the port when the driver is gone, at its old speed.
+    // Somebody else gets the port when the driver is gone, at its old baud_rate.
     sensor.close().await;
     let sensor = builder().open(path.to_str().unwrap()).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();

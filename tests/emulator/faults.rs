@@ -1,4 +1,4 @@
-//! What goes wrong on demand.
+//! Faults on demand.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use super::{ask, listen, listen_bytes, prompt};
 
 const S: Duration = Duration::from_secs(1);
 
-/// What comes for `L0` where the fault is of the first reply, `L0\n0\n\n`.
+/// Returns the bytes that arrive for `L0` if its reply, `L0\n0\n\n`, has the fault.
 async fn l0_with(fault: Fault) -> Vec<u8> {
     let emulator = prompt().faults(Faults::none().at(0, fault)).build();
     let mut link = emulator.link();
@@ -105,22 +105,22 @@ async fn a_trickle_and_a_pause_take_their_time() {
 
 #[tokio::test(start_paused = true)]
 async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
-    let speed = BaudRate::B115200;
+    let baud_rate = BaudRate::B115200;
     for after in 0..=1399 {
         let emulator = prompt()
-            .baud_rate(speed)
+            .baud_rate(baud_rate)
             .boot_time(S)
             .laser(false)
             .faults(Faults::none().at(1, Fault::Reset(after)))
             .build();
         let mut link = emulator.link();
-        link.set_baud_rate(speed).unwrap();
+        link.set_baud_rate(baud_rate).unwrap();
         sleep(S).await;
         assert_eq!(ask(&mut link, "L1").await, "L1\n0\n\n");
         link.write_all(b"G04472501\n").await.unwrap();
         let mut part = vec![0; after];
         link.read_exact(&mut part).await.unwrap();
-        // Silent while it starts, and then at another speed.
+        // Silent while it starts, and then at another baud rate.
         link.write_all(b"V\n").await.unwrap();
         sleep(2 * S).await;
         assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));

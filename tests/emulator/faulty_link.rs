@@ -1,4 +1,4 @@
-//! The stream whose calls fail when they are told to.
+//! The stream whose calls fail as scripted.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -126,7 +126,7 @@ async fn flushes_are_counted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_change_of_speed_fails_when_it_is_told_to() {
+async fn a_change_of_the_baud_rate_fails_when_it_is_told_to() {
     let emulator = prompt().baud_rate(BaudRate::B57600).build();
     let mut link = FaultyLink::new(emulator.link()).fail(
         Call::SetBaudRate,

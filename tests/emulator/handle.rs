@@ -1,4 +1,4 @@
-//! What a test can see of the sensor, and do to it.
+//! The handle of a test to the sensor.
 
 use std::time::Duration;
 
@@ -132,7 +132,7 @@ async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
     emulator.unplug();
     emulator.plug_in();
     assert_eq!(listen(&mut emulator.link()).await, "");
-    // Also what the sensor says while it is off.
+    // Also bytes that the sensor sends while the cable is off.
     let emulator = Emulator::default();
     emulator.link().write_all(b"V\n").await.unwrap();
     emulator.unplug();

@@ -8,7 +8,7 @@ use tokio_scip::emulator::{EmptyCommand, Emulator, Faults, Firmware};
 
 use super::prompt;
 
-/// What comes for `bytes` within an hour.
+/// Returns the bytes that arrive for `bytes` within an hour.
 fn replies(emulator: &Emulator, bytes: &[u8]) -> Vec<u8> {
     let runtime =
         tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();

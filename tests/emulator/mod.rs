@@ -1,13 +1,13 @@
-//! The emulated sensor against the protocol text: what it says, when, and what
-//! goes wrong on demand. Expected bytes are written by hand.
+//! The emulated sensor against the protocol text: its replies, their times, and its
+//! faults on demand. Expected bytes are written by hand.
 
+mod baud_rate;
 mod faults;
 mod faulty_link;
 mod handle;
 mod lines;
 mod replies;
 mod served;
-mod speed;
 mod time;
 mod worlds;
 
@@ -16,21 +16,21 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio_scip::emulator::{Builder, Emulator, Fixed, Pace};
 
-/// A sensor that answers at once and always sees 1,234 mm.
+/// A sensor that answers at once and always measures 1,234 mm.
 fn prompt() -> Builder {
     crate::common::limit::limit();
     Emulator::builder().pace(Pace::AtOnce).world(Fixed::filled(1234))
 }
 
-/// Sends `command` with a line feed, and gives what comes within ten seconds up
-/// to the double line feed: with none, all of it.
+/// Sends `command` with a line feed, and returns the reply: all bytes within ten
+/// seconds, up to the double line feed.
 async fn ask(link: &mut (impl AsyncRead + AsyncWrite + Unpin), command: &str) -> String {
     link.write_all(command.as_bytes()).await.unwrap();
     link.write_all(b"\n").await.unwrap();
     listen(link).await
 }
 
-/// What comes within ten seconds, up to a double line feed.
+/// Returns the bytes that arrive within ten seconds, up to a double line feed.
 async fn listen(link: &mut (impl AsyncRead + Unpin)) -> String {
     String::from_utf8(listen_bytes(link).await).unwrap()
 }

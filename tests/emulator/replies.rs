@@ -1,4 +1,4 @@
-//! What the sensor answers, byte by byte.
+//! Replies, byte by byte.
 
 use tokio::io::AsyncWriteExt;
 use tokio_scip::BaudRate;
@@ -190,7 +190,7 @@ async fn an_over_long_command_is_cut_and_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn on_usb_a_change_of_speed_has_no_effect() {
+async fn on_usb_a_change_of_the_baud_rate_has_no_effect() {
     let text = prompt().firmware(Firmware::Text).build();
     assert_eq!(ask(&mut text.link(), "S1152000000000").await, "S1152000000000\n0\n\n");
     let third = prompt().build();

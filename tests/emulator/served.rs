@@ -51,7 +51,7 @@ async fn unplugging_ends_a_client_that_does_not_read() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn behind_a_bridge_at_another_speed_nothing_is_understood() {
+async fn behind_a_bridge_at_another_baud_rate_nothing_is_understood() {
     let emulator = prompt().baud_rate(BaudRate::B115200).build();
     let (mut client, server) = duplex(64);
     tokio::spawn(async move { emulator.serve_at(server, BaudRate::B19200).await });
@@ -105,9 +105,9 @@ mod terminal {
         Served { path: pty.path().to_owned(), task: tokio::spawn(pty.serve()) }
     }
 
-    fn open(path: &Path, speed: u32) -> SerialStream {
+    fn open(path: &Path, baud_rate: u32) -> SerialStream {
         // Exclusive, as the crate's own ports are.
-        SerialStream::open(&tokio_serial::new(path.to_str().unwrap(), speed)).unwrap()
+        SerialStream::open(&tokio_serial::new(path.to_str().unwrap(), baud_rate)).unwrap()
     }
 
     /// A path of this test's own, with nothing there.
@@ -157,7 +157,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn a_wrong_line_speed_garbles_both_ways() {
+    async fn a_wrong_baud_rate_garbles_both_ways() {
         let latency = Duration::from_millis(200);
         let emulator = prompt().baud_rate(BaudRate::B19200).latency(latency).build();
         let served = serve(&emulator, None);
@@ -170,7 +170,7 @@ mod terminal {
         assert!(heard.garbled && heard.line != b"L0" && emulator.is_laser_on());
         while listen_bytes(&mut client).await.is_empty() {}
 
-        // A command is understood, and the answer comes at another speed.
+        // A command is understood, and the answer comes at another baud rate.
         client.write_all(b"V\n").await.unwrap();
         while emulator.counts().commands < 2 {
             tokio::time::sleep(Duration::from_millis(1)).await;
@@ -192,17 +192,17 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn all_six_speeds_can_be_set_on_both_sides() {
+    async fn all_six_baud_rates_can_be_set_on_both_sides() {
         let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
-        for speed in BaudRate::ALL.into_iter().skip(1) {
-            let command = format!("S{:06}0000000", speed.bits_per_second());
+        for baud_rate in BaudRate::ALL.into_iter().skip(1) {
+            let command = format!("S{:06}0000000", baud_rate.bits_per_second());
             assert_eq!(ask(&mut client, &command).await, format!("{command}\n0\n\n"));
-            while emulator.baud_rate() != Some(speed) {
+            while emulator.baud_rate() != Some(baud_rate) {
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
-            client.set_baud_rate(speed.bits_per_second()).unwrap();
+            client.set_baud_rate(baud_rate.bits_per_second()).unwrap();
             assert!(ask(&mut client, "V").await.starts_with("V\n0\nVEND:"));
         }
     }

@@ -1,4 +1,4 @@
-//! When the sensor answers.
+//! The times of replies.
 
 use std::time::Duration;
 
@@ -11,12 +11,12 @@ use super::{ask, listen, prompt};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A sensor as USB has it: one command a revolution.
+/// A sensor on USB: it serves one command a revolution.
 fn turning(revolution: Duration) -> Emulator {
     Emulator::builder().revolution(revolution).world(Fixed::filled(1234)).build()
 }
 
-/// When the first and the last byte of a reply come, after `start`.
+/// Returns the times after `start` of the first and the last byte of a reply.
 async fn times(link: &mut Link, command: &str, start: Instant) -> (Duration, Duration) {
     link.write_all(format!("{command}\n").as_bytes()).await.unwrap();
     link.read_u8().await.unwrap();
@@ -114,8 +114,8 @@ async fn a_scan_shows_the_revolution_finished_last() {
 
 #[tokio::test(start_paused = true)]
 async fn a_reply_takes_its_time_on_the_line() {
-    // What the table in the sensor's facts says, for 1,576 bytes.
-    for (speed, micros) in [
+    // 1,576 bytes of ten bits each.
+    for (baud_rate, micros) in [
         (BaudRate::B19200, 820_833),
         (BaudRate::B57600, 273_611),
         (BaudRate::B115200, 136_805),
@@ -123,29 +123,30 @@ async fn a_reply_takes_its_time_on_the_line() {
         (BaudRate::B500000, 31_520),
         (BaudRate::B750000, 21_013),
     ] {
-        let mut link = prompt().baud_rate(speed).build().link();
-        link.set_baud_rate(speed).unwrap();
+        let mut link = prompt().baud_rate(baud_rate).build().link();
+        link.set_baud_rate(baud_rate).unwrap();
         let start = Instant::now();
         let (first, last) = times(&mut link, "G00076801", start).await;
         // The command's ten bytes come before it.
-        let command = speed.wire_time(10);
-        assert!(about(first, command + speed.wire_time(1)), "{speed}: {first:?}");
+        let command = baud_rate.wire_time(10);
+        assert!(about(first, command + baud_rate.wire_time(1)), "{baud_rate}: {first:?}");
         let expected = command + Duration::from_micros(micros);
-        assert!(about(last, expected), "{speed}: {last:?} for {expected:?}");
+        assert!(about(last, expected), "{baud_rate}: {last:?} for {expected:?}");
     }
 }
 
 #[tokio::test(start_paused = true)]
 async fn a_reply_longer_than_a_revolution_costs_whole_revolutions() {
-    for (speed, scans) in [(BaudRate::B19200, 125), (BaudRate::B115200, 500)] {
-        let mut link = Emulator::builder().baud_rate(speed).world(Fixed::filled(1)).build().link();
-        link.set_baud_rate(speed).unwrap();
+    for (baud_rate, scans) in [(BaudRate::B19200, 125), (BaudRate::B115200, 500)] {
+        let mut link =
+            Emulator::builder().baud_rate(baud_rate).world(Fixed::filled(1)).build().link();
+        link.set_baud_rate(baud_rate).unwrap();
         let start = Instant::now();
         for _ in 0..scans {
             ask(&mut link, "G04472501").await;
         }
         let taken = start.elapsed();
-        assert!((99..=101).contains(&taken.as_secs()), "{speed}: {taken:?}");
+        assert!((99..=101).contains(&taken.as_secs()), "{baud_rate}: {taken:?}");
     }
 }
 

@@ -1,4 +1,4 @@
-//! Baud rates, and what comes of different ones.
+//! Baud rates, and lines whose two ends have different ones.
 
 use std::time::Duration;
 
@@ -11,8 +11,8 @@ use super::{ask, listen, listen_bytes, prompt};
 
 const MS: Duration = Duration::from_millis(1);
 
-fn serial(speed: BaudRate) -> Emulator {
-    prompt().baud_rate(speed).build()
+fn serial(baud_rate: BaudRate) -> Emulator {
+    prompt().baud_rate(baud_rate).build()
 }
 
 #[tokio::test(start_paused = true)]
@@ -29,15 +29,15 @@ async fn a_link_starts_at_19200_baud_and_has_none_on_usb() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn at_a_wrong_speed_the_sensor_hears_no_command() {
-    for speed in &BaudRate::ALL[1..] {
-        let emulator = serial(*speed);
+async fn at_a_wrong_baud_rate_the_sensor_hears_no_command() {
+    for baud_rate in &BaudRate::ALL[1..] {
+        let emulator = serial(*baud_rate);
         let mut link = emulator.link();
         link.write_all(b"L0\nL0\nL0\n").await.unwrap();
         assert_ne!(listen_bytes(&mut link).await, b"L0\n0\n\n");
-        assert!(emulator.is_laser_on(), "{speed}");
+        assert!(emulator.is_laser_on(), "{baud_rate}");
         assert_eq!(emulator.counts().malformed, 0, "garbled lines are counted apart");
-        link.set_baud_rate(*speed).unwrap();
+        link.set_baud_rate(*baud_rate).unwrap();
         link.write_all(b"\n").await.unwrap();
         listen_bytes(&mut link).await;
         assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
@@ -45,7 +45,7 @@ async fn at_a_wrong_speed_the_sensor_hears_no_command() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn at_a_wrong_speed_the_host_reads_no_reply() {
+async fn at_a_wrong_baud_rate_the_host_reads_no_reply() {
     for sensor in BaudRate::ALL {
         for host in BaudRate::ALL.into_iter().filter(|host| *host != sensor) {
             let emulator = prompt().baud_rate(sensor).latency(10 * MS).build();
@@ -62,7 +62,7 @@ async fn at_a_wrong_speed_the_host_reads_no_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_accepted_speed_is_in_force_one_revolution_later_and_brings_a_stray_byte() {
+async fn an_accepted_baud_rate_is_in_force_one_revolution_later_and_brings_a_stray_byte() {
     let emulator = serial(BaudRate::B19200);
     let mut link = emulator.link();
     let start = Instant::now();
@@ -97,7 +97,7 @@ async fn a_command_that_comes_before_the_change_is_served_after_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_speed_survives_the_link_and_not_a_power_cycle() {
+async fn a_baud_rate_survives_the_link_and_not_a_power_cycle() {
     let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
     ask(&mut emulator.link(), "S2500000000000").await;
     sleep(200 * MS).await;
@@ -110,7 +110,7 @@ async fn a_speed_survives_the_link_and_not_a_power_cycle() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_bridge_keeps_its_own_speed() {
+async fn a_bridge_keeps_its_own_baud_rate() {
     let emulator = serial(BaudRate::B19200);
     let mut link = emulator.bridge(BaudRate::B19200);
     assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
@@ -126,7 +126,7 @@ async fn a_bridge_keeps_its_own_speed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_change_of_speed_waits_for_the_motor_too() {
+async fn a_change_of_baud_rate_waits_for_the_motor_too() {
     let emulator =
         Emulator::builder().baud_rate(BaudRate::B19200).pace(Pace::PerRevolution).build();
     let mut link = emulator.link();
