@@ -70,7 +70,7 @@ pub struct ScipCodec {
     expected: Option<ExpectedScan>,
 }
 
-/// How a reply of success to a `G` begins and where it ends.
+/// The beginning and the length of a reply of success to a `G`.
 #[derive(Debug, Clone, Copy)]
 struct ExpectedScan {
     /// The echo and the status.

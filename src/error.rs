@@ -94,7 +94,7 @@ pub enum Error {
     NoAnswer {
         /// The only baud rate that was tried, where the port cannot change it.
         baud_rate: Option<BaudRate>,
-        /// Whether all six baud rates were tried.
+        /// True if all six baud rates were tried.
         searched: bool,
         /// The number of bytes that came and made no reply.
         bytes: u64,

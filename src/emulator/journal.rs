@@ -26,11 +26,11 @@ pub struct Received {
     pub at: Instant,
     /// The line without its terminator, at most 64 bytes.
     pub line: Vec<u8>,
-    /// Whether it was a command of SCIP 1.1.
+    /// The result of parsing it as a command of SCIP 1.1.
     pub verdict: Verdict,
-    /// Whether the two ends of the line had different baud rates.
+    /// True if the two ends of the line had different baud rates.
     pub garbled: bool,
-    /// Whether its first byte arrived before the end of the reply to an earlier
+    /// True if its first byte arrived before the end of the reply to an earlier
     /// command (empty commands excepted).
     pub overlapping: bool,
 }

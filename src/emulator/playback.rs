@@ -42,9 +42,9 @@ pub(crate) trait Script: Send {
 /// The time at which replies are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PlaybackPace {
-    /// When they are due.
+    /// At the recorded times.
     AsRecorded,
-    /// As soon as they are asked for.
+    /// As soon as they are requested.
     Immediate,
 }
 

@@ -205,7 +205,7 @@ impl TimedDevice {
         self.faults.replace(faults);
     }
 
-    /// The sensor's baud rate in bits per second, `None` on USB.
+    /// Returns the sensor's baud rate in bits per second, `None` on USB.
     fn baud_rate(&self) -> Option<u32> {
         self.device.baud_rate.map(BaudRate::bits_per_second)
     }

@@ -88,7 +88,7 @@ pub async fn list() -> Result<Vec<PortInfo>, Error> {
     }
 }
 
-/// What cannot be opened, in an error of listing.
+/// The name of the port in an error of listing.
 pub(super) const THE_LIST: &str = "the list of serial ports";
 
 fn list_blocking() -> Result<Vec<PortInfo>, Error> {

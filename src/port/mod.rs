@@ -200,7 +200,7 @@ pub trait Connect: Send + 'static {
         false
     }
 
-    /// Called when the port that was opened last has the right sensor. The next
+    /// Accepts the port that was opened last: it has the right sensor. The next
     /// [`connect`](Self::connect), after a loss of the link, begins with the first
     /// candidate again.
     fn found(&mut self) {}

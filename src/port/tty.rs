@@ -15,8 +15,8 @@ use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 /// The longest read. The buffer is initialised before each read, and no reply of a
 /// sensor is longer.
 const MAX_READ_BYTES: usize = 2048;
-/// Whether a short read proves that the system's buffer is empty and that new bytes
-/// re-arm readiness. True for terminals with edge-triggered epoll.
+/// True where a short read proves that the system's buffer is empty and that new bytes
+/// re-arm readiness: terminals with edge-triggered epoll.
 const SHORT_READ_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
 /// The time until a write is retried on a port whose buffer is full: about that of one
 /// command on the slowest line.

@@ -325,7 +325,7 @@ pub enum Malformed {
     /// before it, or it is the reply to another command.
     #[error("the reply begins with \"{found}\", where the command was expected")]
     Echo {
-        /// How it begins.
+        /// The bytes at its beginning.
         found: Text,
     },
     /// The reply ends after its echo.

@@ -54,11 +54,11 @@ pub enum DiagnosticLevel {
 /// The condition of a device, as in `diagnostic_msgs/msg/DiagnosticStatus`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DiagnosticStatus {
-    /// How it goes.
+    /// The severity of the condition.
     pub level: DiagnosticLevel,
     /// The part that it is about: a node and a topic of it, by convention.
     pub name: String,
-    /// How it goes, in words.
+    /// The condition in words.
     pub message: String,
     /// The device, such as its serial number.
     pub hardware_id: String,

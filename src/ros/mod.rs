@@ -106,8 +106,8 @@ mod tests {
 
     use super::*;
 
-    /// The hash of REP 2016: SHA-256 over the definition as JSON, in Python's way of
-    /// writing it.
+    /// Returns the hash of REP 2016: SHA-256 over the definition as JSON, formatted as
+    /// Python does.
     fn hash(message: &MessageType) -> String {
         let line = format!("{}\n", "=".repeat(80));
         let mut parts = message.definition.split(&line);

@@ -38,7 +38,7 @@ use crate::protocol::{Measurement, Window, angle};
 pub struct Scan {
     window: Window,
     values: Arc<[u16]>,
-    /// Where this scan begins in `values`; a cropped one shares them.
+    /// The index of its first value in `values`, which a cropped scan shares.
     first: usize,
     /// Steps of the first cluster, in whose middle its point lies. A crop keeps it,
     /// so that a point keeps its direction.
@@ -73,7 +73,8 @@ pub struct Point {
 }
 
 impl Scan {
-    /// `values` has one value for each point of `window`, after `first` others.
+    /// Creates a scan. `values` has one value for each point of `window`, after `first`
+    /// others.
     pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
         Self { window, values, first, first_cluster: window.first_cluster(), meta }
     }

@@ -104,7 +104,7 @@ impl Room {
 }
 
 impl Default for Room {
-    /// [`Room::new`] with seed 0.
+    /// Returns [`Room::new`] with seed 0.
     fn default() -> Self {
         Self::new(0)
     }

@@ -19,7 +19,7 @@ pub(crate) struct Completions {
 }
 
 impl Completions {
-    /// `program` is the whole command line.
+    /// Writes the completions of `program`, the whole command line.
     pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut program, "urg", &mut script);

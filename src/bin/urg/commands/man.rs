@@ -17,7 +17,7 @@ pub(crate) struct Manual {
 }
 
 impl Manual {
-    /// `program` is the whole command line.
+    /// Writes the page of one command of `program`, the whole command line.
     pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
         let failed = |error: std::io::Error| Failure::of("cannot write the page", &error);
         // Commands get their full names and the options that all have.

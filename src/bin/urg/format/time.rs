@@ -14,7 +14,7 @@ pub(crate) fn file_name(time: SystemTime) -> String {
     timestamp(time).strftime("%Y-%m-%dT%H%M%SZ").to_string()
 }
 
-/// The system's clock may hold a year that no calendar has.
+/// Converts `time`; 1970 if the system's clock is at a year that no calendar has.
 fn timestamp(time: SystemTime) -> Timestamp {
     Timestamp::try_from(time).unwrap_or_default()
 }

@@ -60,7 +60,7 @@ impl Sector {
         Self { from: window.start().angle().into(), to: window.end().angle().into() }
     }
 
-    /// The rectangle that a plot of it needs.
+    /// Returns the rectangle that a plot of it needs.
     pub(crate) fn extent(self) -> Extent {
         // A window of a few steps still makes a picture with two dimensions.
         const LEAST: f64 = 0.25;
@@ -88,9 +88,9 @@ impl Sector {
         [30, 10, 5].into_iter().map(each).find(|found| found.len() > 1).unwrap_or_else(|| each(1))
     }
 
-    /// Beside its right edge, `range` metres from the sensor and `distance`
-    /// metres out of the sector, where nothing is measured and ranges can be
-    /// named; and how a name keeps out of the sector.
+    /// Returns the place of a range label: beside the right edge, `range` metres from
+    /// the sensor and `distance` metres outside the sector, where nothing is measured;
+    /// and the anchor that keeps its text out of the sector.
     pub(crate) fn beside(self, range: f64, distance: f64) -> (Place, Anchor) {
         let Place { right, ahead } = place(range, self.from);
         let (sin, cos) = self.from.sin_cos();
@@ -102,8 +102,8 @@ impl Sector {
         (Place { right: right + distance * cos, ahead: ahead + distance * sin }, anchor)
     }
 
-    /// The way along an arc of `radius`, right to left, with a place each
-    /// `spacing` metres or closer.
+    /// Iterates along an arc of `radius`, right to left, with a place each `spacing`
+    /// metres or closer.
     pub(crate) fn arc(self, radius: f64, spacing: f64) -> impl Iterator<Item = Place> {
         let length = radius * (self.to - self.from);
         // Never more than a circle has at a tenth of a degree.
@@ -113,14 +113,15 @@ impl Sector {
     }
 }
 
-/// The range rings of a plot that reaches so many metres, from the inside out.
+/// Iterates over the range rings of a plot that reaches `reach` metres, from the inside
+/// out.
 pub(crate) fn rings(reach: f64) -> impl Iterator<Item = f64> {
     let spacing = [0.1, 0.25, 0.5].into_iter().find(|spacing| reach / spacing <= 5.0);
     let spacing = spacing.unwrap_or(1.0);
     (1..).map(move |n| f64::from(n) * spacing).take_while(move |ring| *ring <= reach)
 }
 
-/// The angle that a cluster of `count` steps covers.
+/// Returns the angle that a cluster of `count` steps covers.
 pub(crate) fn width(count: u8) -> f64 {
     f64::from(count) * TAU / 1024.0
 }

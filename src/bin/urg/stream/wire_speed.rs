@@ -8,10 +8,11 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::{BaudRate, RawReply, Scan};
 
-/// A clock may be off by some percent, and a reply seems faster by that.
+/// The part of the wire time that a reply needs at least: a clock may be off by some
+/// percent, and then a reply seems faster.
 const TOLERANCE: f64 = 0.9;
 
-/// An explanation of a rate that was disproved.
+/// Returns the explanation of a baud rate that was disproved.
 pub(crate) fn explanation(baud_rate: BaudRate) -> String {
     format!(
         "replies come faster than {baud_rate} baud can carry: this port ignores the baud rate, \

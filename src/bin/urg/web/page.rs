@@ -45,8 +45,8 @@ fn codes() -> serde_json::Value {
     codes.collect()
 }
 
-/// 128 bits that nobody can guess: the keys of the standard library's hashes
-/// are random ones.
+/// Returns 128 bits that nobody can guess: the keys of the standard library's hashes
+/// are random.
 fn nonce() -> String {
     let random = || RandomState::new().hash_one(());
     format!("{:016x}{:016x}", random(), random())

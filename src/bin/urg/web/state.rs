@@ -44,7 +44,7 @@ struct LatencySeconds {
     max: f64,
 }
 
-/// `/state`
+/// Answers `/state`.
 pub(super) async fn state(State(app): State<App>) -> Response {
     let hub = &app.hub;
     let health = hub.health();
@@ -78,7 +78,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
     )
 }
 
-/// `/health`
+/// Answers `/health`.
 pub(super) async fn health(State(app): State<App>) -> Response {
     let health = app.hub.health();
     match health.why {
