@@ -344,3 +344,24 @@ fn a_page_for_the_network_says_that_everybody_can_look_and_takes_any_name() {
     let client = Client { address: &address, host: "robot.local", accept: "*/*" };
     assert_eq!(client.get("/state").status, 200);
 }
+
+#[test]
+fn metrics_are_text_for_prometheus_and_count_what_the_driver_counts() {
+    let served = Served::start("emulated");
+    served.health(200);
+    let response = served.get("/metrics");
+    assert_eq!(response.header("content-type"), "text/plain; version=0.0.4; charset=utf-8");
+    let text = response.text();
+    let value = |name: &str| -> f64 {
+        let line = text.lines().find(|line| line.starts_with(&format!("{name} ")));
+        line.unwrap_or_else(|| panic!("{name} in {text}"))
+            .rsplit(' ')
+            .next()
+            .unwrap()
+            .parse()
+            .unwrap()
+    };
+    assert_eq!(value("urg_up"), 1.0);
+    assert!(value("urg_scans_total") >= 1.0 && value("urg_scan_age_seconds") < 60.0, "{text}");
+    assert_eq!(value("urg_poll_failures_total{cause=\"timeout\"}"), 0.0);
+}

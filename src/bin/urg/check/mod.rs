@@ -236,7 +236,7 @@ impl Measured {
         }
         let reached = (self.scans.len() - 1) as f64 / time;
         let asked = self.asked;
-        let mut text = format!("{reached:.1} scans a second of {asked:.1}");
+        let mut text = format!("{reached:.1} scans a second of {asked:.1}, {}", self.jitter());
         if let Some(baud_rate) = self.outrun {
             // Writing to a string does not fail.
             let _ = write!(text, "; {}", wire_speed::explanation(baud_rate));
@@ -263,6 +263,20 @@ impl Measured {
             _ => "some revolutions of the motor brought no scan".to_owned(),
         };
         Step::new(NAME, verdict, format!("{text}: {cause}"))
+    }
+
+    /// Returns the spread of the intervals between scans.
+    fn jitter(&self) -> String {
+        let times = self.scans.iter().map(|seen| seen.received_at);
+        let intervals = times.clone().zip(times.skip(1)).map(|(one, next)| next - one);
+        let millis = intervals.map(|interval| interval.as_secs_f64() * 1000.0);
+        let count = self.scans.len().saturating_sub(1).max(1) as f64;
+        let mean = millis.clone().sum::<f64>() / count;
+        let variance = millis.clone().map(|one| (one - mean).powi(2)).sum::<f64>() / count;
+        let least = millis.clone().fold(f64::INFINITY, f64::min);
+        let most = millis.fold(0.0, f64::max);
+        let deviation = variance.sqrt();
+        format!("one every {least:.0} to {most:.0} ms, standard deviation {deviation:.1} ms")
     }
 
     fn latency(&self) -> Step {
@@ -342,7 +356,9 @@ mod tests {
         let (bad, text) = test(Emulator::builder().usb(), Faults::none()).await;
         assert_eq!(bad, [], "{text}");
         assert_eq!(text.lines().count(), 7, "{text}");
-        assert!(text.contains("10.0 scans a second of 10.0"), "{text}");
+        let rate =
+            "10.0 scans a second of 10.0, one every 100 to 100 ms, standard deviation 0.0 ms";
+        assert!(text.contains(rate), "{text}");
         let fast = Emulator::builder().baud_rate(BaudRate::B750000);
         let (bad, text) = test(fast, Faults::none()).await;
         assert_eq!(bad, [], "{text}");

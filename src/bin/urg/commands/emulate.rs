@@ -11,6 +11,7 @@ use tokio_scip::BaudRate;
 use tokio_scip::emulator::Pty;
 use tokio_scip::emulator::{Emulator, Faults, RepeatedLaser, Room};
 
+#[cfg(unix)]
 use super::link_claim::LinkClaim;
 use crate::args::{FirmwareArg, default_to_loopback, duration};
 use crate::failure::Failure;

@@ -50,6 +50,7 @@ Addresses:
            /scans?max=N ends after N scans
   /state   the sensor and the state of its stream, one JSON object
   /health  200 while scans flow, else 503 with the reason
+  /metrics the figures of both for Prometheus
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/

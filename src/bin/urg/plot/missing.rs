@@ -4,7 +4,7 @@
 
 use tokio_scip::Measurement;
 
-/// A reason for a missing distance.
+/// A reason for a missing distance. Far is blue, weak amber and none grey.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(crate) enum MissingKind {
     /// Possibly an object beyond the range.

@@ -9,39 +9,12 @@ use ratatui::widgets::{Block, Clear, Paragraph};
 
 use super::model::Model;
 use super::palette::Palette;
-use super::{panel, radar};
+use super::{help, panel, radar};
 
 /// A smaller terminal gets a message instead.
 const MIN_SIZE: (u16, u16) = (30, 10);
 /// From this width on there is a panel.
 const WITH_PANEL: u16 = 64;
-
-const KEYS: [(&str, &str); 7] = [
-    ("?", "help"),
-    ("+ -", "zoom"),
-    ("space", "pause"),
-    ("w", "window"),
-    ("l", "laser"),
-    ("s", "save"),
-    ("q", "quit"),
-];
-
-const HELP: &str = "\
-+ -      zoom in and out; 0 shows all
-space    hold the picture; the sensor goes on
-w        next window: detection, ±90°, ±45°, full
-← →      turn the window by 15°
-↑ ↓      widen and narrow it by 15° on each side
-c        steps that make a point: 1, 2, 4, 8
-l        switch the laser off and on; it stays so
-s        save the picture as SVG, here
-q        quit, as does Ctrl-C
-
-Points are coloured by distance. At the rim are
-the directions without one:
-^ far    possibly beyond the range
-~ weak   too little light came back
-x none   no distance for other reasons";
 
 /// Draws all of it.
 pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
@@ -74,9 +47,9 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
         radar::draw(frame, body, model, palette);
     }
     message(frame, news, model, palette);
-    frame.render_widget(key_line(), keys);
-    if model.help {
-        help(frame, body);
+    frame.render_widget(help::key_line(keys.width), keys);
+    if let Some(scroll) = model.help {
+        draw_help(frame, body, scroll);
     }
 }
 
@@ -124,27 +97,19 @@ fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
     lines.into_iter().map(|line| Line::raw(format!(" {line}"))).collect()
 }
 
-fn key_line() -> Line<'static> {
-    let mut line = Line::default();
-    for (key, what) in KEYS {
-        line.push_span(ratatui::text::Span::styled(format!(" {key} "), Palette::bar()));
-        line.push_span(ratatui::text::Span::styled(format!(" {what}  "), Palette::quiet()));
-    }
-    line
-}
-
-fn help(frame: &mut Frame<'_>, area: Rect) {
-    let block = Block::bordered().title(" Keys, any of which closes this ");
-    let text = Paragraph::new(HELP).style(Style::new()).block(block.border_style(Palette::quiet()));
-    let height = (HELP.lines().count() as u16 + 2).min(area.height);
-    let width = (HELP.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0) as u16 + 4)
-        .min(area.width);
+fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16) {
+    let block = Block::bordered().title(help::TITLE).border_style(Palette::quiet());
+    let rows = help::TEXT.lines().count() as u16;
+    let columns = help::TEXT.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0);
+    let height = (rows + 2).min(area.height);
+    let width = (columns as u16 + 4).min(area.width);
     let area = Rect {
         x: area.x + (area.width - width) / 2,
         y: area.y + (area.height - height) / 2,
         width,
         height,
     };
+    let scroll = scroll.min((rows + 2).saturating_sub(height));
     frame.render_widget(Clear, area);
-    frame.render_widget(text, area);
+    frame.render_widget(Paragraph::new(help::TEXT).scroll((scroll, 0)).block(block), area);
 }

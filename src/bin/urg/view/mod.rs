@@ -2,6 +2,7 @@
 //! each change.
 
 mod draw;
+mod help;
 mod model;
 mod palette;
 mod panel;

@@ -1,6 +1,7 @@
 //! The state of the radar, and the effect of each key on it, without a terminal
 //! and without a sensor.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -17,6 +18,10 @@ const CLUSTERS: [u8; 4] = [1, 2, 4, 8];
 const ARROW_STEPS: i32 = 43;
 /// A window that is narrowed keeps at least so many steps.
 const MIN_STEPS: i32 = 86;
+/// The trail has no more scans than this.
+const MAX_TRAIL_SCANS: usize = 10;
+/// The help does not scroll farther than its last lines on the smallest screen.
+const MAX_HELP_SCROLL: u16 = 12;
 /// A message is shown for this time.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
@@ -31,7 +36,11 @@ pub(crate) struct Model {
     pub(crate) window: Window,
     pub(crate) scan: Option<Scan>,
     pub(crate) paused: bool,
-    pub(crate) help: bool,
+    /// The first line of the help that is shown, while it is.
+    pub(crate) help: Option<u16>,
+    /// Older scans, the oldest one first.
+    pub(crate) trail: VecDeque<Scan>,
+    pub(crate) shows_trail: bool,
     /// Set unless the laser was switched off here: the sensor does not report it.
     pub(crate) laser: bool,
     pub(crate) state: State,
@@ -61,7 +70,9 @@ impl Model {
             window,
             scan: None,
             paused: false,
-            help: false,
+            help: None,
+            trail: VecDeque::new(),
+            shows_trail: false,
             laser: true,
             state: State::Closed { error: None },
             stats: Stats::default(),
@@ -82,8 +93,9 @@ impl Model {
             KeyCode::Char(_) if control => {}
             // Any key but those that quit closes the help first.
             KeyCode::Char('q') => return Some(Action::Quit),
-            _ if self.help => self.help = false,
-            KeyCode::Char('?' | 'h') | KeyCode::F(1) => self.help = true,
+            code if self.help.is_some() => self.help = scrolled(self.help, code),
+            KeyCode::Char('?' | 'h') | KeyCode::F(1) => self.help = Some(0),
+            KeyCode::Char('t') => self.shows_trail = !self.shows_trail,
             KeyCode::Char('+' | '=') => self.zoom = (self.zoom + 1).min(ZOOMS.len() - 1),
             KeyCode::Char('-' | '_') => self.zoom = self.zoom.saturating_sub(1),
             KeyCode::Char('0') => self.zoom = 0,
@@ -112,8 +124,16 @@ impl Model {
 
     /// Shows a new scan, unless the picture is paused.
     pub(crate) fn scanned(&mut self, scan: Scan) {
-        if !self.paused {
-            self.scan = Some(scan);
+        if self.paused {
+            return;
+        }
+        // Those of another window would not fit the picture.
+        self.trail.retain(|older| older.window() == scan.window());
+        if let Some(older) = self.scan.replace(scan) {
+            self.trail.push_back(older);
+        }
+        while self.trail.len() > MAX_TRAIL_SCANS {
+            self.trail.pop_front();
         }
     }
 
@@ -141,6 +161,15 @@ impl Model {
     /// Returns whether the picture shows the present.
     pub(crate) fn is_live(&self) -> bool {
         matches!(self.state, State::Connected { .. }) && self.laser && !self.paused
+    }
+}
+
+/// Returns the place of the help after a key: scrolled, or `None` when it closes.
+fn scrolled(help: Option<u16>, code: KeyCode) -> Option<u16> {
+    match code {
+        KeyCode::Down => help.map(|line| (line + 1).min(MAX_HELP_SCROLL)),
+        KeyCode::Up => help.map(|line| line.saturating_sub(1)),
+        _ => None,
     }
 }
 

@@ -66,9 +66,12 @@ impl Palette {
     pub(crate) fn missing(self, kind: MissingKind) -> Color {
         match (self, kind) {
             (Self::Plain, _) => Color::Reset,
-            (_, MissingKind::Far) => Color::Cyan,
-            (_, MissingKind::Weak) => Color::Yellow,
-            (_, MissingKind::Nothing) => Color::Magenta,
+            (Self::Sixteen, MissingKind::Far) => Color::LightBlue,
+            (Self::Sixteen, MissingKind::Weak) => Color::Yellow,
+            (Self::Sixteen, MissingKind::Nothing) => Color::Gray,
+            (Self::Many, MissingKind::Far) => Color::Indexed(69),
+            (Self::Many, MissingKind::Weak) => Color::Indexed(178),
+            (Self::Many, MissingKind::Nothing) => Color::Indexed(245),
         }
     }
 

@@ -178,8 +178,10 @@ pub(crate) fn brief(model: &Model) -> String {
         Some(scan) => format!("{} of {} points", scan.points().count(), scan.len()),
         None => "no scan yet".to_owned(),
     };
-    let rate = model.pace().map_or(0.0, |pace| pace.reached);
-    format!("{points}, {rate:.1} Hz")
+    match model.pace().map(|pace| pace.reached).filter(|rate| *rate > 0.0) {
+        Some(rate) => format!("{points}, {rate:.1} Hz"),
+        None => format!("{points}, - Hz"),
+    }
 }
 
 /// Returns the trouble with the link, for the message line.

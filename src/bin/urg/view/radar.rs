@@ -37,6 +37,9 @@ pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Pa
         Canvas::default().marker(Marker::Braille).x_bounds(chart.x).y_bounds(chart.y).paint(
             |context| {
                 chart.grid(context, palette.faint());
+                for older in model.trail.iter().filter(|_| model.shows_trail) {
+                    chart.points(context, older, |_| palette.faint());
+                }
                 if let Some(scan) = &model.scan {
                     context.layer();
                     chart.points(context, scan, |range| {

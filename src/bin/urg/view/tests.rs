@@ -220,6 +220,56 @@ async fn help_covers_the_radar_until_a_key_and_that_key_does_nothing_else() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn on_a_small_screen_the_help_scrolls_and_the_key_to_quit_stays() {
+    let mut model = watched(Emulator::builder().usb().build()).await;
+    let small = screen(&model, 40, 12);
+    assert!(small.contains("?  help") && small.contains("q  quit"), "{small}");
+    assert!(!small.contains("l  laser"), "{small}");
+    press(&mut model, KeyCode::Char('?'));
+    assert!(!screen(&model, 40, 12).contains("x none"));
+    for _ in 0..30 {
+        assert_eq!(press(&mut model, KeyCode::Down), None);
+    }
+    let end = screen(&model, 40, 12);
+    assert!(end.contains("x none") && end.contains("q  quit"), "{end}");
+    for _ in 0..30 {
+        press(&mut model, KeyCode::Up);
+    }
+    assert!(screen(&model, 40, 12).contains("zoom in and out"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_rate_that_is_not_known_yet_is_a_dash() {
+    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
+    let mut model = model_for(&sensor, sensor.version().await.unwrap());
+    model.scanned(sensor.scan(Window::DETECTION).await.unwrap());
+    let small = screen(&model, 40, 12);
+    assert!(small.contains("of 682 points, - Hz"), "{small}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_trail_has_the_last_ten_scans_of_the_same_window() {
+    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
+    let mut model = model_for(&sensor, sensor.version().await.unwrap());
+    for _ in 0..15 {
+        model.scanned(sensor.scan(Window::DETECTION).await.unwrap());
+    }
+    assert_eq!(model.trail.len(), 10);
+    let dots = |model: &Model| screen(model, 80, 24).chars().map(dots_of).sum::<u32>();
+    let without = dots(&model);
+    press(&mut model, KeyCode::Char('t'));
+    assert!(dots(&model) > without, "people move, and leave a trail");
+    model.scanned(sensor.scan(Window::FULL).await.unwrap());
+    model.scanned(sensor.scan(Window::FULL).await.unwrap());
+    assert!(model.trail.iter().all(|scan| scan.window() == Window::FULL));
+}
+
+/// The number of dots of a braille symbol.
+fn dots_of(symbol: char) -> u32 {
+    if is_braille(symbol) { (u32::from(symbol) - 0x2800).count_ones() } else { 0 }
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_paused_picture_stays_and_says_so() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

@@ -4,6 +4,7 @@
 mod app;
 mod guard;
 mod hub;
+mod metrics;
 mod page;
 mod scans;
 mod server;
@@ -40,6 +41,7 @@ pub(crate) async fn serve(
         .route("/scans", get(scans::scans))
         .route("/state", get(state::state))
         .route("/health", get(state::health))
+        .route("/metrics", get(metrics::metrics))
         .with_state(app)
         .layer(from_fn_with_state(loopback, guard::guard));
     server::serve(listener, router, interrupt).await;
