@@ -136,6 +136,10 @@ pub struct Stats {
     /// Polls that were dropped because the line was busy when they were due and
     /// still was when the next one was.
     pub polls_skipped: u64,
+    /// Whether a reply came faster than the baud rate of the port can carry, so that
+    /// the port has another one or none that matters: a pseudo-terminal, a sensor on
+    /// USB, a serial server. Limits computed from the baud rate do not hold then.
+    pub baud_rate_outrun: bool,
     /// From a `G` sent to the last byte of its reply.
     pub reply_latency: LatencyStats,
     /// What is polled now, and how fast.
@@ -170,7 +174,7 @@ impl MalformedCounts {
             ReplyError::Foreign { .. } => &mut self.echo,
             ReplyError::Scip2 { .. } => &mut self.status,
             ReplyError::Malformed(malformed) => match malformed {
-                Malformed::Echo { .. } => &mut self.echo,
+                Malformed::Echo { .. } | Malformed::Early { .. } => &mut self.echo,
                 Malformed::NoStatus | Malformed::Status { .. } => &mut self.status,
                 Malformed::Character { .. } => &mut self.character,
                 Malformed::Overlong { .. } | Malformed::NotRaw => &mut self.overlong,

@@ -160,7 +160,9 @@ fn an_error_in_a_state_is_told_with_all_its_causes() {
 async fn a_state_is_an_object_that_needs_no_clock_to_be_read() {
     let data = |state: &State| serde_json::to_value(state).unwrap();
     let (sensor, emulator) = sensor().await;
-    let connected = json!({"state": "connected", "baud_rate": null, "streaming": false});
+    let connected = json!({
+        "state": "connected", "baud_rate": null, "streaming": false, "serial_number": "H0713090"
+    });
     assert_eq!(data(&sensor.state().borrow()), connected);
     let mut state = sensor.state();
     emulator.unplug();

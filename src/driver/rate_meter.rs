@@ -9,8 +9,9 @@ use tokio::time::Instant;
 const RATE_SPAN: Duration = Duration::from_secs(3);
 /// The share of the rate asked for that counts as reached.
 const REACHED: f64 = 0.95;
-/// A shortfall is reported again after so many spans without it, half a minute.
-const SPANS_BETWEEN_REPORTS: u32 = 10;
+/// A shortfall is reported again after so many spans without it, a minute. For as
+/// long after a loss nothing is reported as slow: fences and deadlines cost time.
+const SPANS_BETWEEN_REPORTS: u32 = 20;
 
 /// Measures the rate that is reached, span by span.
 #[derive(Debug)]
@@ -85,6 +86,7 @@ impl RateMeter {
         let is_short = span.reached * period.as_secs_f64() < REACHED;
         let shortfall = match (is_short, span.failed) {
             (false, _) => None,
+            (true, 0) if self.since_loss < SPANS_BETWEEN_REPORTS => None,
             (true, 0) => Some(Shortfall::Slow),
             (true, _) => Some(Shortfall::Loss),
         };
@@ -126,7 +128,7 @@ mod tests {
         assert_eq!(report(10.0), None);
         assert_eq!(report(5.0), Some(Shortfall::Slow));
         assert_eq!(report(5.0), None);
-        assert_eq!((0..10).find_map(|_| report(9.6)), None);
+        assert_eq!((0..20).find_map(|_| report(9.6)), None);
         assert_eq!(report(5.0), Some(Shortfall::Slow));
     }
 
@@ -137,7 +139,8 @@ mod tests {
         assert_eq!(report(9.7, 1), None, "a scan lost now and then");
         assert_eq!(report(5.0, 3), Some(Shortfall::Loss));
         assert_eq!(report(5.0, 3), None);
+        assert_eq!((0..20).find_map(|_| report(5.0, 0)), None, "what the loss has left");
         assert_eq!(report(5.0, 0), Some(Shortfall::Slow));
-        assert_eq!(report(5.0, 3), None);
+        assert_eq!(report(5.0, 3), Some(Shortfall::Loss));
     }
 }

@@ -126,9 +126,24 @@ impl Session {
     ) -> Result<Timing, ExchangeError> {
         // First: what a fence clears must not be this poll.
         self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
+        if self.fence.would_repeat(window) && self.transport.may_echo() {
+            // Only a fence tells a copy of the latest reply from the next one.
+            self.fence().await.map_err(|error| error.of(Command::Distances(window)))?;
+        }
+        let repeats = self.fence.would_repeat(window);
         let (asked, surplus) = self.fence.widen(window);
+        let command = Command::Distances(asked);
         self.telemetry.stats().polls += 1;
-        let ((), timing) = self.exchange(Command::Distances(asked), values, |_| ()).await?;
+        // No byte of the reply comes before the command has left the wire. Where
+        // the echo proves nothing, what does is a copy of the latest reply.
+        let least = match repeats {
+            true => self.transport.least_wire_time(command.bytes().len() + 2),
+            false => Duration::ZERO,
+        };
+        let ((), timing) = self.exchange(command, least, values, |_| ()).await?;
+        if !repeats {
+            self.transport.note_unique_reply(&command, Status::OK, timing);
+        }
         values.drain(..surplus.min(values.len()));
         values.truncate(window.points());
         let mut stats = self.telemetry.stats();
@@ -148,7 +163,7 @@ impl Session {
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<T, ExchangeError> {
         self.settle().await.map_err(|error| error.of(command))?;
-        let (answer, _) = self.exchange(command, &mut Vec::new(), read).await?;
+        let (answer, _) = self.exchange(command, Duration::ZERO, &mut Vec::new(), read).await?;
         Ok(answer)
     }
 
@@ -172,9 +187,12 @@ impl Session {
     /// Sends `command` on a link that is settled, and judges the frame that
     /// comes: it is the answer, or the command has failed. To wait for a better
     /// one would cost the whole deadline wherever the reply itself was damaged.
+    ///
+    /// A reply that begins sooner than `least` after its command is refused.
     async fn exchange<T>(
         &mut self,
         command: Command,
+        least: Duration,
         values: &mut Vec<u16>,
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<(T, Timing), ExchangeError> {
@@ -182,7 +200,11 @@ impl Session {
         let latency = transport.latency(&command);
         let mut read = Some(read);
         let judge = |frame: &Frame, timing: Timing| {
-            let outcome = parse(&command, frame, timing, observer, values);
+            let after = timing.began - timing.requested;
+            let outcome = match parse(&command, frame, timing, observer, values) {
+                Ok(_) if after < least => Err(Malformed::Early { after, least }.into()),
+                outcome => outcome,
+            };
             if let Err(error) = &outcome {
                 let mut stats = telemetry.stats();
                 stats.malformed.count(error);

@@ -5,6 +5,7 @@
 //! passes has exactly the shape that its command asked for.
 
 use std::fmt;
+use std::time::Duration;
 
 use super::measurement;
 use super::{Command, Text, Window};
@@ -327,6 +328,15 @@ pub enum Malformed {
     Echo {
         /// The bytes at its beginning.
         found: Text,
+    },
+    /// It began before the command can have left the wire, so that it is the reply
+    /// to an older one.
+    #[error("the reply began {} us after the command, which alone takes {} us on the wire", after.as_micros(), least.as_micros())]
+    Early {
+        /// The time from the command to the first byte of the reply.
+        after: Duration,
+        /// The time that the command and one byte take at the port's baud rate.
+        least: Duration,
     },
     /// The reply ends after its echo.
     #[error("expected a status after the echo, found the end of the reply")]

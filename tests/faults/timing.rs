@@ -1,13 +1,20 @@
 //! Rows T: replies that are late, lost, doubled, or slow.
 
+use std::io;
+use std::pin::Pin;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Call, EmptyCommand, Fault, Faults, FaultyLink, LinkFailure, Verdict};
-use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use tokio_scip::emulator::{
+    Call, EmptyCommand, Fault, Faults, FaultyLink, LinkFailure, Pace, Verdict,
+};
+use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
 
 use super::rig::{lies, open, prompt, scans, second_poll};
 use crate::common::{Rigged, builder, ms, truthful};
+use crate::simulation::truth::Truth;
 
 const WINDOW: Window = Window::DETECTION;
 
@@ -78,6 +85,120 @@ async fn t03_a_second_copy_that_comes_after_the_next_poll_is_not_its_answer() {
     assert_eq!(lies(&emulator, &delivered), [""; 0]);
     assert!(sensor.stats().malformed.echo >= 1, "the copy was not seen");
     assert_eq!(sensor.stats().disconnects, 0);
+}
+
+/// Windows whose polls have no room to differ.
+fn without_room() -> [Window; 4] {
+    let clustered = |window: Window, count| window.with_cluster_count(count).unwrap();
+    [
+        Window::FULL,
+        clustered(Window::DETECTION, 45),
+        clustered(Window::new(0..=725).unwrap(), 4),
+        clustered(Window::new(1..=768).unwrap(), 2),
+    ]
+}
+
+#[tokio::test(start_paused = true)]
+async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot_differ() {
+    for (window, baud_rate) in without_room().into_iter().flat_map(|window| {
+        [BaudRate::B19200, BaudRate::B115200, BaudRate::B750000].map(|rate| (window, rate))
+    }) {
+        for behind in [1, 5] {
+            // Whose values tell their request in groups, too.
+            let truth = Truth::default();
+            let emulator = truthful().world(truth.world()).baud_rate(baud_rate).build();
+            let sensor = open(&emulator).await;
+            let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+            let mut faults = Faults::none();
+            for reply in (0..200).step_by(5) {
+                let pause = Fault::Pause(window.reply_len(), ms(behind));
+                faults = faults.at(reply, Fault::Doubled).at(reply, pause);
+            }
+            let mut delivered = scans(&mut stream, 1).await;
+            emulator.set_faults(faults);
+            while emulator.fault_counts().doubled < 20 {
+                delivered.extend(stream.next().await.unwrap().ok());
+            }
+            let wrong: Vec<_> = delivered.iter().filter_map(|s| truth.check(s, 0).err()).collect();
+            assert_eq!(wrong, [""; 0], "{window} at {baud_rate} baud, {behind} ms");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused() {
+    let window = Window::FULL.with_cluster_count(99).unwrap();
+    let truth = Truth::default();
+    let emulator = truthful().pace(Pace::AtOnce).baud_rate(BaudRate::B19200);
+    let emulator = emulator.world(truth.world()).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let mut delivered = scans(&mut stream, 2).await;
+    let took = delivered[1].received_at() - delivered[1].requested_at();
+    for after in 1..=4 {
+        // The copy begins so many milliseconds after the next poll was sent, which takes
+        // 5.2 ms on the wire.
+        let pause = Fault::Pause(window.reply_len(), ms(100 + after) - took);
+        emulator.set_faults(Faults::none().at(0, Fault::Doubled).at(0, pause));
+        for _ in 0..5 {
+            delivered.extend(stream.next().await.unwrap().ok());
+        }
+    }
+    let wrong: Vec<_> = delivered.iter().filter_map(|s| truth.check(s, 0).err()).collect();
+    assert_eq!(wrong, [""; 0]);
+    assert!(sensor.stats().malformed.echo >= 3, "{:?}", sensor.stats());
+}
+
+/// A port that has a baud rate, and brings bytes at once.
+struct Claiming<P>(P);
+
+impl<P: Port> Port for Claiming<P> {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        Some(BaudRate::B19200)
+    }
+}
+
+impl<P: AsyncRead + Unpin> AsyncRead for Claiming<P> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_read(cx, buffer)
+    }
+}
+
+impl<P: AsyncWrite + Unpin> AsyncWrite for Claiming<P> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.0).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_shutdown(cx)
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn o26_a_baud_rate_that_replies_outrun_is_disproved() {
+    let slow = truthful().baud_rate(BaudRate::B19200).build();
+    let sensor = open(&slow).await;
+    sensor.scan(WINDOW).await.unwrap();
+    assert!(!sensor.stats().baud_rate_outrun);
+    let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
+    let sensor = builder().connect(Rigged(move || Ok(Claiming(fast.link())))).await.unwrap();
+    let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
+    scans(&mut stream, 20).await;
+    let stats = sensor.stats();
+    assert!(stats.baud_rate_outrun && stats.malformed.total() == 0, "{stats:?}");
+    assert_eq!(stats.fences, 1, "a fence between polls on a link without a serial line");
 }
 
 #[tokio::test(start_paused = true)]

@@ -7,7 +7,7 @@ mod coverage;
 mod loss;
 mod random;
 mod run;
-mod truth;
+pub(crate) mod truth;
 mod users;
 
 use std::sync::{Arc, Mutex};

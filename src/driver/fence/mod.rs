@@ -53,6 +53,11 @@ impl Fence {
         self.unique_requests.widen(window)
     }
 
+    /// Returns whether the next poll of `window` has the echo of the latest `G`.
+    pub(crate) fn would_repeat(&self, window: Window) -> bool {
+        self.unique_requests.would_repeat(window)
+    }
+
     /// Sends fences until the latest of them is answered, and returns the status
     /// of that answer.
     ///
@@ -116,7 +121,7 @@ impl Fence {
             Ok(_) if is_echoed(&sent, &command, frame) => {
                 Some(Err(ExchangeError::Lost(Error::Loopback)))
             }
-            Ok(status) => Some(Ok(status)),
+            Ok(status) => Some(Ok((status, timing))),
             Err(ReplyError::Scip2 { status }) => {
                 Some(Err(ExchangeError::Command(Error::WrongProtocol { status })))
             }
@@ -126,9 +131,13 @@ impl Fence {
             }
             Err(_) => None,
         };
-        let answer = transport.exchange(&command, latency, judge).await;
-        let Err(timeout @ ExchangeError::Command(Error::Timeout { .. })) = answer else {
-            return answer;
+        let timeout = match transport.exchange(&command, latency, judge).await {
+            Ok((status, timing)) => {
+                transport.note_unique_reply(&command, status, timing);
+                return Ok(status);
+            }
+            Err(timeout @ ExchangeError::Command(Error::Timeout { .. })) => timeout,
+            Err(error) => return Err(error),
         };
         let explained = explain_silence(transport, &sent, &command);
         Err(explained.or(malformed).unwrap_or(timeout))

@@ -32,18 +32,28 @@ impl UniqueRequests {
     /// Then even a reply that a faulty line delivers twice cannot match the next
     /// poll.
     pub(crate) fn widen(&mut self, window: Window) -> (Window, usize) {
+        let (asked, surplus) = self.choose(window);
+        self.note(asked);
+        (asked, surplus)
+    }
+
+    /// Returns whether [`widen`](Self::widen) would ask for the latest window once
+    /// more: there is no room for another one.
+    pub(crate) fn would_repeat(&self, window: Window) -> bool {
+        self.recent.first() == Some(&Some(self.choose(window).0))
+    }
+
+    fn choose(&self, window: Window) -> (Window, usize) {
         let age = |asked: &Window| {
             let place = self.recent.iter().position(|recent| recent.as_ref() == Some(asked));
             place.unwrap_or(self.recent.len())
         };
         // Of those that are equally old the last one wins: that without surplus.
-        let (asked, surplus) = (0..=self.recent.len() as u16)
+        (0..=self.recent.len() as u16)
             .rev()
             .filter_map(|groups| window.widened(groups))
             .max_by_key(|(asked, _)| age(asked))
-            .unwrap_or((window, 0));
-        self.note(asked);
-        (asked, surplus)
+            .unwrap_or((window, 0))
     }
 
     /// Returns the single step to ask for as a fence: one that no other `G` asked

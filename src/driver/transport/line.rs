@@ -9,6 +9,7 @@ use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::task::coop::unconstrained;
+use tokio::time::Instant;
 
 use crate::BaudRate;
 use crate::port::Port;
@@ -23,8 +24,8 @@ pub(super) const SCRATCH_BYTES: usize = 512;
 /// A port, and what is known of the bytes that it brought.
 pub(super) struct Line {
     port: Box<dyn Port>,
-    /// The wall clock when the first byte of a reply arrived.
-    arrival: Option<SystemTime>,
+    /// The time when the first byte of a reply arrived, by both clocks.
+    arrival: Option<(Instant, SystemTime)>,
     /// The number of bytes that ever arrived.
     received: u64,
     /// The first two of them.
@@ -52,7 +53,13 @@ impl Line {
     /// The wall clock when the first byte since [`begin_reply`](Self::begin_reply)
     /// arrived.
     pub(super) fn stamp(&self) -> SystemTime {
-        self.arrival.unwrap_or_else(|| self.port.wall_clock())
+        self.arrival.map_or_else(|| self.port.wall_clock(), |(_, stamp)| stamp)
+    }
+
+    /// The time when the first byte since [`begin_reply`](Self::begin_reply)
+    /// arrived.
+    pub(super) fn first_byte(&self) -> Option<Instant> {
+        self.arrival.map(|(at, _)| at)
     }
 
     /// The number of bytes that ever arrived.
@@ -113,7 +120,7 @@ impl Line {
             let seen = self.received.min(2) as usize;
             self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += fresh.len() as u64;
-            self.arrival.get_or_insert_with(|| self.port.wall_clock());
+            self.arrival.get_or_insert_with(|| (Instant::now(), self.port.wall_clock()));
         }
         if self.received - self.before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
     }

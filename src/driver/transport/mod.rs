@@ -23,12 +23,14 @@ use self::line::{Line, SCRATCH_BYTES, flood};
 use super::exchange::ExchangeError;
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
-use crate::protocol::Command;
+use crate::protocol::{Command, Status};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error};
 
 /// Frames that may follow one command before the link counts as flooded.
 const MAX_FRAMES: usize = 64;
+/// A line that was quiet for so long after a reply brings no copy of it.
+const QUIET_TIME: Duration = Duration::from_millis(20);
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
 const READ_BUFFER_BYTES: usize = 4096;
@@ -39,6 +41,8 @@ const WRITE_BUFFER_BYTES: usize = 32;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Timing {
     pub(crate) requested: Instant,
+    /// When the first byte was read.
+    pub(crate) began: Instant,
     /// When the last byte was read.
     pub(crate) received: Instant,
     /// The wall clock when the first byte arrived.
@@ -57,6 +61,11 @@ pub(crate) struct Transport {
     interrupted: bool,
     /// Whether the port can change its baud rate.
     adjustable: bool,
+    /// Whether a reply came faster than the port's baud rate can carry: a
+    /// pseudo-terminal, a USB adapter, a server on a fast line.
+    outrun: bool,
+    /// When the latest frame came.
+    latest: Option<Instant>,
     telemetry: Arc<Telemetry>,
 }
 
@@ -78,6 +87,8 @@ impl Transport {
             dirty: true,
             interrupted: true,
             adjustable: false,
+            outrun: false,
+            latest: None,
             telemetry,
         }
     }
@@ -95,10 +106,39 @@ impl Transport {
         self.dirty = true;
         self.interrupted = true;
         self.drop_input();
+        self.outrun = false;
         let outcome = self.framed.get_mut().set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
+    }
+
+    /// The time that so many bytes take on the wire at least, or zero where the
+    /// port has no baud rate or one that a reply has disproved.
+    pub(crate) fn least_wire_time(&self, bytes: usize) -> Duration {
+        let baud_rate = self.baud_rate().filter(|_| !self.outrun);
+        baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes))
+    }
+
+    /// Returns whether a copy of the latest frame may still be on its way: that came
+    /// a moment ago, over a serial line.
+    pub(crate) fn may_echo(&self) -> bool {
+        let recent = self.latest.is_some_and(|latest| latest.elapsed() < QUIET_TIME);
+        recent && self.least_wire_time(1) > Duration::ZERO
+    }
+
+    /// Notes when the reply to a command with a unique echo came, which cannot be
+    /// an older one. Sooner than its bytes and those of `command` take, it disproves
+    /// the baud rate.
+    pub(crate) fn note_unique_reply(&mut self, command: &Command, status: Status, timing: Timing) {
+        let echo = command.bytes().len() + 1;
+        let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
+        if timing.received.saturating_duration_since(timing.requested) < self.least_wire_time(bytes)
+        {
+            self.outrun = true;
+            self.telemetry.stats().baud_rate_outrun = true;
+            tracing::debug!("replies come faster than the baud rate can carry");
+        }
     }
 
     /// Whether the port could change its baud rate when it was last asked to.
@@ -213,8 +253,12 @@ impl Transport {
         }
         for _ in 0..MAX_FRAMES {
             let Some(frame) = self.receive(deadline).await? else { return timeout };
-            let (received, stamp) = (Instant::now(), self.framed.get_ref().stamp());
-            if let Some(verdict) = judge(&frame, Timing { requested, received, stamp }) {
+            let received = Instant::now();
+            self.latest = Some(received);
+            let line = self.framed.get_ref();
+            let (began, stamp) = (line.first_byte().unwrap_or(received), line.stamp());
+            let timing = Timing { requested, began, received, stamp };
+            if let Some(verdict) = judge(&frame, timing) {
                 return verdict;
             }
             self.dirty = true;
