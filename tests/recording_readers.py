@@ -5,6 +5,9 @@ against what the driver delivered.
     pip install mcap-ros2-support rosbags
     python3 tests/recording_readers.py target/tmp/recording.mcap
 
+Likewise `repaired.mcap`, which was cut off and damaged, and the files of split
+recordings in `split/`.
+
 The test leaves `recording.mcap`, and beside it `recording.txt`: a line a scan,
 its stamp in nanoseconds, its frame, its ranges. Or, with the program:
 
@@ -157,7 +160,9 @@ def main():
         for reply, (_, frame, ranges) in zip(replies, expected)
     ]
     check("the raw replies", from_replies, expected)
-    assert 0 < read_cut_off(path, path.with_suffix(".cut.mcap")) < len(expected)
+    # A short file has but one chunk, of which nothing is left.
+    if len(expected) > 300:
+        assert 0 < read_cut_off(path, path.with_suffix(".cut.mcap")) < len(expected)
 
 
 main()

@@ -1,9 +1,10 @@
-//! Recordings (feature `mcap`): what a sensor measured and said, in a file that
-//! the tools of robotics open as it is, and that can be replayed.
+//! Recordings (feature `mcap`): the scans of a stream and the replies of a sensor
+//! in a file that the tools of robotics open, and that can be replayed.
 //!
 //! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that
-//! `ros2 bag play`, Foxglove, Lichtblick, PlotJuggler and others show it.
-//! [`Recording`] reads such a file, and plays the sensor that was recorded.
+//! `ros2 bag play`, Foxglove, Lichtblick, PlotJuggler and others read it.
+//! [`Recording`] reads such a file, returns its scans, and replays the sensor.
+//! [`repair`] completes a file that was cut off.
 //!
 //! ```
 //! use tokio_scip::recording::{Recorder, Recording, ReplayPace};
@@ -55,22 +56,24 @@
 //! the publish time is the wall clock when a reply's first byte arrived
 //! ([`Scan::stamp`](crate::Scan::stamp)); the header of a scan has the time of its
 //! [first ray](crate::Scan::first_ray_stamp). Metadata of the name `tokio_scip`
-//! identifies the sensor. It is a record each time, so a file ends as it is where
-//! writing it ends.
+//! identifies the sensor. Nothing in a file is ever changed, so that it can be read
+//! wherever it was cut off. After 65,536 chunks, or earlier on request, a recording
+//! goes on in a further file ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying
 //!
-//! [`Recording::replay`] gives an [`Emulator`](crate::emulator::Emulator) on USB.
+//! [`Recording::replay`] returns an [`Emulator`](crate::emulator::Emulator) on USB.
 //! It answers `V` as the recorded sensor did, and each poll with the next reply
-//! that was recorded for the stream, in the same bytes: also those that were
-//! refused or damaged, and those of scans that the recording's own consumer was
-//! too slow to see. Scans have the stamps of then. Another window than the recorded one shows what is known of
-//! its steps, and code 19 where nothing is. Fences take no reply away.
+//! that was recorded for the stream, byte for byte: also a refused or malformed
+//! one, and that of a scan which the recording's own consumer missed. Scans have
+//! the recorded stamps. Another window than the recorded one has the values that
+//! are known of its steps, and error code 19 elsewhere. Fences use up no reply.
+//! [`Recording::scans`] returns the same scans without a replay.
 //!
 //! After the last reply the next poll hangs the link up, and connecting again
 //! finds no port: with [`reconnect(false)`](crate::SensorBuilder::reconnect) the
 //! driver ends there, with [`Error::Disconnected`](crate::Error::Disconnected).
-//! That has a source only if the file could not be read to its end.
+//! That has a source only if a part of the file could not be read.
 //!
 //! A recording's bytes are read when they are asked for, in small pieces, on
 //! the runtime's thread.

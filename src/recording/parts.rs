@@ -10,7 +10,7 @@ use super::mcap::MAX_CHUNKS;
 /// The file that is written.
 pub(super) type Output = Box<dyn Write + Send>;
 
-/// How long and how large a file of a recording becomes.
+/// The limits of a file of a recording.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Limits {
     pub(super) duration: Option<Duration>,
@@ -20,7 +20,7 @@ pub(super) struct Limits {
 /// The files of a recording behind the first one.
 pub(super) struct Parts {
     limits: Limits,
-    /// Where the first file is. Without one there is only that file.
+    /// The path of the first file. Without one there is only that file.
     path: Option<PathBuf>,
     /// The number of the current file.
     number: u32,
@@ -77,6 +77,23 @@ fn part_path(path: &Path, number: u32) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_file_is_full_at_its_limits_and_a_pipe_never_is() {
+        let limits = Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99) };
+        let parts = |path| Parts::new(limits, path, |file| Box::new(file));
+        let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
+        for (seconds, bytes, chunks, is_full) in [
+            (8, 98, MAX_CHUNKS - 1, false),
+            (9, 0, 0, true),
+            (0, 99, 0, true),
+            (0, 0, MAX_CHUNKS, true),
+        ] {
+            let duration = Duration::from_secs(seconds);
+            assert_eq!(file.is_full(duration, bytes, chunks), is_full);
+            assert!(!pipe.is_full(duration, bytes, chunks));
+        }
+    }
 
     #[test]
     fn parts_are_numbered_before_the_extension() {

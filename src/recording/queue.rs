@@ -21,7 +21,7 @@ use crate::Scan;
 
 /// A message is in the file after this time at the latest.
 const FLUSH_INTERVAL: Duration = Duration::from_secs(1);
-/// How many bytes wait for a slow disk at most. At 10 scans a second that is
+/// The bytes that wait for a slow disk at most. At 10 scans a second that is
 /// some four minutes.
 const HIGH_WATER_BYTES: usize = 8 << 20;
 /// [`Queue::ready`] waits until at most this many bytes wait.

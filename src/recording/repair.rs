@@ -21,7 +21,7 @@ pub struct Repaired {
     pub damaged_at: Vec<u64>,
 }
 
-/// How many places of damage are kept.
+/// The number of places of damage that are kept.
 const MAX_PLACES: usize = 16;
 
 /// Copies a recording that is cut off or damaged to `output` as a complete file,

@@ -75,7 +75,7 @@ struct Part {
     at_seam: bool,
 }
 
-/// What each file repeats, so that it can be replayed alone.
+/// The content that each file repeats, so that it can be replayed alone.
 #[derive(Debug, Default)]
 struct Carried {
     metadata: Option<BTreeMap<String, String>>,

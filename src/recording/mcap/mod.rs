@@ -3,8 +3,8 @@
 //!
 //! Written by hand. The crate `mcap` keeps the index of all chunks in memory
 //! however long the file gets, returns nothing of a chunk that is cut off, and
-//! panics or reserves gigabytes on hostile lengths. A tests' reader checks
-//! against that crate.
+//! panics or reserves gigabytes on hostile lengths. The tests read what is
+//! written here with that crate.
 
 mod read;
 mod write;

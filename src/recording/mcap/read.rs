@@ -14,7 +14,7 @@ use super::{Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind}
 const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4;
 /// The longest name of a compression.
 const MAX_COMPRESSION_NAME: usize = 16;
-/// What is read at once.
+/// The bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
 /// The record that ends the data, up to its content.
 const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
@@ -52,7 +52,7 @@ pub(in super::super) struct Sections {
     start: usize,
     /// The place of `start` in the file.
     offset: u64,
-    /// How many bytes the latest section takes.
+    /// The length of the latest section.
     used: usize,
     is_started: bool,
     is_over: bool,

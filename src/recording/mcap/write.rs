@@ -394,3 +394,41 @@ impl Index {
         offsets
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Writes so many chunks of one message.
+    fn chunks(count: usize, max_chunks: usize) -> McapWriter<Vec<u8>> {
+        let mut writer = McapWriter::start(Vec::new(), &header("", ""), max_chunks).unwrap();
+        writer.add_channel(0, "/scan", "std_msgs/msg/String", "string data");
+        for sequence in 0..count as u32 {
+            let time = u64::from(sequence);
+            let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };
+            writer.message(header, &[0; 4]).unwrap();
+            writer.flush().unwrap();
+        }
+        writer
+    }
+
+    #[test]
+    fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
+        let writer = chunks(1000, 1000);
+        assert_eq!(writer.chunks(), 1000);
+        // A recording has three channels, of 10 bytes each here.
+        assert!(writer.index.chunk_indexes.len() <= 1000 * (106 - 20));
+        let file = writer.finish().unwrap();
+        let summary = ::mcap::Summary::read(&file).unwrap().unwrap();
+        assert_eq!(summary.chunk_indexes.len(), 1000);
+    }
+
+    #[test]
+    fn a_file_of_more_chunks_keeps_no_index_and_ends_without_a_summary() {
+        let writer = chunks(1001, 1000);
+        assert_eq!(writer.index.chunk_indexes.capacity(), 0);
+        let file = writer.finish().unwrap();
+        assert!(::mcap::Summary::read(&file).unwrap().is_none());
+        assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 1001);
+    }
+}
