@@ -86,12 +86,15 @@ pub enum Error {
     },
     /// The port is open, and no sensor answers.
     #[error(
-        "no sensor answers{}: check its power and the wiring (after power-up it is silent for some seconds){}",
+        "{} does not answer{}: check its power and the wiring (after power-up it is silent for some seconds){}",
+        or_sensor(sensor),
         match baud_rate { Some(baud_rate) => format!(" at {baud_rate} baud"), None if *searched => " at any baud rate".to_owned(), None => String::new() },
         if *bytes > 0 { format!("; found {bytes} bytes that are no reply of SCIP 1.1") } else { String::new() },
     )]
     #[non_exhaustive]
     NoAnswer {
+        /// The name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
         /// The only baud rate that was tried, where the port cannot change it.
         baud_rate: Option<BaudRate>,
         /// True if all six baud rates were tried.
@@ -101,33 +104,46 @@ pub enum Error {
     },
     /// The port returns what is written to it.
     #[error(
-        "the port returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to it"
+        "{} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port",
+        or_sensor(sensor)
     )]
-    Loopback,
+    #[non_exhaustive]
+    Loopback {
+        /// The name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+    },
     /// The sensor speaks SCIP 2.
     #[error(
-        "the sensor speaks SCIP 2 (status \"{status}\"): power-cycle it, a URG-04LX is back in SCIP 1.1 after a restart; a model that knows only SCIP 2 cannot be used"
+        "{} speaks SCIP 2 (status \"{status}\"): power-cycle it, a URG-04LX is back in SCIP 1.1 after a restart; a model that knows only SCIP 2 cannot be used",
+        or_sensor(sensor)
     )]
     #[non_exhaustive]
     WrongProtocol {
+        /// The name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
         /// The status line of three characters, which only SCIP 2 has.
         status: Text,
     },
     /// Another sensor answers than the one that is expected.
     #[error(
-        "wrong sensor: expected serial number {expected}, found {found}: plug in {expected}, or ask for {found}"
+        "{} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}",
+        or_sensor(sensor)
     )]
     #[non_exhaustive]
     AnotherSensor {
+        /// The name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
         /// The serial number that was expected.
         expected: Text,
         /// The serial number of the sensor that answers.
         found: Text,
     },
     /// The link is gone: unplugged, hung up, or silent for good.
-    #[error("the link to the sensor is lost")]
+    #[error("the link to {} is lost", or_sensor(sensor))]
     #[non_exhaustive]
     Disconnected {
+        /// The name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
         /// The error of the port, if there was one.
         source: Option<Arc<io::Error>>,
     },
@@ -241,7 +257,7 @@ impl Error {
             Self::InvalidEndpoint { .. }
             | Self::NotASerialPort { .. }
             | Self::PermissionDenied { .. }
-            | Self::Loopback
+            | Self::Loopback { .. }
             | Self::WrongProtocol { .. }
             | Self::AnotherSensor { .. }
             | Self::Refused { .. }
@@ -258,9 +274,9 @@ impl Error {
     /// use tokio_scip::Error;
     ///
     /// let source = std::sync::Arc::new(std::io::Error::other("device removed"));
-    /// let error = Error::Disconnected { source: Some(source) };
-    /// assert_eq!(error.to_string(), "the link to the sensor is lost");
-    /// assert_eq!(error.chain().to_string(), "the link to the sensor is lost: device removed");
+    /// let error = Error::Open { port: "/dev/ttyACM0".to_owned(), source };
+    /// assert_eq!(error.to_string(), "cannot open /dev/ttyACM0");
+    /// assert_eq!(error.chain().to_string(), "cannot open /dev/ttyACM0: device removed");
     /// ```
     pub fn chain(&self) -> ErrorChain<'_> {
         ErrorChain::new(self)
@@ -271,8 +287,28 @@ impl Error {
     }
 
     pub(crate) fn disconnected(source: Option<io::Error>) -> Self {
-        Self::Disconnected { source: source.map(Arc::new) }
+        Self::Disconnected { sensor: None, source: source.map(Arc::new) }
     }
+
+    /// Returns this error with the name of the sensor, in the kinds that have one.
+    pub(crate) fn named(mut self, name: Option<&Arc<str>>) -> Self {
+        if let (
+            Self::NoAnswer { sensor, .. }
+            | Self::Loopback { sensor }
+            | Self::WrongProtocol { sensor, .. }
+            | Self::AnotherSensor { sensor, .. }
+            | Self::Disconnected { sensor, .. },
+            Some(name),
+        ) = (&mut self, name)
+        {
+            sensor.get_or_insert_with(|| Arc::clone(name));
+        }
+        self
+    }
+}
+
+fn or_sensor(name: &Option<Arc<str>>) -> &str {
+    name.as_deref().unwrap_or("the sensor")
 }
 
 /// An error and its causes, as one line: `Display` joins them with `: `.
@@ -306,6 +342,33 @@ impl fmt::Display for ErrorChain<'_> {
     }
 }
 
+/// Converts to an I/O error of the nearest kind, with this one inside, so that a function
+/// that returns `io::Result` can use `?`.
+impl From<Error> for io::Error {
+    fn from(error: Error) -> Self {
+        let kind = match &error {
+            Error::InvalidEndpoint { .. } => io::ErrorKind::InvalidInput,
+            Error::NoSuchPort { .. } | Error::NoSuchSensor { .. } => io::ErrorKind::NotFound,
+            Error::PermissionDenied { .. } => io::ErrorKind::PermissionDenied,
+            Error::Busy { .. } => io::ErrorKind::ResourceBusy,
+            Error::Open { source, .. } => source.kind(),
+            Error::NoAnswer { .. } | Error::Timeout { .. } => io::ErrorKind::TimedOut,
+            Error::Disconnected { source: Some(source), .. } => source.kind(),
+            Error::Disconnected { source: None, .. } | Error::Closed => io::ErrorKind::NotConnected,
+            Error::Malformed { .. } | Error::WrongProtocol { .. } => io::ErrorKind::InvalidData,
+            Error::UnsupportedBaudRate { .. } => io::ErrorKind::Unsupported,
+            Error::NotASerialPort { .. }
+            | Error::Loopback { .. }
+            | Error::AnotherSensor { .. }
+            | Error::Refused { .. }
+            | Error::LaserOff
+            | Error::Panicked { .. }
+            | Error::NotConfirmed { .. } => io::ErrorKind::Other,
+        };
+        Self::new(kind, error)
+    }
+}
+
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
@@ -322,10 +385,36 @@ mod tests {
         #[error("cannot start: {0}")]
         struct Outer(#[source] Error);
 
-        let source = Some(Arc::new(io::Error::other("device removed")));
-        let lost = Error::Disconnected { source };
+        let lost = Error::disconnected(Some(io::Error::other("device removed")));
         let text = "cannot start: the link to the sensor is lost: device removed";
         assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
         assert_eq!(Error::Closed.chain().to_string(), Error::Closed.to_string());
+    }
+
+    #[test]
+    fn the_name_of_the_sensor_is_in_the_errors_of_its_link() {
+        let name: Arc<str> = "left".into();
+        let lost = Error::disconnected(None);
+        assert_eq!(lost.to_string(), "the link to the sensor is lost");
+        let lost = lost.named(Some(&name));
+        assert_eq!(lost.to_string(), "the link to left is lost");
+        assert_eq!(lost.named(Some(&"right".into())).to_string(), "the link to left is lost");
+        let silent = Error::NoAnswer { sensor: None, baud_rate: None, searched: true, bytes: 0 };
+        let silent = silent.named(Some(&name)).to_string();
+        assert!(silent.starts_with("left does not answer at any baud rate: "), "{silent}");
+        assert!(Error::Loopback { sensor: None }.to_string().starts_with("the sensor returns"));
+    }
+
+    #[test]
+    fn an_io_error_keeps_the_kind_and_the_error() {
+        let refused = io::Error::from(io::ErrorKind::ConnectionRefused);
+        let open = Error::Open { port: "tcp://bridge:1".to_owned(), source: Arc::new(refused) };
+        let error = io::Error::from(open);
+        assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
+        let inner = error.into_inner().and_then(|inner| inner.downcast::<Error>().ok());
+        assert!(matches!(inner.as_deref(), Some(Error::Open { .. })));
+        let missing = Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() };
+        assert_eq!(io::Error::from(missing).kind(), io::ErrorKind::NotFound);
+        assert_eq!(io::Error::from(Error::Closed).kind(), io::ErrorKind::NotConnected);
     }
 }

@@ -67,7 +67,8 @@
 //! - [`ScanStream`] is a `Stream` of [`Scan`]s of a [`Window`] at a [`Rate`].
 //! - [`Scan`] has values, measurements, ranges and points. Methods named after the
 //!   fields of ROS's `sensor_msgs/LaserScan` return these fields.
-//! - [`State`] is the state of the connection, [`Stats`] are its counters. [`Error`]
+//! - [`State`] is the state of the connection, [`Stats`] are its counters, and
+//!   [`Freshness`] is the age of the last good scan, for a health check. [`Error`]
 //!   states what failed and what to do about it.
 //! - [`port`] has the ways to reach a sensor. [`protocol`] and [`codec`] are the
 //!   protocol itself, for programs that speak it without this driver.
@@ -107,8 +108,16 @@
 //! Versions are semantic. Before 1.0 a breaking change raises the second number, any
 //! other change the third. Covered are the public API with its documented behaviour,
 //! the options and output formats of `urg`, and the serialised forms. Texts of errors
-//! and log lines may change at any time. Enums and structs that may grow are
-//! `#[non_exhaustive]`. The types of `tokio`, `tokio-util`, `futures`, `bytes` and
+//! and log lines may change at any time.
+//!
+//! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
+//! counters, [`Version`] and [`RawReply`]. Of their kinds those that only the driver
+//! makes may get more fields: [`Error`] marks them, and [`State::Connected`]. The other
+//! kinds are complete, so that a [`Connect`] or a test can make them. Complete as a whole
+//! are [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes,
+//! and [`Point`].
+//!
+//! The types of `tokio`, `tokio-util`, `futures`, `bytes` and
 //! `serde` in the API are part of it.
 //!
 //! The minimum Rust is 1.88. A new minimum is at least half a year old when it is
@@ -146,8 +155,8 @@ pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowErro
 pub use rate::{InvalidRate, Rate};
 pub use scan::{InvalidScan, Point, Scan, ScanBuilder};
 pub use sensor::{Sensor, SensorBuilder};
-pub use state::{LatencyStats, MalformedCounts, ScheduleStats, State, Stats};
-pub use stream::{OnlyScans, ScanStream};
+pub use state::{Freshness, LatencyStats, MalformedCounts, ScheduleStats, Stale, State, Stats};
+pub use stream::{OnlyScans, ScanStream, StreamBuilder};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

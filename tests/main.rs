@@ -13,6 +13,7 @@ mod common;
 mod emulator;
 mod faults;
 mod flood;
+mod fresh;
 mod grid;
 mod idle_probe;
 mod layering;

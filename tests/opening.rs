@@ -76,7 +76,7 @@ async fn nobody_answers_at_any_speed() {
     let error = fails(&emulator.build()).await;
     assert!(matches!(error, Error::NoAnswer { baud_rate: None, searched: true, .. }), "{error:?}");
     assert!(start.elapsed() >= Duration::from_secs(5) && start.elapsed() < ms(5600));
-    assert!(error.to_string().starts_with("no sensor answers at any baud rate"));
+    assert!(error.to_string().starts_with("the sensor does not answer at any baud rate"));
 }
 
 #[tokio::test(start_paused = true)]
@@ -106,7 +106,7 @@ async fn w22_a_loopback_is_told_from_a_silent_sensor() {
         let _ = tokio::io::copy(&mut read, &mut write).await;
     });
     let error = builder().attach(near).await.unwrap_err();
-    assert!(matches!(error, Error::Loopback), "{error:?}");
+    assert!(matches!(error, Error::Loopback { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -132,7 +132,7 @@ async fn w22_an_echo_of_our_own_commands_is_a_loopback_too() {
         }
     });
     let error = builder().attach(near).await.unwrap_err();
-    assert!(matches!(error, Error::Loopback), "{error:?}");
+    assert!(matches!(error, Error::Loopback { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]

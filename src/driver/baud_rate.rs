@@ -66,7 +66,7 @@ pub(crate) async fn find(
                 let searched = session.is_adjustable() && session.baud_rate().is_some();
                 let baud_rate = session.baud_rate().filter(|_| !searched);
                 let bytes = session.received() - before;
-                let silence = Error::NoAnswer { baud_rate, searched, bytes };
+                let silence = Error::NoAnswer { sensor: None, baud_rate, searched, bytes };
                 return Err(ExchangeError::Silent(malformed.unwrap_or(silence)));
             }
         }

@@ -1,6 +1,7 @@
 //! [`Config`]: how a driver behaves, as the builder sets it.
 
 use std::hash::{BuildHasher, RandomState};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -40,6 +41,8 @@ impl IdleProbe {
 /// The settings of a driver.
 #[derive(Debug, Clone)]
 pub(crate) struct Config {
+    /// The name of the sensor in logs and errors.
+    pub(crate) name: Option<Arc<str>>,
     pub(crate) baud_rate: Option<BaudRate>,
     pub(crate) open_timeout: Duration,
     pub(crate) wait_for_sensor: bool,
@@ -65,6 +68,7 @@ impl Config {
 impl Default for Config {
     fn default() -> Self {
         Self {
+            name: None,
             baud_rate: None,
             open_timeout: Duration::from_secs(5),
             wait_for_sensor: false,

@@ -15,6 +15,13 @@ pub(crate) enum ExchangeError {
 }
 
 impl ExchangeError {
+    /// Returns the error, whatever the driver has to do next.
+    pub(crate) fn error(&self) -> &Error {
+        match self {
+            Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
+        }
+    }
+
     /// Returns the error alone.
     pub(crate) fn into_error(self) -> Error {
         match self {

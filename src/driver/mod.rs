@@ -32,6 +32,7 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
+use tracing::Instrument;
 
 pub(crate) use self::config::{Config, IdleProbe};
 pub(crate) use self::request::{Promise, Request};
@@ -78,6 +79,7 @@ pub(crate) struct Client {
     sender: mpsc::Sender<QueuedRequest>,
     telemetry: Arc<Telemetry>,
     request_timeout: Duration,
+    ring_depth: usize,
 }
 
 impl Client {
@@ -97,6 +99,11 @@ impl Client {
         answer.await.unwrap_or_else(|_| Err(self.telemetry.cause()))
     }
 
+    /// Returns the depth of streams that set none.
+    pub(crate) fn ring_depth(&self) -> usize {
+        self.ring_depth
+    }
+
     pub(crate) fn telemetry(&self) -> &Telemetry {
         &self.telemetry
     }
@@ -104,11 +111,17 @@ impl Client {
 
 /// Returns a driver that does not run yet, and the first handle to it.
 pub(crate) fn new<C: Connect>(connect: C, config: Config) -> (Client, Driver) {
+    let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
+    let span = match &name {
+        // Enabled wherever anything is: a warning without a name is of little use.
+        Some(name) => tracing::error_span!("sensor", %name),
+        None => tracing::error_span!("sensor"),
+    };
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
-    let telemetry = Arc::new(Telemetry::new());
-    let request_timeout = config.open_timeout;
+    let telemetry = Arc::new(Telemetry::new(name.clone()));
+    let (request_timeout, ring_depth) = (config.open_timeout, config.ring_depth);
     let supervisor =
-        Supervisor::new(connect, config, RequestQueue::new(receiver), Arc::clone(&telemetry));
-    let client = Client { sender, telemetry, request_timeout };
-    (client, Driver { run: Box::pin(supervisor.run()) })
+        Supervisor::new(connect, config, RequestQueue::new(receiver, name), Arc::clone(&telemetry));
+    let client = Client { sender, telemetry, request_timeout, ring_depth };
+    (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }

@@ -87,7 +87,8 @@ impl<C: Connect> Opener<C> {
     pub(crate) async fn open(&mut self) -> Result<Session, Error> {
         loop {
             let outcome = match timeout(self.config.open_timeout, self.connect.connect()).await {
-                Ok(port) => self.open_on(port?).await,
+                Ok(Ok(port)) => self.open_on(port).await,
+                Ok(Err(error)) => return Err(self.fail(error)),
                 Err(_) => {
                     let port = self.connect.name().unwrap_or("the port");
                     Err(Error::open(port, io::ErrorKind::TimedOut.into()))
@@ -97,13 +98,15 @@ impl<C: Connect> Opener<C> {
                 Err(error) if self.connect.has_more() => {
                     tracing::debug!(error = %error.chain(), "port skipped");
                 }
-                outcome => {
-                    return outcome.inspect_err(|error| {
-                        tracing::debug!(error = %error.chain(), "opening failed");
-                    });
-                }
+                outcome => return outcome.map_err(|error| self.fail(error)),
             }
         }
+    }
+
+    /// Logs the error of an attempt, and returns it with the name of the sensor.
+    fn fail(&self, error: Error) -> Error {
+        tracing::debug!(error = %error.chain(), "opening failed");
+        error.named(self.telemetry.name())
     }
 
     async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
@@ -170,7 +173,11 @@ impl<C: Connect> Opener<C> {
         let found = &version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
-            return Err(ExchangeError::Lost(Error::AnotherSensor { expected, found }));
+            return Err(ExchangeError::Lost(Error::AnotherSensor {
+                sensor: None,
+                expected,
+                found,
+            }));
         }
         let motor_speed =
             version.specification.as_ref().and_then(|specification| specification.motor_speed);

@@ -2,6 +2,7 @@
 //! exactly once: by the driver, or by being dropped with it.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, sleep_until};
@@ -20,7 +21,7 @@ pub(crate) enum Request {
     Laser { on: bool, promise: Promise<()> },
     BaudRate { baud_rate: BaudRate, promise: Promise<()> },
     Scan { window: Window, promise: Promise<Scan> },
-    Subscribe { window: Window, rate: Rate, promise: Promise<Cursor> },
+    Subscribe { window: Window, rate: Rate, depth: usize, promise: Promise<Cursor> },
     Close(Promise<()>),
 }
 
@@ -61,7 +62,7 @@ pub(crate) struct QueuedRequest {
 /// A request that can be answered without a link.
 #[derive(Debug)]
 pub(crate) enum Unlinked {
-    Subscribe { window: Window, rate: Rate, promise: Promise<Cursor> },
+    Subscribe { window: Window, rate: Rate, depth: usize, promise: Promise<Cursor> },
     Close(Promise<()>),
 }
 
@@ -73,6 +74,8 @@ pub(crate) struct Abandoned;
 #[derive(Debug)]
 pub(crate) struct RequestQueue {
     receiver: mpsc::Receiver<QueuedRequest>,
+    /// The name of the sensor, for errors.
+    name: Option<Arc<str>>,
     /// Requests that need a link, from the time when there was none; the first
     /// one expires first, since all wait equally long.
     waiting: VecDeque<QueuedRequest>,
@@ -81,8 +84,8 @@ pub(crate) struct RequestQueue {
 }
 
 impl RequestQueue {
-    pub(crate) fn new(receiver: mpsc::Receiver<QueuedRequest>) -> Self {
-        Self { receiver, waiting: VecDeque::new(), next: None }
+    pub(crate) fn new(receiver: mpsc::Receiver<QueuedRequest>, name: Option<Arc<str>>) -> Self {
+        Self { receiver, name, waiting: VecDeque::new(), next: None }
     }
 
     /// Returns the next request, if one is there.
@@ -117,8 +120,8 @@ impl RequestQueue {
         loop {
             if let Some(queued) = self.next.take().filter(|queued| !queued.request.is_abandoned()) {
                 match queued.request {
-                    Request::Subscribe { window, rate, promise } => {
-                        return Ok(Unlinked::Subscribe { window, rate, promise });
+                    Request::Subscribe { window, rate, depth, promise } => {
+                        return Ok(Unlinked::Subscribe { window, rate, depth, promise });
                     }
                     Request::Close(promise) => return Ok(Unlinked::Close(promise)),
                     _ => self.waiting.push_back(queued),
@@ -138,7 +141,8 @@ impl RequestQueue {
         let now = Instant::now();
         while self.waiting.front().is_some_and(|queued| queued.expires <= now) {
             if let Some(queued) = self.waiting.pop_front() {
-                queued.request.fail(Error::disconnected(None));
+                let error = Error::disconnected(None).named(self.name.as_ref());
+                queued.request.fail(error);
             }
         }
     }

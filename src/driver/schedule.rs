@@ -13,10 +13,9 @@ use crate::state::{Audience, ScheduleStats, Telemetry};
 use crate::{Error, Rate, Window};
 
 /// Everything that is polled.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Schedules {
     all: Vec<Schedule>,
-    ring_depth: usize,
     /// Missed scans of schedules that are gone.
     missed: u64,
     /// Whether `stats` says something new.
@@ -59,24 +58,21 @@ pub(crate) struct Delivered {
 }
 
 impl Schedules {
-    pub(crate) fn new(ring_depth: usize) -> Self {
-        Self { all: Vec::new(), ring_depth, missed: 0, changed: false }
-    }
-
     /// A reader of what `window` shows at `rate`, from the next scan on. Equal
     /// ones share a schedule. While there is `trouble` it is told of that first.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
         rate: Rate,
+        depth: usize,
         trouble: Option<&Error>,
     ) -> Cursor {
         self.drop_unread();
         if let Some(schedule) = self.find(window, rate) {
-            return schedule.reader(trouble);
+            return schedule.subscribe(depth, trouble);
         }
-        let mut schedule = Schedule::new(window, rate, self.ring_depth);
-        let reader = schedule.reader(trouble);
+        let mut schedule = Schedule::new(window, rate);
+        let reader = schedule.subscribe(depth, trouble);
         self.all.push(schedule);
         self.changed = true;
         reader
@@ -201,12 +197,12 @@ impl Schedules {
 }
 
 impl Schedule {
-    fn new(window: Window, rate: Rate, ring_depth: usize) -> Self {
+    fn new(window: Window, rate: Rate) -> Self {
         let now = Instant::now();
         Self {
             window,
             rate,
-            ring: Ring::new(ring_depth),
+            ring: Ring::new(),
             due: now,
             sequence: 0,
             previous: None,
@@ -216,11 +212,11 @@ impl Schedule {
         }
     }
 
-    fn reader(&mut self, trouble: Option<&Error>) -> Cursor {
+    fn subscribe(&mut self, depth: usize, trouble: Option<&Error>) -> Cursor {
         if let Some(error) = trouble {
             self.report(error);
         }
-        self.ring.reader(self.condition.is_some())
+        self.ring.subscribe(depth)
     }
 
     /// Moves on to the first place on the grid behind `now`, so that a poll is
@@ -293,9 +289,11 @@ mod tests {
     const HUNDRED_MS: Duration = Duration::from_millis(100);
 
     fn schedules(rates: &[(Window, Rate)]) -> (Schedules, Vec<Cursor>) {
-        let mut schedules = Schedules::new(1);
-        let readers =
-            rates.iter().map(|&(window, rate)| schedules.subscribe(window, rate, None)).collect();
+        let mut schedules = Schedules::default();
+        let readers = rates
+            .iter()
+            .map(|&(window, rate)| schedules.subscribe(window, rate, 1, None))
+            .collect();
         (schedules, readers)
     }
 
@@ -345,7 +343,7 @@ mod tests {
     async fn equal_schedules_are_one_and_one_without_readers_ends() {
         let same = (Window::FULL, Rate::MAX);
         let (mut schedules, readers) = schedules(&[same, same]);
-        let telemetry = Telemetry::new();
+        let telemetry = Telemetry::new(None);
         schedules.note(&telemetry);
         assert_eq!(telemetry.snapshot().schedules.len(), 1);
         assert!(schedules.take_due(Instant::now()).is_some());
@@ -383,8 +381,8 @@ mod tests {
         };
         assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
         assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
-        assert_eq!(count(&mut schedules, Some(Error::Loopback)), 2);
+        assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 2);
         assert_eq!(count(&mut schedules, None), 2);
-        assert_eq!(count(&mut schedules, Some(Error::Loopback)), 3);
+        assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);
     }
 }

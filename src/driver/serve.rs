@@ -57,6 +57,8 @@ pub(crate) struct Service<'a> {
     pub(crate) scan_time: Duration,
     /// The time without an exchange after which a fence is raised.
     pub(crate) idle_probe: Option<Duration>,
+    /// How often the sensor was found again before this session.
+    pub(crate) reconnects: u64,
     /// The values of the latest reply, in one buffer for all polls.
     pub(crate) values: &'a mut Vec<u16>,
     pub(crate) laser_recovery: LaserRecovery,
@@ -80,7 +82,8 @@ impl Service<'_> {
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
         // A doubt is best cleared up while there is time.
         if session.is_dirty() {
-            ignore_command_errors(self.resynchronise(session).await)?;
+            let outcome = self.resynchronise(session).await;
+            self.ignore_command_errors(outcome)?;
         }
         let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
         self.telemetry.set_streaming(polling);
@@ -100,7 +103,7 @@ impl Service<'_> {
         let wake = due.into_iter().chain(probe).min();
         tokio::select! {
             biased;
-            outcome = session.idle() => ignore_command_errors(outcome)?,
+            outcome = session.idle() => self.ignore_command_errors(outcome)?,
             outcome = self.queue.ready() => outcome?,
             () = sleep_until(wake.unwrap_or_else(Instant::now)), if wake.is_some() => {
                 if wake == probe {
@@ -137,6 +140,8 @@ impl Service<'_> {
                 let outcome = set_laser(session, on).await;
                 if on {
                     self.schedules.resume(Instant::now());
+                } else {
+                    self.telemetry.stats().failed(&Error::LaserOff);
                 }
                 self.respond(promise, outcome)
             }
@@ -156,9 +161,9 @@ impl Service<'_> {
                 let outcome = self.scan(session, window).await;
                 self.respond(promise, outcome)
             }
-            Request::Subscribe { window, rate, promise } => {
+            Request::Subscribe { window, rate, depth, promise } => {
                 // A stream that nobody took is a stream that was dropped.
-                let _ = promise.send(Ok(self.schedules.subscribe(window, rate, None)));
+                let _ = promise.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
                 self.note_schedules();
                 Ok(())
             }
@@ -170,13 +175,13 @@ impl Service<'_> {
         if self.wanted.laser == Some(false) {
             return Err(ExchangeError::Command(Error::LaserOff));
         }
-        let (scan_time, mut tries) = (self.scan_time, 2);
+        let mut tries = 2;
         loop {
             tries -= 1;
-            match self.poll_with_laser(session, window).await {
+            match self.poll(session, window).await {
                 Ok(timing) => {
                     let values: Arc<[u16]> = self.values.as_slice().into();
-                    return Ok(Scan::new(window, values, 0, meta(timing, scan_time)));
+                    return Ok(Scan::new(window, values, 0, self.meta(timing)));
                 }
                 Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
                     if tries > 0 && !self.telemetry.is_closing() => {}
@@ -190,12 +195,12 @@ impl Service<'_> {
             self.note_schedules();
             return Ok(());
         };
-        let (outcome, delivered) = match self.poll_with_laser(session, poll.window).await {
+        let (outcome, delivered) = match self.poll(session, poll.window).await {
             Ok(timing) => {
-                let meta = meta(timing, self.scan_time);
+                let meta = self.meta(timing);
                 (Ok(()), self.schedules.deliver(poll, self.values, meta))
             }
-            Err(failure) => match command_error(failure) {
+            Err(failure) => match self.command_error(failure) {
                 Ok(error) => (Ok(()), self.schedules.fail(poll, &error)),
                 Err(stop) => (Err(stop), Delivered::default()),
             },
@@ -209,6 +214,19 @@ impl Service<'_> {
         stats.missed = self.schedules.missed();
         drop(stats);
         self.note_schedules();
+        outcome
+    }
+
+    /// Polls, and records why there is no scan.
+    async fn poll(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+    ) -> Result<Timing, ExchangeError> {
+        let outcome = self.poll_with_laser(session, window).await;
+        if let Err(failure) = &outcome {
+            self.telemetry.stats().failed(failure.error());
+        }
         outcome
     }
 
@@ -246,7 +264,7 @@ impl Service<'_> {
     ) -> Result<(), Stop> {
         let (answer, stop) = match outcome {
             Ok(answer) => (Ok(answer), Ok(())),
-            Err(failure) => match command_error(failure) {
+            Err(failure) => match self.command_error(failure) {
                 Ok(error) => (Err(error), Ok(())),
                 Err(stop) => (Err(stop.cause()), Err(stop)),
             },
@@ -256,8 +274,34 @@ impl Service<'_> {
         stop
     }
 
+    fn meta(&self, timing: Timing) -> ScanMeta {
+        ScanMeta {
+            sequence: 0,
+            requested_at: timing.requested,
+            received_at: timing.received,
+            stamp: timing.stamp,
+            repeat: false,
+            scan_time: self.scan_time,
+            reconnects: self.reconnects,
+        }
+    }
+
     fn note_schedules(&mut self) {
         self.schedules.note(self.telemetry);
+    }
+
+    /// Returns the error of a command, if that is all that failed.
+    fn command_error(&self, failure: ExchangeError) -> Result<Error, Stop> {
+        let name = self.telemetry.name();
+        match failure {
+            ExchangeError::Command(error) => Ok(error.named(name)),
+            ExchangeError::Silent(error) => Err(Stop::Silent(error.named(name))),
+            ExchangeError::Lost(error) => Err(Stop::Lost(error.named(name))),
+        }
+    }
+
+    fn ignore_command_errors(&self, outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
+        outcome.or_else(|failure| self.command_error(failure).map(drop))
     }
 }
 
@@ -277,30 +321,5 @@ fn warn_of(
             %window, asked = %rate, reached, failed,
             "replies are lost, malformed or refused: check the cable and the sensor's power"
         ),
-    }
-}
-
-/// The error of a command, if that is all that failed.
-fn command_error(failure: ExchangeError) -> Result<Error, Stop> {
-    match failure {
-        ExchangeError::Command(error) => Ok(error),
-        ExchangeError::Silent(error) => Err(Stop::Silent(error)),
-        ExchangeError::Lost(error) => Err(Stop::Lost(error)),
-    }
-}
-
-fn ignore_command_errors(outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
-    outcome.or_else(|failure| command_error(failure).map(drop))
-}
-
-fn meta(timing: Timing, scan_time: Duration) -> ScanMeta {
-    ScanMeta {
-        sequence: 0,
-        requested_at: timing.requested,
-        received_at: timing.received,
-        stamp: timing.stamp,
-        repeat: false,
-        scan_time,
-        reconnects: 0,
     }
 }

@@ -146,9 +146,7 @@ impl Session {
         }
         values.drain(..surplus.min(values.len()));
         values.truncate(window.points());
-        let mut stats = self.telemetry.stats();
-        stats.scans += 1;
-        stats.reply_latency.add(timing.received - timing.requested);
+        self.telemetry.stats().scanned(timing.requested, timing.received);
         Ok(timing)
     }
 
@@ -218,7 +216,7 @@ impl Session {
                 }
                 Ok(reply) => Error::Refused { command, status: reply.status() },
                 Err(ReplyError::Malformed(source)) => Error::Malformed { command, source },
-                Err(ReplyError::Scip2 { status }) => Error::WrongProtocol { status },
+                Err(ReplyError::Scip2 { status }) => Error::WrongProtocol { sensor: None, status },
                 Err(ReplyError::Foreign { found }) => {
                     Error::Malformed { command, source: Malformed::Echo { found } }
                 }

@@ -49,7 +49,7 @@ impl<C: Connect> Supervisor<C> {
         telemetry: Arc<Telemetry>,
     ) -> Self {
         let opener = Opener::new(connect, config.clone(), Arc::clone(&telemetry));
-        let schedules = Schedules::new(config.ring_depth);
+        let schedules = Schedules::default();
         let offline = OfflineQueue { queue, schedules, telemetry: Arc::clone(&telemetry) };
         Self {
             _closing: Closing {
@@ -110,6 +110,7 @@ impl<C: Connect> Supervisor<C> {
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
         let idle_probe = self.config.idle_probe.interval(session.can_die_silently());
+        let reconnects = self.telemetry.stats().reconnects;
         let mut service = Service {
             queue: &mut self.offline.queue,
             schedules: &mut self.offline.schedules,
@@ -117,6 +118,7 @@ impl<C: Connect> Supervisor<C> {
             telemetry: &self.telemetry,
             scan_time,
             idle_probe,
+            reconnects,
             values: &mut self.values,
             laser_recovery: LaserRecovery::new(self.config.seed()),
         };
@@ -124,21 +126,22 @@ impl<C: Connect> Supervisor<C> {
     }
 
     async fn open_first(&mut self) -> Result<Session, Stop> {
-        let mut latest = None;
+        let mut latest: Option<Error> = None;
         loop {
-            let error = match self.offline.attend(None, self.opener.open()).await? {
+            let error = match self.offline.attend(latest.as_ref(), self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(error) => error,
             };
             // udev may not have set the owner of a port yet: fails only if the
             // error repeats. Another sensor may be replaced by the right one.
-            let again = latest.replace(discriminant(&error)) == Some(discriminant(&error));
+            let again = latest.is_some_and(|last| discriminant(&last) == discriminant(&error));
             let may_pass = error.is_transient() || matches!(error, Error::AnotherSensor { .. });
             if !self.config.wait_for_sensor || again && !may_pass {
                 return Err(Stop::Lost(error));
             }
-            self.telemetry.enter(State::Connecting { error: Some(error) });
-            self.offline.attend(None, sleep(self.backoff.next())).await?;
+            self.telemetry.enter(State::Connecting { error: Some(error.clone()) });
+            self.offline.attend(Some(&error), sleep(self.backoff.next())).await?;
+            latest = Some(error);
         }
     }
 
@@ -166,6 +169,7 @@ impl<C: Connect> Supervisor<C> {
             Error::Disconnected { .. } => cause,
             _ => Error::disconnected(None),
         };
+        let error = error.named(self.telemetry.name());
         self.telemetry.stats().disconnects += 1;
         if !self.config.reconnect {
             return Err(Stop::Lost(error));
@@ -208,9 +212,10 @@ impl OfflineQueue {
                 biased;
                 done = &mut work => return Ok(done),
                 request = self.queue.next_unlinked() => match request {
-                    Ok(Unlinked::Subscribe { window, rate, promise }) => {
+                    Ok(Unlinked::Subscribe { window, rate, depth, promise }) => {
+                        let stream = self.schedules.subscribe(window, rate, depth, trouble);
                         // A stream that nobody took is a stream that was dropped.
-                        let _ = promise.send(Ok(self.schedules.subscribe(window, rate, trouble)));
+                        let _ = promise.send(Ok(stream));
                     }
                     Ok(Unlinked::Close(promise)) => return Err(Stop::Closed(promise)),
                     Err(_) => return Err(Stop::Abandoned),

@@ -1,7 +1,6 @@
 //! [`Attached`]: a stream that is open already, as a port that can be opened once.
 
 use std::io;
-use std::sync::Arc;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
@@ -25,8 +24,7 @@ where
     type Port = StreamPort<T>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
-        let gone =
-            || Error::Disconnected { source: Some(Arc::new(io::ErrorKind::BrokenPipe.into())) };
+        let gone = || Error::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
         self.0.take().map(StreamPort::new).ok_or_else(gone)
     }
 }

@@ -187,7 +187,7 @@ pub trait Connect: Send + 'static {
     /// for its sensor tries again.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
-    /// Returns the name of the port for error messages, if it has one.
+    /// Returns the name of the port for logs and error messages, if it has one.
     fn name(&self) -> Option<&str> {
         None
     }

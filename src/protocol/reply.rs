@@ -324,7 +324,7 @@ pub enum ReplyError {
 pub enum Malformed {
     /// It does not begin with the command: the echo was damaged, something came
     /// before it, or it is the reply to another command.
-    #[error("the reply begins with \"{found}\", where the command was expected")]
+    #[error("expected the echo of the command, found \"{found}\"")]
     Echo {
         /// The bytes at its beginning.
         found: Text,

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Reply, Text};
+use super::{Reply, Text, Window};
 
 /// The reply to `V` (C-42-3320-A p. 4), read tolerantly: fields may come in any
 /// order, with or without a blank after the colon, missing ones stay empty, and
@@ -80,6 +80,27 @@ pub struct Specification {
 }
 
 impl Specification {
+    /// Returns the window of all steps that the sensor measures, if its firmware line has
+    /// them: for a URG-04LX it is [`Window::DETECTION`].
+    ///
+    /// ```
+    /// # use tokio_scip::emulator::Emulator;
+    /// use tokio_scip::{Sensor, Window};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
+    /// let version = sensor.version().await?;
+    /// let window = version.specification.and_then(|specification| specification.window());
+    /// let scan = sensor.scan(window.unwrap_or(Window::DETECTION)).await?;
+    /// # assert_eq!(window, Some(Window::DETECTION));
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn window(&self) -> Option<Window> {
+        self.steps.clone().and_then(|steps| Window::new(steps).ok())
+    }
+
     /// Returns the parts such as `240[deg]` of a firmware line, if there are any.
     fn find(firmware: &[u8]) -> Option<Self> {
         let mut found = Self::default();

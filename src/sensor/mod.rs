@@ -1,5 +1,5 @@
-//! [`Sensor`], the handle that a service holds: each method is a request to the
-//! driver, or a look at what the driver tells of itself.
+//! [`Sensor`], the handle that a service holds: each method sends a request to the
+//! driver, or reads what the driver reports.
 
 mod builder;
 
@@ -10,8 +10,9 @@ pub use self::builder::SensorBuilder;
 use crate::driver::{Client, Request};
 use crate::port::Endpoint;
 use crate::protocol::Version;
-use crate::state::{State, Stats};
-use crate::{BaudRate, Error, Rate, Scan, ScanStream, Window};
+use crate::state::{Freshness, State, Stats};
+use crate::stream::{ScanStream, StreamBuilder};
+use crate::{BaudRate, Error, Rate, Scan, Window};
 
 /// A URG sensor.
 ///
@@ -33,11 +34,11 @@ use crate::{BaudRate, Error, Rate, Scan, ScanStream, Window};
 ///
 /// While there is no link a request waits for one, at most for the
 /// [open timeout](SensorBuilder::open_timeout), and then fails with
-/// [`Error::Disconnected`]; why there is none is in [`state`](Self::state). A reply
-/// that does not come, or comes damaged, is asked for once more where that is
-/// harmless, and then is [`Error::Timeout`] or [`Error::Malformed`]; a status other
-/// than success is [`Error::Refused`]. Once the driver has ended every call fails
-/// with the cause, or [`Error::Closed`].
+/// [`Error::Disconnected`]; [`state`](Self::state) has the reason. A command without a
+/// whole reply is repeated once where that is harmless, and then fails with
+/// [`Error::Timeout`] or [`Error::Malformed`]; with a status other than success it
+/// fails with [`Error::Refused`]. Once the driver has ended every call fails with the
+/// cause, or [`Error::Closed`].
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,
@@ -47,15 +48,15 @@ impl Sensor {
     /// Opens the sensor behind `endpoint` with the builder's defaults, on a
     /// driver that is spawned on the current tokio runtime.
     ///
-    /// Takes an [`Endpoint`] or a text that names one, such as
+    /// Takes an [`Endpoint`], a path, or a text that names an endpoint, such as
     /// `/dev/ttyACM0`, `COM3`, `tcp://host:port?baud=115200` or
     /// `serial:H0713090`.
     ///
     /// # Errors
     ///
-    /// What cannot get better by itself is told at once, each with a kind of
-    /// its own: no such port, not a serial port, no permission, in use, SCIP 2,
-    /// a loopback. [`Error::NoAnswer`] comes after the open timeout (5 s).
+    /// Fails at once if trying again would not help: no such port, not a serial port,
+    /// no permission, in use, SCIP 2, a loopback. Fails with [`Error::NoAnswer`] after
+    /// the open timeout (5 s).
     ///
     /// # Panics
     ///
@@ -68,9 +69,9 @@ impl Sensor {
         Self::builder().open(endpoint).await
     }
 
-    /// Uses a stream that is open already: a socket, a pipe, an emulated
-    /// sensor. It is taken to have no baud rate, and is never reopened: when
-    /// it ends, the driver ends.
+    /// Opens the sensor behind a byte stream that is open already: a socket, a pipe, an
+    /// emulated sensor. The stream has no baud rate, and is never reopened: when it ends,
+    /// the driver ends.
     ///
     /// # Errors
     ///
@@ -86,20 +87,19 @@ impl Sensor {
         Self::builder().attach(stream).await
     }
 
-    /// A builder, for all that [`open`](Self::open) takes for granted.
+    /// Returns a builder, for other settings than those of [`open`](Self::open).
     pub fn builder() -> SensorBuilder {
         SensorBuilder::default()
     }
 
     /// Waits until the sensor answers for the first time.
     ///
-    /// [`SensorBuilder::connect`] and its like have done so already; this is
-    /// for those who [build](SensorBuilder::build) and spawn by themselves.
-    /// Cancel-safe.
+    /// The other ways of opening have waited already; this is for a driver that was
+    /// [built](SensorBuilder::build) and spawned. Cancel-safe.
     ///
     /// # Errors
     ///
-    /// Why the driver ended, if it did.
+    /// The cause if the driver has ended.
     pub async fn opened(&self) -> Result<(), Error> {
         let mut state = self.state();
         let open = |state: &State| !matches!(state, State::Connecting { .. });
@@ -109,10 +109,8 @@ impl Sensor {
         }
     }
 
-    /// Who the sensor is (`V`, C-42-3320-A p. 4).
-    ///
-    /// The sensor was asked when it was opened; the answer is kept until the
-    /// link is lost.
+    /// Returns the identity of the sensor (`V`, C-42-3320-A p. 4), as it was read when
+    /// the link was opened.
     pub async fn version(&self) -> Result<Version, Error> {
         match self.client.telemetry().version() {
             Some(version) => Ok(version),
@@ -120,8 +118,8 @@ impl Sensor {
         }
     }
 
-    /// Switches the laser on (`L1`, p. 4), and makes sure that it is. No error
-    /// if it is on already.
+    /// Switches the laser on (`L1`, p. 4), and confirms that it is. Succeeds if it is
+    /// on already.
     ///
     /// The driver remembers it, also if this call fails or is dropped after it
     /// was written, and restores it whenever the sensor was away.
@@ -129,36 +127,35 @@ impl Sensor {
         self.client.ask(|promise| Request::Laser { on: true, promise }).await
     }
 
-    /// Switches the laser off (`L0`, p. 4), and makes sure that it is: the
-    /// sensor refuses to measure. No error if it is off already.
+    /// Switches the laser off (`L0`, p. 4), and confirms that it is: the sensor refuses
+    /// to measure. Succeeds if it is off already.
     ///
-    /// Streams rest until [`laser_on`](Self::laser_on). The driver remembers
-    /// it, also if this call fails or is dropped after it was written, and
-    /// restores it whenever the sensor was away. A sensor that resets itself
-    /// switches its laser on; on USB, and while nothing is asked of it, that
-    /// shows only if bytes come that nobody asked for.
+    /// Streams pause until [`laser_on`](Self::laser_on). The driver remembers it, also
+    /// if this call fails or is dropped after it was written, and restores it whenever
+    /// the sensor was away. A sensor that resets itself switches its laser on; on USB,
+    /// and while it gets no commands, the driver notices that only if the sensor sends
+    /// bytes by itself.
     pub async fn laser_off(&self) -> Result<(), Error> {
         self.client.ask(|promise| Request::Laser { on: false, promise }).await
     }
 
-    /// Moves sensor and port to another baud rate (`S`, p. 5), and makes sure
-    /// that they meet there; about half a second. The driver restores it
-    /// whenever the sensor was away. A sensor on USB accepts it without effect.
+    /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the
+    /// sensor answers at it; takes about half a second. The driver restores it whenever
+    /// the sensor was away. A sensor on USB accepts it without effect.
     ///
     /// # Errors
     ///
-    /// [`Error::UnsupportedBaudRate`] before the sensor is told anything, if the
-    /// port cannot be set to this baud rate or, as a TCP connection, to any other than
-    /// that of its endpoint.
-    /// [`Error::NotConfirmed`] if the sensor accepted and stayed where it was, or,
-    /// with `L0` as its command, if the laser was off by request and will not go
-    /// off at the new speed.
+    /// [`Error::UnsupportedBaudRate`], with nothing sent to the sensor, if the port
+    /// cannot be set to this baud rate or, as a TCP connection, to any other than that
+    /// of its endpoint. [`Error::NotConfirmed`] if the sensor accepted and stayed at the old one, or,
+    /// with `L0` as its command, if the laser was off by request and does not go off at
+    /// the new one.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
         self.client.ask(|promise| Request::BaudRate { baud_rate, promise }).await
     }
 
-    /// A single scan of `window`, asked for now (`G`, p. 5). It may come between
-    /// those of streams, is number 0, and takes none of their numbers.
+    /// Polls once, and returns the scan of `window` (`G`, p. 5). The poll may come
+    /// between those of streams. The scan is number 0, and takes none of their numbers.
     ///
     /// # Errors
     ///
@@ -168,41 +165,53 @@ impl Sensor {
         self.client.ask(|promise| Request::Scan { window, promise }).await
     }
 
-    /// A stream of scans of `window` at `rate`, beginning with the next one.
+    /// Returns a stream of scans of `window` at `rate`, starting with the next one. The
+    /// short form of [`stream`](Self::stream), without settings.
     ///
-    /// Polls lie on a fixed grid, without drift. One that falls due while the
-    /// line is busy is sent as soon as it is free; further ones are dropped,
-    /// never made up. Streams of the same window and rate share their polls. A
-    /// rate that the line cannot carry is no error: log and
-    /// [`stats`](Self::stats) tell what is reached, and
-    /// [`Window::wire_time`] tells beforehand.
+    /// Polls lie on a fixed grid, without drift. One that falls due while the line is
+    /// busy is sent as soon as it is free; further ones are skipped, never made up.
+    /// Streams of the same window and rate share their polls. A rate that the line
+    /// cannot carry is not an error: log and [`stats`](Self::stats) report the rate that
+    /// is reached, and [`Window::wire_time`] predicts it.
     ///
-    /// Waits for no scan and for no link: while there is none the stream begins
-    /// with the reason, if one is known, and goes on when the link is back. After
-    /// [`laser_off`](Self::laser_off) it rests, without an error.
+    /// Waits neither for a scan nor for a link. While the link is lost the stream starts
+    /// with [`Error::Disconnected`] or the reason of the latest attempt, and continues
+    /// when the link is back. A driver that still waits for its first link reports the
+    /// reason in [`state`](Self::state) only. After [`laser_off`](Self::laser_off) the
+    /// stream pauses, without an error.
     ///
     /// # Errors
     ///
-    /// Why the driver has ended, if it has.
+    /// The cause if the driver has ended.
     pub async fn scans(&self, window: Window, rate: Rate) -> Result<ScanStream, Error> {
-        let subscribe = |promise| Request::Subscribe { window, rate, promise };
-        let cursor = self.client.ask(subscribe).await?;
-        Ok(ScanStream::new(cursor, window, rate, self.client.clone()))
+        self.stream(window, rate).open().await
     }
 
-    /// What happened since the driver began, across all links.
+    /// Returns a builder of a stream, for other settings than those of
+    /// [`scans`](Self::scans).
+    pub fn stream(&self, window: Window, rate: Rate) -> StreamBuilder {
+        StreamBuilder::new(self.client.clone(), window, rate)
+    }
+
+    /// Returns the time of the last good scan, of all streams and single scans, and the
+    /// reason why there is no newer one.
+    pub fn freshness(&self) -> Freshness {
+        self.client.telemetry().freshness()
+    }
+
+    /// Returns the counters since the driver started, across all links.
     pub fn stats(&self) -> Stats {
         self.client.telemetry().snapshot()
     }
 
-    /// A watch of what the driver is about.
+    /// Returns a watch of the state of the driver and its link.
     ///
-    /// What the receiver's `borrow`, `borrow_and_update` and `wait_for` give is a
-    /// lock: while it is held the driver cannot go on to another state. Clone the
-    /// [`State`] out of it, and hold no borrow across an await.
+    /// The receiver's `borrow`, `borrow_and_update` and `wait_for` return a lock: while
+    /// it is held the driver cannot enter another state. Clone the [`State`] out of it,
+    /// and hold no borrow across an await.
     ///
-    /// The watch itself lasts as long as a handle or a stream does, also after the
-    /// driver has ended: who waits for a state waits for [`State::Closed`], too, or
+    /// The watch lasts as long as a handle or a stream does, also after the driver has
+    /// ended: a task that waits for a state has to wait for [`State::Closed`] too, or it
     /// may wait for ever.
     ///
     /// ```
@@ -216,7 +225,7 @@ impl Sensor {
     /// let up_or_over =
     ///     |state: &State| matches!(state, State::Connected { .. } | State::Closed { .. });
     /// let now = state.wait_for(up_or_over).await?.clone(); // the borrow ends here
-    /// if let State::Closed { error } = now {
+    /// if let State::Closed { error, .. } = now {
     ///     println!("no sensor any more: {error:?}");
     /// }
     /// # assert!(matches!(&*sensor.state().borrow(), State::Connected { .. }));
@@ -227,17 +236,16 @@ impl Sensor {
         self.client.telemetry().watch()
     }
 
-    /// Ends the driver and closes the port. Requests made before are answered
-    /// first, if there is a link; later ones fail with [`Error::Closed`], and
-    /// streams end. Returns at once if the driver has ended already.
+    /// Ends the driver and closes the port. Earlier requests are answered first, if
+    /// there is a link; later ones fail with [`Error::Closed`], and streams end. Returns
+    /// at once if the driver has ended already.
     ///
-    /// If the sensor does not answer, this waits for the deadlines of the command
-    /// under way and of one fence: 1.5 s unless
-    /// [`reply_latency`](SensorBuilder::reply_latency) was set, and their time on
-    /// the wire.
+    /// If the sensor does not answer, this waits for the deadlines of the command under
+    /// way and of one fence: 1.5 s unless [`reply_latency`](SensorBuilder::reply_latency)
+    /// was set, and their time on the wire.
     pub async fn close(&self) {
         let _closing = self.client.telemetry().closing();
-        // The only answer is that the driver has ended, one way or the other.
+        // Any answer means that the driver has ended.
         let _ = self.client.ask(Request::Close).await;
     }
 }

@@ -1,6 +1,6 @@
-//! Who a sensor says it is.
+//! The identity of a sensor: its reply to `V`.
 
-use tokio_scip::protocol::{Command, Reply, Specification, Text, Version};
+use tokio_scip::protocol::{Command, Reply, Specification, Text, Version, Window};
 
 /// The example of the text (p. 4).
 const OF_THE_TEXT: &[u8] = b"V\n\
@@ -52,6 +52,7 @@ fn d11_the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
     assert_eq!(specification.range, Some(20..=4095));
     assert_eq!(specification.aperture, Some(240));
     assert_eq!(specification.steps, Some(44..=725));
+    assert_eq!(specification.window(), Some(Window::DETECTION));
     assert_eq!(specification.motor_speed, Some(600));
 }
 

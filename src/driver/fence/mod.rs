@@ -119,11 +119,11 @@ impl Fence {
         let sent = transport.outgoing(&command);
         let judge = |frame: &Frame, timing| match self.judge(&command, frame, timing) {
             Ok(_) if is_echoed(&sent, &command, frame) => {
-                Some(Err(ExchangeError::Lost(Error::Loopback)))
+                Some(Err(ExchangeError::Lost(Error::Loopback { sensor: None })))
             }
             Ok(status) => Some(Ok((status, timing))),
             Err(ReplyError::Scip2 { status }) => {
-                Some(Err(ExchangeError::Command(Error::WrongProtocol { status })))
+                Some(Err(ExchangeError::Command(Error::WrongProtocol { sensor: None, status })))
             }
             Err(ReplyError::Malformed(source)) => {
                 malformed = Some(ExchangeError::Command(Error::Malformed { command, source }));
@@ -183,7 +183,7 @@ fn is_echoed(sent: &[u8], command: &Command, frame: &Frame) -> bool {
 fn explain_silence(transport: &Transport, sent: &[u8], command: &Command) -> Option<ExchangeError> {
     let pending = transport.unfinished_frame();
     if pending.starts_with(b"\n") && pending == sent {
-        return Some(ExchangeError::Lost(Error::Loopback));
+        return Some(ExchangeError::Lost(Error::Loopback { sensor: None }));
     }
     // At a wrong baud rate any bytes may come, so only a port that cannot have
     // one counts as telnet.

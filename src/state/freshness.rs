@@ -1,0 +1,150 @@
+//! [`Freshness`]: the time of the last good scan, and the reason why there is no newer
+//! one. A state cannot report this: the sensor may answer every poll, and each reply
+//! be malformed.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use crate::Error;
+
+/// The time of the last good scan, and the reason why there is no newer one.
+///
+/// [`ScanStream::freshness`](crate::ScanStream::freshness) returns it for the scans of
+/// a stream, [`Sensor::freshness`](crate::Sensor::freshness) for all of a sensor. It is
+/// a copy: the age grows with the clock, the rest does not change.
+///
+/// As data (feature `serde`) it is `age` in seconds, null before the first scan, and
+/// `error`, the text of the error and its causes, or null.
+///
+/// ```
+/// # use tokio_scip::emulator::Emulator;
+/// use std::time::Duration;
+/// use tokio_scip::{ErrorChain, Rate, Sensor, Window};
+///
+/// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+/// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+/// # let emulator = Emulator::default();
+/// # let sensor = Sensor::builder().connect(emulator.clone()).await?;
+/// const LIMIT: Duration = Duration::from_millis(500);
+///
+/// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+/// assert!(scans.freshness().check(LIMIT).is_err(), "no scan yet");
+/// scans.next().await;
+/// assert!(scans.freshness().check(LIMIT).is_ok());
+///
+/// // A health check, when the cable has been out for two seconds.
+/// # emulator.unplug();
+/// # tokio::time::sleep(Duration::from_secs(2)).await;
+/// let stale = scans.freshness().check(LIMIT).unwrap_err();
+/// println!("not healthy: {}", ErrorChain::new(&stale));
+/// # assert!(ErrorChain::new(&stale).to_string().contains("no port"), "{stale}");
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, Clone)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+pub struct Freshness {
+    #[cfg_attr(feature = "serde", serde(rename = "age", serialize_with = "age"))]
+    last_scan: Option<Instant>,
+    #[cfg_attr(feature = "serde", serde(serialize_with = "super::chain_if_any"))]
+    error: Option<Error>,
+}
+
+impl Freshness {
+    pub(crate) fn new(last_scan: Option<Instant>, error: Option<Error>) -> Self {
+        Self { last_scan, error }
+    }
+
+    /// Returns the time when the last good scan was received, on tokio's clock, or
+    /// `None` before the first.
+    pub fn last_scan(&self) -> Option<Instant> {
+        self.last_scan
+    }
+
+    /// Returns the time that has passed since the last good scan, or `None` before the
+    /// first.
+    pub fn age(&self) -> Option<Duration> {
+        self.last_scan.map(|last_scan| last_scan.elapsed())
+    }
+
+    /// Returns the latest error since the last good scan, if there was one: a malformed
+    /// reply, a timeout, a lost link, a laser that is switched off.
+    pub fn error(&self) -> Option<&Error> {
+        self.error.as_ref()
+    }
+
+    /// Checks that a good scan came within `limit`.
+    ///
+    /// A limit of three periods lets two polls fail. It has to allow for the time of a
+    /// reply, see [`Window::wire_time`](crate::Window::wire_time).
+    ///
+    /// # Errors
+    ///
+    /// [`Stale`] with the reason if the last scan is older than `limit`, and before the
+    /// first one.
+    pub fn check(&self, limit: Duration) -> Result<(), Stale> {
+        match self.age() {
+            Some(age) if age <= limit => Ok(()),
+            age => Err(Stale { age, limit, source: self.error.clone() }),
+        }
+    }
+}
+
+#[cfg(feature = "serde")]
+fn age<S: serde::Serializer>(at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
+    match at {
+        Some(at) => super::elapsed(at, serializer),
+        None => serializer.serialize_none(),
+    }
+}
+
+/// The error of a [`Freshness::check`]: no good scan came in time.
+///
+/// [`ErrorChain`](crate::ErrorChain) writes it with its cause.
+#[derive(Debug, Clone, thiserror::Error)]
+#[error(
+    "{}",
+    match age {
+        Some(age) => format!("expected a scan within {limit:.1?}, found the last one {age:.1?} old"),
+        None => format!("expected a scan within {limit:.1?}, found none yet"),
+    }
+)]
+#[non_exhaustive]
+pub struct Stale {
+    /// The age of the last good scan, or `None` before the first.
+    pub age: Option<Duration>,
+    /// The limit of the check.
+    pub limit: Duration,
+    /// The latest error since that scan, if there was one.
+    pub source: Option<Error>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ErrorChain;
+
+    const LIMIT: Duration = Duration::from_millis(500);
+
+    #[tokio::test(start_paused = true)]
+    async fn a_scan_is_fresh_until_it_is_older_than_the_limit() {
+        let fresh = Freshness::new(Some(Instant::now()), None);
+        assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(Duration::ZERO), true));
+        tokio::time::advance(LIMIT).await;
+        assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(LIMIT), true));
+        tokio::time::advance(Duration::from_millis(800)).await;
+        let stale = fresh.check(LIMIT).map_err(|stale| stale.to_string());
+        let text = "expected a scan within 500.0ms, found the last one 1.3s old";
+        assert_eq!(stale, Err(text.to_owned()));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn before_the_first_scan_nothing_is_fresh_and_the_reason_is_the_cause() {
+        let none = Freshness::new(None, Some(Error::LaserOff));
+        let stale = none.check(LIMIT).map_err(|stale| ErrorChain::new(&stale).to_string());
+        let text = "expected a scan within 500.0ms, found none yet: \
+                    the laser is switched off: switch it on before asking for scans";
+        assert_eq!(stale, Err(text.to_owned()));
+    }
+}
