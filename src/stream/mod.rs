@@ -69,8 +69,14 @@ impl ScanStream {
     /// Returns the time of the newest scan, and the reason why there is no newer one.
     pub fn freshness(&self) -> Freshness {
         let (last_scan, error) = self.cursor.freshness();
-        let reason = || self.client.telemetry().freshness().error().cloned();
-        Freshness::new(last_scan, error.or_else(reason))
+        let error = match error {
+            // The driver knows why the link does not come back.
+            None | Some(Error::Disconnected { .. }) => {
+                self.client.telemetry().freshness().error().cloned().or(error)
+            }
+            error => error,
+        };
+        Freshness::new(last_scan, error)
     }
 
     /// Returns a stream of the same scans that starts with the next one, as
