@@ -61,6 +61,7 @@ mod link;
 mod playback;
 mod random;
 mod scip;
+mod serve;
 mod shared;
 mod timed_device;
 mod timing;
@@ -74,10 +75,10 @@ pub use self::faults::{
 pub use self::handle::Emulator;
 pub use self::journal::{Counts, Received, Verdict};
 pub use self::link::Link;
-#[cfg(all(unix, feature = "serial"))]
-pub use self::link::Pty;
 #[cfg(feature = "mcap")]
 pub(crate) use self::playback::{PlaybackPace, Script};
 pub use self::scip::{EmptyCommand, Firmware, Mode, RepeatedLaser};
+#[cfg(all(unix, feature = "serial"))]
+pub use self::serve::Pty;
 pub use self::timing::Pace;
 pub use self::world::{Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};

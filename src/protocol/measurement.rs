@@ -3,6 +3,9 @@
 
 use std::fmt;
 
+/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
+pub(super) const BLOCK: usize = 64;
+
 /// The value above which no distance lies (p. 7); 4095 fills all 12 bits.
 const SATURATED: u16 = 4095;
 

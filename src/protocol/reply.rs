@@ -7,11 +7,9 @@
 use std::fmt;
 use std::time::Duration;
 
-use super::measurement;
+use super::measurement::{self, BLOCK};
 use super::{Command, Text, Window};
 
-/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
-pub(super) const BLOCK: usize = 64;
 /// Bytes of a frame that an error message shows.
 const EXCERPT: usize = 32;
 

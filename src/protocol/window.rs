@@ -4,8 +4,8 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use super::reply::BLOCK;
-use super::{BaudRate, Command};
+use super::BaudRate;
+use super::measurement::BLOCK;
 
 /// Steps in a full revolution of the motor (C-42-3320-A p. 7).
 const STEPS_PER_REVOLUTION: f64 = 1024.0;
@@ -13,6 +13,9 @@ const STEPS_PER_REVOLUTION: f64 = 1024.0;
 const FRONT: u16 = 384;
 /// The last step (p. 6).
 const LAST: u16 = 768;
+
+/// The length of a `G` in bytes, its LF included, and so of its echo (p. 6).
+const POLL_LEN: usize = 10;
 
 /// A direction of measurement: 0..=768, 360/1024 degree each (p. 7).
 ///
@@ -232,15 +235,14 @@ impl Window {
     /// [`Window::FULL`].
     pub const fn reply_len(&self) -> usize {
         let data = self.points() * 2;
-        // Echo, status, each with its LF; data with an LF a block; one more LF.
-        10 + 2 + data + data.div_ceil(BLOCK) + 1
+        // Echo and status, each with its LF; data with an LF a block; one more LF.
+        POLL_LEN + 2 + data + data.div_ceil(BLOCK) + 1
     }
 
     /// Returns the time for which one poll of this window occupies a line at this baud
     /// rate: command and reply, without the time that the sensor takes to answer.
     pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
-        let command = Command::Distances(*self).bytes().len() + 1;
-        baud_rate.wire_time(command + self.reply_len())
+        baud_rate.wire_time(POLL_LEN + self.reply_len())
     }
 
     /// Returns the number of steps in the first cluster.

@@ -1,12 +1,13 @@
-//! How many scans a bad line costs, and that none of them is wrong.
+//! How many scans a bad line costs, and whether any of them is wrong: a sensor
+//! on USB is polled for some time, and every scan is held against the truth.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
+use tokio_scip::emulator::{Builder, Emulator, Fault, Faults, Pace};
 use tokio_scip::{Rate, Sensor, Window};
 
-use super::truth::Truth;
+use super::truth::{Timed, Truth};
 
 /// What came of polling for some time.
 #[derive(Debug, Default)]
@@ -26,46 +27,61 @@ impl Loss {
     pub(crate) fn share(&self) -> f64 {
         (self.right - self.flipped) as f64 / self.polls as f64
     }
+
+    /// Holds a scan against the truth.
+    pub(crate) fn add(&mut self, truth: &Truth, scan: &Timed<'_>) {
+        match truth.check(scan, 1) {
+            Ok((_, flips)) => {
+                self.right += 1;
+                self.flipped += flips as u64;
+            }
+            Err(_) => self.wrong += 1,
+        }
+    }
 }
 
-/// Polls a sensor on USB of whose replies 1 % are late by up to 3 s, 0.5 %
-/// lost, 0.5 % damaged and 0.1 % doubled.
-pub(crate) fn poll(window: Window, rate: Rate, time: Duration) -> Loss {
-    let mut runtime = tokio::runtime::Builder::new_current_thread();
-    let runtime = runtime.enable_time().start_paused(true).build().unwrap();
-    runtime.block_on(async {
-        let faults = Faults::none()
-            .late(0.01, Duration::from_secs(3))
-            .rate(0.005, Fault::Lost)
-            .rate(0.005, Fault::Damaged)
-            .rate(0.001, Fault::Doubled)
-            .seed(1);
-        let truth = Truth::default();
-        let emulator = Emulator::builder()
-            .world(truth.world())
-            .pace(if rate == Rate::MAX { Pace::PerRevolution } else { Pace::AtOnce })
-            .build();
-        let sensor = Sensor::builder().jitter_seed(1).ring_depth(16).connect(emulator.clone());
-        let sensor = sensor.await.unwrap();
-        emulator.set_faults(faults);
-        let end = Instant::now() + time;
-        let mut stream = sensor.scans(window, rate).await.unwrap();
-        let mut loss = Loss::default();
-        while Instant::now() < end {
-            let Ok(scan) = stream.next().await.unwrap() else { continue };
-            match truth.check(&scan, 1) {
-                Ok(_) => {
-                    loss.right += 1;
-                    loss.flipped += u64::from(truth.check(&scan, 0).is_err());
-                }
-                Err(wrong) => {
-                    println!("{wrong}");
-                    loss.wrong += 1;
-                }
-            }
-        }
-        assert_eq!(stream.missed(), 0);
-        loss.polls = sensor.stats().polls;
-        loss
-    })
+/// 1 % of the replies are late by up to 3 s, 0.5 % lost, 0.5 % damaged and
+/// 0.1 % doubled: all of that `times` as often.
+pub(crate) fn bad_line(times: f64) -> Faults {
+    Faults::none()
+        .late(0.01 * times, Duration::from_secs(3))
+        .rate(0.005 * times, Fault::Lost)
+        .rate(0.005 * times, Fault::Damaged)
+        .rate(0.001 * times, Fault::Doubled)
+        .seed(1)
+}
+
+/// 1 % of the replies come twice, and many a second copy behind the next
+/// command: a copy that comes while the line is quiet is no danger.
+pub(crate) fn line_with_late_copies() -> Faults {
+    Faults::none()
+        .rate(0.01, Fault::Doubled)
+        .paused(0.02, Duration::from_millis(700))
+        .late(0.01, Duration::from_millis(900))
+        .seed(2)
+}
+
+/// The sensor that is polled: at [`Rate::MAX`] its motor sets the pace.
+pub(crate) fn sensor(truth: &Truth, rate: Rate) -> Builder {
+    let pace = if rate == Rate::MAX { Pace::PerRevolution } else { Pace::AtOnce };
+    Emulator::builder().world(truth.world()).pace(pace)
+}
+
+/// Polls through the driver.
+pub(crate) async fn poll(window: Window, rate: Rate, faults: Faults, time: Duration) -> Loss {
+    let truth = Truth::default();
+    let emulator = sensor(&truth, rate).build();
+    let sensor = Sensor::builder().jitter_seed(1).ring_depth(16).connect(emulator.clone());
+    let sensor = sensor.await.unwrap();
+    emulator.set_faults(faults);
+    let end = Instant::now() + time;
+    let mut stream = sensor.scans(window, rate).await.unwrap();
+    let mut loss = Loss::default();
+    while Instant::now() < end {
+        let Ok(scan) = stream.next().await.unwrap() else { continue };
+        loss.add(&truth, &Timed::from(&scan));
+    }
+    assert_eq!(stream.missed(), 0);
+    loss.polls = sensor.stats().polls;
+    loss
 }

@@ -2,6 +2,7 @@
 //! users, and everything that happens is held against the truth. README.md
 //! tells what was run and how to run more.
 
+mod alternatives;
 mod case;
 mod coverage;
 mod loss;
@@ -13,10 +14,14 @@ mod users;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use alternatives::Remedy;
 use coverage::Coverage;
-use loss::poll;
+use loss::{Loss, bad_line, line_with_late_copies};
 use run::run;
+use tokio_scip::emulator::Faults;
 use tokio_scip::{Rate, Window};
+
+use crate::common::limit::limit;
 
 fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
@@ -64,11 +69,32 @@ fn loss_time() -> Duration {
     Duration::from_secs(60 * setting("SCIP_LOSS_MINUTES").unwrap_or(10))
 }
 
+fn on_paused_clock<T>(work: impl Future<Output = T>) -> T {
+    let mut runtime = tokio::runtime::Builder::new_current_thread();
+    runtime.enable_time().start_paused(true).build().unwrap().block_on(work)
+}
+
+/// Polls through the driver for the time of a loss figure, and prints it.
+fn poll(window: Window, rate: Rate, faults: Faults) -> Loss {
+    limit();
+    let loss = on_paused_clock(loss::poll(window, rate, faults, loss_time()));
+    println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+    loss
+}
+
 #[test]
 fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
-        let loss = poll(Window::DETECTION, rate, loss_time());
-        println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+        let loss = poll(Window::DETECTION, rate, bad_line(1.0));
+        assert_eq!(loss.wrong, 0);
+        assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
+    }
+}
+
+#[test]
+fn t03_copies_of_replies_that_come_late_are_no_scans() {
+    for rate in [Rate::hz(10.0), Rate::MAX] {
+        let loss = poll(Window::DETECTION, rate, line_with_late_copies());
         assert_eq!(loss.wrong, 0);
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
     }
@@ -77,11 +103,39 @@ fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
 #[test]
 fn where_polls_cannot_differ_only_doubled_replies_are_left() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
-        let loss = poll(Window::FULL, rate, loss_time());
-        println!("{rate}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+        let loss = poll(Window::FULL, rate, bad_line(1.0));
         // One doubled reply in a thousand, and of these the few that a delay
         // puts behind the next poll.
         assert!(loss.wrong * 100_000 <= loss.polls, "{rate}: {loss:?}");
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
+    }
+}
+
+/// Polls through a client with another remedy than the fence, and prints the loss.
+fn poll_with(remedy: Remedy, window: Window, rate: Rate, faults: Faults) -> Loss {
+    limit();
+    let work = alternatives::poll(remedy, window, rate, faults, loss_time());
+    let loss = on_paused_clock(work);
+    println!("{rate}: {remedy:?}: {loss:?}, {:.2} % right", loss.share() * 100.0);
+    loss
+}
+
+/// In the window in which polls cannot differ: the fence alone is compared.
+#[test]
+fn other_remedies_than_the_fence_deliver_stale_scans_or_cost_more() {
+    let (window, rates) = (Window::FULL, [Rate::hz(10.0), Rate::MAX]);
+    // The rest of the table in README.md takes longer than a test should.
+    let lines: &[f64] = if setting("SCIP_LOSS_MINUTES").is_some() { &[1.0, 5.0] } else { &[5.0] };
+    for (times, rate) in lines.iter().flat_map(|times| rates.map(|rate| (*times, rate))) {
+        println!("faults {times} times as often:");
+        let with = |remedy| poll_with(remedy, window, rate, bad_line(times));
+        let fence = poll(window, rate, bad_line(times));
+        let (clear, short) = (with(Remedy::Clear), with(Remedy::Quiet(Duration::from_millis(200))));
+        let (long, version) = (with(Remedy::Quiet(Duration::from_secs(3))), with(Remedy::Version));
+        assert!(clear.wrong > 0 && short.wrong > 0, "{rate}: {clear:?}, {short:?}");
+        assert!(long.right < fence.right * 3 / 4, "{rate}: {long:?}, {fence:?}");
+        // `V` goes wrong only where the replies to two of them are late, one after
+        // the other: not within minutes.
+        assert!(version.share() > 0.8, "{rate}: {version:?}");
     }
 }

@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use tokio::time::Instant;
-use tokio_scip::Scan;
 use tokio_scip::emulator::{Values, World, WorldTime};
+use tokio_scip::{Scan, Window};
 
 /// When the sensor looked at the world for each `G`.
 #[derive(Clone, Default)]
@@ -14,6 +14,21 @@ pub(crate) struct Truth(Arc<Mutex<Vec<Instant>>>);
 fn code(request: u64, step: usize) -> u16 {
     let step = step as u64;
     20 + ((request * 1009 + step * 31 + request * step % 97) % 4000) as u16
+}
+
+/// A scan with the time that it was on its way.
+pub(crate) struct Timed<'a> {
+    pub(crate) window: Window,
+    pub(crate) values: &'a [u16],
+    pub(crate) sent: Instant,
+    pub(crate) received: Instant,
+}
+
+impl<'a> From<&'a Scan> for Timed<'a> {
+    fn from(scan: &'a Scan) -> Self {
+        let (sent, received) = (scan.requested_at(), scan.received_at());
+        Self { window: scan.window(), values: scan.values(), sent, received }
+    }
 }
 
 impl Truth {
@@ -29,13 +44,14 @@ impl Truth {
         }
     }
 
-    /// Which `G` the scan answers, if that is the very one that it was asked
-    /// for with. `flips` allows for so many wrong values, whose damage nobody can
-    /// see.
-    pub(crate) fn check(&self, scan: &Scan, flips: usize) -> Result<u64, String> {
-        let (window, cluster) = (scan.window(), usize::from(scan.window().cluster_count()));
-        if scan.values().len() != window.points() {
-            return Err(format!("{} values for {window}", scan.values().len()));
+    /// Returns which `G` the scan answers, and how many of its values are damaged.
+    /// Fails unless that is the very `G` that it was requested with and no more than
+    /// `flips` values are damaged: nobody can see a bit that makes another value.
+    pub(crate) fn check(&self, scan: &Timed<'_>, flips: usize) -> Result<(u64, usize), String> {
+        let &Timed { window, values, sent, received } = scan;
+        let cluster = usize::from(window.cluster_count());
+        if values.len() != window.points() {
+            return Err(format!("{} values for {window}", values.len()));
         }
         let start = usize::from(window.start().number());
         let end = usize::from(window.end().number());
@@ -45,22 +61,21 @@ impl Truth {
             })
         };
         let wrong = |request: u64| {
-            let pairs = expected(request).zip(scan.values());
+            let pairs = expected(request).zip(values);
             pairs.filter(|(expected, value)| *expected != Some(**value)).count()
         };
         let looks = self.0.lock().unwrap();
-        let (sent, received) = (scan.requested_at(), scan.received_at());
         // Those that the sensor served while this one was waited for.
         let from = looks.partition_point(|at| *at < sent);
         let until = looks.partition_point(|at| *at <= received);
-        (from..until).map(|request| request as u64).find(|&request| wrong(request) <= flips).ok_or_else(
-            || {
-                let whose = (0..looks.len() as u64).rev().find(|&request| wrong(request) <= flips);
-                format!(
-                    "the data of {whose:?} for {window}, where only {from}..{until} were served meanwhile: {:?}",
-                    scan.values()
-                )
-            },
-        )
+        let found = |range: std::ops::Range<usize>| {
+            let wrongs = range.rev().map(|request| (request as u64, wrong(request as u64)));
+            wrongs.into_iter().find(|(_, wrong)| *wrong <= flips)
+        };
+        found(from..until).ok_or_else(|| {
+            // It may be one of the last few hundred.
+            let whose = found(from.saturating_sub(500)..from);
+            format!("{values:?} for {window} are of {whose:?}: only {from}..{until} were served meanwhile")
+        })
     }
 }

@@ -65,8 +65,11 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
 /// Holds a scan against the truth and against the one before.
 fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>) {
     assert_eq!(scan.window(), window);
-    let request =
-        run.case.truth.check(scan, run.case.flips).unwrap_or_else(|wrong| panic!("{wrong}"));
+    let (request, _) = run
+        .case
+        .truth
+        .check(&scan.into(), run.case.flips)
+        .unwrap_or_else(|wrong| panic!("{wrong}"));
     run.note(format_args!("scan {} is {request}", scan.sequence()));
     if let Some((before, last)) = last {
         assert!(*before < request, "a scan came twice");

@@ -1,12 +1,8 @@
-//! The links to an emulated sensor: [`Link`] in memory, `serve` for streams and TCP
-//! clients, `pty` for a pseudo-terminal.
+//! [`Link`]: a line to an emulated sensor in memory. `serve` puts it on streams, TCP
+//! connections and terminals.
 //!
 //! A link needs as much time as the real line, and garbles bytes while the baud rates
 //! of its two ends differ.
-
-#[cfg(all(unix, feature = "serial"))]
-mod pty;
-mod serve;
 
 use std::fmt;
 use std::future::Future;
@@ -23,9 +19,6 @@ use super::playback::Playback;
 use super::shared::Shared;
 use super::timed_device::TimedDevice;
 use crate::{BaudRate, Port};
-
-#[cfg(all(unix, feature = "serial"))]
-pub use self::pty::Pty;
 
 /// The baud rate of the host's end of the line.
 pub(super) enum HostBaudRate {
@@ -84,7 +77,7 @@ impl Link {
     }
 
     /// Waits until the link is hung up, without reading it.
-    fn replaced(&self) -> impl Future<Output = ()> + Send + 'static {
+    pub(super) fn replaced(&self) -> impl Future<Output = ()> + Send + 'static {
         let (shared, id) = (self.shared.clone(), self.id);
         async move { shared.wait_until(|plugged| plugged.link != Some(id)).await }
     }

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use tokio_serial::{SerialPort, SerialStream};
 
-use super::HostBaudRate;
-use super::serve::pump;
-use crate::emulator::Emulator;
+use super::pump;
+use crate::emulator::handle::Emulator;
+use crate::emulator::link::HostBaudRate;
 
 /// A pseudo-terminal with an emulated sensor at the other end.
 ///

@@ -2,8 +2,13 @@
 //! file never needs the files above it, and the protocol can be used without
 //! an async runtime, a clock or a log.
 
+mod circles;
+mod source;
+
 use std::collections::BTreeMap;
 use std::path::Path;
+
+use source::{code, read, words};
 
 /// From the top down: a module uses those behind it in this list, and no other.
 const ORDER: [&str; 13] = [
@@ -22,24 +27,16 @@ const NO_CRATE_IN_PROTOCOL: [&str; 3] = ["tokio", "tracing", "futures"];
 
 #[test]
 fn dependencies_point_down_only() {
-    let mut sources = Vec::new();
-    read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), "", &mut sources);
-    assert!(sources.iter().any(|(path, _)| path == "protocol/window.rs"), "src was not read");
-    let violations = violations(&sources);
+    let violations = violations(&sources());
     assert!(violations.is_empty(), "\n{}\n", violations.join("\n"));
 }
 
-/// All sources below `folder`, with paths relative to `src`.
-fn read(folder: &Path, prefix: &str, sources: &mut Vec<(String, String)>) {
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        let name = format!("{prefix}{}", path.file_name().unwrap().to_str().unwrap());
-        if path.is_dir() {
-            read(&path, &format!("{name}/"), sources);
-        } else if name.ends_with(".rs") {
-            sources.push((name, std::fs::read_to_string(&path).unwrap()));
-        }
-    }
+/// All of `src`, with paths relative to it.
+fn sources() -> Vec<(String, String)> {
+    let mut sources = Vec::new();
+    read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), "", &mut sources);
+    assert!(sources.iter().any(|(path, _)| path == "protocol/window.rs"), "src was not read");
+    sources
 }
 
 /// What is wrong in the sources, a line each.
@@ -92,10 +89,6 @@ fn place(module: &str) -> Option<usize> {
 fn modules(path: &str) -> Vec<String> {
     let path = path.strip_suffix(".rs").unwrap_or(path);
     path.strip_suffix("/mod").unwrap_or(path).split('/').map(str::to_owned).collect()
-}
-
-fn words(code: &str) -> impl Iterator<Item = &str> {
-    code.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
 
 /// Which module each name comes from that `lib.rs` exports.
@@ -152,75 +145,6 @@ fn group_members(group: &str) -> Vec<&str> {
     }
     members.retain(|member| !member.is_empty());
     members
-}
-
-/// The source without comments, without what stands in quotes, and without its
-/// unit tests (`#[cfg(test)] mod`).
-fn code(source: &str) -> String {
-    let mut code = String::new();
-    let mut rest = source;
-    while let Some(c) = rest.chars().next() {
-        let skip = if rest.starts_with("//") {
-            rest.find('\n').unwrap_or(rest.len())
-        } else if rest.starts_with("/*") {
-            rest.find("*/").map_or(rest.len(), |end| end + 2)
-        } else if rest.starts_with("r\"") || rest.starts_with("r#") {
-            let hashes = rest[1..].chars().take_while(|c| *c == '#').count();
-            let end = format!("\"{}", "#".repeat(hashes));
-            match rest[1 + hashes..].strip_prefix('"').and_then(|text| text.find(&end)) {
-                Some(length) => 2 + hashes + length + end.len(),
-                None => 1, // r#identifier
-            }
-        } else if c == '"' {
-            quoted(rest, '"')
-        } else if rest.starts_with("'\\") || rest.chars().nth(2) == Some('\'') && c == '\'' {
-            quoted(rest, '\'')
-        } else {
-            code.push(c);
-            rest = &rest[c.len_utf8()..];
-            continue;
-        };
-        code.push(' ');
-        rest = &rest[skip..];
-    }
-    while let Some(start) = code.find("#[cfg(test)]") {
-        let end = code[start..].find(['{', ';']).map_or(code.len(), |at| {
-            let body = &code[start + at..];
-            start + at + if body.starts_with('{') { block(body) } else { 1 }
-        });
-        code.replace_range(start..end, "");
-    }
-    code
-}
-
-/// The length of a literal in quotes, quotes included.
-fn quoted(text: &str, quote: char) -> usize {
-    let mut escaped = false;
-    for (at, c) in text.char_indices().skip(1) {
-        match c {
-            _ if escaped => escaped = false,
-            '\\' => escaped = true,
-            _ if c == quote => return at + 1,
-            _ => {}
-        }
-    }
-    text.len()
-}
-
-/// The length of a block in braces, braces included.
-fn block(text: &str) -> usize {
-    let mut depth = 0;
-    for (at, c) in text.char_indices() {
-        match c {
-            '{' => depth += 1,
-            '}' => depth -= 1,
-            _ => {}
-        }
-        if depth == 0 {
-            return at + 1;
-        }
-    }
-    text.len()
 }
 
 const LIB: &str = "mod sensor; pub mod protocol;

@@ -1,13 +1,20 @@
-//! Serves an emulated sensor on any `AsyncRead + AsyncWrite`, and on TCP.
+//! Serves an emulated sensor on any `AsyncRead + AsyncWrite`, on TCP, and on a
+//! pseudo-terminal.
+
+#[cfg(all(unix, feature = "serial"))]
+mod pty;
 
 use std::io;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::TcpListener;
 
-use super::{HostBaudRate, Link};
+use super::handle::Emulator;
+use super::link::{HostBaudRate, Link};
 use crate::BaudRate;
-use crate::emulator::Emulator;
+
+#[cfg(all(unix, feature = "serial"))]
+pub use self::pty::Pty;
 
 impl Emulator {
     /// Serves the sensor on a stream, such as one end of [`tokio::io::duplex`], until

@@ -1,0 +1,115 @@
+//! What else could be done about a reply that is late, instead of a fence: a
+//! small client for each, on the same sensor and the same bad line as the
+//! driver. They use the crate's codec and checks of replies, so that nothing
+//! but the remedy differs.
+
+use std::time::Duration;
+
+use futures::{FutureExt, SinkExt, StreamExt};
+use tokio::time::{Instant, timeout, timeout_at};
+use tokio_scip::codec::{Frame, ScipCodec};
+use tokio_scip::emulator::{Faults, Link};
+use tokio_scip::protocol::{Command, Reply, ReplyError};
+use tokio_scip::{Connect, Rate, Window};
+use tokio_util::codec::Framed;
+
+use super::loss::{Loss, sensor};
+use super::truth::{Timed, Truth};
+
+/// What a client does after a poll without a scan. Before each command all of
+/// them drop what has come.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Remedy {
+    /// No more than that.
+    Clear,
+    /// Waits until nothing has come for so long.
+    Quiet(Duration),
+    /// Sends `V` until one is answered.
+    Version,
+}
+
+/// As the driver waits on USB.
+const G_TIMEOUT: Duration = Duration::from_millis(500);
+const V_TIMEOUT: Duration = Duration::from_secs(1);
+
+struct Client {
+    framed: Framed<Link, ScipCodec>,
+}
+
+impl Client {
+    /// Drops what has come.
+    fn clear(&mut self) {
+        while self.framed.next().now_or_never().is_some() {}
+        self.framed.read_buffer_mut().clear();
+        self.framed.codec_mut().reset();
+    }
+
+    /// The values of the reply to `command`, none to `V`; `None` without a good
+    /// reply.
+    async fn exchange(&mut self, command: Command, limit: Duration) -> Option<Vec<u16>> {
+        self.clear();
+        let deadline = Instant::now() + limit;
+        self.framed.send(&command).await.unwrap();
+        while let Ok(frame) = timeout_at(deadline, self.framed.next()).await {
+            let Frame::Reply(frame) = frame.unwrap().unwrap() else { return None };
+            match Reply::parse(&command, &frame) {
+                Ok(reply) if reply.status().is_ok() => {
+                    let mut values = Vec::new();
+                    if let Command::Distances(_) = command {
+                        reply.values_into(&mut values);
+                    }
+                    return Some(values);
+                }
+                // A reply to something else.
+                Err(ReplyError::Foreign { .. }) => {}
+                _ => return None,
+            }
+        }
+        None
+    }
+
+    async fn apply(&mut self, remedy: Remedy) {
+        match remedy {
+            Remedy::Clear => {}
+            Remedy::Quiet(pause) => while timeout(pause, self.framed.next()).await.is_ok() {},
+            Remedy::Version => while self.exchange(Command::Version, V_TIMEOUT).await.is_none() {},
+        }
+    }
+}
+
+/// Polls through the client with this remedy.
+pub(crate) async fn poll(
+    remedy: Remedy,
+    window: Window,
+    rate: Rate,
+    faults: Faults,
+    time: Duration,
+) -> Loss {
+    let truth = Truth::default();
+    let mut emulator = sensor(&truth, rate).build();
+    let link = Connect::connect(&mut emulator).await.unwrap();
+    let mut client = Client { framed: Framed::new(link, ScipCodec::default()) };
+    emulator.set_faults(faults);
+    let end = Instant::now() + time;
+    let mut grid = rate.period().map(|period| {
+        let mut grid = tokio::time::interval(period);
+        grid.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+        grid
+    });
+    let mut loss = Loss::default();
+    while Instant::now() < end {
+        if let Some(grid) = &mut grid {
+            grid.tick().await;
+        }
+        let sent = Instant::now();
+        loss.polls += 1;
+        match client.exchange(Command::Distances(window), G_TIMEOUT).await {
+            Some(values) => {
+                let received = Instant::now();
+                loss.add(&truth, &Timed { window, values: &values, sent, received });
+            }
+            None => client.apply(remedy).await,
+        }
+    }
+    loss
+}
