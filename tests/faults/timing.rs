@@ -119,7 +119,8 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
             while emulator.fault_counts().doubled < 20 {
                 delivered.extend(stream.next().await.unwrap().ok());
             }
-            let wrong: Vec<_> = delivered.iter().filter_map(|s| truth.check(s, 0).err()).collect();
+            let wrong: Vec<_> =
+                delivered.iter().filter_map(|s| truth.check(&s.into(), 0).err()).collect();
             assert_eq!(wrong, [""; 0], "{window} at {baud_rate} baud, {behind} ms");
         }
     }
@@ -144,7 +145,7 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
             delivered.extend(stream.next().await.unwrap().ok());
         }
     }
-    let wrong: Vec<_> = delivered.iter().filter_map(|s| truth.check(s, 0).err()).collect();
+    let wrong: Vec<_> = delivered.iter().filter_map(|s| truth.check(&s.into(), 0).err()).collect();
     assert_eq!(wrong, [""; 0]);
     assert!(sensor.stats().malformed.echo >= 3, "{:?}", sensor.stats());
 }
