@@ -13,7 +13,7 @@ use std::time::Duration;
 use tracing::Instrument;
 
 use super::exchange::ExchangeError;
-use super::fence::{Fence, UniqueRequests};
+use super::fence::{Fence, UniqueRequests, Widened};
 use super::transport::{Timing, Transport, wire_len};
 use crate::codec::Frame;
 use crate::observer::{RawReply, ReplyObserver};
@@ -126,12 +126,13 @@ impl Session {
     ) -> Result<Timing, ExchangeError> {
         // First: what a fence clears must not be this poll.
         self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
-        if self.fence.would_repeat(window) && self.transport.may_echo() {
+        let mut widened = self.fence.widen(window);
+        if widened.repeats && self.transport.may_echo() {
             // Only a fence tells a copy of the latest reply from the next one.
             self.fence().await.map_err(|error| error.of(Command::Distances(window)))?;
+            widened = self.fence.widen(window);
         }
-        let repeats = self.fence.would_repeat(window);
-        let (asked, surplus) = self.fence.widen(window);
+        let Widened { asked, surplus, repeats } = widened;
         let command = Command::Distances(asked);
         self.telemetry.stats().polls += 1;
         // No byte of the reply comes before the command has left the wire. Where

@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use tracing::Instrument;
 
-pub(crate) use self::unique_requests::UniqueRequests;
+pub(crate) use self::unique_requests::{UniqueRequests, Widened};
 use super::exchange::ExchangeError;
 use super::transport::{Timing, Transport};
 use crate::codec::Frame;
@@ -47,15 +47,9 @@ impl Fence {
         self.unique_requests
     }
 
-    /// Returns the window to ask for in order to get `window`, and how many
-    /// points to skip in front.
-    pub(crate) fn widen(&mut self, window: Window) -> (Window, usize) {
+    /// Returns the window to ask for in order to get `window`.
+    pub(crate) fn widen(&mut self, window: Window) -> Widened {
         self.unique_requests.widen(window)
-    }
-
-    /// Returns whether the next poll of `window` has the echo of the latest `G`.
-    pub(crate) fn would_repeat(&self, window: Window) -> bool {
-        self.unique_requests.would_repeat(window)
     }
 
     /// Sends fences until the latest of them is answered, and returns the status

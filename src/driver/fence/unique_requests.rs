@@ -6,6 +6,16 @@ use crate::Window;
 /// The number of steps that a fence can ask for.
 const STEPS: u16 = 769;
 
+/// A window to ask for in place of another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Widened {
+    pub(crate) asked: Window,
+    /// The number of points to skip in front.
+    pub(crate) surplus: usize,
+    /// Whether the latest `G` asked for the same: there is no room to differ.
+    pub(crate) repeats: bool,
+}
+
 /// The windows asked for lately.
 #[derive(Debug, Default)]
 pub(crate) struct UniqueRequests {
@@ -25,22 +35,16 @@ impl UniqueRequests {
         Self { fence: (seed % u64::from(STEPS)) as u16, ..Self::default() }
     }
 
-    /// Returns the window to ask for in order to get `window`: that, or more
-    /// points; and how many of those to skip in front.
+    /// Returns the window to ask for in order to get `window`: that, or more points.
     ///
     /// It differs from the latest `G`s as far as the window leaves room for that.
     /// Then even a reply that a faulty line delivers twice cannot match the next
     /// poll.
-    pub(crate) fn widen(&mut self, window: Window) -> (Window, usize) {
+    pub(crate) fn widen(&mut self, window: Window) -> Widened {
         let (asked, surplus) = self.choose(window);
+        let repeats = self.recent.first() == Some(&Some(asked));
         self.note(asked);
-        (asked, surplus)
-    }
-
-    /// Returns whether [`widen`](Self::widen) would ask for the latest window once
-    /// more: there is no room for another one.
-    pub(crate) fn would_repeat(&self, window: Window) -> bool {
-        self.recent.first() == Some(&Some(self.choose(window).0))
+        Widened { asked, surplus, repeats }
     }
 
     fn choose(&self, window: Window) -> (Window, usize) {
@@ -104,8 +108,10 @@ mod tests {
         let mut unique_requests = UniqueRequests::default();
         assert_eq!(unique_requests.fence(), Window::single(0));
         // Widened to the right there is a second step; to the left there is one.
-        assert_eq!(unique_requests.widen(Window::single(1)), (Window::single(1), 0));
-        assert_eq!(unique_requests.widen(Window::single(3)), (Window::single(3), 0));
+        let alone = |asked| Widened { asked, surplus: 0, repeats: false };
+        for step in [Window::single(1), Window::single(3)] {
+            assert_eq!(unique_requests.widen(step), alone(step));
+        }
         assert_eq!(unique_requests.fence(), Window::single(2));
         assert_eq!(unique_requests.fence(), Window::single(4));
         unique_requests.clear();
@@ -125,7 +131,8 @@ mod tests {
     fn a_poll_differs_from_the_fence_before_it() {
         let mut unique_requests = UniqueRequests::default();
         let fence = unique_requests.fence();
-        let (asked, surplus) = unique_requests.widen(fence);
+        let Widened { asked, surplus, repeats } = unique_requests.widen(fence);
+        assert!(!repeats);
         assert_ne!(asked, fence);
         assert_eq!(asked.points(), 2);
         assert_eq!(surplus, 0);
