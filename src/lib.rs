@@ -87,6 +87,8 @@
 //! | `mcap` | recordings that ROS 2's tools open, and their replay |
 //! | `cli` | the program `urg` |
 //! | `web` | `urg serve`: a live page for any browser, and scans over HTTP |
+//! | `ros2` | `urg publish`: scans and diagnostics in ROS 2, over DDS |
+//! | `zenoh` | `urg publish --engine zenoh`: the same as `rmw_zenoh` carries them |
 //!
 //! `serial` is the only default feature. TCP, [`Sensor::attach`] and your own
 //! [`Connect`] need no feature.

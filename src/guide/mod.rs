@@ -14,8 +14,9 @@
 //! 9. [`common_issues`]: messages and symptoms, their causes and remedies
 //! 10. [`recipes`]: short programs for common uses of a scanner
 //! 11. [`recording`]: how to record a sensor and replay it
-//! 12. [`design`]: how the crate is built
-//! 13. [`rationale`]: why it is built so: decisions, alternatives, evidence
+//! 12. [`ros2`]: `urg publish`, from one sensor to many hosts
+//! 13. [`design`]: how the crate is built
+//! 14. [`rationale`]: why it is built so: decisions, alternatives, evidence
 
 macro_rules! chapters {
     ($($name:ident)*) => {
@@ -27,6 +28,6 @@ macro_rules! chapters {
 }
 
 chapters! {
-    polling trust recovery baud_rates geometry testing operating logging common_issues recipes recording design
-    rationale
+    polling trust recovery baud_rates geometry testing operating logging common_issues recipes recording ros2
+    design rationale
 }

@@ -12,7 +12,7 @@ use tokio_scip::{BaudRate, Rate, Window};
 use crate::failure::Failure;
 
 /// The way to the sensor.
-#[derive(Debug, Default, Args)]
+#[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Link")]
 pub(crate) struct LinkArgs {
     /// Baud rate to run at; without it the sensor keeps the one it has

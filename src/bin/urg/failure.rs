@@ -30,6 +30,15 @@ impl Failure {
             Self::Failed(format!("{port}: {line}"))
         }
     }
+
+    /// Returns the line for the user; none where nothing has failed.
+    #[cfg(any(feature = "ros2", feature = "zenoh"))]
+    pub(crate) fn line(&self) -> &str {
+        match self {
+            Self::Usage(line) | Self::Failed(line) => line,
+            Self::PipeClosed => "",
+        }
+    }
 }
 
 /// Returns an error and its causes, joined by ": ".

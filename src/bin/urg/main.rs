@@ -11,6 +11,8 @@ mod interrupt;
 mod output;
 mod plot;
 mod port;
+#[cfg(any(feature = "ros2", feature = "zenoh"))]
+mod publish;
 mod recording;
 mod stream;
 mod view;
@@ -24,8 +26,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use tracing_subscriber::EnvFilter;
 
 use crate::commands::{
-    baud, check as self_test, completions, emulate, info, laser, list, man, record, repair, scan,
-    serve, stream as streaming, view as radar,
+    baud, check as self_test, completions, emulate, info, laser, list, man, publish as publishing,
+    record, repair, scan, serve, stream as streaming, view as radar,
 };
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -55,6 +57,7 @@ enum Command {
     Repair(repair::Repair),
     Check(self_test::Check),
     Serve(serve::Serve),
+    Publish(publishing::Publish),
     Laser(laser::Laser),
     Baud(baud::Baud),
     Emulate(emulate::Emulate),
@@ -140,6 +143,7 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::Record(record) => record.run(&interrupt).await,
         Command::Repair(repair) => repair.run(&interrupt).await,
         Command::Serve(serve) => serve.run(&interrupt).await,
+        Command::Publish(publish) => publish.run(&interrupt).await,
         // These can be stopped anywhere.
         Command::List(list) => interrupt.or(list.run()).await,
         Command::Info(info) => interrupt.or(info.run()).await,

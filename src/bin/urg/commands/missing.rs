@@ -9,7 +9,6 @@ use crate::interrupt::Interrupt;
 /// Defines the module of a command that needs a feature.
 macro_rules! stand_in {
     ($module:ident, $Command:ident, $feature:literal) => {
-        #[cfg(not(feature = $feature))]
         pub(crate) mod $module {
             use super::*;
 
@@ -43,6 +42,11 @@ macro_rules! stand_in {
     };
 }
 
+#[cfg(not(any(feature = "ros2", feature = "zenoh")))]
+stand_in!(publish, Publish, "ros2");
+#[cfg(not(feature = "mcap"))]
 stand_in!(record, Record, "mcap");
+#[cfg(not(feature = "mcap"))]
 stand_in!(repair, Repair, "mcap");
+#[cfg(not(feature = "web"))]
 stand_in!(serve, Serve, "web");

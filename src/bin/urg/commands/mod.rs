@@ -11,8 +11,10 @@ pub(crate) mod laser;
 mod link_claim;
 pub(crate) mod list;
 pub(crate) mod man;
-#[cfg(any(not(feature = "mcap"), not(feature = "web")))]
+#[cfg(not(all(feature = "mcap", feature = "web", any(feature = "ros2", feature = "zenoh"))))]
 mod missing;
+#[cfg(any(feature = "ros2", feature = "zenoh"))]
+pub(crate) mod publish;
 #[cfg(feature = "mcap")]
 pub(crate) mod record;
 #[cfg(feature = "mcap")]
@@ -23,6 +25,8 @@ pub(crate) mod serve;
 pub(crate) mod stream;
 pub(crate) mod view;
 
+#[cfg(not(any(feature = "ros2", feature = "zenoh")))]
+pub(crate) use self::missing::publish;
 #[cfg(not(feature = "web"))]
 pub(crate) use self::missing::serve;
 #[cfg(not(feature = "mcap"))]
