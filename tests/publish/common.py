@@ -80,7 +80,6 @@ class Urg:
             [PROGRAM, *map(str, arguments)],
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            text=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
         os.set_blocking(self.process.stderr.fileno(), False)
@@ -89,8 +88,9 @@ class Urg:
     def __enter__(self):
         return self
 
-    def __exit__(self, *_):
-        self.stop()
+    def __exit__(self, failure, *_):
+        # A failure of the block is what is to be seen.
+        self.stop() if failure is None else self.kill()
 
     def stop(self):
         """Stops it; returns all that it wrote to standard error."""
@@ -106,7 +106,11 @@ class Urg:
         self.process.wait()
 
     def read(self):
-        self.said += self.process.stderr.read() or ""
+        try:
+            while piece := os.read(self.process.stderr.fileno(), 65536):
+                self.said += piece.decode()
+        except BlockingIOError:
+            pass
         return self.said
 
     def wait_for(self, words, seconds=15):
