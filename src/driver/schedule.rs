@@ -53,8 +53,8 @@ pub(crate) struct DuePoll {
 pub(crate) struct Delivered {
     /// Its values are the same as those before.
     pub(crate) repeat: bool,
-    /// The rate is not reached, which is reported once, and what is.
-    pub(crate) shortfall: Option<(Shortfall, ScheduleStats)>,
+    /// The rate is not reached, which is reported once.
+    pub(crate) shortfall: Option<Shortfall>,
 }
 
 impl Schedules {
@@ -166,6 +166,11 @@ impl Schedules {
         }
     }
 
+    /// Returns what a schedule asked for and gets.
+    pub(crate) fn stats(&mut self, poll: DuePoll) -> Option<ScheduleStats> {
+        self.find(poll.window, poll.rate).map(|schedule| schedule.stats())
+    }
+
     /// Scans that consumers were too slow for.
     pub(crate) fn missed(&self) -> u64 {
         self.missed + self.all.iter().map(|schedule| schedule.ring.missed()).sum::<u64>()
@@ -271,10 +276,10 @@ impl Schedule {
 
     /// Returns whether a span of the rate's measurement is over, and why it falls
     /// short, if that is news.
-    fn finish_span(&mut self, now: Instant) -> (bool, Option<(Shortfall, ScheduleStats)>) {
+    fn finish_span(&mut self, now: Instant) -> (bool, Option<Shortfall>) {
         let Some(span) = self.speed.finish_span(now) else { return (false, None) };
         let shortfall = self.rate.period().and_then(|period| self.speed.report(span, period));
-        (true, shortfall.map(|shortfall| (shortfall, self.stats())))
+        (true, shortfall)
     }
 }
 

@@ -205,7 +205,9 @@ impl Service<'_> {
                 Err(stop) => (Err(stop), Delivered::default()),
             },
         };
-        if let Some((shortfall, stats)) = delivered.shortfall {
+        if let Some(shortfall) = delivered.shortfall
+            && let Some(stats) = self.schedules.stats(poll)
+        {
             warn_of(shortfall, poll, stats);
         }
         let mut stats = self.telemetry.stats();

@@ -24,8 +24,9 @@ pub(super) const SCRATCH_BYTES: usize = 512;
 /// A port, and what is known of the bytes that it brought.
 pub(super) struct Line {
     port: Box<dyn Port>,
-    /// The time when the first byte of a reply arrived, by both clocks.
-    arrival: Option<(Instant, SystemTime)>,
+    /// The time when the first byte of a reply arrived, by both clocks; by the
+    /// monotonic one only where the port has a baud rate to compare it with.
+    arrival: Option<(Option<Instant>, SystemTime)>,
     /// The number of bytes that ever arrived.
     received: u64,
     /// The first two of them.
@@ -59,7 +60,7 @@ impl Line {
     /// The time when the first byte since [`begin_reply`](Self::begin_reply)
     /// arrived.
     pub(super) fn first_byte(&self) -> Option<Instant> {
-        self.arrival.map(|(at, _)| at)
+        self.arrival.and_then(|(at, _)| at)
     }
 
     /// The number of bytes that ever arrived.
@@ -120,7 +121,10 @@ impl Line {
             let seen = self.received.min(2) as usize;
             self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
             self.received += fresh.len() as u64;
-            self.arrival.get_or_insert_with(|| (Instant::now(), self.port.wall_clock()));
+            self.arrival.get_or_insert_with(|| {
+                let timed = self.port.baud_rate().is_some();
+                (timed.then(Instant::now), self.port.wall_clock())
+            });
         }
         if self.received - self.before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
     }
