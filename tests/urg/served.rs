@@ -127,7 +127,8 @@ fn a_stream_goes_on_when_its_sensor_is_unplugged_and_comes_back() {
     };
     let lost = event("disconnected", &mut stream);
     assert!(lost["error"].as_str().unwrap().contains("lost"), "{lost}");
-    assert!(stream.notice().contains("the link to the sensor is lost"));
+    let lost = format!("the link to {} is lost", link.path());
+    assert!(stream.notice().contains(&lost));
     drop(sensor);
     let _sensor = Emulated::start(&format!("--link {}", link.path()));
     assert_eq!(event("reconnected", &mut stream), serde_json::json!({ "event": "reconnected" }));

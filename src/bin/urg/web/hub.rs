@@ -3,14 +3,13 @@
 use std::fmt::Write;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
-use tokio::time::Instant;
 
 use tokio::sync::watch;
-use tokio_scip::{Rate, Sensor, State, Window};
+use tokio_scip::{Freshness, Rate, Sensor, State, Window};
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
-use crate::failure::{Failure, chain};
+use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortName;
 use crate::port::open::{begin, opened};
@@ -41,10 +40,6 @@ pub(super) struct Live {
     pub(super) sensor: Sensor,
     /// The stream at its current place: a clone continues from there.
     feed: Feed,
-    /// The arrival of the latest scan.
-    pub(super) scanned: Option<Instant>,
-    /// The latest error since then.
-    error: Option<String>,
 }
 
 /// The state of the link in a word, and the reason if no scans flow.
@@ -74,7 +69,7 @@ impl Hub {
         let scans = sensor.scans(self.window, self.rate).await;
         let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
         let feed = Feed::new(&self.port, scans);
-        self.live.send_replace(Some(Live { sensor, feed, scanned: None, error: None }));
+        self.live.send_replace(Some(Live { sensor, feed }));
         Ok(())
     }
 
@@ -86,14 +81,8 @@ impl Hub {
         let mut pace = RateWatch::new(&self.port, self.window, self.rate);
         while let Some(update) = live.feed.next().await {
             reporter.report(&update);
-            match &update {
-                Update::Scan(scan) => {
-                    live.scanned = Some(scan.received_at());
-                    live.error = None;
-                    pace.scanned(scan, &live.sensor).into_iter().for_each(notice);
-                }
-                Update::Error(error) => live.error = Some(chain(error)),
-                Update::Reconnected | Update::Missed(_) => {}
+            if let Update::Scan(scan) = &update {
+                pace.scanned(scan, &live.sensor).into_iter().for_each(notice);
             }
             self.live.send_replace(Some(live.clone()));
         }
@@ -139,27 +128,22 @@ impl Hub {
         let why = trouble(&state).or_else(|| {
             let wire_time = state.baud_rate().map(|rate| self.window.wire_time(rate));
             let period = self.rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
-            match self.live() {
-                None => Some("no scan yet".to_owned()),
-                Some(live) => live.overdue(3 * period + SCAN_GRACE),
-            }
+            overdue(&sensor.freshness(), 3 * period + SCAN_GRACE)
         });
         Health { link, why }
     }
 }
 
-impl Live {
-    /// Returns the reason why no scans flow over a working link, if none do.
-    fn overdue(&self, limit: Duration) -> Option<String> {
-        let mut why = match self.scanned.map(|scanned| scanned.elapsed()) {
-            Some(age) if age <= limit => return None,
-            Some(age) => format!("no scan for {:.1} s", age.as_secs_f64()),
-            None => "no scan yet".to_owned(),
-        };
-        if let Some(error) = &self.error {
-            // Writing to a string does not fail.
-            let _ = write!(why, ": {error}");
-        }
-        Some(why)
+/// Returns the reason why no scans flow over a working link, if none do.
+fn overdue(freshness: &Freshness, limit: Duration) -> Option<String> {
+    let stale = freshness.check(limit).err()?;
+    let mut why = match stale.age {
+        Some(age) => format!("no scan for {:.1} s", age.as_secs_f64()),
+        None => "no scan yet".to_owned(),
+    };
+    if let Some(error) = &stale.source {
+        // Writing to a string does not fail.
+        let _ = write!(why, ": {}", error.chain());
     }
+    Some(why)
 }

@@ -19,9 +19,9 @@ pub(super) async fn metrics(State(app): State<App>) -> Response {
     let mut text = Metrics::default();
     let is_up = u8::from(app.hub.health().why.is_none());
     text.metric("urg_up", "gauge", "1 while scans flow, else 0").sample("", is_up);
-    if let Some(scanned) = live.and_then(|live| live.scanned) {
+    if let Some(age) = live.and_then(|live| live.sensor.freshness().age()) {
         text.metric("urg_scan_age_seconds", "gauge", "Age of the latest scan")
-            .sample("", scanned.elapsed().as_secs_f64());
+            .sample("", age.as_secs_f64());
     }
     text.metric("urg_viewers", "gauge", "Open streams of scans").sample("", app.viewers.len());
     text.driver(&stats);

@@ -64,7 +64,7 @@ pub(super) async fn state(State(app): State<App>) -> Response {
             window: hub.window(),
             asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
             reached: stats.schedules.first().map_or(0.0, |schedule| schedule.reached),
-            age: live.as_ref().and_then(|live| live.scanned).map(|at| at.elapsed().as_secs_f64()),
+            age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
             latency: latency.map(|latency| LatencySeconds {
                 last: latency.last.as_secs_f64(),
                 mean: latency.mean().as_secs_f64(),
