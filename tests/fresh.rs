@@ -211,7 +211,7 @@ impl Subscriber for Log {
 #[tokio::test(start_paused = true)]
 async fn logs_and_errors_name_the_sensor_inside_of_the_span_of_its_user() {
     let log = Log::default();
-    let _guard = tracing::subscriber::set_default(log.clone());
+    let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
     let (sensor, driver) = {
         let _entered = tracing::info_span!("line", number = 7).entered();
@@ -234,7 +234,7 @@ async fn logs_and_errors_name_the_sensor_inside_of_the_span_of_its_user() {
 #[tokio::test(start_paused = true)]
 async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_now_and_then() {
     let log = Log::default();
-    let _guard = tracing::subscriber::set_default(log.clone());
+    let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
     emulator.unplug();
     let (_sensor, driver) = builder().name("left").wait_for_sensor().build(emulator.clone());

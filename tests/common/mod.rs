@@ -3,6 +3,7 @@
 
 pub(crate) mod fountain;
 pub(crate) mod limit;
+pub(crate) mod logs;
 pub(crate) mod prompt;
 
 use std::collections::HashMap;

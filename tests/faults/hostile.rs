@@ -111,7 +111,7 @@ fn told(error: &Error) -> String {
 #[tokio::test(start_paused = true)]
 async fn w23_whatever_a_sensor_sends_no_control_character_reaches_a_person() {
     let log = Log::default();
-    let _guard = tracing::subscriber::set_default(log.clone());
+    let _guard = crate::common::logs::collect(log.clone());
     let evil = b"\x1b]0;owned\x07\x1b[2J\r\xff\x9b31m\x00\x7f".to_vec();
     let mut texts = Vec::new();
 
@@ -155,7 +155,7 @@ async fn w23_whatever_a_sensor_sends_no_control_character_reaches_a_person() {
 #[tokio::test(start_paused = true)]
 async fn d03_what_is_logged_of_an_hour_of_bad_frames_and_an_hour_without_power_is_a_few_lines() {
     let log = Log::default();
-    let _guard = tracing::subscriber::set_default(log.clone());
+    let _guard = crate::common::logs::collect(log.clone());
     let loud = || {
         let lines = log.0.lock().unwrap();
         let loud =

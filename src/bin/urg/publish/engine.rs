@@ -1,28 +1,13 @@
-//! The engine that carries messages, whichever it is. A thread opens it, however
-//! long that takes, watches whether it reaches the network, and closes it in good
-//! order. An [`Outlet`] publishes from any task, and never waits.
-//!
-//! A thread, because opening and closing block, and because zenoh refuses both in
-//! a tokio runtime of one thread.
+//! The engine that carries messages, whichever it is: its settings, what it must
+//! be able to do, and the [`Outlet`] that publishes through it from any task and
+//! never waits.
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::Duration;
 
 use clap::ValueEnum;
 use tokio::runtime::Handle;
-use tokio::sync::oneshot;
-
-use crate::failure::Failure;
-use crate::output::notice::notice;
-
-/// The pause between two attempts to open an engine.
-const RETRY_INTERVAL: Duration = Duration::from_secs(1);
-
-/// The pause between two looks at an open engine.
-const WATCH_INTERVAL: Duration = Duration::from_millis(500);
 
 /// The engines that this program knows, built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -120,7 +105,7 @@ pub(super) struct NodePublishers {
 
 /// The publishers of all nodes, in order; `None` before the engine reaches the
 /// network, and after the end.
-type Shared = Arc<RwLock<Option<Vec<NodePublishers>>>>;
+pub(super) type Shared = Arc<RwLock<Option<Vec<NodePublishers>>>>;
 
 /// One node's way to the network. Messages for which there is no network are
 /// dropped and counted: an old scan is of no use.
@@ -138,6 +123,11 @@ struct Counts {
 }
 
 impl Outlet {
+    /// Returns an outlet of the node at this place.
+    pub(super) fn new(node: usize, publishers: &Shared) -> Self {
+        Self { node, publishers: Arc::clone(publishers), counts: Arc::default() }
+    }
+
     /// Publishes an encoded `sensor_msgs/msg/LaserScan`.
     pub(crate) fn publish_scan(&self, message: Vec<u8>) {
         let published = self.publish(message, |node| &node.scans);
@@ -168,123 +158,5 @@ impl Outlet {
     /// Returns the number of scans that were dropped for want of a network.
     pub(crate) fn dropped(&self) -> u64 {
         self.counts.dropped.load(Ordering::Relaxed)
-    }
-}
-
-/// An engine on its thread. Dropping it closes the engine without waiting.
-#[derive(Debug)]
-pub(crate) struct RunningEngine {
-    /// Its end asks the thread to end.
-    stop: mpsc::Sender<()>,
-    ended: oneshot::Receiver<()>,
-}
-
-impl RunningEngine {
-    /// Starts an engine, and returns an outlet for each node. Fails if this
-    /// program was built without it.
-    pub(crate) fn start(
-        engine: EngineName,
-        settings: EngineSettings,
-        nodes: Vec<NodeSpec>,
-    ) -> Result<(Self, Vec<Outlet>), Failure> {
-        match engine {
-            #[cfg(feature = "ros2")]
-            EngineName::Dds => start::<super::dds::Dds>(settings, nodes),
-            #[cfg(feature = "zenoh")]
-            EngineName::Zenoh => start::<super::zenoh::Zenoh>(settings, nodes),
-            #[cfg(not(feature = "ros2"))]
-            EngineName::Dds => Err(not_built_in("dds", "ros2")),
-            #[cfg(not(feature = "zenoh"))]
-            EngineName::Zenoh => Err(not_built_in("zenoh", "zenoh")),
-        }
-    }
-
-    /// Takes the nodes out of the graph, and waits for that.
-    pub(crate) async fn close(self) {
-        drop(self.stop);
-        // An error, too, means that the thread has ended.
-        let _ = self.ended.await;
-    }
-}
-
-#[cfg(not(all(feature = "ros2", feature = "zenoh")))]
-fn not_built_in(engine: &str, feature: &str) -> Failure {
-    Failure::Usage(format!(
-        "`--engine {engine}` needs an urg that was built with the feature `{feature}`: \
-         `cargo install tokio-scip --features {feature}`"
-    ))
-}
-
-fn start<E: Engine>(
-    settings: EngineSettings,
-    nodes: Vec<NodeSpec>,
-) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
-    let publishers = Shared::default();
-    let outlet =
-        |node| Outlet { node, publishers: Arc::clone(&publishers), counts: Arc::default() };
-    let outlets = (0..nodes.len()).map(outlet).collect();
-    let (stop, stopped) = mpsc::channel();
-    let (end, ended) = oneshot::channel();
-    let runtime = Handle::current();
-    std::thread::Builder::new()
-        .name("engine".to_owned())
-        .spawn(move || {
-            run::<E>(&settings, &nodes, &publishers, &runtime, &stopped);
-            let _ = end.send(());
-        })
-        .map_err(|error| Failure::of("cannot start the engine's thread", &error))?;
-    Ok((RunningEngine { stop, ended }, outlets))
-}
-
-/// Runs an engine until it is stopped.
-fn run<E: Engine>(
-    settings: &EngineSettings,
-    nodes: &[NodeSpec],
-    shared: &Shared,
-    runtime: &Handle,
-    stop: &mpsc::Receiver<()>,
-) {
-    let stopped = |wait| !matches!(stop.recv_timeout(wait), Err(RecvTimeoutError::Timeout));
-    let set = |publishers| {
-        *shared.write().unwrap_or_else(PoisonError::into_inner) = publishers;
-    };
-    let mut network = Network::default();
-    let (engine, publishers) = loop {
-        match E::open(settings, nodes, runtime) {
-            Ok(opened) => break opened,
-            Err(why) => network.report(Some(why)),
-        }
-        if stopped(RETRY_INTERVAL) {
-            return;
-        }
-    };
-    set(Some(publishers));
-    loop {
-        network.report(engine.unreachable());
-        if stopped(WATCH_INTERVAL) {
-            break;
-        }
-    }
-    set(None);
-    engine.close();
-}
-
-/// Reports the loss of the network once, and its return.
-#[derive(Debug, Default)]
-struct Network {
-    away: bool,
-}
-
-impl Network {
-    fn report(&mut self, unreachable: Option<String>) {
-        let away = unreachable.is_some();
-        match (self.away, unreachable) {
-            (false, Some(why)) => {
-                notice(format_args!("{why}; waiting for it, scans are dropped until then"));
-            }
-            (true, None) => notice("the network is back: scans are published"),
-            (true, Some(_)) | (false, None) => {}
-        }
-        self.away = away;
     }
 }

@@ -1,6 +1,7 @@
-//! `urg publish`: scans as ROS 2 messages on a network. `engine` carries
-//! messages, over `dds` or `zenoh`; `source` brings the scans of one sensor to
-//! it, and `diagnostics` its condition; `names` names nodes and topics.
+//! `urg publish`: scans as ROS 2 messages on a network. `engine` defines what
+//! carries messages; `dds` and `zenoh` do, and `running` keeps one of them open.
+//! `source` brings the scans of one sensor to it, and `diagnostics` its condition;
+//! `names` names nodes and topics.
 //!
 //! The messages themselves are the library's (`tokio_scip::ros`). Nothing outside
 //! of this module knows an engine.
@@ -10,12 +11,12 @@ mod dds;
 mod diagnostics;
 mod engine;
 mod names;
+mod running;
 mod source;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
-pub(crate) use self::engine::{
-    EngineName, EngineSettings, Mode, NodeSpec, ParameterValue, Qos, RunningEngine,
-};
+pub(crate) use self::engine::{EngineName, EngineSettings, Mode, NodeSpec, ParameterValue, Qos};
 pub(crate) use self::names::{NamedPort, NodeNames};
+pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;
