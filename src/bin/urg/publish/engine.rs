@@ -45,7 +45,9 @@ pub(crate) struct EngineSettings {
     pub(crate) depth: usize,
     /// The only local address to use; all of them without it.
     pub(crate) interface: Option<IpAddr>,
+    #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "only zenoh has a router"))]
     pub(crate) router: String,
+    #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "only zenoh has a router"))]
     pub(crate) mode: Mode,
 }
 
@@ -57,12 +59,12 @@ pub(crate) struct NodeSpec {
     pub(crate) name: String,
     /// The absolute name of the topic of its scans.
     pub(crate) scan_topic: String,
+    #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only DDS has parameters"))]
     pub(crate) parameters: Vec<(&'static str, ParameterValue)>,
 }
 
 /// The value of a parameter.
 #[derive(Debug, Clone, PartialEq)]
-#[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only DDS has parameters"))]
 pub(crate) enum ParameterValue {
     Integer(i64),
     Float(f64),
