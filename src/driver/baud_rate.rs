@@ -1,5 +1,5 @@
 //! The baud rate: how the sensor is found at the one that it has, and moved to
-//! another one. A status alone is never believed: a fence has to be answered at
+//! another one. A status alone is no proof: a fence has to be answered at
 //! the new baud rate.
 
 use std::io;
@@ -13,8 +13,8 @@ use super::session::Session;
 use crate::protocol::{Command, Malformed};
 use crate::{BaudRate, Error, Window};
 
-/// How long a fence may take while the sensor is looked for, its bytes on the
-/// line not counted.
+/// The time limit of a fence during the search for the baud rate, without the time
+/// that its bytes take on the line.
 const SEARCH_LATENCY: Duration = Duration::from_millis(400);
 /// After `S` is accepted the new baud rate applies one revolution later; some
 /// sensors take two.

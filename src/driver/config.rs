@@ -16,7 +16,7 @@ use crate::protocol::Text;
 /// probe costs 26 bytes on the wire.
 pub(crate) const PROBE_INTERVAL: Duration = Duration::from_secs(5);
 
-/// Which idle links are probed, and how often.
+/// The idle links that are probed, and the interval.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum IdleProbe {
     /// Those that may die silently, every [`PROBE_INTERVAL`].

@@ -1,9 +1,9 @@
-//! [`ExchangeError`]: why a command was not answered.
+//! [`ExchangeError`]: the failure of one exchange.
 
 use crate::Error;
 use crate::protocol::Command;
 
-/// Why a command was not answered, by what the driver has to do next.
+/// The failure of an exchange, sorted by what the driver has to do next.
 #[derive(Debug)]
 pub(crate) enum ExchangeError {
     /// This command failed; the next one may succeed.
@@ -15,14 +15,14 @@ pub(crate) enum ExchangeError {
 }
 
 impl ExchangeError {
-    /// Returns the error, whatever the driver has to do next.
+    /// Returns a reference to the error.
     pub(crate) fn error(&self) -> &Error {
         match self {
             Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
         }
     }
 
-    /// Returns the error alone.
+    /// Converts into the error, without what the driver has to do next.
     pub(crate) fn into_error(self) -> Error {
         match self {
             Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,

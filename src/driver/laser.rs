@@ -38,8 +38,8 @@ pub(crate) async fn set_laser(session: &mut Session, on: bool) -> Result<(), Exc
 /// back-off: a laser that stays off would otherwise cost two commands a poll.
 pub(crate) struct LaserRecovery {
     backoff: Backoff,
-    /// Why the last attempt was of no use, and when to try again: the laser stays
-    /// off, or, with no error, the sensor refuses with the laser on.
+    /// The result of the last attempt, and the time of the next one. With an error the
+    /// laser stays off; with none the sensor refuses though its laser is on.
     failed: Option<(Option<Error>, Instant)>,
 }
 

@@ -4,8 +4,8 @@
 //! The way of a scan, up: `transport` (bytes, frames), `session` (the answer to
 //! its command, or an error), `serve`, `schedule`, which pushes it into a ring.
 //! The way of a request, down: [`Client::ask`], `request` (the queue), `serve`,
-//! `session`, or `laser` and `baud_rate` on top of it, and back through its
-//! promise. `fence` proves that no older reply can be taken for a new one;
+//! `session`, or `laser` and `baud_rate` on top of it; its answer returns through
+//! the request's own oneshot channel. `fence` proves that no older reply can be taken for a new one;
 //! `supervisor` and `open` keep a session open.
 
 mod backoff;
@@ -35,8 +35,8 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 pub(crate) use self::config::{Config, IdleProbe};
-pub(crate) use self::request::{Promise, Request};
 use self::request::{QueuedRequest, RequestQueue};
+pub(crate) use self::request::{Request, Responder};
 use self::supervisor::Supervisor;
 use crate::Error;
 use crate::port::Connect;
@@ -88,11 +88,11 @@ impl Client {
     /// read and dropped.
     pub(crate) async fn ask<T>(
         &self,
-        request: impl FnOnce(Promise<T>) -> Request,
+        request: impl FnOnce(Responder<T>) -> Request,
     ) -> Result<T, Error> {
-        let (promise, answer) = oneshot::channel();
+        let (responder, answer) = oneshot::channel();
         let expires = Instant::now() + self.request_timeout;
-        let queued = QueuedRequest { request: request(promise), expires };
+        let queued = QueuedRequest { request: request(responder), expires };
         if self.sender.send(queued).await.is_err() {
             return Err(self.telemetry.cause());
         }

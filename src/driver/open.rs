@@ -19,8 +19,8 @@ use crate::{BaudRate, Error};
 
 /// A revolution of a URG's motor at 600 rpm.
 const REVOLUTION: Duration = Duration::from_millis(100);
-/// How often a sensor is asked for its serial number before the last answer
-/// counts.
+/// The number of times a sensor is asked for its serial number, if no two answers
+/// in a row agree. The last answer then counts.
 const IDENTITY_TRIES: usize = 4;
 
 /// Opens the port, and restores how the sensor behind it was set.
@@ -35,10 +35,10 @@ pub(crate) struct Opener<C> {
     identity: Option<Text>,
     /// The serial number of the sensor that was found last.
     serial_number: Option<Text>,
-    /// What earlier sessions asked for: the system keeps what arrives while a
-    /// port is closed, so that the next session may get answers to it.
+    /// The requests of earlier sessions: the system keeps bytes that arrive while a
+    /// port is closed, so the next session may read replies to them.
     unique_requests: UniqueRequests,
-    /// Whether a sensor was ever opened.
+    /// True after a sensor was opened once.
     opened: bool,
     scan_time: Duration,
 }
@@ -125,7 +125,7 @@ impl<C: Connect> Opener<C> {
         }
     }
 
-    /// Closes the port of a session that is of no use any more.
+    /// Closes the port of a session.
     pub(crate) fn close(&mut self, session: Session) {
         self.unique_requests = session.close();
     }
@@ -210,7 +210,7 @@ impl<C: Connect> Opener<C> {
         Ok(version)
     }
 
-    /// Sets the sensor as the service has asked for.
+    /// Restores the settings that the service has asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         if let Some(baud_rate) = self.wanted.baud_rate
             && session.baud_rate().is_some_and(|now| now != baud_rate)

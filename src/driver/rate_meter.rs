@@ -19,14 +19,14 @@ pub(crate) struct RateMeter {
     since: Instant,
     scans: u32,
     failures: u32,
-    /// The latest whole span.
+    /// The latest span that is over.
     span: Span,
     /// The number of spans since each kind of shortfall was last there.
     since_slow: u32,
     since_loss: u32,
 }
 
-/// What came of the polls of one span.
+/// The result of one span.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Span {
     /// Scans a second.
@@ -35,12 +35,12 @@ pub(crate) struct Span {
     pub(crate) failed: u32,
 }
 
-/// Why a rate is not reached.
+/// The cause of a rate that is not reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shortfall {
     /// Every poll succeeded: the line or the sensor cannot keep up.
     Slow,
-    /// Polls failed. How many the line could carry is not known then.
+    /// Polls failed. The rate that the line could carry is then unknown.
     Loss,
 }
 
@@ -80,8 +80,8 @@ impl RateMeter {
         Some(self.span)
     }
 
-    /// Returns why a span falls short of a poll each `period`, if it does and did
-    /// not for some time.
+    /// Returns the cause if a span falls short of one poll each `period`, unless the same
+    /// cause was found within the last [`SPANS_BETWEEN_REPORTS`].
     pub(crate) fn report(&mut self, span: Span, period: Duration) -> Option<Shortfall> {
         let is_short = span.reached * period.as_secs_f64() < REACHED;
         let shortfall = match (is_short, span.failed) {

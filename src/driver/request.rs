@@ -11,42 +11,42 @@ use crate::protocol::Version;
 use crate::ring::Cursor;
 use crate::{BaudRate, Error, Rate, Scan, Window};
 
-/// The receiver of the answer to a request.
-pub(crate) type Promise<T> = oneshot::Sender<Result<T, Error>>;
+/// The sender of the answer to a request.
+pub(crate) type Responder<T> = oneshot::Sender<Result<T, Error>>;
 
 /// A request of a handle.
 #[derive(Debug)]
 pub(crate) enum Request {
-    Version(Promise<Version>),
-    Laser { on: bool, promise: Promise<()> },
-    BaudRate { baud_rate: BaudRate, promise: Promise<()> },
-    Scan { window: Window, promise: Promise<Scan> },
-    Subscribe { window: Window, rate: Rate, depth: usize, promise: Promise<Cursor> },
-    Close(Promise<()>),
+    Version(Responder<Version>),
+    Laser { on: bool, responder: Responder<()> },
+    BaudRate { baud_rate: BaudRate, responder: Responder<()> },
+    Scan { window: Window, responder: Responder<Scan> },
+    Subscribe { window: Window, rate: Rate, depth: usize, responder: Responder<Cursor> },
+    Close(Responder<()>),
 }
 
 impl Request {
     /// Returns whether nobody waits for the answer any more.
     fn is_abandoned(&self) -> bool {
         match self {
-            Self::Version(promise) => promise.is_closed(),
-            Self::Laser { promise, .. } | Self::BaudRate { promise, .. } | Self::Close(promise) => {
-                promise.is_closed()
-            }
-            Self::Scan { promise, .. } => promise.is_closed(),
-            Self::Subscribe { promise, .. } => promise.is_closed(),
+            Self::Version(responder) => responder.is_closed(),
+            Self::Laser { responder, .. }
+            | Self::BaudRate { responder, .. }
+            | Self::Close(responder) => responder.is_closed(),
+            Self::Scan { responder, .. } => responder.is_closed(),
+            Self::Subscribe { responder, .. } => responder.is_closed(),
         }
     }
 
     fn fail(self, error: Error) {
         // An answer that nobody waits for is dropped.
         match self {
-            Self::Version(promise) => drop(promise.send(Err(error))),
-            Self::Laser { promise, .. } | Self::BaudRate { promise, .. } | Self::Close(promise) => {
-                drop(promise.send(Err(error)))
-            }
-            Self::Scan { promise, .. } => drop(promise.send(Err(error))),
-            Self::Subscribe { promise, .. } => drop(promise.send(Err(error))),
+            Self::Version(responder) => drop(responder.send(Err(error))),
+            Self::Laser { responder, .. }
+            | Self::BaudRate { responder, .. }
+            | Self::Close(responder) => drop(responder.send(Err(error))),
+            Self::Scan { responder, .. } => drop(responder.send(Err(error))),
+            Self::Subscribe { responder, .. } => drop(responder.send(Err(error))),
         }
     }
 }
@@ -62,8 +62,8 @@ pub(crate) struct QueuedRequest {
 /// A request that can be answered without a link.
 #[derive(Debug)]
 pub(crate) enum Unlinked {
-    Subscribe { window: Window, rate: Rate, depth: usize, promise: Promise<Cursor> },
-    Close(Promise<()>),
+    Subscribe { window: Window, rate: Rate, depth: usize, responder: Responder<Cursor> },
+    Close(Responder<()>),
 }
 
 /// All handles and streams are gone.
@@ -120,10 +120,10 @@ impl RequestQueue {
         loop {
             if let Some(queued) = self.next.take().filter(|queued| !queued.request.is_abandoned()) {
                 match queued.request {
-                    Request::Subscribe { window, rate, depth, promise } => {
-                        return Ok(Unlinked::Subscribe { window, rate, depth, promise });
+                    Request::Subscribe { window, rate, depth, responder } => {
+                        return Ok(Unlinked::Subscribe { window, rate, depth, responder });
                     }
-                    Request::Close(promise) => return Ok(Unlinked::Close(promise)),
+                    Request::Close(responder) => return Ok(Unlinked::Close(responder)),
                     _ => self.waiting.push_back(queued),
                 }
             }

@@ -1,4 +1,5 @@
-//! Which poll is due when. Knows nothing of ports and replies.
+//! [`Schedules`]: the polls of all streams, and the times at which they are due. Knows
+//! no ports and no replies.
 
 use std::mem::{Discriminant, discriminant};
 use std::sync::{Arc, Weak};
@@ -18,7 +19,7 @@ pub(crate) struct Schedules {
     all: Vec<Schedule>,
     /// Missed scans of schedules that are gone.
     missed: u64,
-    /// Whether `stats` says something new.
+    /// True if the published statistics are out of date.
     changed: bool,
 }
 
@@ -33,8 +34,7 @@ struct Schedule {
     due: Instant,
     sequence: u64,
     previous: Option<Arc<[u16]>>,
-    /// The values before those: their place is used again when nobody holds them
-    /// any more.
+    /// The values before those: their block is used again once nobody holds them.
     spare: Option<Arc<[u16]>>,
     /// The kind of the last error since the last scan.
     condition: Option<Discriminant<Error>>,
@@ -48,7 +48,7 @@ pub(crate) struct DuePoll {
     pub(crate) rate: Rate,
 }
 
-/// What became of a poll.
+/// The result of a poll.
 #[derive(Debug, Default)]
 pub(crate) struct Delivered {
     /// Its values are the same as those before.
@@ -58,8 +58,8 @@ pub(crate) struct Delivered {
 }
 
 impl Schedules {
-    /// A reader of what `window` shows at `rate`, from the next scan on. Equal
-    /// ones share a schedule. While there is `trouble` it is told of that first.
+    /// Returns a reader of the scans of `window` at `rate`, from the next one on. Equal
+    /// subscriptions share a schedule. `trouble`, if any, is reported to it first.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
@@ -78,8 +78,8 @@ impl Schedules {
         reader
     }
 
-    /// After a rest, when no polls were wanted or none were possible: the places
-    /// on the grid that went by were not missed, and rates are measured anew.
+    /// Continues after a time without polls. The places on the grid that went by do not
+    /// count as skipped, and rates are measured anew.
     pub(crate) fn resume(&mut self, now: Instant) {
         for schedule in &mut self.all {
             schedule.catch_up(now);
@@ -87,12 +87,12 @@ impl Schedules {
         }
     }
 
-    /// When the next poll is due.
+    /// Returns the time at which the next poll is due.
     pub(crate) fn next_due(&self) -> Option<Instant> {
         self.all.iter().map(|schedule| schedule.due).min()
     }
 
-    /// True if nothing is polled.
+    /// Returns true if nothing is polled.
     pub(crate) fn is_empty(&self) -> bool {
         self.all.is_empty()
     }
@@ -147,7 +147,7 @@ impl Schedules {
         Delivered { repeat: false, shortfall }
     }
 
-    /// The link is lost: tells everyone why, and no rate is reached.
+    /// Reports a lost link to all streams, and sets all rates to zero.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
@@ -156,7 +156,7 @@ impl Schedules {
         }
     }
 
-    /// Passes on what is polled, and how fast, if that has changed.
+    /// Publishes the statistics of the schedules if they have changed.
     pub(crate) fn note(&mut self, telemetry: &Telemetry) {
         if std::mem::take(&mut self.changed) {
             telemetry.set_schedules(self.all.iter().map(|one| {
@@ -171,7 +171,7 @@ impl Schedules {
         self.find(poll.window, poll.rate).map(|schedule| schedule.stats())
     }
 
-    /// Scans that consumers were too slow for.
+    /// Returns the number of scans that were overwritten before a consumer read them.
     pub(crate) fn missed(&self) -> u64 {
         self.missed + self.all.iter().map(|schedule| schedule.ring.missed()).sum::<u64>()
     }

@@ -10,7 +10,7 @@ use super::exchange::ExchangeError;
 use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::open::Wanted;
 use super::rate_meter::Shortfall;
-use super::request::{Abandoned, Promise, Request, RequestQueue};
+use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
 use super::session::Session;
 use super::transport::Timing;
@@ -19,11 +19,11 @@ use crate::scan::{Scan, ScanMeta};
 use crate::state::{ScheduleStats, Telemetry};
 use crate::{Error, Window};
 
-/// Why a session is served no longer.
+/// The reason for which a session is served no longer.
 #[derive(Debug)]
 pub(crate) enum Stop {
     /// A handle asked for it.
-    Closed(Promise<()>),
+    Closed(Responder<()>),
     /// All handles and streams are gone.
     Abandoned,
     /// The sensor does not answer any more.
@@ -33,7 +33,7 @@ pub(crate) enum Stop {
 }
 
 impl Stop {
-    /// What the request gets that was under way.
+    /// Returns the error for the request that was being served.
     fn cause(&self) -> Error {
         match self {
             Self::Silent(error) | Self::Lost(error) => error.clone(),
@@ -48,7 +48,7 @@ impl From<Abandoned> for Stop {
     }
 }
 
-/// What serving needs besides the session.
+/// Everything that serving needs besides the session.
 pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
@@ -57,7 +57,7 @@ pub(crate) struct Service<'a> {
     pub(crate) scan_time: Duration,
     /// The time without an exchange after which a fence is raised.
     pub(crate) idle_probe: Option<Duration>,
-    /// How often the sensor was found again before this session.
+    /// The number of times the sensor was found again before this session.
     pub(crate) reconnects: u64,
     /// The values of the latest reply, in one buffer for all polls.
     pub(crate) values: &'a mut Vec<u16>,
@@ -77,10 +77,10 @@ impl Service<'_> {
         }
     }
 
-    /// One request, one poll, or a wait for either. They alternate when both
+    /// Serves one request or one poll, or waits for either. They alternate when both
     /// are due, so that neither can starve the other.
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
-        // A doubt is best cleared up while there is time.
+        // A fence now, while nothing else is due, does not delay the next poll.
         if session.is_dirty() {
             let outcome = self.resynchronise(session).await;
             self.ignore_command_errors(outcome)?;
@@ -116,7 +116,7 @@ impl Service<'_> {
     }
 
     /// Raises a fence. If it is answered with a distance while the laser should
-    /// be off, the sensor was reset: it is told again.
+    /// be off, the sensor was reset: its laser is switched off again.
     async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         let status = session.settle().await?;
         if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
@@ -127,13 +127,13 @@ impl Service<'_> {
 
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
         match request {
-            Request::Version(promise) => {
-                // It said so when it was found.
+            Request::Version(responder) => {
+                // It was read when the sensor was found.
                 let known = self.telemetry.version().ok_or(Error::Closed);
-                let _ = promise.send(known);
+                let _ = responder.send(known);
                 Ok(())
             }
-            Request::Laser { on, promise } => {
+            Request::Laser { on, responder } => {
                 // Also if it fails: what was asked for is restored whenever the
                 // sensor is found again.
                 self.wanted.laser = Some(on);
@@ -143,9 +143,9 @@ impl Service<'_> {
                 } else {
                     self.telemetry.stats().failed(&Error::LaserOff);
                 }
-                self.respond(promise, outcome)
+                self.respond(responder, outcome)
             }
-            Request::BaudRate { baud_rate, promise } => {
+            Request::BaudRate { baud_rate, responder } => {
                 let mut outcome = baud_rate::change(session, baud_rate).await;
                 if outcome.is_ok() {
                     self.wanted.baud_rate = Some(baud_rate);
@@ -155,19 +155,19 @@ impl Service<'_> {
                     }
                 }
                 self.telemetry.set_baud_rate(session.baud_rate());
-                self.respond(promise, outcome)
+                self.respond(responder, outcome)
             }
-            Request::Scan { window, promise } => {
+            Request::Scan { window, responder } => {
                 let outcome = self.scan(session, window).await;
-                self.respond(promise, outcome)
+                self.respond(responder, outcome)
             }
-            Request::Subscribe { window, rate, depth, promise } => {
-                // A stream that nobody took is a stream that was dropped.
-                let _ = promise.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
+            Request::Subscribe { window, rate, depth, responder } => {
+                // If nobody waits for it, this drops the stream.
+                let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
                 self.note_schedules();
                 Ok(())
             }
-            Request::Close(promise) => Err(Stop::Closed(promise)),
+            Request::Close(responder) => Err(Stop::Closed(responder)),
         }
     }
 
@@ -261,7 +261,7 @@ impl Service<'_> {
     /// Answers a request; a failure of the line is also a reason to stop.
     fn respond<T>(
         &self,
-        promise: Promise<T>,
+        responder: Responder<T>,
         outcome: Result<T, ExchangeError>,
     ) -> Result<(), Stop> {
         let (answer, stop) = match outcome {
@@ -271,8 +271,8 @@ impl Service<'_> {
                 Err(stop) => (Err(stop.cause()), Err(stop)),
             },
         };
-        // An answer that nobody waits for is dropped.
-        let _ = promise.send(answer);
+        // If nobody waits for the answer, it is dropped.
+        let _ = responder.send(answer);
         stop
     }
 
@@ -292,7 +292,7 @@ impl Service<'_> {
         self.schedules.note(self.telemetry);
     }
 
-    /// Returns the error of a command, if that is all that failed.
+    /// Returns the error if only the command failed, or else the reason to stop.
     fn command_error(&self, failure: ExchangeError) -> Result<Error, Stop> {
         let name = self.telemetry.name();
         match failure {

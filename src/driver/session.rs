@@ -42,7 +42,7 @@ impl Session {
         Self { transport, fence, observer, telemetry }
     }
 
-    /// Closes the port, and returns what the next session has to know.
+    /// Closes the port, and returns the requests that the next session must not repeat.
     pub(crate) fn close(self) -> UniqueRequests {
         self.fence.into_unique_requests()
     }
@@ -60,17 +60,17 @@ impl Session {
         self.transport.set_baud_rate(baud_rate)
     }
 
-    /// Whether the port could change its baud rate when it was last asked to.
+    /// Returns whether the port can change its baud rate, as far as was tried.
     pub(crate) fn is_adjustable(&self) -> bool {
         self.transport.is_adjustable()
     }
 
-    /// The number of bytes that ever arrived.
+    /// Returns the number of bytes that ever arrived.
     pub(crate) fn received(&self) -> u64 {
         self.transport.received()
     }
 
-    /// Whether a fence is needed before the next command.
+    /// Returns true if a fence is needed before the next command.
     pub(crate) fn is_dirty(&self) -> bool {
         self.transport.is_dirty()
     }
@@ -80,14 +80,14 @@ impl Session {
         self.transport.latency(command)
     }
 
-    /// Reads while nothing is asked for, until something comes, and drops it.
+    /// Waits while no command is outstanding until bytes arrive, and drops them.
     /// Cancel-safe.
     pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
         self.transport.idle().await
     }
 
-    /// Drops what came unasked, and raises a fence if one is needed. Returns the
-    /// status of its answer.
+    /// Drops pending input, and raises a fence if one is needed. Returns the status of its
+    /// answer.
     pub(crate) async fn settle(&mut self) -> Result<Option<Status>, ExchangeError> {
         self.discard_pending().await?;
         if !self.transport.is_dirty() {
@@ -96,13 +96,12 @@ impl Session {
         self.fence().await.map(Some)
     }
 
-    /// Demands a fence before the next command, as if something had cast doubt on the
-    /// link.
+    /// Requires a fence before the next command, as after a malformed reply.
     pub(crate) fn mark_dirty(&mut self) {
         self.transport.mark_dirty();
     }
 
-    /// Drops what came unasked.
+    /// Drops pending input: it is older than the next command.
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
         self.transport.discard_pending().await
     }
@@ -128,7 +127,7 @@ impl Session {
         self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
         let mut widened = self.fence.widen(window);
         if widened.repeats && self.transport.may_echo() {
-            // Only a fence tells a copy of the latest reply from the next one.
+            // A copy of the latest reply would match this poll; a fence rules one out.
             self.fence().await.map_err(|error| error.of(Command::Distances(window)))?;
             widened = self.fence.widen(window);
         }
@@ -260,7 +259,7 @@ fn parse<'a>(
     outcome
 }
 
-/// Whether a reply with this error began with its command.
+/// Returns true if a reply with this error began with its command.
 fn is_echoed(error: &ReplyError) -> bool {
     !matches!(error, ReplyError::Foreign { .. } | ReplyError::Malformed(Malformed::Overlong { .. }))
 }

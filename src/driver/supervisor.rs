@@ -20,10 +20,10 @@ use crate::observer::ReplyObserver;
 use crate::port::Connect;
 use crate::state::{State, Telemetry};
 
-/// The whole driver.
+/// The whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor<C> {
-    /// The first to go when a driver is dropped, even one that never ran: those
-    /// who wait find out why.
+    /// Declared first, so dropped first: who waits for a driver that is dropped, even
+    /// one that never ran, gets the cause.
     _closing: Closing,
     opener: Opener<C>,
     offline: OfflineQueue,
@@ -34,7 +34,7 @@ pub(crate) struct Supervisor<C> {
     telemetry: Arc<Telemetry>,
 }
 
-/// What is served whether there is a link or not.
+/// The requests and schedules, which are served with and without a link.
 struct OfflineQueue {
     queue: RequestQueue,
     schedules: Schedules,
@@ -65,19 +65,19 @@ impl<C: Connect> Supervisor<C> {
         }
     }
 
-    /// Runs until the driver is closed, abandoned, or out of luck.
+    /// Runs until the driver is closed or abandoned, or the link is lost for good.
     pub(crate) async fn run(mut self) -> Result<(), Error> {
-        let (error, promise) = match self.supervise().await {
-            Stop::Closed(promise) => (None, Some(promise)),
+        let (error, responder) = match self.supervise().await {
+            Stop::Closed(responder) => (None, Some(responder)),
             Stop::Abandoned => (None, None),
             Stop::Silent(error) | Stop::Lost(error) => (Some(error), None),
         };
         self.telemetry.enter(State::Closed { error: error.clone() });
         self.offline.schedules.end(error.as_ref());
         self.offline.queue.end(error.as_ref().unwrap_or(&Error::Closed));
-        if let Some(promise) = promise {
-            // Nobody waits any more: it is closed all the same.
-            let _ = promise.send(Ok(()));
+        if let Some(responder) = responder {
+            // The driver is closed even if the caller no longer waits.
+            let _ = responder.send(Ok(()));
         }
         error.map_or(Ok(()), Err)
     }
@@ -163,7 +163,7 @@ impl<C: Connect> Supervisor<C> {
     }
 
     async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, Stop> {
-        // First, or the system could not give the port the same name again.
+        // First: the system cannot reuse the name of a port that is still open.
         self.opener.close(session);
         let error = match cause {
             Error::Disconnected { .. } => cause,
@@ -191,7 +191,7 @@ impl<C: Connect> Supervisor<C> {
             if discriminant(&error) != discriminant(&latest) {
                 self.telemetry.enter(State::Disconnected { since, error: error.clone() });
             } else if !error.is_transient() {
-                // What does not get better by itself is told.
+                // An error that repeats and cannot pass by itself is reported.
                 self.offline.schedules.fail_all(&error);
             }
             latest = error;
@@ -200,7 +200,7 @@ impl<C: Connect> Supervisor<C> {
 }
 
 impl OfflineQueue {
-    /// Does `work` while there is no link, and serves what needs none.
+    /// Runs `work` while there is no link, and serves the requests that need none.
     async fn attend<T>(
         &mut self,
         trouble: Option<&Error>,
@@ -212,12 +212,12 @@ impl OfflineQueue {
                 biased;
                 done = &mut work => return Ok(done),
                 request = self.queue.next_unlinked() => match request {
-                    Ok(Unlinked::Subscribe { window, rate, depth, promise }) => {
+                    Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
                         let stream = self.schedules.subscribe(window, rate, depth, trouble);
-                        // A stream that nobody took is a stream that was dropped.
-                        let _ = promise.send(Ok(stream));
+                        // If nobody waits for it, this drops the stream.
+                        let _ = responder.send(Ok(stream));
                     }
-                    Ok(Unlinked::Close(promise)) => return Err(Stop::Closed(promise)),
+                    Ok(Unlinked::Close(responder)) => return Err(Stop::Closed(responder)),
                     Err(_) => return Err(Stop::Abandoned),
                 }
             }
@@ -226,7 +226,7 @@ impl OfflineQueue {
 }
 
 impl Drop for OfflineQueue {
-    /// Ends what still waits for a driver that is dropped, with the cause.
+    /// Ends all streams and requests with the cause, when the driver is dropped.
     fn drop(&mut self) {
         let cause = self.telemetry.cause();
         self.schedules.end(Some(&cause));
@@ -234,7 +234,7 @@ impl Drop for OfflineQueue {
     }
 }
 
-/// Enters the last state when a driver is dropped, so that nobody waits for it.
+/// Enters the last state when a driver is dropped, so that nobody waits for another.
 struct Closing {
     telemetry: Arc<Telemetry>,
     observer: ReplyObserver,

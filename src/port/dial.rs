@@ -93,7 +93,7 @@ mod tests {
     const ACCEPTS: u16 = 3;
     const IS_SLOW: u16 = 4;
 
-    /// What an address does is in its TCP port.
+    /// Behaves as the TCP port of the address selects.
     async fn fake(address: SocketAddr) -> io::Result<SocketAddr> {
         match address.port() {
             HANGS => std::future::pending().await,

@@ -124,7 +124,7 @@ impl Sensor {
     /// The driver remembers it, also if this call fails or is dropped after it
     /// was written, and restores it whenever the sensor was away.
     pub async fn laser_on(&self) -> Result<(), Error> {
-        self.client.ask(|promise| Request::Laser { on: true, promise }).await
+        self.client.ask(|responder| Request::Laser { on: true, responder }).await
     }
 
     /// Switches the laser off (`L0`, p. 4), and confirms that it is: the sensor refuses
@@ -136,7 +136,7 @@ impl Sensor {
     /// and while it gets no commands, the driver notices that only if the sensor sends
     /// bytes by itself.
     pub async fn laser_off(&self) -> Result<(), Error> {
-        self.client.ask(|promise| Request::Laser { on: false, promise }).await
+        self.client.ask(|responder| Request::Laser { on: false, responder }).await
     }
 
     /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the
@@ -151,7 +151,7 @@ impl Sensor {
     /// with `L0` as its command, if the laser was off by request and does not go off at
     /// the new one.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
-        self.client.ask(|promise| Request::BaudRate { baud_rate, promise }).await
+        self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
 
     /// Polls once, and returns the scan of `window` (`G`, p. 5). The poll may come
@@ -162,7 +162,7 @@ impl Sensor {
     /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off), and those of
     /// [every request](Self#errors).
     pub async fn scan(&self, window: Window) -> Result<Scan, Error> {
-        self.client.ask(|promise| Request::Scan { window, promise }).await
+        self.client.ask(|responder| Request::Scan { window, responder }).await
     }
 
     /// Returns a stream of scans of `window` at `rate`, starting with the next one. The

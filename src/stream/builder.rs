@@ -56,7 +56,7 @@ impl StreamBuilder {
     /// The cause if the driver has ended.
     pub async fn open(self) -> Result<ScanStream, Error> {
         let Self { client, window, rate, depth } = self;
-        let subscribe = |promise| Request::Subscribe { window, rate, depth, promise };
+        let subscribe = |responder| Request::Subscribe { window, rate, depth, responder };
         let cursor = client.ask(subscribe).await?;
         Ok(ScanStream { cursor, window, rate, client })
     }

@@ -2,8 +2,8 @@
 //!
 //! A single-step `G`, a different one each time, is sent until it is answered.
 //! Replies come in order, and even an invalid command is echoed, so nothing
-//! older can follow that answer. Only the room of a fence knows which requests
-//! are unique, so it also chooses the windows of polls.
+//! older can follow that answer. A fence must differ from every earlier request, so
+//! this module also chooses the windows of polls.
 
 mod unique_requests;
 
@@ -42,7 +42,7 @@ impl Fence {
         Self { unique_requests, observer, telemetry }
     }
 
-    /// Returns what the next user of the port has to know.
+    /// Returns the requests that the next user of the port must not repeat.
     pub(crate) fn into_unique_requests(self) -> UniqueRequests {
         self.unique_requests
     }
@@ -166,7 +166,7 @@ impl Fence {
     }
 }
 
-/// Whether `frame` is what was sent, and then a reply to it.
+/// Returns true if `frame` is the bytes that were sent, followed by a reply to them.
 fn is_echoed(sent: &[u8], command: &Command, frame: &Frame) -> bool {
     let Frame::Reply(bytes) = frame else { return false };
     bytes.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))

@@ -12,7 +12,7 @@ pub(crate) struct Widened {
     pub(crate) asked: Window,
     /// The number of points to skip in front.
     pub(crate) surplus: usize,
-    /// Whether the latest `G` asked for the same: there is no room to differ.
+    /// True if the latest `G` asked for the same: the window has no room to differ.
     pub(crate) repeats: bool,
 }
 

@@ -1,4 +1,4 @@
-//! [`DeadlineTimer`]: the deadlines of a link, one after the other on one timer.
+//! [`DeadlineTimer`]: one timer for all deadlines of a link, one after another.
 //!
 //! Reuses one timer. A new timer per exchange makes tokio wake its I/O driver
 //! with a system call each time, even from its own thread. Moving a timer to a

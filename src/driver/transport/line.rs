@@ -1,5 +1,5 @@
-//! [`Line`]: the port as the codec reads it. It counts what arrives, gives up
-//! under a flood, and never flushes.
+//! [`Line`]: the port as the codec reads it. It counts the bytes that arrive, fails
+//! after too many, and never flushes.
 
 use std::future::poll_fn;
 use std::io;
@@ -14,14 +14,14 @@ use tokio::time::Instant;
 use crate::BaudRate;
 use crate::port::Port;
 
-/// How many bytes may arrive between two commands. A sensor answers each with
-/// 1,576 at most; a line that always has more to read would keep the driver from
-/// ever looking at the clock.
+/// The number of bytes that may arrive between two commands. A sensor answers each with
+/// 1,576 at most. Without this limit, a line that always has more to read would keep the
+/// driver from ever checking its deadline.
 const FLOOD_BYTES: u64 = 64 * 1024;
-/// How much is read at once of what is dropped.
+/// The length of one read of bytes that are dropped.
 pub(super) const SCRATCH_BYTES: usize = 512;
 
-/// A port, and what is known of the bytes that it brought.
+/// A port, and counters of the bytes that came from it.
 pub(super) struct Line {
     port: Box<dyn Port>,
     /// The time when the first byte of a reply arrived, by both clocks; by the
@@ -31,7 +31,7 @@ pub(super) struct Line {
     received: u64,
     /// The first two of them.
     first: [u8; 2],
-    /// How many of them had arrived when the latest command was written.
+    /// The number of them that had arrived when the latest command was written.
     before: u64,
 }
 
@@ -51,25 +51,25 @@ impl Line {
         self.arrival = None;
     }
 
-    /// The wall clock when the first byte since [`begin_reply`](Self::begin_reply)
-    /// arrived.
+    /// Returns the wall-clock time when the first byte since
+    /// [`begin_reply`](Self::begin_reply) arrived.
     pub(super) fn stamp(&self) -> SystemTime {
         self.arrival.map_or_else(|| self.port.wall_clock(), |(_, stamp)| stamp)
     }
 
-    /// The time when the first byte since [`begin_reply`](Self::begin_reply)
-    /// arrived.
+    /// Returns the time when the first byte since [`begin_reply`](Self::begin_reply)
+    /// arrived, on a port with a baud rate.
     pub(super) fn first_byte(&self) -> Option<Instant> {
         self.arrival.and_then(|(at, _)| at)
     }
 
-    /// The number of bytes that ever arrived.
+    /// Returns the number of bytes that ever arrived.
     pub(super) fn received(&self) -> u64 {
         self.received
     }
 
-    /// Drops what the system has by now, and returns how many bytes that were;
-    /// `None` at the end of the stream.
+    /// Drops the bytes that the system has by now, and returns their number, or `None` at
+    /// the end of the stream.
     pub(super) async fn drain(&mut self) -> io::Result<Option<u64>> {
         let before = self.received;
         if let Some(end) = self.drain_now() {
@@ -91,13 +91,13 @@ impl Line {
                 }
             }
         });
-        // Out of budget, a read returns `Pending` whatever is there; that must not
+        // Out of budget, a read returns `Pending` even if there are bytes; that must not
         // pass for a quiet line.
         unconstrained(drained).await
     }
 
-    /// Drops what the system has, where the port can ask it without waiting.
-    /// Returns whether the stream is still open; `None` where the port cannot ask.
+    /// Drops the bytes that the system has, if the port can read without waiting.
+    /// Returns whether the stream is still open, or `None` if the port cannot.
     fn drain_now(&mut self) -> Option<io::Result<bool>> {
         let mut scratch = [0; SCRATCH_BYTES];
         loop {
@@ -115,7 +115,7 @@ impl Line {
         }
     }
 
-    /// Counts what has come, and fails once it is a flood.
+    /// Counts bytes that have come, and fails after too many.
     fn count(&mut self, fresh: &[u8]) -> io::Result<()> {
         if !fresh.is_empty() {
             let seen = self.received.min(2) as usize;
@@ -129,7 +129,7 @@ impl Line {
         if self.received - self.before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
     }
 
-    /// Whether the first bytes that ever came were a telnet command, as from a
+    /// Returns true if the first bytes that ever came were a telnet command, as from a
     /// server that begins by negotiating options.
     pub(super) fn began_as_telnet(&self) -> bool {
         matches!(self.first, [0xff, 0xfb..=0xfe])
@@ -168,7 +168,7 @@ impl AsyncRead for Line {
     }
 }
 
-/// Far more comes than any sensor sends.
+/// Returns the error for a line that sends far more than any sensor does.
 pub(super) fn flood() -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
 }
@@ -199,8 +199,8 @@ impl AsyncWrite for Line {
         again_if_interrupted(outcome, cx)
     }
 
-    /// Does nothing. What was written leaves by itself, the reply proves that it
-    /// did, and flushing a serial port blocks the thread until it is drained.
+    /// Does nothing. Written bytes leave without it, the reply proves that they did, and
+    /// flushing a serial port blocks the thread until it is drained.
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
     }

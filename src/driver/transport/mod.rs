@@ -29,7 +29,7 @@ use crate::{BaudRate, Error};
 
 /// Frames that may follow one command before the link counts as flooded.
 const MAX_FRAMES: usize = 64;
-/// A line that was quiet for so long after a reply brings no copy of it.
+/// The time after a reply within which a faulty line may deliver a copy of it.
 const QUIET_TIME: Duration = Duration::from_millis(20);
 /// Room for any reply of a sensor; the buffer grows to twice that under
 /// garbage.
@@ -37,15 +37,15 @@ const READ_BUFFER_BYTES: usize = 4096;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
 
-/// When a command was sent and a frame came.
+/// The times of a command and its reply.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Timing {
     pub(crate) requested: Instant,
-    /// When the first byte was read.
+    /// The time when the first byte was read.
     pub(crate) began: Instant,
-    /// When the last byte was read.
+    /// The time when the last byte was read.
     pub(crate) received: Instant,
-    /// The wall clock when the first byte arrived.
+    /// The wall-clock time when the first byte arrived.
     pub(crate) stamp: SystemTime,
 }
 
@@ -59,12 +59,12 @@ pub(crate) struct Transport {
     dirty: bool,
     /// A command may have been written in part.
     interrupted: bool,
-    /// Whether the port can change its baud rate.
+    /// True if the port can change its baud rate.
     adjustable: bool,
-    /// Whether a reply came faster than the port's baud rate can carry: a
+    /// True after a reply came faster than the port's baud rate can carry: a
     /// pseudo-terminal, a USB adapter, a server on a fast line.
     outrun: bool,
-    /// When the latest frame came.
+    /// The time when the latest frame came.
     latest: Option<Instant>,
     telemetry: Arc<Telemetry>,
 }
@@ -113,15 +113,15 @@ impl Transport {
         outcome
     }
 
-    /// The time that so many bytes take on the wire at least, or zero where the
-    /// port has no baud rate or one that a reply has disproved.
+    /// Returns the shortest time that so many bytes take on the wire, or zero if the
+    /// port has no baud rate or a reply has disproved it.
     pub(crate) fn least_wire_time(&self, bytes: usize) -> Duration {
         let baud_rate = self.baud_rate().filter(|_| !self.outrun);
         baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes))
     }
 
-    /// Returns whether a copy of the latest frame may still be on its way: that came
-    /// a moment ago, over a serial line.
+    /// Returns true if a copy of the latest frame may still be on its way: if that frame
+    /// came less than [`QUIET_TIME`] ago, over a serial line.
     pub(crate) fn may_echo(&self) -> bool {
         // Last: a look at the clock costs more than the rest.
         self.least_wire_time(1) > Duration::ZERO
@@ -142,7 +142,7 @@ impl Transport {
         }
     }
 
-    /// Whether the port could change its baud rate when it was last asked to.
+    /// Returns whether the port can change its baud rate, as far as was tried.
     pub(crate) fn is_adjustable(&self) -> bool {
         self.adjustable
     }
@@ -156,37 +156,37 @@ impl Transport {
         self.latency.unwrap_or(usual)
     }
 
-    /// The number of bytes that ever arrived.
+    /// Returns the number of bytes that ever arrived.
     pub(crate) fn received(&self) -> u64 {
         self.framed.get_ref().received()
     }
 
-    /// Whether the first bytes that ever came were a telnet command.
+    /// Returns true if the first bytes that ever came were a telnet command.
     pub(crate) fn began_as_telnet(&self) -> bool {
         self.framed.get_ref().began_as_telnet()
     }
 
-    /// What has come of a frame whose end has not.
+    /// Returns the bytes of a frame whose end has not arrived.
     pub(crate) fn unfinished_frame(&self) -> &[u8] {
         self.framed.read_buffer()
     }
 
-    /// Whether a fence is needed before the next command.
+    /// Returns true if a fence is needed before the next command.
     pub(crate) fn is_dirty(&self) -> bool {
         self.dirty
     }
 
-    /// Asks for a fence before the next command.
+    /// Requires a fence before the next command.
     pub(crate) fn mark_dirty(&mut self) {
         self.dirty = true;
     }
 
-    /// Notes that nothing older can be on its way: a fence was answered.
+    /// Ends the doubt about the link: a fence was answered, so nothing older follows.
     pub(crate) fn mark_clean(&mut self) {
         self.dirty = false;
     }
 
-    /// The bytes that [`exchange`](Self::exchange) would write for `command`.
+    /// Returns the bytes that [`exchange`](Self::exchange) would write for `command`.
     pub(crate) fn outgoing(&self, command: &Command) -> BytesMut {
         let mut bytes = BytesMut::with_capacity(WRITE_BUFFER_BYTES);
         if self.interrupted {
@@ -198,7 +198,7 @@ impl Transport {
         bytes
     }
 
-    /// Reads while nothing is asked for, until something comes, and drops it.
+    /// Waits while no command is outstanding until bytes arrive, and drops them.
     /// Cancel-safe.
     pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
         // A part of a frame at most: the driver's other work has its turn
@@ -212,8 +212,8 @@ impl Transport {
         Ok(())
     }
 
-    /// Drops what came since the last reply: it is older than the next command.
-    /// That something came makes the link dirty.
+    /// Drops the bytes that came since the last reply: they are older than the next
+    /// command. Any such byte makes the link dirty.
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
         let drained = self.framed.get_mut().drain().await.map_err(lost)?;
         let fresh = drained.ok_or_else(ended)?;
