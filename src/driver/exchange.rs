@@ -12,20 +12,29 @@ pub(crate) enum ExchangeError {
     Silent(Error),
     /// The link is lost: the port is of no use any more.
     Lost(Error),
+    /// The port has ended, and no other one can follow: [`Error::Closed`], or the
+    /// error with which it ended.
+    Ended(Error),
 }
 
 impl ExchangeError {
     /// Returns a reference to the error.
     pub(crate) fn error(&self) -> &Error {
         match self {
-            Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
+            Self::Command(error)
+            | Self::Silent(error)
+            | Self::Lost(error)
+            | Self::Ended(error) => error,
         }
     }
 
     /// Converts into the error, without what the driver has to do next.
     pub(crate) fn into_error(self) -> Error {
         match self {
-            Self::Command(error) | Self::Silent(error) | Self::Lost(error) => error,
+            Self::Command(error)
+            | Self::Silent(error)
+            | Self::Lost(error)
+            | Self::Ended(error) => error,
         }
     }
 

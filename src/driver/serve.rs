@@ -30,13 +30,16 @@ pub(crate) enum Stop {
     Silent(Error),
     /// The link is lost: the port is of no use any more.
     Lost(Error),
+    /// The port has ended, and no other one can follow: [`Error::Closed`], or the
+    /// error with which it ended.
+    Ended(Error),
 }
 
 impl Stop {
     /// Returns the error for the request that was being served.
     fn cause(&self) -> Error {
         match self {
-            Self::Silent(error) | Self::Lost(error) => error.clone(),
+            Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => error.clone(),
             Self::Closed(_) | Self::Abandoned => Error::Closed,
         }
     }
@@ -299,6 +302,7 @@ impl Service<'_> {
             ExchangeError::Command(error) => Ok(error.named(name)),
             ExchangeError::Silent(error) => Err(Stop::Silent(error.named(name))),
             ExchangeError::Lost(error) => Err(Stop::Lost(error.named(name))),
+            ExchangeError::Ended(error) => Err(Stop::Ended(error.named(name))),
         }
     }
 

@@ -69,8 +69,8 @@ impl<C: Connect> Supervisor<C> {
     pub(crate) async fn run(mut self) -> Result<(), Error> {
         let (error, responder) = match self.supervise().await {
             Stop::Closed(responder) => (None, Some(responder)),
-            Stop::Abandoned => (None, None),
-            Stop::Silent(error) | Stop::Lost(error) => (Some(error), None),
+            Stop::Abandoned | Stop::Ended(Error::Closed) => (None, None),
+            Stop::Silent(error) | Stop::Lost(error) | Stop::Ended(error) => (Some(error), None),
         };
         self.telemetry.enter(State::Closed { error: error.clone() });
         self.offline.schedules.end(error.as_ref());
@@ -93,7 +93,7 @@ impl<C: Connect> Supervisor<C> {
             let stop = self.serve(&mut session).await;
             self.backoff.note_uptime(since.elapsed());
             let next = match stop {
-                Stop::Closed(_) | Stop::Abandoned => return stop,
+                Stop::Closed(_) | Stop::Abandoned | Stop::Ended(_) => return stop,
                 Stop::Silent(error) => self.recover(session, error).await,
                 Stop::Lost(error) => self.reconnect(session, error).await,
             };

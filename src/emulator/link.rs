@@ -197,6 +197,11 @@ impl Port for Link {
         }
     }
 
+    /// Returns true after the last reply of a recording that is replayed.
+    fn is_over(&self) -> bool {
+        self.shared.lock().sensor.is_gone
+    }
+
     /// Returns the time of the recording if one is replayed, otherwise the system's.
     fn wall_clock(&self) -> SystemTime {
         let plugged = self.shared.lock();

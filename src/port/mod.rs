@@ -94,6 +94,14 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         false
     }
 
+    /// Returns true if the link has come to its end for good, as that of a recording
+    /// behind its last scan. Called after a read or a write has failed or the stream has
+    /// ended. The driver then ends instead of reconnecting: after `Ok(0)` without an
+    /// error, otherwise with the error of the read or write. `false` is the default.
+    fn is_over(&self) -> bool {
+        false
+    }
+
     /// Drops bytes that were written and are not on the line yet, so that closing the
     /// port does not wait for them. Called once, before the port is dropped.
     fn discard_output(&mut self) {}
@@ -118,6 +126,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
     fn can_die_silently(&self) -> bool {
         (**self).can_die_silently()
+    }
+
+    fn is_over(&self) -> bool {
+        (**self).is_over()
     }
 
     fn discard_output(&mut self) {

@@ -31,10 +31,11 @@
 //! let recording = Recording::open(&path)?;
 //! let (Some(window), Some(rate)) = (recording.window(), recording.rate()) else { return Ok(()) };
 //! let emulator = recording.replay(ReplayPace::Recorded)?;
-//! let sensor = Sensor::builder().reconnect(false).connect(emulator).await?;
+//! let sensor = Sensor::builder().connect(emulator).await?;
 //! let mut replayed = sensor.scans(window, rate).await?;
 //! let mut count = 0;
-//! while let Some(Ok(_scan)) = replayed.next().await {
+//! while let Some(scan) = replayed.next().await {
+//!     scan?;
 //!     count += 1;
 //! }
 //! assert_eq!(count, 10);
@@ -70,10 +71,11 @@
 //! are known of its steps, and error code 19 elsewhere. Fences use up no reply.
 //! [`Recording::scans`] returns the same scans without a replay.
 //!
-//! After the last reply the next poll hangs the link up, and connecting again
-//! finds no port: with [`reconnect(false)`](crate::SensorBuilder::reconnect) the
-//! driver ends there, with [`Error::Disconnected`](crate::Error::Disconnected).
-//! That has a source only if a part of the file could not be read.
+//! The poll after the last reply ends the driver, and streams end as they do after
+//! [`Sensor::close`](crate::Sensor::close): with `None`, and no error before it. If a
+//! part of the file could not be read, the driver ends with
+//! [`Error::Disconnected`](crate::Error::Disconnected), whose source has the
+//! [`RecordingError`] inside.
 //!
 //! A recording's bytes are read when they are asked for, in small pieces, on
 //! the runtime's thread.

@@ -126,7 +126,7 @@ async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
             assert!(scans.is_empty(), "{length} bytes");
             continue;
         };
-        let builder = Sensor::builder().reconnect(false).ring_depth(64);
+        let builder = Sensor::builder().ring_depth(64);
         let sensor = builder.connect(replay).await.unwrap();
         let mut stream = sensor.scans(window(300, 340, 1), Rate::MAX).await.unwrap();
         let mut replayed = Vec::new();

@@ -6,21 +6,21 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::recording::{Entry, Record, Recorder, ReplayPace};
-use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+use tokio_scip::{Error, Rate, Scan, Sensor, State, Window};
 
 use super::sink::{Sink, polls, record, sensor, window};
 
 /// All that a sensor gives until it is over.
 async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
-    let builder = Sensor::builder().reconnect(false).ring_depth(1 << 16);
+    let builder = Sensor::builder().ring_depth(1 << 16);
     let sensor = builder.connect(emulator).await.unwrap();
     let mut scans = sensor.scans(window, rate).await.unwrap();
     let mut items = Vec::new();
     while let Some(item) = scans.next().await {
         items.push(item);
     }
-    let end = items.pop().unwrap();
-    assert!(matches!(end, Err(Error::Disconnected { .. })), "{end:?}");
+    assert!(matches!(&*sensor.state().borrow(), State::Closed { error: None, .. }));
+    assert_eq!(sensor.stats().disconnects, 0);
     items
 }
 
@@ -163,8 +163,9 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     for expected in values(&recorded) {
         assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().values(), expected);
     }
-    // Then it is gone, and does not come back.
-    assert!(sensor.scan(Window::DETECTION).await.is_err());
+    // Then it is over.
+    let end = sensor.scan(Window::DETECTION).await;
+    assert!(matches!(end, Err(Error::Closed)), "{end:?}");
     let again = Sensor::builder().connect(emulator).await;
     assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
 }

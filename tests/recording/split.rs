@@ -79,7 +79,7 @@ async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_repla
             assert!(seconds <= 12.0, "{part:?}: {seconds} s");
             // Those of the first seconds belong to a file that is replayed alone.
             let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
-            let builder = Sensor::builder().reconnect(false).ring_depth(1 << 10);
+            let builder = Sensor::builder().ring_depth(1 << 10);
             let sensor = builder.connect(replay).await.unwrap();
             let serial_number = sensor.version().await.unwrap().serial_number.clone();
             assert_eq!(

@@ -143,6 +143,10 @@ impl Line {
         self.port.can_die_silently()
     }
 
+    pub(super) fn is_over(&self) -> bool {
+        self.port.is_over()
+    }
+
     pub(super) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.port.set_baud_rate(baud_rate)
     }

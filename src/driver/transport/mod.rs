@@ -203,9 +203,10 @@ impl Transport {
     pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
         // A part of a frame at most: the driver's other work has its turn
         // between two reads.
-        let read = self.framed.get_mut().read(&mut [0; SCRATCH_BYTES]).await.map_err(lost)?;
+        let outcome = self.framed.get_mut().read(&mut [0; SCRATCH_BYTES]).await;
+        let read = outcome.map_err(|error| self.lost(Some(error)))?;
         if read == 0 {
-            return Err(ended());
+            return Err(self.lost(None));
         }
         self.telemetry.stats().bytes_skipped += read as u64;
         self.dirty = true;
@@ -215,8 +216,9 @@ impl Transport {
     /// Drops the bytes that came since the last reply: they are older than the next
     /// command. Any such byte makes the link dirty.
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
-        let drained = self.framed.get_mut().drain().await.map_err(lost)?;
-        let fresh = drained.ok_or_else(ended)?;
+        let outcome = self.framed.get_mut().drain().await;
+        let drained = outcome.map_err(|error| self.lost(Some(error)))?;
+        let fresh = drained.ok_or_else(|| self.lost(None))?;
         let skipped = fresh + self.framed.read_buffer().len() as u64;
         if skipped > 0 {
             self.telemetry.stats().bytes_skipped += skipped;
@@ -266,7 +268,7 @@ impl Transport {
             self.framed.get_mut().begin_reply();
             self.telemetry.stats().bytes_skipped += wire_len(&frame);
         }
-        Err(lost(flood()))
+        Err(self.lost(Some(flood())))
     }
 
     /// Writes `command`, after an LF where one is due. Returns `false` if that
@@ -279,7 +281,7 @@ impl Transport {
         // Stays set if this future is dropped half way.
         self.interrupted = true;
         match self.deadline_timer.run(deadline, self.framed.send(command)).await {
-            Some(outcome) => outcome.map_err(lost)?,
+            Some(outcome) => outcome.map_err(|error| self.lost(Some(error)))?,
             None => {
                 self.framed.write_buffer_mut().clear();
                 self.dirty = true;
@@ -294,8 +296,8 @@ impl Transport {
     /// at the deadline wins.
     async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, ExchangeError> {
         match self.deadline_timer.run(deadline, self.framed.next()).await {
-            Some(Some(frame)) => frame.map(Some).map_err(lost),
-            Some(None) => Err(ended()),
+            Some(Some(frame)) => frame.map(Some).map_err(|error| self.lost(Some(error))),
+            Some(None) => Err(self.lost(None)),
             None => {
                 self.dirty = true;
                 Ok(None)
@@ -307,6 +309,16 @@ impl Transport {
         self.framed.read_buffer_mut().clear();
         self.framed.codec_mut().reset();
     }
+
+    /// Returns the outcome of an exchange on a port that has failed with `error`, or
+    /// without one at the end of its stream.
+    fn lost(&self, error: Option<io::Error>) -> ExchangeError {
+        match (self.framed.get_ref().is_over(), error) {
+            (false, error) => ExchangeError::Lost(Error::disconnected(error)),
+            (true, None) => ExchangeError::Ended(Error::Closed),
+            (true, error) => ExchangeError::Ended(Error::disconnected(error)),
+        }
+    }
 }
 
 /// Returns how many bytes a frame had on the wire, its terminator included.
@@ -315,13 +327,4 @@ pub(crate) fn wire_len(frame: &Frame) -> u64 {
         Frame::Reply(bytes) => bytes.len() as u64 + 2,
         Frame::Overlong { bytes } => *bytes as u64 + 2,
     }
-}
-
-fn lost(error: io::Error) -> ExchangeError {
-    ExchangeError::Lost(Error::disconnected(Some(error)))
-}
-
-/// Returns the error for a port at its end.
-fn ended() -> ExchangeError {
-    ExchangeError::Lost(Error::disconnected(None))
 }

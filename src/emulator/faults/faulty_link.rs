@@ -331,6 +331,10 @@ impl<S: Port> Port for FaultyLink<S> {
         self.inner.can_die_silently()
     }
 
+    fn is_over(&self) -> bool {
+        self.inner.is_over()
+    }
+
     fn discard_output(&mut self) {
         self.inner.discard_output();
     }

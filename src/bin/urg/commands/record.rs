@@ -246,11 +246,6 @@ struct RecordTotals {
 impl RecordTotals {
     fn new(recorder: &Recorder, reporter: &Reporter, missed: u64) -> Self {
         let progress = recorder.progress();
-        let disconnects = match reporter.port.recorded() {
-            // A replay ends with the link.
-            Some(_) => 0,
-            None => reporter.sensor.stats().disconnects,
-        };
         Self {
             scans: progress.scans,
             bytes: progress.bytes,
@@ -258,7 +253,7 @@ impl RecordTotals {
             lost: progress.lost + missed,
             lost_replies: progress.lost_replies,
             failed: reporter.failed,
-            disconnects,
+            disconnects: reporter.sensor.stats().disconnects,
         }
     }
 

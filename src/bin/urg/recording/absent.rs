@@ -4,7 +4,7 @@
 use std::fmt;
 
 use serde_json::Value;
-use tokio_scip::{Error, Rate, Sensor, SensorBuilder, Window};
+use tokio_scip::{Rate, Sensor, SensorBuilder, Window};
 
 use crate::delivery::Delivery;
 use crate::failure::Failure;
@@ -42,10 +42,6 @@ impl Recorded {
     }
 
     pub(crate) fn record_taken(&self) {
-        match *self {}
-    }
-
-    pub(crate) fn end(&self, _: &Error) -> Result<(), Failure> {
         match *self {}
     }
 }

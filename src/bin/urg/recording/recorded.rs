@@ -9,12 +9,11 @@ use std::task::Poll;
 
 use tokio::sync::watch;
 use tokio_scip::recording::{Recording, ReplayPace};
-use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
+use tokio_scip::{Driver, Rate, Sensor, SensorBuilder, Window};
 
 use super::contents::{self, Row};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::output::notice::notice;
 
 /// A replay that waits for its consumer is at most so many scans ahead of it.
 const MAX_SCANS_AHEAD: u64 = 256;
@@ -91,7 +90,7 @@ impl Recorded {
         delivery: Delivery,
     ) -> Result<Sensor, Failure> {
         let emulator = self.open()?.replay(self.pace).map_err(|error| self.failure(&error))?;
-        let (sensor, driver) = builder.reconnect(false).build(emulator);
+        let (sensor, driver) = builder.build(emulator);
         match delivery {
             Delivery::All => {
                 tokio::spawn(run_paced(driver, sensor.clone(), self.taken.subscribe()));
@@ -106,19 +105,6 @@ impl Recorded {
     /// Counts a scan that was taken from a feed.
     pub(crate) fn record_taken(&self) {
         self.taken.send_modify(|taken| *taken += 1);
-    }
-
-    /// Maps the end of the replay to that of the program: the end of the file is
-    /// reported, any other error fails.
-    pub(crate) fn end(&self, error: &Error) -> Result<(), Failure> {
-        match error {
-            Error::Disconnected { source: None, .. } => {
-                notice(format_args!("{self}: the recording has ended"));
-                Ok(())
-            }
-            Error::Disconnected { source: Some(error), .. } => Err(self.failure(error)),
-            error => Err(self.failure(error)),
-        }
     }
 
     fn open(&self) -> Result<Recording, Failure> {

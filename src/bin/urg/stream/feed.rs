@@ -72,8 +72,6 @@ impl Feed {
                     }
                     self.held = Some(scan);
                 }
-                // A replay ends with the link.
-                Err(Error::Disconnected { .. }) if self.port.recorded().is_some() => return None,
                 Err(error) => {
                     self.disconnected |= matches!(error, Error::Disconnected { .. });
                     return Some(Update::Error(error));

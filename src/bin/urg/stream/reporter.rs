@@ -70,7 +70,7 @@ impl Reporter {
             return Ok(());
         }
         let why = link::trouble(&self.sensor.state().borrow())
-            .filter(|_| self.port.recorded().is_none())
+            .filter(|_| ended == Ended::Complete)
             .or_else(|| self.last_error.clone())
             .unwrap_or_else(|| "no poll was answered yet".to_owned());
         let seconds = self.began.elapsed().as_secs_f64();
@@ -78,16 +78,16 @@ impl Reporter {
     }
 }
 
-/// Maps the end of a driver to that of the program. The end of a replay is a
+/// Maps the end of a driver to that of the program. The end of a recording is a
 /// success, and reported.
 pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
-    let error = match &*sensor.state().borrow() {
-        State::Closed { error: Some(error) } => error.clone(),
-        _ => Error::Closed,
-    };
-    match port.recorded() {
-        Some(recorded) => recorded.end(&error),
-        None => Err(Failure::at(&port.to_string(), &error)),
+    match &*sensor.state().borrow() {
+        State::Closed { error: Some(error) } => Err(Failure::at(&port.to_string(), error)),
+        // Nothing else ends without an error while a handle is left.
+        _ => {
+            notice(format_args!("{port}: the recording has ended"));
+            Ok(())
+        }
     }
 }
 
