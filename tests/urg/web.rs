@@ -6,6 +6,7 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use tokio_scip::emulator::{Emulator, Fault, Faults};
 
 use super::formats::{check, values};
 use super::http::{Client, Response};
@@ -174,6 +175,41 @@ fn health_tells_of_a_sensor_that_is_unplugged_and_comes_back_and_so_do_streams()
     event("reconnected");
     served.health(200);
     assert_eq!(served.json("/state")["link"], "connected");
+}
+
+/// Serves an emulated sensor on TCP, in threads of this runtime, and returns its PORT.
+async fn on_tcp(emulator: Emulator) -> String {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(async move {
+        while let Ok((client, _)) = listener.accept().await {
+            // It ends with the program.
+            let _ = emulator.serve(client).await;
+        }
+    });
+    format!("tcp://{address}?baud=750000")
+}
+
+#[test]
+fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let emulator = Emulator::default();
+    let served = Served::start(&runtime.block_on(on_tcp(emulator.clone())));
+    served.health(200);
+
+    // One byte of each scan is lost. Fences are shorter, and are answered.
+    emulator.set_faults(Faults::none().rate(1.0, Fault::Drop(700..701)));
+    let health = served.health(503);
+    let why = health["why"].as_str().unwrap();
+    assert!(why.starts_with("no scan for ") && why.contains("malformed"), "{health}");
+    assert_eq!(
+        (&health["link"], &served.json("/state")["link"]),
+        (&"connected".into(), &"connected".into())
+    );
+    assert_eq!(served.json("/state")["stats"]["disconnects"], 0);
+
+    emulator.set_faults(Faults::none());
+    served.health(200);
 }
 
 #[test]
