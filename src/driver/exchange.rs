@@ -21,20 +21,18 @@ impl ExchangeError {
     /// Returns a reference to the error.
     pub(crate) fn error(&self) -> &Error {
         match self {
-            Self::Command(error)
-            | Self::Silent(error)
-            | Self::Lost(error)
-            | Self::Ended(error) => error,
+            Self::Command(error) | Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => {
+                error
+            }
         }
     }
 
     /// Converts into the error, without what the driver has to do next.
     pub(crate) fn into_error(self) -> Error {
         match self {
-            Self::Command(error)
-            | Self::Silent(error)
-            | Self::Lost(error)
-            | Self::Ended(error) => error,
+            Self::Command(error) | Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => {
+                error
+            }
         }
     }
 

@@ -96,16 +96,18 @@ impl<C: Connect> Opener<C> {
             };
             match outcome {
                 Err(error) if self.connect.has_more() => {
-                    tracing::debug!(error = %error.chain(), "port skipped");
+                    tracing::trace!(error = %error.chain(), "port skipped");
                 }
                 outcome => return outcome.map_err(|error| self.fail(error)),
             }
         }
     }
 
-    /// Logs the error of an attempt, and returns it with the name of the sensor.
+    /// Logs the error of an attempt, and returns it with the name of the sensor. At
+    /// trace: a driver that waits for its sensor tries once a second, and the state logs
+    /// each reason once.
     fn fail(&self, error: Error) -> Error {
-        tracing::debug!(error = %error.chain(), "opening failed");
+        tracing::trace!(error = %error.chain(), "opening failed");
         error.named(self.telemetry.name())
     }
 

@@ -124,11 +124,11 @@ impl<P: Ports> Search<P> {
                 });
                 match opened {
                     Ok(port) => {
-                        tracing::debug!(path, "checking whether the sensor is on this port");
+                        tracing::trace!(path, "checking whether the sensor is on this port");
                         return Ok(port);
                     }
                     Err(error) => {
-                        tracing::debug!(path, error = %error.chain(), "port skipped");
+                        tracing::trace!(path, error = %error.chain(), "port skipped");
                         pass.note(path, error);
                     }
                 }

@@ -305,9 +305,7 @@ async fn a_replay_that_ends_because_its_file_is_damaged_says_so() {
             assert!(end.is_none(), "{end:?}");
             continue;
         }
-        let Some(Error::Disconnected { source: Some(source), .. }) = end else {
-            panic!("{end:?}")
-        };
+        let Some(Error::Disconnected { source: Some(source), .. }) = end else { panic!("{end:?}") };
         let cause = source.get_ref().and_then(|error| error.downcast_ref());
         assert!(matches!(cause, Some(RecordingError::Damaged { .. })), "{source:?}");
     }
