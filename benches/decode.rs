@@ -13,8 +13,8 @@ use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_util::codec::{Decoder, Encoder};
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 
 fn main() {
     divan::main();
@@ -22,7 +22,7 @@ fn main() {
 
 fn full_scan() -> Vec<u8> {
     let mut reply = Vec::new();
-    prompt::reply(b"G00076801", &mut reply);
+    instant_sensor::reply(b"G00076801", &mut reply);
     assert_eq!(reply.len(), 1576);
     reply
 }

@@ -5,14 +5,14 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 use bytes::BytesMut;
-use prompt::Prompt;
+use instant_sensor::InstantSensor;
 use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Rate, Sensor, Window};
 use tokio_util::codec::{Decoder, Encoder};
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
@@ -30,7 +30,7 @@ fn main() {
 
 fn decode(scans: usize) {
     let mut reply = Vec::new();
-    prompt::reply(b"G00076801", &mut reply);
+    instant_sensor::reply(b"G00076801", &mut reply);
     let (mut codec, mut buffer, mut values) = (ScipCodec::default(), BytesMut::new(), Vec::new());
     let command = Command::Distances(Window::FULL);
     codec.encode(&command, &mut buffer).unwrap();
@@ -51,7 +51,7 @@ fn driver(scans: usize) {
         .build()
         .unwrap();
     runtime.block_on(async {
-        let sensor = Sensor::attach(Prompt::new()).await.unwrap();
+        let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
         let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
         for _ in 0..scans {
             stream.next().await.unwrap().unwrap();

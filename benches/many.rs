@@ -11,15 +11,15 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::Instant;
 
-use prompt::Prompt;
+use instant_sensor::InstantSensor;
 use support::{cpu_time, percentile};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, sleep_until};
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 #[path = "support/mod.rs"]
 mod support;
 
@@ -32,7 +32,7 @@ fn main() {
     if let [kind, sensors] = &arguments[..] {
         return row(kind, sensors.parse().unwrap());
     }
-    for kind in ["emulated", "prompt"] {
+    for kind in ["emulated", "instant"] {
         for sensors in [10, 100, 1000, 5000] {
             row(kind, sensors);
         }
@@ -86,8 +86,8 @@ async fn open(kind: &str, sensors: usize, lateness: &Lateness) {
 }
 
 async fn sensor(kind: String) -> Sensor {
-    if kind == "prompt" {
-        return Sensor::attach(Prompt::new()).await.unwrap();
+    if kind == "instant" {
+        return Sensor::attach(InstantSensor::new()).await.unwrap();
     }
     let world = Fixed::filled(1234);
     let emulator = Emulator::builder().world(world).pace(Pace::AtOnce).build();

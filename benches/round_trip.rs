@@ -3,7 +3,7 @@
 //! writes a command and reads until the reply has ended.
 //!
 //! `cargo bench --bench round_trip` prints a table. With the arguments of one poller
-//! (`floor`, `tokio`, `current` or `multi`) and one sensor (`prompt` or `emulated`) it
+//! (`floor`, `tokio`, `current` or `multi`) and one sensor (`instant` or `emulated`) it
 //! runs only these, for `strace -cf`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
@@ -21,15 +21,15 @@ use tokio_scip::emulator::{Emulator, Fixed, Pace, Pty};
 use tokio_scip::{Rate, Sensor, Window};
 use tokio_serial::SerialStream;
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 #[path = "support/mod.rs"]
 mod support;
 
 const ROUNDS: usize = 15;
 
 /// The sensors in the other process, and the number of polls in a round.
-const SENSORS: [(&str, usize); 2] = [("prompt", 8_000), ("emulated", 200)];
+const SENSORS: [(&str, usize); 2] = [("instant", 8_000), ("emulated", 200)];
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
@@ -194,7 +194,7 @@ impl Drop for Server {
 
 /// Plays the sensor, and prints the path of its pseudo-terminal.
 fn serve(sensor: &str) {
-    if sensor == "prompt" {
+    if sensor == "instant" {
         let terminal = terminal::Terminal::open();
         println!("{}", terminal.path.display());
         terminal::serve(terminal.master);

@@ -11,7 +11,7 @@ use std::sync::mpsc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-use prompt::Prompt;
+use instant_sensor::InstantSensor;
 use support::terminal::{self, Terminal};
 use support::{percentile, us};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -19,8 +19,8 @@ use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_scip::{Rate, Sensor, Window};
 use tokio_serial::SerialStream;
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 #[path = "support/mod.rs"]
 mod support;
 
@@ -52,7 +52,7 @@ fn main() {
 }
 
 async fn lateness_of_polls() -> Vec<Duration> {
-    let sensor = Sensor::attach(Prompt::new()).await.unwrap();
+    let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
     let start = Instant::now();
     let mut stream = sensor.scans(Window::DETECTION, Rate::every(PERIOD)).await.unwrap();
     let mut samples = Vec::new();
@@ -122,7 +122,7 @@ fn serve_and_report(mut master: File) -> mpsc::Receiver<Instant> {
         let (mut command, mut reply) = (Vec::new(), Vec::new());
         while terminal::read_command(&mut master, &mut command).is_some() {
             reply.clear();
-            prompt::reply(&command, &mut reply);
+            instant_sensor::reply(&command, &mut reply);
             let (last, rest) = reply.split_last().unwrap();
             master.write_all(rest).unwrap();
             std::thread::sleep(Duration::from_micros(300));

@@ -1,7 +1,7 @@
 //! What a scan costs in heap allocations, from the port to its consumers. The
 //! sensor here answers from memory and allocates nothing itself.
 
-use crate::common::prompt::Prompt;
+use crate::common::instant_sensor::InstantSensor;
 use tokio::runtime::{Builder, Runtime};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
 
@@ -13,7 +13,7 @@ fn runtime() -> Runtime {
 /// A sensor, and a stream at `rate` with copies of it, after they ran until
 /// everything had its final size.
 async fn open(rate: Rate, subscribers: usize) -> (Sensor, Vec<ScanStream>) {
-    let sensor = Sensor::attach(Prompt::new()).await.unwrap();
+    let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
     let stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
     let mut streams = vec![stream; subscribers];
     take(&mut streams, 200).await;

@@ -3,8 +3,8 @@
 
 use std::time::Duration;
 
-use crate::common::fountain::Fountain;
-use crate::common::{Rigged, builder};
+use crate::common::endless_port::EndlessPort;
+use crate::common::{ConnectFn, builder};
 use allocation_counter::{AllocationInfo, measure};
 use futures::StreamExt;
 use tokio::runtime::Runtime;
@@ -53,8 +53,8 @@ fn w19_a_driver_takes_at_most_32_kib_of_the_heap_whatever_comes() {
             b"G00076801\n0\nCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCCC",
         ] {
             let runtime = runtime();
-            let connect = Rigged(move || {
-                Ok(if fast { Fountain::new(pattern) } else { Fountain::slow(pattern) })
+            let connect = ConnectFn(move || {
+                Ok(if fast { EndlessPort::new(pattern) } else { EndlessPort::slow(pattern) })
             });
             let info = driving(&runtime, connect);
             let text = pattern.escape_ascii();

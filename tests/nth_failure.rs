@@ -7,7 +7,7 @@ use std::io;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::common::{Rigged, builder, request_of, truthful};
+use crate::common::{ConnectFn, builder, request_of, truthful};
 use tokio::time::{Instant, timeout};
 use tokio_scip::emulator::{Call, CallCounter, Emulator, FaultyLink, LinkFailure, Pace};
 use tokio_scip::{BaudRate, Connect, Error, Rate, Sensor, Window};
@@ -83,7 +83,7 @@ fn connect(
     counters: &Arc<Mutex<Vec<CallCounter>>>,
 ) -> impl Connect {
     let (emulator, counters) = (emulator.clone(), Arc::clone(counters));
-    Rigged(move || {
+    ConnectFn(move || {
         let mut counters = counters.lock().unwrap();
         let link = FaultyLink::new(emulator.link()).partial_writes(writes);
         let done: u64 = counters.iter().map(|counter| calls(counter, failure)).sum();

@@ -61,7 +61,7 @@ pub(crate) fn serve(mut master: File) {
     let (mut command, mut reply) = (Vec::new(), Vec::new());
     while read_command(&mut master, &mut command).is_some() {
         reply.clear();
-        crate::prompt::reply(&command, &mut reply);
+        crate::instant_sensor::reply(&command, &mut reply);
         if master.write_all(&reply).is_err() {
             return;
         }

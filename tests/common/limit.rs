@@ -1,20 +1,20 @@
-//! A limit on the time of every test, so that none waits for ever. A test that
-//! takes longer ends the whole executable with an error that names it: nothing
-//! else can end a thread that is blocked. Whatever makes a sensor, a port or a
-//! process for a test calls [`limit`].
+//! A time limit for every test, so that none waits for ever. A test that exceeds it
+//! ends the whole executable with an error that names the test, because nothing less
+//! ends a blocked thread. Every helper that makes a sensor, a port or a process calls
+//! [`limit`].
 
 use std::collections::HashMap;
 use std::sync::{LazyLock, Mutex};
 use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
-/// Far more than any test takes between two calls of [`limit`], also on a
-/// machine that is ten times as busy as usual.
+/// Far more than any test takes between two calls of [`limit`], even on a machine with
+/// ten times the usual load.
 const LIMIT: Duration = Duration::from_secs(600);
 
 type Deadlines = Mutex<HashMap<ThreadId, (String, Instant)>>;
 
-/// The names and deadlines of the tests that run, by thread.
+/// The name and the deadline of each running test, by thread.
 static DEADLINES: LazyLock<Deadlines> = LazyLock::new(|| {
     thread::spawn(watch);
     Mutex::default()
@@ -24,7 +24,7 @@ thread_local! {
     static TEST: Test = Test(thread::current().id());
 }
 
-/// A test on a thread of its own; it is over when the thread ends.
+/// The test that runs on a thread. Dropped when the thread, and so the test, ends.
 struct Test(ThreadId);
 
 impl Drop for Test {
@@ -33,9 +33,9 @@ impl Drop for Test {
     }
 }
 
-/// From now on the test of this thread may take ten minutes.
+/// Allows the test of this thread ten more minutes.
 pub(crate) fn limit() {
-    let name = thread::current().name().unwrap_or("of no name").to_owned();
+    let name = thread::current().name().unwrap_or("(unnamed)").to_owned();
     TEST.with(|test| DEADLINES.lock().unwrap().insert(test.0, (name, Instant::now() + LIMIT)));
 }
 
@@ -44,7 +44,7 @@ fn watch() {
         thread::sleep(Duration::from_secs(1));
         let now = Instant::now();
         if let Some((name, _)) = DEADLINES.lock().unwrap().values().find(|(_, end)| *end < now) {
-            eprintln!("\nthe test {name} waits or works for more than {LIMIT:?}");
+            eprintln!("\nthe test {name} has taken more than {LIMIT:?}");
             std::process::exit(101);
         }
     }

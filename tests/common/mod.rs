@@ -1,10 +1,10 @@
-//! What the driver's tests share: an emulated sensor that puts the truth into
-//! its data, and a check of scans against that truth.
+//! What all tests of the driver share: an emulated sensor that writes the number of
+//! each request into its data, and a check that each scan carries its own request's.
 
-pub(crate) mod fountain;
+pub(crate) mod endless_port;
+pub(crate) mod instant_sensor;
 pub(crate) mod limit;
 pub(crate) mod logs;
-pub(crate) mod prompt;
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -13,14 +13,14 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Builder, Emulator, Received, Values, Verdict, WorldTime};
 use tokio_scip::{Connect, Error, Port, Scan, Sensor, SensorBuilder};
 
-/// The code that carries digit `place` of a request's number, in base 4000:
-/// they repeat every three steps, so that any window of three steps has all.
+/// The value at `step`: one of three digits, base 4000, of the request's number. The
+/// digits repeat every three steps, so any window of three steps holds the whole number.
 fn code(request: u64, step: usize) -> u16 {
     let digits = [request % 4000, request / 4000 % 4000, request / 16_000_000];
     20 + digits[step % 3] as u16
 }
 
-/// An emulated sensor whose every scan tells which `G` it answers.
+/// An emulated sensor whose scans each carry the number of the `G` they answer.
 pub(crate) fn truthful() -> Builder {
     limit::limit();
     Emulator::builder().log_capacity(1 << 20).world(|look: WorldTime, codes: &mut Values| {
@@ -30,7 +30,7 @@ pub(crate) fn truthful() -> Builder {
     })
 }
 
-/// The number that the scan carries, if all of it carries the same.
+/// Returns the request's number, or `None` if the values do not all agree on one.
 pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
     let start = usize::from(scan.window().start().number());
     let mut digits = [0; 3];
@@ -42,12 +42,12 @@ pub(crate) fn request_of(scan: &Scan) -> Option<u64> {
     whole.then_some(request)
 }
 
-/// Whether the sensor answers the line with distances, its laser being on.
+/// Returns whether the sensor answers this command with distances (if its laser is on).
 fn is_poll(line: &Received) -> bool {
     line.line.starts_with(b"G") && line.verdict == Verdict::WellFormed
 }
 
-/// Which scans are the answers to their own requests.
+/// Compares scans with the sensor's log: each must answer its own request.
 pub(crate) struct Truth {
     arrivals: HashMap<u64, Instant>,
     seen: std::collections::HashSet<u64>,
@@ -55,18 +55,19 @@ pub(crate) struct Truth {
 }
 
 impl Truth {
-    /// Reads the sensor's log: when the `G` with each number arrived. `answered`
-    /// tells which of the well-formed `G`s got distances (not those refused).
+    /// Reads from the sensor's log when each `G` arrived. Assumes that none was refused,
+    /// because only answered ones have a number.
     pub(crate) fn of(log: &[Received]) -> Self {
         let scans = log.iter().filter(|line| is_poll(line));
         let arrivals = (0..).zip(scans.map(|line| line.at)).collect();
         Self { arrivals, seen: Default::default(), last: None }
     }
 
-    /// Holds one scan of a stream against the truth.
+    /// Checks one scan of a stream, and returns the number of its request.
     pub(crate) fn check(&mut self, scan: &Scan) -> Result<u64, String> {
         let request = request_of(scan).ok_or_else(|| format!("mixed data: {:?}", scan.values()))?;
-        let arrived = self.arrivals.get(&request).ok_or(format!("nobody asked for {request}"))?;
+        let arrived =
+            self.arrivals.get(&request).ok_or(format!("{request} was never requested"))?;
         let (sent, received) = (scan.requested_at(), scan.received_at());
         if !(sent <= *arrived && *arrived <= received) {
             return Err(format!("the answer to {request} is attached to another request"));
@@ -84,7 +85,7 @@ impl Truth {
     }
 }
 
-/// A builder for repeatable tests.
+/// A builder with a fixed seed for its jitter, so that tests are repeatable.
 pub(crate) fn builder() -> SensorBuilder {
     limit::limit();
     Sensor::builder().jitter_seed(7)
@@ -94,10 +95,10 @@ pub(crate) const fn ms(milliseconds: u64) -> Duration {
     Duration::from_millis(milliseconds)
 }
 
-/// Opens what a closure makes.
-pub(crate) struct Rigged<F>(pub(crate) F);
+/// A [`Connect`] from a closure that returns a port.
+pub(crate) struct ConnectFn<F>(pub(crate) F);
 
-impl<P, F> Connect for Rigged<F>
+impl<P, F> Connect for ConnectFn<F>
 where
     P: Port,
     F: FnMut() -> Result<P, Error> + Send + 'static,

@@ -7,12 +7,12 @@ use tokio::time::{Instant, sleep};
 use tokio_scip::emulator::{Emulator, Pace};
 use tokio_scip::{BaudRate, Port};
 
-use super::{ask, listen, listen_bytes, prompt};
+use super::{ask, instant_sensor, listen, listen_bytes};
 
 const MS: Duration = Duration::from_millis(1);
 
 fn serial(baud_rate: BaudRate) -> Emulator {
-    prompt().baud_rate(baud_rate).build()
+    instant_sensor().baud_rate(baud_rate).build()
 }
 
 #[tokio::test(start_paused = true)]
@@ -21,7 +21,7 @@ async fn a_link_starts_at_19200_baud_and_has_none_on_usb() {
     assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
     link.set_baud_rate(BaudRate::B750000).unwrap();
     assert_eq!(link.baud_rate(), Some(BaudRate::B750000));
-    let mut usb = prompt().build().link();
+    let mut usb = instant_sensor().build().link();
     assert_eq!(usb.baud_rate(), None);
     usb.set_baud_rate(BaudRate::B115200).unwrap();
     assert_eq!(usb.baud_rate(), None);
@@ -48,7 +48,7 @@ async fn at_a_wrong_baud_rate_the_sensor_hears_no_command() {
 async fn at_a_wrong_baud_rate_the_host_reads_no_reply() {
     for sensor in BaudRate::ALL {
         for host in BaudRate::ALL.into_iter().filter(|host| *host != sensor) {
-            let emulator = prompt().baud_rate(sensor).latency(10 * MS).build();
+            let emulator = instant_sensor().baud_rate(sensor).latency(10 * MS).build();
             let mut link = emulator.link();
             link.set_baud_rate(sensor).unwrap();
             link.write_all(b"V\n").await.unwrap();
@@ -79,7 +79,7 @@ async fn an_accepted_baud_rate_is_in_force_one_revolution_later_and_brings_a_str
 
 #[tokio::test(start_paused = true)]
 async fn the_stray_byte_can_be_left_out() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).stray_byte(false).build();
     let mut link = emulator.link();
     ask(&mut link, "S5000000000000").await;
     link.set_baud_rate(BaudRate::B500000).unwrap();
@@ -98,7 +98,7 @@ async fn a_command_that_comes_before_the_change_is_served_after_it() {
 
 #[tokio::test(start_paused = true)]
 async fn a_baud_rate_survives_the_link_and_not_a_power_cycle() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).stray_byte(false).build();
     ask(&mut emulator.link(), "S2500000000000").await;
     sleep(200 * MS).await;
     let mut link = emulator.link();

@@ -7,13 +7,13 @@ use tokio::time::{Instant, sleep};
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{BaudRate, Port};
 
-use super::{ask, listen, listen_bytes, prompt};
+use super::{ask, instant_sensor, listen, listen_bytes};
 
 const S: Duration = Duration::from_secs(1);
 
 /// Returns the bytes that arrive for `L0` if its reply, `L0\n0\n\n`, has the fault.
 async fn l0_with(fault: Fault) -> Vec<u8> {
-    let emulator = prompt().faults(Faults::none().at(0, fault)).build();
+    let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
     let mut link = emulator.link();
     link.write_all(b"L0\n").await.unwrap();
     let mut heard = listen_bytes(&mut link).await;
@@ -51,7 +51,7 @@ async fn a_lost_reply_is_of_a_command_that_was_done_and_a_lost_command_is_not() 
     for (fault, laser) in
         [(Fault::Lost, false), (Fault::CommandLost, true), (Fault::Status(b'9'), true)]
     {
-        let emulator = prompt().faults(Faults::none().at(0, fault)).build();
+        let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
         ask(&mut emulator.link(), "L0").await;
         assert_eq!(emulator.is_laser_on(), laser);
     }
@@ -60,7 +60,7 @@ async fn a_lost_reply_is_of_a_command_that_was_done_and_a_lost_command_is_not() 
 #[tokio::test(start_paused = true)]
 async fn faults_meet_the_replies_that_they_are_for() {
     let faults = Faults::none().at(1, Fault::Lost).at(3, Fault::Status(b'8'));
-    let emulator = prompt().faults(faults).build();
+    let emulator = instant_sensor().faults(faults).build();
     let mut link = emulator.link();
     for reply in ["L1\n2\n\n", "", "L1\n2\n\n", "L1\n8\n\n", "L1\n2\n\n"] {
         assert_eq!(ask(&mut link, "L1").await, reply);
@@ -76,7 +76,7 @@ async fn faults_meet_the_replies_that_they_are_for() {
 
 #[tokio::test(start_paused = true)]
 async fn a_late_reply_holds_up_those_behind_it() {
-    let emulator = prompt().faults(Faults::none().at(0, Fault::Late(3 * S))).build();
+    let emulator = instant_sensor().faults(Faults::none().at(0, Fault::Late(3 * S))).build();
     let mut link = emulator.link();
     let start = Instant::now();
     link.write_all(b"L0\n").await.unwrap();
@@ -91,7 +91,7 @@ async fn a_late_reply_holds_up_those_behind_it() {
 #[tokio::test(start_paused = true)]
 async fn a_trickle_and_a_pause_take_their_time() {
     let faults = Faults::none().at(0, Fault::Trickle(S / 10)).at(1, Fault::Pause(5, 2 * S));
-    let mut link = prompt().faults(faults).build().link();
+    let mut link = instant_sensor().faults(faults).build().link();
     let start = Instant::now();
     ask(&mut link, "L0").await;
     assert_eq!(start.elapsed().as_millis() / 10, 60);
@@ -107,7 +107,7 @@ async fn a_trickle_and_a_pause_take_their_time() {
 async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
     let baud_rate = BaudRate::B115200;
     for after in 0..=1399 {
-        let emulator = prompt()
+        let emulator = instant_sensor()
             .baud_rate(baud_rate)
             .boot_time(S)
             .laser(false)
@@ -133,7 +133,7 @@ async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
 
 #[tokio::test(start_paused = true)]
 async fn a_hang_up_ends_the_link_after_its_byte() {
-    let emulator = prompt().faults(Faults::none().at(0, Fault::HangUp(4))).build();
+    let emulator = instant_sensor().faults(Faults::none().at(0, Fault::HangUp(4))).build();
     let mut link = emulator.link();
     link.write_all(b"L0\n").await.unwrap();
     let mut heard = Vec::new();
@@ -149,7 +149,7 @@ async fn a_hang_up_ends_the_link_after_its_byte() {
 #[tokio::test(start_paused = true)]
 async fn endless_bytes_go_on_until_the_faults_are_others() {
     let faults = Faults::none().at(0, Fault::Endless(b"\n\n".to_vec()));
-    let emulator = prompt().baud_rate(BaudRate::B750000).faults(faults).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B750000).faults(faults).build();
     let mut link = emulator.link();
     link.set_baud_rate(BaudRate::B750000).unwrap();
     link.write_all(b"V\n").await.unwrap();
@@ -169,7 +169,7 @@ async fn endless_bytes_go_on_until_the_faults_are_others() {
 #[tokio::test(start_paused = true)]
 async fn a_flood_that_nobody_reads_is_not_kept() {
     let faults = Faults::none().at(0, Fault::Endless(b"x".to_vec()));
-    let emulator = prompt().faults(faults).build();
+    let emulator = instant_sensor().faults(faults).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
     sleep(3600 * S).await;
@@ -199,7 +199,7 @@ async fn drawn_faults_fire_about_as_often_as_they_should_and_the_same_again() {
     let faults: Faults = spec.parse().unwrap();
     let mut heard = Vec::new();
     for seed in [1, 1, 2] {
-        let emulator = prompt().faults(faults.clone()).seed(seed).build();
+        let emulator = instant_sensor().faults(faults.clone()).seed(seed).build();
         heard.push((polled(&emulator).await, emulator.fault_counts(), emulator.counts()));
         let counts = emulator.fault_counts();
         for count in [
@@ -224,7 +224,7 @@ async fn drawn_faults_fire_about_as_often_as_they_should_and_the_same_again() {
 #[tokio::test(start_paused = true)]
 async fn faults_with_a_seed_do_not_depend_on_the_sensors() {
     let faults: Faults = "damaged=0.5,seed=7".parse().unwrap();
-    let one = polled(&prompt().faults(faults.clone()).seed(1).build()).await;
-    let two = polled(&prompt().faults(faults).seed(2).build()).await;
+    let one = polled(&instant_sensor().faults(faults.clone()).seed(1).build()).await;
+    let two = polled(&instant_sensor().faults(faults).seed(2).build()).await;
     assert!(one == two);
 }

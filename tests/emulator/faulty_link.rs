@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio_scip::emulator::{Call, FaultyLink, LinkFailure};
 use tokio_scip::{BaudRate, Port};
 
-use super::{ask, prompt};
+use super::{ask, instant_sensor};
 
 async fn fed(bytes: &[u8]) -> (DuplexStream, DuplexStream) {
     let (near, mut far) = duplex(4096);
@@ -111,13 +111,13 @@ async fn a_loopback_gives_back_what_is_written_and_nothing_else() {
 
 #[tokio::test(start_paused = true)]
 async fn an_echo_comes_before_the_reply() {
-    let mut link = FaultyLink::new(prompt().build().link()).echo();
+    let mut link = FaultyLink::new(instant_sensor().build().link()).echo();
     assert_eq!(ask(&mut link, "L0").await, "L0\nL0\n0\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn flushes_are_counted() {
-    let mut link = FaultyLink::new(prompt().build().link());
+    let mut link = FaultyLink::new(instant_sensor().build().link());
     let counter = link.counter();
     ask(&mut link, "V").await;
     assert_eq!(counter.flushes(), 0);
@@ -127,7 +127,7 @@ async fn flushes_are_counted() {
 
 #[tokio::test(start_paused = true)]
 async fn a_change_of_the_baud_rate_fails_when_it_is_told_to() {
-    let emulator = prompt().baud_rate(BaudRate::B57600).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B57600).build();
     let mut link = FaultyLink::new(emulator.link()).fail(
         Call::SetBaudRate,
         0,

@@ -7,11 +7,11 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Verdict};
 use tokio_scip::{Connect, Error};
 
-use super::{ask, listen, prompt};
+use super::{ask, instant_sensor, listen};
 
 #[tokio::test(start_paused = true)]
 async fn the_log_holds_the_last_commands_and_what_they_were_worth() {
-    let emulator = prompt().log_capacity(3).build();
+    let emulator = instant_sensor().log_capacity(3).build();
     let mut link = emulator.link();
     let start = Instant::now();
     for command in ["V", "", "X", "G00000001"] {
@@ -65,7 +65,7 @@ async fn commands_beyond_the_input_buffer_are_lost() {
 
 #[tokio::test(start_paused = true)]
 async fn the_sensor_stays_as_it_is_between_links() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     assert_eq!(ask(&mut emulator.link(), "L0").await, "L0\n0\n\n");
     assert_eq!(ask(&mut emulator.link(), "L0").await, "L0\n2\n\n");
     let mut link = emulator.link();
@@ -76,7 +76,7 @@ async fn the_sensor_stays_as_it_is_between_links() {
 
 #[tokio::test(start_paused = true)]
 async fn what_was_not_read_waits_for_the_next_link() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     emulator.link().write_all(b"V\n").await.unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(listen(&mut emulator.link()).await.starts_with("V\n0\nVEND:"));
@@ -84,7 +84,7 @@ async fn what_was_not_read_waits_for_the_next_link() {
 
 #[tokio::test(start_paused = true)]
 async fn a_newer_link_hangs_up_the_older_one() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let mut old = emulator.link();
     let waiting = tokio::spawn(async move {
         let ended = old.read(&mut [0; 8]).await.unwrap();
@@ -102,7 +102,7 @@ async fn a_newer_link_hangs_up_the_older_one() {
 
 #[tokio::test(start_paused = true)]
 async fn connecting_needs_a_cable_and_a_free_port() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let mut connect = emulator.clone();
     let mut link = connect.connect().await.unwrap();
     assert!(matches!(connect.connect().await, Err(Error::Busy { .. })));
@@ -126,7 +126,7 @@ async fn connecting_needs_a_cable_and_a_free_port() {
 
 #[tokio::test(start_paused = true)]
 async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     emulator.link().write_all(b"V\n").await.unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
     emulator.unplug();
@@ -143,7 +143,7 @@ async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
 
 #[tokio::test(start_paused = true)]
 async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
-    let emulator = prompt().baud_rate(tokio_scip::BaudRate::B19200).laser(false).build();
+    let emulator = instant_sensor().baud_rate(tokio_scip::BaudRate::B19200).laser(false).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
     // Two bytes in, ten bytes out, at 0.52 ms each.
@@ -156,7 +156,7 @@ async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
 
 #[tokio::test(start_paused = true)]
 async fn bytes_that_nobody_asked_for_wake_a_reader() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let mut link = emulator.link();
     let reader = tokio::spawn(async move { listen(&mut link).await });
     tokio::task::yield_now().await;

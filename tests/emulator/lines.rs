@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_scip::emulator::{EmptyCommand, Emulator, Faults, Firmware};
 
-use super::prompt;
+use super::instant_sensor;
 
 /// Returns the bytes that arrive for `bytes` within an hour.
 fn replies(emulator: &Emulator, bytes: &[u8]) -> Vec<u8> {
@@ -35,7 +35,7 @@ fn line() -> impl Strategy<Value = Vec<u8>> {
 proptest! {
     #[test]
     fn a_reply_is_echo_and_status_and_ends_in_two_line_feeds(line in line()) {
-        let emulator = prompt().firmware(Firmware::V3).empty_command(EmptyCommand::Status).build();
+        let emulator = instant_sensor().firmware(Firmware::V3).empty_command(EmptyCommand::Status).build();
         let reply = replies(&emulator, &[&line[..], b"\n"].concat());
         let echo = &line[..line.len().min(64)];
         prop_assert!(reply.starts_with(&[echo, b"\n"].concat()));
@@ -55,7 +55,7 @@ proptest! {
     ) {
         let faults: Faults =
             "late=0.3,lost=0.1,damaged=0.5,doubled=0.3,merged=0.2,noise=0.3,reset=0.1".parse().unwrap();
-        let emulator = prompt().faults(faults).seed(seed).build();
+        let emulator = instant_sensor().faults(faults).seed(seed).build();
         prop_assert!(replies(&emulator, &bytes).len() < 1_000_000);
     }
 }

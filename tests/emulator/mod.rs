@@ -17,7 +17,7 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio_scip::emulator::{Builder, Emulator, Fixed, Pace};
 
 /// A sensor that answers at once and always measures 1,234 mm.
-fn prompt() -> Builder {
+fn instant_sensor() -> Builder {
     crate::common::limit::limit();
     Emulator::builder().pace(Pace::AtOnce).world(Fixed::filled(1234))
 }

@@ -4,11 +4,11 @@ use tokio::io::AsyncWriteExt;
 use tokio_scip::BaudRate;
 use tokio_scip::emulator::{EmptyCommand, Firmware, Fixed, Mode, RepeatedLaser, Values, WorldTime};
 
-use super::{ask, listen, prompt};
+use super::{ask, instant_sensor, listen};
 
 #[tokio::test(start_paused = true)]
 async fn the_texts_firmware_tells_five_lines_of_version() {
-    let emulator = prompt().firmware(Firmware::Text).serial_number("H0400000").build();
+    let emulator = instant_sensor().firmware(Firmware::Text).serial_number("H0400000").build();
     let expected = "V\n0\n\
         VEND: Hokuyo Automatic Co., Ltd.\n\
         PROD: SOKUIKI Sensor URG-X002\n\
@@ -20,7 +20,7 @@ async fn the_texts_firmware_tells_five_lines_of_version() {
 
 #[tokio::test(start_paused = true)]
 async fn firmware_3_tells_six_lines_of_version_in_206_bytes() {
-    let reply = ask(&mut prompt().build().link(), "V").await;
+    let reply = ask(&mut instant_sensor().build().link(), "V").await;
     let expected = "V\n0\n\
         VEND:Hokuyo Automatic Co.,Ltd.\n\
         PROD:SOKUIKI Sensor URG-04LX\n\
@@ -34,7 +34,7 @@ async fn firmware_3_tells_six_lines_of_version_in_206_bytes() {
 
 #[tokio::test(start_paused = true)]
 async fn version_lines_can_be_anything() {
-    let emulator = prompt().version_lines([&b"VEND:\x1b[31m"[..], b"caf\xe9"]).build();
+    let emulator = instant_sensor().version_lines([&b"VEND:\x1b[31m"[..], b"caf\xe9"]).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
     assert_eq!(super::listen_bytes(&mut link).await, b"V\n0\nVEND:\x1b[31m\ncaf\xe9\n\n");
@@ -42,7 +42,7 @@ async fn version_lines_can_be_anything() {
 
 #[tokio::test(start_paused = true)]
 async fn the_laser_is_on_at_first_and_switches_off_and_on() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let mut link = emulator.link();
     assert!(emulator.is_laser_on());
     for (command, reply, laser) in [
@@ -60,7 +60,7 @@ async fn the_laser_is_on_at_first_and_switches_off_and_on() {
 
 #[tokio::test(start_paused = true)]
 async fn a_carriage_return_ends_a_command_and_a_line_feed_answers_it() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     link.write_all(b"L0\r").await.unwrap();
     assert_eq!(listen(&mut link).await, "L0\n0\n\n");
     // CR LF is a command and an empty one.
@@ -72,13 +72,13 @@ async fn a_carriage_return_ends_a_command_and_a_line_feed_answers_it() {
 #[tokio::test(start_paused = true)]
 async fn the_texts_example_of_1234_mm() {
     // 0x4D2 is 010011 010010, 0x13 and 0x12, 0x43 and 0x42.
-    let reply = ask(&mut prompt().build().link(), "G38438401").await;
+    let reply = ask(&mut instant_sensor().build().link(), "G38438401").await;
     assert_eq!(reply.as_bytes(), b"G38438401\n0\n\x43\x42\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn data_are_cut_into_lines_of_64_bytes() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     let line = "CB".repeat(32);
     for (command, data) in [
         ("G00003001", "CB".repeat(31)),
@@ -93,7 +93,7 @@ async fn data_are_cut_into_lines_of_64_bytes() {
 
 #[tokio::test(start_paused = true)]
 async fn a_full_scan_has_1576_bytes_in_25_lines_of_data() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     let reply = ask(&mut link, "G00076801").await;
     assert_eq!(reply.len(), 1576);
     let lines: Vec<&str> = reply.trim_end().split('\n').skip(2).collect();
@@ -111,7 +111,7 @@ async fn a_cluster_is_its_smallest_code_and_the_last_one_may_be_partial() {
         *code = 64 * step as u16 % 4096;
     }
     codes[3] = 7;
-    let mut link = prompt().world(Fixed(codes)).build().link();
+    let mut link = instant_sensor().world(Fixed(codes)).build().link();
     // Steps 2 to 6 are 128, 7, 256, 320 and 384.
     for (command, data) in [
         ("G00200601", "2007405060"),
@@ -126,13 +126,13 @@ async fn a_cluster_is_its_smallest_code_and_the_last_one_may_be_partial() {
 
 #[tokio::test(start_paused = true)]
 async fn cluster_00_works_like_01() {
-    let reply = ask(&mut prompt().build().link(), "G10010200").await;
+    let reply = ask(&mut instant_sensor().build().link(), "G10010200").await;
     assert_eq!(reply, "G10010200\n0\nCBCBCB\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn what_is_wrong_with_a_command_is_echoed_with_an_error_status() {
-    let mut link = prompt().firmware(Firmware::Text).build().link();
+    let mut link = instant_sensor().firmware(Firmware::Text).build().link();
     for (command, status) in [
         ("G10009901", '5'),
         ("G00076901", '4'),
@@ -152,11 +152,11 @@ async fn what_is_wrong_with_a_command_is_echoed_with_an_error_status() {
 
 #[tokio::test(start_paused = true)]
 async fn an_undefined_command_gets_silence_or_status_e() {
-    let mut text = prompt().firmware(Firmware::Text).build().link();
+    let mut text = instant_sensor().firmware(Firmware::Text).build().link();
     assert_eq!(ask(&mut text, "X").await, "");
     assert_eq!(ask(&mut text, "SCIP2.0").await, "");
     assert_eq!(ask(&mut text, "L0").await, "L0\n0\n\n");
-    let mut third = prompt().firmware(Firmware::V3).build().link();
+    let mut third = instant_sensor().firmware(Firmware::V3).build().link();
     assert_eq!(ask(&mut third, "X").await, "X\nE\n\n");
 }
 
@@ -167,7 +167,7 @@ async fn an_empty_command_gets_one_of_three_answers() {
         (EmptyCommand::Status, "\nE\n\n"),
         (EmptyCommand::LineFeeds, "\n\n"),
     ] {
-        let mut link = prompt().empty_command(empty).build().link();
+        let mut link = instant_sensor().empty_command(empty).build().link();
         assert_eq!(ask(&mut link, "").await, reply);
         assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
     }
@@ -175,7 +175,7 @@ async fn an_empty_command_gets_one_of_three_answers() {
 
 #[tokio::test(start_paused = true)]
 async fn a_line_feed_ends_a_half_typed_command() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     link.write_all(b"G0007").await.unwrap();
     assert_eq!(ask(&mut link, "").await, "G0007\n1\n\n");
     link.write_all(b"G0007").await.unwrap();
@@ -184,23 +184,23 @@ async fn a_line_feed_ends_a_half_typed_command() {
 
 #[tokio::test(start_paused = true)]
 async fn an_over_long_command_is_cut_and_refused() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     let reply = ask(&mut link, &"V".repeat(100_000)).await;
     assert_eq!(reply, format!("{}\n1\n\n", "V".repeat(64)));
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_usb_a_change_of_the_baud_rate_has_no_effect() {
-    let text = prompt().firmware(Firmware::Text).build();
+    let text = instant_sensor().firmware(Firmware::Text).build();
     assert_eq!(ask(&mut text.link(), "S1152000000000").await, "S1152000000000\n0\n\n");
-    let third = prompt().build();
+    let third = instant_sensor().build();
     assert_eq!(ask(&mut third.link(), "S1152000000000").await, "S1152000000000\n3\n\n");
     assert_eq!((text.baud_rate(), third.baud_rate()), (None, None));
 }
 
 #[tokio::test(start_paused = true)]
 async fn on_rs232_the_reserved_area_is_echoed_and_ignored() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let mut link = emulator.link();
     assert_eq!(ask(&mut link, "S019200abc!xyz").await, "S019200abc!xyz\n3\n\n");
     assert_eq!(ask(&mut link, "S057600abc!xyz").await, "S057600abc!xyz\n0\n\n");
@@ -208,18 +208,18 @@ async fn on_rs232_the_reserved_area_is_echoed_and_ignored() {
 
 #[tokio::test(start_paused = true)]
 async fn a_miscounting_firmware_sends_a_point_more_or_less() {
-    let mut more = prompt().miscount(1).build().link();
+    let mut more = instant_sensor().miscount(1).build().link();
     assert_eq!(ask(&mut more, "G10010101").await, "G10010101\n0\nCBCBCB\n\n");
     // There is nothing after step 768: code 19.
     assert_eq!(ask(&mut more, "G76876801").await, "G76876801\n0\nCB0C\n\n");
-    let mut less = prompt().miscount(-1).build().link();
+    let mut less = instant_sensor().miscount(-1).build().link();
     assert_eq!(ask(&mut less, "G10010101").await, "G10010101\n0\nCB\n\n");
     assert_eq!(ask(&mut less, "G10010001").await, "G10010001\n0\n\n");
 }
 
 #[tokio::test(start_paused = true)]
 async fn in_scip_2_every_command_has_a_status_of_three_characters() {
-    let emulator = prompt().mode(Mode::Scip2).build();
+    let emulator = instant_sensor().mode(Mode::Scip2).build();
     let mut link = emulator.link();
     for command in ["V", "L1", "G04472501", "S1152000000000", "X"] {
         assert_eq!(ask(&mut link, command).await, format!("{command}\n0Eu\n\n"));
@@ -231,7 +231,7 @@ async fn in_scip_2_every_command_has_a_status_of_three_characters() {
 /// Clients of later sensors ask for SCIP 2 first, and fall back if it is refused.
 #[tokio::test(start_paused = true)]
 async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
-    let mut link = prompt().build().link();
+    let mut link = instant_sensor().build().link();
     for (command, status) in [
         ("SCIP2.0", "C"),
         ("VV", "1"),
@@ -249,7 +249,7 @@ async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
 
 #[tokio::test(start_paused = true)]
 async fn a_sensor_in_scip_2_is_back_in_scip_1_after_a_restart() {
-    let emulator = prompt().mode(Mode::Scip2).build();
+    let emulator = instant_sensor().mode(Mode::Scip2).build();
     let mut link = emulator.link();
     assert_eq!(ask(&mut link, "V").await, "V\n0Eu\n\n");
     emulator.power_cycle();
@@ -259,7 +259,7 @@ async fn a_sensor_in_scip_2_is_back_in_scip_1_after_a_restart() {
 #[tokio::test(start_paused = true)]
 async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
     for (setting, status) in [(RepeatedLaser::Status0, '0'), (RepeatedLaser::Status2, '2')] {
-        let emulator = prompt().repeated_laser(setting).build();
+        let emulator = instant_sensor().repeated_laser(setting).build();
         let mut link = emulator.link();
         for (command, expected, is_on) in
             [("L1", status, true), ("L0", '0', false), ("L0", status, false), ("L1", '0', true)]
@@ -272,7 +272,7 @@ async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
 
 #[tokio::test(start_paused = true)]
 async fn in_scip_2_scans_stream_unasked_until_they_are_stopped() {
-    let emulator = prompt().mode(Mode::Scip2Streaming).build();
+    let emulator = instant_sensor().mode(Mode::Scip2Streaming).build();
     let mut link = emulator.link();
     for _ in 0..3 {
         let frame = listen(&mut link).await;
@@ -287,7 +287,7 @@ async fn in_scip_2_scans_stream_unasked_until_they_are_stopped() {
 #[tokio::test(start_paused = true)]
 async fn the_request_number_counts_scans_only() {
     let world = |look: WorldTime, codes: &mut Values| codes.fill(100 + look.request as u16);
-    let mut link = prompt().world(world).build().link();
+    let mut link = instant_sensor().world(world).build().link();
     for (command, reply) in [
         ("G00000001", "G00000001\n0\n1T\n\n"),
         ("G00000001", "G00000001\n0\n1U\n\n"),

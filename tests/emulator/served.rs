@@ -8,11 +8,11 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::net::{TcpListener, TcpStream};
 use tokio_scip::BaudRate;
 
-use super::{ask, listen_bytes, prompt};
+use super::{ask, instant_sensor, listen_bytes};
 
 #[tokio::test(start_paused = true)]
 async fn any_stream_can_be_served() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let (mut client, server) = duplex(64);
     let server = tokio::spawn({
         let emulator = emulator.clone();
@@ -28,7 +28,7 @@ async fn any_stream_can_be_served() {
 
 #[tokio::test(start_paused = true)]
 async fn unplugging_hangs_up_a_served_stream() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let (mut client, server) = duplex(64);
     let (served, ()) = tokio::join!(emulator.serve(server), async {
         assert_eq!(ask(&mut client, "L0").await, "L0\n0\n\n");
@@ -40,7 +40,7 @@ async fn unplugging_hangs_up_a_served_stream() {
 
 #[tokio::test(start_paused = true)]
 async fn unplugging_ends_a_client_that_does_not_read() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let (mut client, server) = duplex(8);
     client.write_all(b"V\n").await.unwrap();
     let (served, ()) = tokio::join!(emulator.serve(server), async {
@@ -52,7 +52,7 @@ async fn unplugging_ends_a_client_that_does_not_read() {
 
 #[tokio::test(start_paused = true)]
 async fn behind_a_bridge_at_another_baud_rate_nothing_is_understood() {
-    let emulator = prompt().baud_rate(BaudRate::B115200).build();
+    let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
     let (mut client, server) = duplex(64);
     tokio::spawn(async move { emulator.serve_at(server, BaudRate::B19200).await });
     client.write_all(b"V\n").await.unwrap();
@@ -61,7 +61,7 @@ async fn behind_a_bridge_at_another_baud_rate_nothing_is_understood() {
 
 #[tokio::test]
 async fn tcp_clients_are_served_one_after_the_other() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let server = tokio::spawn({
@@ -119,7 +119,7 @@ mod terminal {
 
     #[tokio::test]
     async fn clients_come_and_go_and_the_sensor_stays() {
-        let served = serve(&prompt().build(), None);
+        let served = serve(&instant_sensor().build(), None);
         for reply in ["L0\n0\n\n", "L0\n2\n\n", "L0\n2\n\n"] {
             let mut client = open(&served.path, 19_200);
             assert_eq!(ask(&mut client, "L0").await, reply);
@@ -129,7 +129,7 @@ mod terminal {
 
     #[tokio::test]
     async fn one_client_keeps_others_out_while_it_is_there() {
-        let served = serve(&prompt().build(), None);
+        let served = serve(&instant_sensor().build(), None);
         let mut client = open(&served.path, 19_200);
         let builder = tokio_serial::new(served.path.to_str().unwrap(), 19_200);
         assert!(SerialStream::open(&builder).is_err());
@@ -138,7 +138,7 @@ mod terminal {
 
     #[tokio::test]
     async fn what_a_client_did_not_read_is_there_for_the_next_one() {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
         client.write_all(b"L0\nL1\n").await.unwrap();
@@ -159,7 +159,7 @@ mod terminal {
     #[tokio::test]
     async fn a_wrong_baud_rate_garbles_both_ways() {
         let latency = Duration::from_millis(200);
-        let emulator = prompt().baud_rate(BaudRate::B19200).latency(latency).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B19200).latency(latency).build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 57_600);
         client.write_all(b"L0\n").await.unwrap();
@@ -193,7 +193,7 @@ mod terminal {
 
     #[tokio::test]
     async fn all_six_baud_rates_can_be_set_on_both_sides() {
-        let emulator = prompt().baud_rate(BaudRate::B19200).stray_byte(false).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B19200).stray_byte(false).build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
         for baud_rate in BaudRate::ALL.into_iter().skip(1) {
@@ -210,7 +210,7 @@ mod terminal {
     #[tokio::test]
     async fn ending_it_hangs_up_the_client_and_removes_the_symbolic_link() {
         let link = scratch("ends");
-        let served = serve(&prompt().build(), Some(&link));
+        let served = serve(&instant_sensor().build(), Some(&link));
         assert_eq!(served.path, link);
         let mut client = open(&link, 19_200);
         assert_eq!(ask(&mut client, "L0").await, "L0\n0\n\n");
@@ -222,7 +222,7 @@ mod terminal {
     #[tokio::test]
     async fn unplugged_it_is_gone_and_plugged_in_again_it_is_back() {
         let link = scratch("replug");
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let served = serve(&emulator, Some(&link));
         let mut client = open(&link, 19_200);
         assert_eq!(ask(&mut client, "L0").await, "L0\n0\n\n");
@@ -243,7 +243,7 @@ mod terminal {
     #[tokio::test]
     async fn only_a_symbolic_link_is_ever_replaced() {
         let path = scratch("file");
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         std::fs::write(&path, "precious").unwrap();
         let error = Pty::open(&emulator, Some(&path)).unwrap_err();
         assert_eq!(error.kind(), std::io::ErrorKind::AlreadyExists);

@@ -7,7 +7,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tokio_scip::emulator::{Emulator, Fixed, Link, Pace, Values, WorldTime};
 use tokio_scip::{BaudRate, Port};
 
-use super::{ask, listen, prompt};
+use super::{ask, instant_sensor, listen};
 
 const MS: Duration = Duration::from_millis(1);
 
@@ -123,7 +123,7 @@ async fn a_reply_takes_its_time_on_the_line() {
         (BaudRate::B500000, 31_520),
         (BaudRate::B750000, 21_013),
     ] {
-        let mut link = prompt().baud_rate(baud_rate).build().link();
+        let mut link = instant_sensor().baud_rate(baud_rate).build().link();
         link.set_baud_rate(baud_rate).unwrap();
         let start = Instant::now();
         let (first, last) = times(&mut link, "G00076801", start).await;
@@ -152,7 +152,7 @@ async fn a_reply_longer_than_a_revolution_costs_whole_revolutions() {
 
 #[tokio::test(start_paused = true)]
 async fn replies_come_in_order_behind_each_other() {
-    let mut link = prompt().baud_rate(BaudRate::B19200).build().link();
+    let mut link = instant_sensor().baud_rate(BaudRate::B19200).build().link();
     let start = Instant::now();
     link.write_all(b"G00003101\nV\nL0\n").await.unwrap();
     assert!(listen(&mut link).await.starts_with("G"));
@@ -164,7 +164,7 @@ async fn replies_come_in_order_behind_each_other() {
 
 #[tokio::test(start_paused = true)]
 async fn a_sensor_is_silent_while_it_starts() {
-    let emulator = prompt().boot_time(Duration::from_secs(3)).build();
+    let emulator = instant_sensor().boot_time(Duration::from_secs(3)).build();
     let mut link = emulator.link();
     sleep(2900 * MS).await;
     link.write_all(b"L0\nL").await.unwrap();
@@ -178,7 +178,7 @@ async fn a_sensor_is_silent_while_it_starts() {
 
 #[tokio::test(start_paused = true)]
 async fn a_latency_comes_on_top() {
-    let mut link = prompt().latency(40 * MS).build().link();
+    let mut link = instant_sensor().latency(40 * MS).build().link();
     let (first, _) = times(&mut link, "V", Instant::now()).await;
     assert!(about(first, 40 * MS), "{first:?}");
 }

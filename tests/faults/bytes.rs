@@ -1,5 +1,5 @@
-//! Exhaustive: every single damage at every place of a reply, through the whole
-//! driver, and of a full scan through the codec.
+//! Exhaustive tests: each single damage at each place of a reply, through the whole
+//! driver; and at each place of a full scan, through the codec.
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
@@ -8,19 +8,19 @@ use tokio_scip::protocol::{Command, Malformed, Reply};
 use tokio_scip::{Error, Rate, Window};
 use tokio_util::codec::Decoder;
 
-use super::rig::{Outcome, lies, prompt, scans, second_poll};
+use super::rig::{Outcome, instant_sensor, scans, second_poll, wrong_scans};
 use crate::common::{builder, request_of};
 
 const WINDOW: Window = Window::DETECTION;
-/// Echo, LF, status, LF: where the data begin.
+/// The offset of the data: behind echo, LF, status, LF.
 const DATA: usize = 12;
 
-/// The length of the second poll's reply: it asks for one step more.
+/// The length of the second poll's reply. That poll asks for one step more.
 fn length() -> usize {
     Window::new(43..=725).unwrap().reply_len()
 }
 
-/// The poll was lost, and that was told once.
+/// Asserts that the poll brought no scan, and exactly one error.
 fn assert_refused(outcome: &Outcome, what: &str) {
     let one = matches!(outcome.errors[..], [Error::Timeout { .. } | Error::Malformed { .. }]);
     assert!(!outcome.accepted && one, "{what}: {outcome:?}");
@@ -43,7 +43,7 @@ async fn w01_w05_w06_w11_each_byte_lost() {
 async fn w02_w07_w12_each_byte_doubled() {
     for at in 0..length() {
         let outcome = second_poll(WINDOW, &[Fault::Repeat(at..at + 1)]).await;
-        // One more LF behind the two that end a reply does no harm.
+        // One more LF behind the two that end a reply is harmless.
         let check = if at < length() - 2 { assert_refused } else { assert_unharmed };
         check(&outcome, &format!("byte {at} twice"));
     }
@@ -54,7 +54,7 @@ async fn w02_w07_w12_w18_a_byte_inserted_at_each_place() {
     for byte in [b'\n', 0, 0xff] {
         for at in 0..=length() {
             let outcome = second_poll(WINDOW, &[Fault::Insert(at, vec![byte])]).await;
-            // In front of a reply a NUL is skipped; behind it anything is dropped.
+            // A NUL before a reply is skipped; a byte behind it is dropped before the next poll.
             let harmless = at == length()
                 || at == length() - 1 && byte == b'\n'
                 || at == length() - 2 && byte == b'\n'
@@ -70,7 +70,7 @@ async fn w15_a_reply_cut_at_each_length() {
     for kept in 0..length() {
         let outcome = second_poll(WINDOW, &[Fault::Cut(kept)]).await;
         assert_refused(&outcome, &format!("{kept} bytes of it"));
-        // The fence is recognised although it is glued to what was left.
+        // The fence's reply is recognised behind the remains of the damaged one.
         assert_eq!(outcome.stats.fence_timeouts, 0, "{kept} bytes of it");
     }
 }
@@ -89,15 +89,15 @@ async fn w10_each_block_of_64_bytes_lost_or_doubled() {
 
 #[tokio::test(start_paused = true)]
 async fn w16_a_reply_split_at_each_place() {
-    // How many bytes come before the reply to the poll.
+    // Returns the number of bytes read before the reply to the poll.
     let stream = async |places: Vec<u64>| {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let link = FaultyLink::new(emulator.link()).split_reads_at(places);
         let counter = link.counter();
         let sensor = builder().attach(link).await.unwrap();
         let before = counter.bytes_read();
         let scan = sensor.scan(WINDOW).await.unwrap();
-        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
         let stats = sensor.stats();
         assert_eq!((stats.timeouts, stats.malformed.total(), stats.fences), (0, 0, 1));
         before
@@ -108,10 +108,10 @@ async fn w16_a_reply_split_at_each_place() {
     }
 }
 
-/// Streams with one flipped bit in the reply to the second poll: whether that
-/// reply was taken, and in how many points it differs from what was sent.
+/// Flips one bit in the reply to the second poll. Returns `None` if that reply was
+/// refused, else the number of points that differ from those sent.
 async fn flip(at: usize, bit: u8) -> Option<usize> {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = super::rig::open(&emulator).await;
     let window = Window::new(300..=340).unwrap();
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
@@ -119,21 +119,22 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
     let sent = emulator.counts().scans;
     emulator.set_faults(tokio_scip::emulator::Faults::none().at(0, Fault::Flip(at, 1 << bit)));
     let next = scans(&mut stream, 2).await;
-    assert!(request_of(&next[1]).is_some(), "the one after is damaged too");
-    // The fault is in the first of the two, or in none.
-    let told = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u16;
-    let wrong = next[0].values().iter().enumerate().filter(|&(step, &v)| v != told(step)).count();
+    assert!(request_of(&next[1]).is_some(), "the scan after the damaged one is wrong, too");
+    // The damaged reply is that of the first scan, or it was refused.
+    let sent_value = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u16;
+    let wrong =
+        next[0].values().iter().enumerate().filter(|&(step, &v)| v != sent_value(step)).count();
     (request_of(&next[0]).is_none_or(|request| request == sent)).then_some(wrong)
 }
 
 #[tokio::test(start_paused = true)]
 async fn w03_w04_w08_w11_w13_each_bit_flipped() {
     let window = Window::new(300..=340).unwrap();
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = super::rig::open(&emulator).await;
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
-    // What the second poll's reply looks like: it asks one step to the left.
+    // The second poll's reply: it asks for one step more on the left.
     let sent = emulator.counts().scans as u16;
     let values: Vec<u16> = (299..=340).map(|step| 20 + [sent, 0, 0][step % 3]).collect();
     let data: Vec<u8> =
@@ -145,7 +146,7 @@ async fn w03_w04_w08_w11_w13_each_bit_flipped() {
             let found = flip(at, bit).await;
             let flipped = byte ^ (1 << bit);
             let in_data = at >= DATA && byte != b'\n';
-            // In the surplus point in front no one would see it.
+            // A flip in the surplus point in front is not visible: the point is not delivered.
             let surplus = (DATA..DATA + 2).contains(&at);
             let expected = (in_data && (0x30..=0x6f).contains(&flipped)).then_some(if surplus {
                 0
@@ -160,7 +161,7 @@ async fn w03_w04_w08_w11_w13_each_bit_flipped() {
 #[tokio::test(start_paused = true)]
 async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
     use tokio_scip::emulator::{Faults, Fixed, Pace};
-    // 26 * 64 + 26: "JJ", and 'J' with one bit flipped is LF.
+    // 26 * 64 + 26 is sent as "JJ", and one flipped bit makes an LF of a 'J'.
     let emulator =
         Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
     let sensor = super::rig::open(&emulator).await;
@@ -180,7 +181,7 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
     }
 }
 
-/// The scans that codec and reply parser together take out of `chunks`.
+/// Counts the scans that codec and reply parser accept from `chunks`.
 fn accepted<'a>(command: &Command, chunks: impl IntoIterator<Item = &'a [u8]>) -> usize {
     let (mut codec, mut buffer, mut count) = (ScipCodec::default(), BytesMut::new(), 0);
     for chunk in chunks {
@@ -217,20 +218,20 @@ fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
 
 #[tokio::test(start_paused = true)]
 async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between_them() {
-    // No one can see it: this says what it does, and that it does no more.
-    let emulator = prompt().build();
+    // No driver can detect this. The test shows its effect, and that it has no other.
+    let emulator = instant_sensor().build();
     let sensor = super::rig::open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     let faults = tokio_scip::emulator::Faults::none();
-    // Two places in the same line, twenty bytes, ten points apart.
+    // Two places in the same line, 20 bytes or ten points apart.
     let faults = faults.at(0, Fault::Drop(20..21)).at(0, Fault::Insert(40, vec![b'0']));
     emulator.set_faults(faults);
     let next = scans(&mut stream, 2).await;
     let shifted = next[0].values();
     assert_eq!(shifted.len(), 682);
     assert!(request_of(&next[0]).is_none());
-    // The first point of the reply is surplus; ten and a half points are between.
+    // The first point is surplus; ten and a half points lie between the two places.
     let (before, after) = (&shifted[..3], &shifted[14..]);
     let sent = |step: usize| 20 + [emulator_number(&next[1]) - 1, 0, 0][(44 + step) % 3] as u16;
     assert!(before.iter().enumerate().all(|(step, &value)| value == sent(step)));
@@ -244,7 +245,7 @@ fn emulator_number(scan: &tokio_scip::Scan) -> u64 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_damaged_reply_says_where_it_is_damaged() {
+async fn a_malformed_reply_is_reported_with_its_place() {
     let outcome = second_poll(WINDOW, &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
     let [Error::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
     assert_eq!(*source, Malformed::LineLength { line: 3, expected: 64, found: 63 });

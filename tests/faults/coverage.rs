@@ -1,5 +1,5 @@
-//! Each row of `list.txt` has a test that is named after it, and each test that
-//! is named after a row has one there.
+//! Checks that each row of `list.txt` has a test named after it, and that each test
+//! named after a row has that row.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -9,11 +9,11 @@ const LIST: &str = include_str!("list.txt");
 /// A row of the list.
 struct Row<'a> {
     id: &'a str,
-    /// Why there is no test, where there cannot be one.
+    /// The reason why there is no test, where there cannot be one.
     absent: Option<&'a str>,
 }
 
-/// Reads `w06  a data byte is dropped`, or, without a test,
+/// Parses the rows: `w06  a data byte is dropped`, or, for a row without a test,
 /// `o23  the disk is full -- absent: there is no recorder`.
 fn rows(list: &str) -> Vec<Row<'_>> {
     let lines = list.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
@@ -31,8 +31,7 @@ fn is_id(word: &str) -> bool {
     b"wtdoa".contains(letter) && digits.len() == 2 && digits.iter().all(u8::is_ascii_digit)
 }
 
-/// The ids that tests in this source are named after: those at the beginning
-/// of a function's name that stands under a test attribute.
+/// Returns the ids at the beginning of the names of the test functions in `source`.
 fn tested(source: &str) -> BTreeSet<String> {
     let mut ids = BTreeSet::new();
     let mut under_attribute = false;
@@ -51,19 +50,21 @@ fn tested(source: &str) -> BTreeSet<String> {
     ids
 }
 
-/// What is wrong, a line each.
+/// Returns the rows and tests that do not match, a line each.
 fn complaints(list: &str, tested: &BTreeSet<String>) -> Vec<String> {
     let rows = rows(list);
     let mut found = Vec::new();
     for (n, row) in rows.iter().enumerate() {
         let has_test = tested.contains(row.id);
         match row.absent {
-            _ if !is_id(row.id) => found.push(format!("{} is no id", row.id)),
+            _ if !is_id(row.id) => found.push(format!("{} is not an id", row.id)),
             _ if rows[..n].iter().any(|other| other.id == row.id) => {
-                found.push(format!("{} is there twice", row.id));
+                found.push(format!("{} appears twice", row.id));
             }
             None if !has_test => found.push(format!("{} has no test", row.id)),
-            Some(_) if has_test => found.push(format!("{} has a test by now", row.id)),
+            Some(_) if has_test => {
+                found.push(format!("{} is marked absent but has a test", row.id))
+            }
             Some("") => found.push(format!("{} is absent without a reason", row.id)),
             _ => {}
         }
@@ -92,7 +93,7 @@ fn every_row_has_a_test_or_a_reason() {
     read(&root.join("src"), &mut ids);
     let complaints = complaints(LIST, &ids);
     assert!(complaints.is_empty(), "\n{}\n", complaints.join("\n"));
-    // 24 of the wire, 13 of time, 14 of the device, 26 of the system, 17 of tasks.
+    // W wire, T timing, D device, O operating system, A tasks.
     assert_eq!(rows(LIST).len(), 24 + 13 + 14 + 26 + 17);
 }
 
@@ -106,12 +107,15 @@ fn a_row_without_a_test_is_found_and_so_is_a_test_without_a_row() {
     assert_eq!(complaints(list, &tested(&["w01_w02_both"])), [""; 0]);
     assert_eq!(complaints(list, &tested(&["w01_one"])), ["w02 has no test"]);
     assert_eq!(complaints(list, &tested(&["w01_one", "about_w02"])), ["w02 has no test"]);
-    assert_eq!(complaints(list, &tested(&["w01_w02_t01_x"])), ["t01 has a test by now"]);
+    assert_eq!(
+        complaints(list, &tested(&["w01_w02_t01_x"])),
+        ["t01 is marked absent but has a test"]
+    );
     assert_eq!(complaints(list, &tested(&["w01_w02_w03_x"])), ["w03 is not in the list"]);
-    assert_eq!(complaints("w01  one\nw01  two", &tested(&["w01_x"])), ["w01 is there twice"]);
+    assert_eq!(complaints("w01  one\nw01  two", &tested(&["w01_x"])), ["w01 appears twice"]);
     assert_eq!(complaints("w01  x -- absent: ", &tested(&[])), ["w01 is absent without a reason"]);
-    assert_eq!(complaints("x01  x", &tested(&[])), ["x01 is no id"]);
-    // A helper is no test, and neither is a comment.
+    assert_eq!(complaints("x01  x", &tested(&[])), ["x01 is not an id"]);
+    // Neither a helper nor a comment counts as a test.
     let source =
         "fn w01_helper() {\n}\n// #[test] fn w02_old()\n#[test]\n#[cfg(unix)]\nfn w03_x() {";
     assert_eq!(self::tested(source).into_iter().collect::<Vec<_>>(), ["w03"]);

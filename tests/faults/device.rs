@@ -1,4 +1,4 @@
-//! Rows D: a sensor that restarts, refuses, or is not what it was.
+//! Rows D: a sensor that restarts, refuses commands, or is not the same one.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -9,16 +9,16 @@ use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixe
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{BaudRate, Error, Measurement, Rate, State, Window};
 
-use super::rig::{lies, open, prompt, scans};
+use super::rig::{instant_sensor, open, scans, wrong_scans};
 use crate::common::{builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
-async fn d01_a_reset_at_each_byte_of_a_reply_is_found_and_the_line_speed_restored() {
+async fn d01_a_reset_at_each_byte_of_a_reply_is_detected_and_the_baud_rate_restored() {
     let window = Window::new(300..=360).unwrap();
     for at in 0..=window.reply_len() {
-        let emulator = prompt().baud_rate(BaudRate::B19200).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
         let sensor =
             builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
@@ -30,15 +30,15 @@ async fn d01_a_reset_at_each_byte_of_a_reply_is_found_and_the_line_speed_restore
         }
         delivered.extend(scans(&mut stream, 3).await);
         assert!(start.elapsed() < Duration::from_secs(5), "byte {at}: {:?}", start.elapsed());
-        assert_eq!(lies(&emulator, &delivered), [""; 0], "byte {at}");
+        assert_eq!(wrong_scans(&emulator, &delivered), [""; 0], "byte {at}");
         assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200), "byte {at}");
-        assert_eq!(sensor.stats().reconnects, 1, "byte {at}: not told");
+        assert_eq!(sensor.stats().reconnects, 1, "byte {at}: the reset is not counted");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_goes_off_again() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).build();
+async fn d02_nothing_is_polled_after_laser_off_and_a_reset_sensor_is_switched_off_again() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
@@ -46,7 +46,7 @@ async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_
     for _ in 0..5 {
         emulator.power_cycle();
         assert!(emulator.is_laser_on());
-        // What is asked for next finds the sensor at another speed.
+        // The next request finds the sensor at another baud rate.
         while sensor.set_baud_rate(BaudRate::B57600).await.is_err() {}
         while sensor.set_baud_rate(BaudRate::B115200).await.is_err() {}
         assert!(!emulator.is_laser_on());
@@ -60,8 +60,8 @@ async fn d02_no_scan_is_asked_for_after_laser_off_whatever_resets_and_the_laser_
 }
 
 #[tokio::test(start_paused = true)]
-async fn d02_a_sensor_that_comes_back_from_a_reset_has_its_laser_off_again() {
-    let emulator = prompt().usb().build();
+async fn d02_a_laser_that_was_off_is_switched_off_again_after_a_reset() {
+    let emulator = instant_sensor().usb().build();
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
     let mut state = sensor.state();
@@ -75,28 +75,28 @@ async fn d02_a_sensor_that_comes_back_from_a_reset_has_its_laser_off_again() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d02_a_restart_that_a_change_of_speed_cannot_show_leaves_the_laser_off() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).build();
+async fn d02_a_restart_that_a_change_of_baud_rate_cannot_show_leaves_the_laser_off() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
     emulator.power_cycle();
     assert!(emulator.is_laser_on());
-    // Where it is after a restart, too.
+    // A restarted sensor has this baud rate, too.
     sensor.set_baud_rate(BaudRate::B19200).await.unwrap();
     assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
 async fn d03_an_hour_without_power_costs_few_attempts() {
-    // The port stays: its adapter has power.
-    let emulator = prompt().baud_rate(BaudRate::B115200).build();
+    // The port stays open: the adapter has power, the sensor does not.
+    let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().every(Fault::CommandLost));
     let before = (emulator.counts().commands, sensor.stats());
     tokio::time::sleep(Duration::from_secs(3600)).await;
-    // A fence at each speed takes 400 ms.
+    // One fence at each baud rate takes 400 ms.
     let commands = emulator.counts().commands - before.0;
     assert!(commands <= 2 * 3600 * 10 / 4 + 100, "{commands} commands");
     assert_eq!(sensor.stats().disconnects, 1);
@@ -112,9 +112,9 @@ async fn d03_an_hour_without_power_costs_few_attempts() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
+async fn d04_a_sensor_that_restarts_repeatedly_is_recovered() {
     for period in [ms(150), ms(700), ms(1900)] {
-        let emulator = prompt().baud_rate(BaudRate::B19200).boot_time(ms(100)).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B19200).boot_time(ms(100)).build();
         let sensor =
             builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -135,8 +135,8 @@ async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
         let start = Instant::now();
         delivered.extend(scans(&mut stream, 3).await);
         assert!(start.elapsed() < Duration::from_secs(6), "{period:?}: {:?}", start.elapsed());
-        // A restart takes commands along that had arrived, so that these tell
-        // only the order of the answers.
+        // A restart loses commands that had arrived, so the numbers show only the order of
+        // the replies.
         let numbers: Vec<_> = delivered.iter().map(|scan| request_of(scan).unwrap()).collect();
         assert!(numbers.is_sorted_by(|a, b| a < b), "{period:?}: {numbers:?}");
         assert!(errors <= 3 * delivered.len().max(1), "{period:?}: {errors} errors");
@@ -145,11 +145,11 @@ async fn d04_a_sensor_that_restarts_over_and_over_is_waited_for() {
 
 #[tokio::test(start_paused = true)]
 async fn d07_a_refusal_with_any_status_is_reported_and_the_link_stays_clean() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     for status in (0x21..=0x7e).filter(|status| *status != b'0') {
-        // The poll, and the one after the laser was found to be on; or one poll
-        // while no further attempt is due.
+        // The poll, and the one after the laser was confirmed to be on; or one poll while
+        // the next attempt is not due yet.
         let fault = Fault::Status(status);
         emulator.set_faults(Faults::none().at(0, fault.clone()).at(3, fault));
         let error = sensor.scan(WINDOW).await.unwrap_err();
@@ -158,14 +158,14 @@ async fn d07_a_refusal_with_any_status_is_reported_and_the_link_stays_clean() {
     }
     let stats = sensor.stats();
     assert_eq!(stats.fence_timeouts, 0);
-    // One to open, and one that confirmed the laser: no clock moves meanwhile.
-    assert_eq!(stats.fences, 2, "a refusal is no doubt");
+    // One at opening, one that confirmed the laser: the paused clock does not advance.
+    assert_eq!(stats.fences, 2, "a refused command raised a fence");
 }
 
 #[tokio::test(start_paused = true)]
-async fn d13_a_laser_that_is_off_with_any_status_is_switched_on() {
+async fn d13_a_poll_refused_with_any_status_switches_the_laser_on() {
     for status in [b'1', b'5', b'6', b'E'] {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let sensor = open(&emulator).await;
         emulator.set_faults(Faults::none().at(0, Fault::Status(status)));
         sensor.scan(WINDOW).await.unwrap();
@@ -174,7 +174,7 @@ async fn d13_a_laser_that_is_off_with_any_status_is_switched_on() {
     }
 }
 
-/// A sensor that answers at once, each command with what `reply` returns.
+/// A sensor that answers each command but `V` at once with what `reply` returns.
 fn peer(reply: impl Fn(&str) -> &'static str + Send + 'static) -> tokio::io::DuplexStream {
     use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
     let (near, far) = duplex(4096);
@@ -182,25 +182,9 @@ fn peer(reply: impl Fn(&str) -> &'static str + Send + 'static) -> tokio::io::Dup
         let (read, mut write) = split(far);
         let mut commands = BufReader::new(read).lines();
         while let Ok(Some(command)) = commands.next_line().await {
-            let reply = if command == "V" {
-                "0
-SERI:H0713090"
-            } else {
-                reply(&command)
-            };
+            let reply = if command == "V" { "0\nSERI:H0713090" } else { reply(&command) };
             if !command.is_empty() {
-                write
-                    .write_all(
-                        format!(
-                            "{command}
-{reply}
-
-"
-                        )
-                        .as_bytes(),
-                    )
-                    .await
-                    .unwrap();
+                write.write_all(format!("{command}\n{reply}\n\n").as_bytes()).await.unwrap();
             }
         }
     });
@@ -230,17 +214,17 @@ async fn d14_a_laser_that_stays_off_is_reported_with_both_statuses_and_tried_wit
         for part in ["laser", &format!("'{answer}'"), &format!("'{refusal}'")] {
             assert!(text.contains(part), "{text}");
         }
-        // After 0, 1 and 3 seconds, each twice where the status is one of success.
+        // After 0, 1 and 3 seconds, each twice where the status means success.
         assert!((3..=6).contains(&sent.load(Ordering::Relaxed)), "{sent:?}");
         assert!(sensor.stats().polls >= 50);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn d08_only_the_four_commands_are_ever_sent_to_a_sensor_of_either_kind() {
+async fn d08_only_the_four_commands_are_sent_whether_or_not_undefined_ones_are_answered() {
     for firmware in [Firmware::Text, Firmware::V3] {
         for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
-            let emulator = prompt()
+            let emulator = instant_sensor()
                 .firmware(firmware)
                 .empty_command(empty)
                 .baud_rate(BaudRate::B57600)
@@ -261,18 +245,19 @@ async fn d08_only_the_four_commands_are_ever_sent_to_a_sensor_of_either_kind() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d10_a_sensor_that_counts_its_points_differently_is_told_from_a_silent_one() {
-    // A fence asks for one point, two characters.
+async fn d10_a_sensor_that_counts_its_points_differently_is_malformed_and_not_silent() {
+    // A fence asks for one point, which is two characters.
     let two_points = Malformed::LineLength { line: 0, expected: 2, found: 4 };
     for (miscount, told) in [(1, two_points), (-1, Malformed::NoData)] {
-        let error = builder().connect(prompt().miscount(miscount).build()).await.unwrap_err();
+        let error =
+            builder().connect(instant_sensor().miscount(miscount).build()).await.unwrap_err();
         let Error::Malformed { source, .. } = error else { panic!("{miscount}: {error:?}") };
         assert_eq!(source, told, "{miscount}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn d11_a_version_with_lines_missing_or_unknown_is_no_reason_not_to_scan() {
+async fn d11_missing_and_unknown_lines_of_a_version_do_not_prevent_scans() {
     let cases: [&[&str]; 5] = [
         &["VEND:x", "PROD:y"],
         &["WHAT: is this", "SERI: H1", "  ", "no colon at all"],
@@ -281,7 +266,7 @@ async fn d11_a_version_with_lines_missing_or_unknown_is_no_reason_not_to_scan() 
         &["VEND: a: b: c", "FIRM:(((1000[rpm]", "SERI:H3"],
     ];
     for lines in cases {
-        let emulator = prompt().version_lines(lines.iter().copied()).build();
+        let emulator = instant_sensor().version_lines(lines.iter().copied()).build();
         let sensor = open(&emulator).await;
         sensor.scan(WINDOW).await.unwrap();
         sensor.version().await.unwrap();
@@ -289,7 +274,7 @@ async fn d11_a_version_with_lines_missing_or_unknown_is_no_reason_not_to_scan() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn d12_a_scan_of_error_codes_alone_is_a_scan() {
+async fn d12_a_scan_of_error_codes_alone_is_delivered() {
     for code in 0..20 {
         let emulator = Emulator::builder().world(Fixed::filled(code)).build();
         let sensor = open(&emulator).await;

@@ -1,5 +1,5 @@
-//! A peer that means harm: what it costs, and what a person gets to see of it.
-//! What it costs in memory is in `tests/memory.rs`.
+//! A peer that sends hostile bytes: the wake-ups it costs, and which of its bytes reach
+//! a person. `tests/memory.rs` measures the memory it costs.
 
 use std::error::Error as _;
 use std::pin::Pin;
@@ -13,15 +13,15 @@ use tokio_scip::{Connect, Driver, Error, Rate, Window};
 use tracing::field::{Field, Visit};
 use tracing::span;
 
-use super::rig::{open, prompt, scans};
+use super::rig::{instant_sensor, open, scans};
 use crate::common::builder;
 
 const WINDOW: Window = Window::DETECTION;
 
-/// A driver that counts how often it is woken.
-struct Woken(Driver, Arc<AtomicU64>);
+/// A driver that counts its wake-ups.
+struct CountedDriver(Driver, Arc<AtomicU64>);
 
-impl Future for Woken {
+impl Future for CountedDriver {
     type Output = Result<(), Error>;
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
@@ -30,11 +30,10 @@ impl Future for Woken {
     }
 }
 
-/// Opens as a serial port is opened: on another thread, which wakes the driver
-/// when it is done.
-struct Elsewhere(Emulator);
+/// Connects as a serial port does: elsewhere, which wakes the driver when it is done.
+struct ConnectOnAnotherTask(Emulator);
 
-impl Connect for Elsewhere {
+impl Connect for ConnectOnAnotherTask {
     type Port = Link;
 
     async fn connect(&mut self) -> Result<Link, Error> {
@@ -45,14 +44,14 @@ impl Connect for Elsewhere {
 
 #[tokio::test(start_paused = true)]
 async fn o01_d03_an_hour_unplugged_costs_two_wake_ups_a_second_at_most() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let wakes = Arc::new(AtomicU64::new(0));
-    let (sensor, driver) = builder().build(Elsewhere(emulator.clone()));
-    tokio::spawn(Woken(driver, Arc::clone(&wakes)));
+    let (sensor, driver) = builder().build(ConnectOnAnotherTask(emulator.clone()));
+    tokio::spawn(CountedDriver(driver, Arc::clone(&wakes)));
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 10).await;
     emulator.unplug();
-    // The first attempts come in quick succession.
+    // The first attempts follow each other quickly.
     tokio::time::sleep(Duration::from_secs(2)).await;
     let before = wakes.load(Relaxed);
     tokio::time::sleep(Duration::from_secs(3600)).await;
@@ -63,7 +62,7 @@ async fn o01_d03_an_hour_unplugged_costs_two_wake_ups_a_second_at_most() {
     scans(&mut stream, 1).await;
 }
 
-/// What is written to the log, a line each.
+/// Collects log lines, an event each.
 #[derive(Clone, Default)]
 struct Log(Arc<std::sync::Mutex<Vec<String>>>);
 
@@ -97,8 +96,8 @@ impl tracing::Subscriber for Log {
     fn exit(&self, _: &span::Id) {}
 }
 
-/// All that a person reads of an error.
-fn told(error: &Error) -> String {
+/// Returns everything that a person may read of an error.
+fn full_text(error: &Error) -> String {
     let mut text = format!("{error} {error:?}");
     let mut source = error.source();
     while let Some(cause) = source {
@@ -109,25 +108,25 @@ fn told(error: &Error) -> String {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w23_whatever_a_sensor_sends_no_control_character_reaches_a_person() {
+async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let evil = b"\x1b]0;owned\x07\x1b[2J\r\xff\x9b31m\x00\x7f".to_vec();
     let mut texts = Vec::new();
 
-    // In every line of `V`, the serial number included.
+    // In every line of the reply to `V`, the serial number included.
     let lines = ["VEND:", "PROD:", "FIRM:", "PROT:", "SERI:", "STAT:", ""];
     let lines = lines.map(|name| [name.as_bytes(), &evil].concat());
-    let emulator = prompt().version_lines(lines).build();
+    let emulator = instant_sensor().version_lines(lines).build();
     let sensor = open(&emulator).await;
     let version = sensor.version().await.unwrap();
     texts.push(format!("{version:?} {} {}", version.vendor, version.serial_number));
     let error = builder()
         .serial_number("H1")
-        .connect(prompt().version_lines([&b"SERI:\x1b[2J"[..]]).build());
-    texts.push(told(&error.await.unwrap_err()));
+        .connect(instant_sensor().version_lines([&b"SERI:\x1b[2J"[..]]).build());
+    texts.push(full_text(&error.await.unwrap_err()));
 
-    // As status, as echo, as data, and as garbage.
+    // In the status, the echo, the data, and between replies.
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     for at in [0, 10, 12, 500] {
         for byte in &evil {
@@ -138,8 +137,8 @@ async fn w23_whatever_a_sensor_sends_no_control_character_reaches_a_person() {
                 Fault::Garbage([&evil[..], b"\n\n"].concat()),
             ] {
                 emulator.set_faults(Faults::none().at(0, fault));
-                texts.extend(stream.next().await.unwrap().err().map(|error| told(&error)));
-                texts.extend(sensor.scan(WINDOW).await.err().map(|error| told(&error)));
+                texts.extend(stream.next().await.unwrap().err().map(|error| full_text(&error)));
+                texts.extend(sensor.scan(WINDOW).await.err().map(|error| full_text(&error)));
             }
         }
     }
@@ -153,7 +152,7 @@ async fn w23_whatever_a_sensor_sends_no_control_character_reaches_a_person() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d03_what_is_logged_of_an_hour_of_bad_frames_and_an_hour_without_power_is_a_few_lines() {
+async fn d03_an_hour_of_bad_frames_and_an_hour_without_power_log_a_few_lines() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let loud = || {
@@ -162,7 +161,7 @@ async fn d03_what_is_logged_of_an_hour_of_bad_frames_and_an_hour_without_power_i
             lines.iter().filter(|line| !line.starts_with("DEBUG") && !line.starts_with("TRACE"));
         loud.cloned().collect::<Vec<_>>()
     };
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
     scans(&mut stream, 1).await;
@@ -178,6 +177,6 @@ async fn d03_what_is_logged_of_an_hour_of_bad_frames_and_an_hour_without_power_i
     emulator.unplug();
     tokio::time::sleep(Duration::from_secs(3600)).await;
     let lines = &loud()[lines.len()..];
-    // That it is gone, and why it does not come back.
+    // The lost link, and the reason why it does not come back.
     assert!((1..=2).contains(&lines.len()), "{lines:#?}");
 }

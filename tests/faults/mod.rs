@@ -1,6 +1,6 @@
-//! Every row of the list of faults ([`list.txt`](list.txt)): what the driver
-//! makes of it, on an emulated sensor that has the fault. Tests are named after
-//! their rows; `coverage` fails where a row has none.
+//! Tests of the driver against each fault in [`list.txt`](list.txt), on an emulated
+//! sensor that has the fault. A test's name begins with the ids of its rows; `coverage`
+//! fails where a row has no test.
 
 mod bytes;
 mod coverage;

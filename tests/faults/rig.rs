@@ -1,12 +1,12 @@
-//! A sensor, a stream of its scans, and one fault in the middle of it.
+//! An emulated sensor, a stream of its scans, and a fault in the middle of the stream.
 
 use tokio_scip::emulator::{Builder, Emulator, Fault, Faults, Pace};
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Stats, Window};
 
 use crate::common::{Truth, builder, truthful};
 
-/// A sensor that answers at once, on USB, and puts the truth into its data.
-pub(crate) fn prompt() -> Builder {
+/// A sensor on USB that answers at once, and writes each request's number into its data.
+pub(crate) fn instant_sensor() -> Builder {
     truthful().pace(Pace::AtOnce)
 }
 
@@ -14,7 +14,7 @@ pub(crate) async fn open(emulator: &Emulator) -> Sensor {
     builder().ring_depth(16).connect(emulator.clone()).await.unwrap()
 }
 
-/// The next `count` scans, whatever errors come between.
+/// Reads the next `count` scans and skips errors.
 pub(crate) async fn scans(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     let mut scans = Vec::new();
     while scans.len() < count {
@@ -23,26 +23,26 @@ pub(crate) async fn scans(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     scans
 }
 
-/// What of these scans is not the truth, a line each.
-pub(crate) fn lies(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
+/// Returns why scans are wrong, a line each; none if all answer their own requests.
+pub(crate) fn wrong_scans(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
     let mut truth = Truth::of(&emulator.log());
     scans.iter().filter_map(|scan| truth.check(scan).err()).collect()
 }
 
-/// What became of a stream whose second poll met a fault.
+/// The result of a stream whose second poll had a fault.
 #[derive(Debug)]
 pub(crate) struct Outcome {
-    /// Errors that the stream told of.
+    /// The errors that the stream yielded.
     pub(crate) errors: Vec<Error>,
-    /// Whether there is a scan that answers the poll with the fault.
+    /// Whether a scan answers the poll that had the fault.
     pub(crate) accepted: bool,
     pub(crate) stats: Stats,
 }
 
-/// Polls ten times a second; the reply to the second poll has `faults`. However
-/// that ends, the polls after it bring scans, and every scan is true.
+/// Polls at 10 Hz with `faults` in the reply to the second poll. Asserts that the polls
+/// after it bring scans, and that every scan answers its own request.
 pub(crate) async fn second_poll(window: Window, faults: &[Fault]) -> Outcome {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 1).await;
@@ -56,9 +56,9 @@ pub(crate) async fn second_poll(window: Window, faults: &[Fault]) -> Outcome {
             Err(error) => errors.push(error),
         }
     }
-    assert_eq!(lies(&emulator, &delivered), [""; 0], "{faults:?}");
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0], "{faults:?}");
     let accepted = delivered.iter().any(|scan| crate::common::request_of(scan) == Some(damaged));
     let stats = sensor.stats();
-    assert_eq!((stats.disconnects, stats.reconnects), (0, 0), "{faults:?}: the link was given up");
+    assert_eq!((stats.disconnects, stats.reconnects), (0, 0), "{faults:?}: the link was closed");
     Outcome { errors, accepted, stats }
 }

@@ -1,4 +1,4 @@
-//! Rows O: what ports and systems do.
+//! Rows O: ports and the operating system.
 
 use std::io;
 use std::pin::Pin;
@@ -12,46 +12,46 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Call, Emulator, Fault, Faults, FaultyLink, Link, LinkFailure};
 use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
 
-use super::rig::{lies, open, prompt, scans};
-use crate::common::{Rigged, builder, ms};
+use super::rig::{instant_sensor, open, scans, wrong_scans};
+use crate::common::{ConnectFn, builder, ms};
 
 const WINDOW: Window = Window::DETECTION;
 
-/// What is done to a port, and to those before it.
+/// Counts of what the driver did with this port and those before it.
 #[derive(Default)]
-struct Ledger {
+struct LinkCounts {
     open: AtomicU64,
     discarded: AtomicU64,
     reads_after_end: AtomicU64,
 }
 
-/// A link that keeps a ledger.
-struct Kept {
+/// A link that counts how it is used.
+struct CountedLink {
     link: Link,
-    ledger: Arc<Ledger>,
+    counts: Arc<LinkCounts>,
     ended: bool,
 }
 
-impl Kept {
-    fn new(link: Link, ledger: &Arc<Ledger>) -> Self {
-        ledger.open.fetch_add(1, Relaxed);
-        Self { link, ledger: Arc::clone(ledger), ended: false }
+impl CountedLink {
+    fn new(link: Link, counts: &Arc<LinkCounts>) -> Self {
+        counts.open.fetch_add(1, Relaxed);
+        Self { link, counts: Arc::clone(counts), ended: false }
     }
 }
 
-impl Drop for Kept {
+impl Drop for CountedLink {
     fn drop(&mut self) {
-        self.ledger.open.fetch_sub(1, Relaxed);
+        self.counts.open.fetch_sub(1, Relaxed);
     }
 }
 
-impl AsyncRead for Kept {
+impl AsyncRead for CountedLink {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        self.ledger.reads_after_end.fetch_add(u64::from(self.ended), Relaxed);
+        self.counts.reads_after_end.fetch_add(u64::from(self.ended), Relaxed);
         let before = buffer.filled().len();
         let outcome = Pin::new(&mut self.link).poll_read(cx, buffer);
         self.ended |= outcome.is_ready() && buffer.filled().len() == before;
@@ -59,7 +59,7 @@ impl AsyncRead for Kept {
     }
 }
 
-impl AsyncWrite for Kept {
+impl AsyncWrite for CountedLink {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -69,15 +69,15 @@ impl AsyncWrite for Kept {
     }
 
     fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        panic!("a flush drains, and blocks the runtime")
+        panic!("flush called: it waits for the port to drain and blocks the runtime")
     }
 
     fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        panic!("a shutdown flushes")
+        panic!("shutdown called: it flushes")
     }
 }
 
-impl Port for Kept {
+impl Port for CountedLink {
     fn baud_rate(&self) -> Option<BaudRate> {
         self.link.baud_rate()
     }
@@ -87,24 +87,24 @@ impl Port for Kept {
     }
 
     fn discard_output(&mut self) {
-        self.ledger.discarded.fetch_add(1, Relaxed);
+        self.counts.discarded.fetch_add(1, Relaxed);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn o01_o03_o16_o17_a_hung_up_port_is_let_go_of_before_the_next_one_is_opened() {
-    let emulator = prompt().build();
-    let ledger = Arc::new(Ledger::default());
-    let (inner, kept, mut opened) = (emulator.clone(), Arc::clone(&ledger), 0);
-    let connect = Rigged(move || {
-        // The system can give a port its old name only once nobody has it open.
-        assert_eq!(kept.open.load(Relaxed), 0, "the old port is still open");
+async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened() {
+    let emulator = instant_sensor().build();
+    let counts = Arc::new(LinkCounts::default());
+    let (inner, links, mut opened) = (emulator.clone(), Arc::clone(&counts), 0);
+    let connect = ConnectFn(move || {
+        // The system can reuse a port's name only when nobody has the old one open.
+        assert_eq!(links.open.load(Relaxed), 0, "the old port is still open");
         opened += 1;
-        // It is gone at first, and then it has another name: opener's business.
+        // Absent at first, then back under another name, which is the connector's concern.
         if opened == 2 {
             return Err(Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() });
         }
-        Ok(Kept::new(inner.link(), &kept))
+        Ok(CountedLink::new(inner.link(), &links))
     });
     let sensor = builder().ring_depth(16).connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -115,29 +115,29 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_let_go_of_before_the_next_one_is_open
         emulator.plug_in();
         assert!(matches!(stream.next().await.unwrap(), Err(Error::Disconnected { .. })));
         tokio::task::yield_now().await;
-        assert_eq!((ledger.open.load(Relaxed), ledger.discarded.load(Relaxed)), (0, rounds));
+        assert_eq!((counts.open.load(Relaxed), counts.discarded.load(Relaxed)), (0, rounds));
     }
     sensor.laser_off().await.unwrap();
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
-    assert_eq!(ledger.reads_after_end.load(Relaxed), 0, "a dead port was read again");
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
+    assert_eq!(counts.reads_after_end.load(Relaxed), 0, "a port was read after its end");
 }
 
 #[tokio::test(start_paused = true)]
-async fn o05_a_port_that_may_not_be_opened_is_no_unplugged_one() {
+async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     let denied = || Error::PermissionDenied {
         port: "/dev/ttyACM0".to_owned(),
         group: Some("dialout".to_owned()),
     };
     assert!(denied().to_string().contains("usermod -aG dialout"), "{}", denied());
-    // At the start it is the end, also where the sensor is waited for.
-    let refused = Rigged(move || Err::<Link, _>(denied()));
+    // At opening it ends the attempt, even with `wait_for_sensor`.
+    let refused = ConnectFn(move || Err::<Link, _>(denied()));
     let error = builder().wait_for_sensor().connect(refused).await.unwrap_err();
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
 
-    // Later it is told once, by a stream, and stays to be seen.
-    let emulator = prompt().build();
+    // Later a stream reports it once, and the state shows it.
+    let emulator = instant_sensor().build();
     let (inner, mut opened) = (emulator.clone(), 0);
-    let connect = Rigged(move || {
+    let connect = ConnectFn(move || {
         opened += 1;
         if (2..50).contains(&opened) { Err(denied()) } else { Ok(inner.link()) }
     });
@@ -150,8 +150,8 @@ async fn o05_a_port_that_may_not_be_opened_is_no_unplugged_one() {
     while let Ok(Some(Err(error))) = tokio::time::timeout(ms(5000), stream.next()).await {
         errors.push(error);
     }
-    let told = matches!(errors.last(), Some(Error::PermissionDenied { .. }));
-    assert!(told && errors.len() <= 2, "{errors:?}");
+    let reported = matches!(errors.last(), Some(Error::PermissionDenied { .. }));
+    assert!(reported && errors.len() <= 2, "{errors:?}");
     let state = sensor.state().borrow().clone();
     let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
@@ -159,8 +159,8 @@ async fn o05_a_port_that_may_not_be_opened_is_no_unplugged_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o10_s_on_usb_changes_neither_side() {
-    let emulator = prompt().build();
+async fn o10_s_on_usb_changes_neither_baud_rate() {
+    let emulator = instant_sensor().build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
     let state = sensor.state().borrow().clone();
@@ -169,12 +169,12 @@ async fn o10_s_on_usb_changes_neither_side() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).build();
+async fn o12_a_baud_rate_that_the_port_refuses_is_an_error_before_s_is_sent() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
-    let connect = Rigged(move || {
+    let connect = ConnectFn(move || {
         let link = FaultyLink::new(inner.link());
-        // The first change is that of opening.
+        // The first change of baud rate is the one at opening.
         Ok(link.fail(Call::SetBaudRate, 1, LinkFailure::Kind(io::ErrorKind::InvalidInput)))
     });
     let sensor = builder().connect(connect).await.unwrap();
@@ -187,10 +187,10 @@ async fn o12_a_port_that_cannot_do_a_speed_says_so_before_the_sensor_is_told() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
-    let emulator = prompt().baud_rate(BaudRate::B19200).build();
+async fn o12_a_port_that_refuses_all_baud_rates_is_reported_as_the_cause() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
-    let connect = Rigged(move || {
+    let connect = ConnectFn(move || {
         let refuse = |link: FaultyLink<_>, call| {
             link.fail(Call::SetBaudRate, call, LinkFailure::Kind(io::ErrorKind::InvalidInput))
         };
@@ -199,25 +199,25 @@ async fn o12_a_port_that_can_do_none_of_the_speeds_is_named_as_the_trouble() {
     let error = builder().connect(connect).await.unwrap_err();
     let source = std::error::Error::source(&error).map(ToString::to_string);
     assert_eq!(source.as_deref(), Some("the port takes none of the six baud rates"), "{error:?}");
-    assert!(emulator.log().is_empty(), "nothing was sent at a speed of chance");
+    assert!(emulator.log().is_empty(), "commands were sent at an unknown baud rate");
 }
 
-/// Opens faulty links to the emulated sensor: the first one as `rig` has it,
-/// the others good ones.
+/// A connector whose first link is the faulty one that `rig` makes; all later links
+/// have no fault.
 fn first_faulty(
     emulator: &Emulator,
     rig: impl Fn(FaultyLink<Link>) -> FaultyLink<Link> + Send + 'static,
-) -> Rigged<impl FnMut() -> Result<FaultyLink<Link>, Error> + Send + 'static> {
+) -> ConnectFn<impl FnMut() -> Result<FaultyLink<Link>, Error> + Send + 'static> {
     let (emulator, mut first) = (emulator.clone(), true);
-    Rigged(move || {
+    ConnectFn(move || {
         let link = FaultyLink::new(emulator.link());
         Ok(if std::mem::take(&mut first) { rig(link) } else { link })
     })
 }
 
 #[tokio::test(start_paused = true)]
-async fn o13_a_write_that_stalls_is_given_up_in_time_and_the_port_reopened() {
-    let emulator = prompt().build();
+async fn o13_a_write_that_stalls_times_out_and_the_port_is_reopened() {
+    let emulator = instant_sensor().build();
     let connect = first_faulty(&emulator, |link| link.fail(Call::Write, 5, LinkFailure::Stall));
     let sensor = builder().connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -230,30 +230,30 @@ async fn o13_a_write_that_stalls_is_given_up_in_time_and_the_port_reopened() {
         }
     }
     delivered.extend(scans(&mut stream, 3).await);
-    // A poll and six fences, one pass of 2.5 s, and a new port.
+    // A poll and six fences, one pass of 2.5 s over the baud rates, and a new port.
     assert!(start.elapsed() < Duration::from_secs(8), "{:?}", start.elapsed());
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     assert_eq!(sensor.stats().disconnects, 1);
 }
 
 #[tokio::test(start_paused = true)]
 async fn o14_commands_arrive_whole_through_a_port_that_takes_a_few_bytes_at_a_time() {
     for most in [1, 2, 3, 7] {
-        let emulator = prompt().baud_rate(BaudRate::B19200).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
         let inner = emulator.clone();
-        let connect = Rigged(move || Ok(FaultyLink::new(inner.link()).partial_writes(most)));
+        let connect = ConnectFn(move || Ok(FaultyLink::new(inner.link()).partial_writes(most)));
         let sensor = builder().baud_rate(BaudRate::B500000).connect(connect).await.unwrap();
         let scan = sensor.scan(WINDOW).await.unwrap();
         sensor.laser_off().await.unwrap();
-        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
         assert_eq!(emulator.counts().malformed, 0);
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn o15_an_interrupted_call_is_made_again_and_told_to_no_one() {
+async fn o15_an_interrupted_call_is_retried_and_not_reported() {
     for kind in [io::ErrorKind::Interrupted, io::ErrorKind::WouldBlock] {
-        let emulator = prompt().baud_rate(BaudRate::B115200).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
         let connect = first_faulty(&emulator, move |mut link| {
             for call in 0..1000 {
                 link = link.fail(Call::Read, call, LinkFailure::Kind(kind));
@@ -272,18 +272,18 @@ async fn o15_an_interrupted_call_is_made_again_and_told_to_no_one() {
 }
 
 #[test]
-fn o18_programs_that_probe_new_ports_are_named_where_they_are_met() {
-    // That they probe cannot be prevented from here, only said.
+fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
+    // The driver cannot prevent that they probe; messages and guide name them.
     let busy = Error::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
     assert!(busy.contains("ModemManager") && busy.contains("fuser /dev/ttyACM0"), "{busy}");
     let guide = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/guide/operating.md"));
-    assert!(guide.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the udev rule is gone");
+    assert!(guide.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the guide has no udev rule");
 }
 
 #[tokio::test(start_paused = true)]
 async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
     for delay in [16, 40, 100] {
-        let emulator = prompt().baud_rate(BaudRate::B115200).latency(ms(delay)).build();
+        let emulator = instant_sensor().baud_rate(BaudRate::B115200).latency(ms(delay)).build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
         for _ in 0..10 {
@@ -294,8 +294,8 @@ async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
 }
 
 #[tokio::test]
-async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
-    let emulator = prompt().build();
+async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_replaced() {
+    let emulator = instant_sensor().build();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let served = emulator.clone();
@@ -303,7 +303,7 @@ async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
     let _server = tokio::spawn(async move {
         loop {
             let (stream, _) = listener.accept().await.unwrap();
-            // Closed with a reset instead of an end.
+            // Closes with a reset instead of an orderly end.
             stream.set_zero_linger().unwrap();
             tokio::select! {
                 _ = served.serve(stream) => {}
@@ -311,7 +311,7 @@ async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
             }
         }
     });
-    // Short times, for this is the wall clock.
+    // Short limits, because this runs in real time.
     let builder = builder().reply_latency(ms(200)).open_timeout(ms(300));
     let sensor = builder.backoff(ms(1)..=ms(10)).open(format!("tcp://{address}")).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(50.0)).await.unwrap();
@@ -320,7 +320,7 @@ async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_made_anew() {
     while stream.next().await.unwrap().is_ok() {}
     scans(&mut stream, 2).await;
     assert_eq!(sensor.stats().disconnects, 1);
-    // Half open: the connection is there, and nothing comes any more.
+    // Half open: the connection exists, and nothing arrives.
     emulator.set_faults(Faults::none().every(Fault::Lost));
     let mut state = sensor.state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();

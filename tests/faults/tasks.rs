@@ -13,21 +13,21 @@ use tokio::runtime::Builder;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{BaudRate, Error, Port, Rate, Sensor, State, Window};
 
-use super::rig::{lies, open, prompt, scans};
-use crate::common::fountain::Fountain;
-use crate::common::{Rigged, builder, ms, request_of};
+use super::rig::{instant_sensor, open, scans, wrong_scans};
+use crate::common::endless_port::EndlessPort;
+use crate::common::{ConnectFn, builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
-async fn a02_a_consumer_that_takes_a_scan_a_minute_stops_nothing() {
-    let emulator = prompt().build();
+async fn a02_a_consumer_of_one_scan_a_minute_gets_the_newest_one() {
+    let emulator = instant_sensor().build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     for _ in 0..10 {
         let scan = stream.next().await.unwrap().unwrap();
         let age = scan.age();
-        assert!(age <= ms(101), "a scan of {age:?} ago");
+        assert!(age <= ms(101), "the scan is {age:?} old");
         tokio::time::sleep(Duration::from_secs(60)).await;
     }
     assert!(emulator.counts().scans > 9 * 600);
@@ -44,7 +44,8 @@ fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
     let mut working = 0;
     for steps in 0..120 {
         let first = runtime();
-        let emulator = first.block_on(async { prompt().baud_rate(BaudRate::B115200).build() });
+        let emulator =
+            first.block_on(async { instant_sensor().baud_rate(BaudRate::B115200).build() });
         let connected = first.block_on(async {
             let opening = tokio::spawn(builder().connect(emulator.clone()));
             let at = tokio::time::sleep(ms(10 * steps));
@@ -63,7 +64,7 @@ fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
         drop(first);
         let Some((sensor, mut stream)) = connected else { continue };
         working += 1;
-        // Handles outlive it, and work from anywhere.
+        // Handles outlive the runtime, and work from another one.
         runtime().block_on(async {
             while stream.next().await.is_some_and(|item| item.is_ok()) {}
             assert!(stream.next().await.is_none());
@@ -72,13 +73,13 @@ fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
             sensor.close().await;
             assert!(!emulator.is_connected(), "after {steps} steps");
         });
-        // Dropped outside of any.
+        // Dropped outside of any runtime.
         drop((sensor, stream));
     }
     assert!(working > 30, "{working}");
 }
 
-/// A port that panics, as a bug would, when it is read for the n-th time.
+/// A port that panics, as a defect would, at its n-th read.
 struct Panicking<P>(P, u64);
 
 impl<P: Port> AsyncRead for Panicking<P> {
@@ -114,13 +115,13 @@ impl<P: Port> AsyncWrite for Panicking<P> {
 impl<P: Port> Port for Panicking<P> {}
 
 #[tokio::test(start_paused = true)]
-async fn a06_a_driver_that_panics_leaves_nobody_waiting() {
+async fn a06_a_driver_that_panics_ends_every_pending_call() {
     std::panic::set_hook(Box::new(|_| {}));
     let mut ended_in_work = 0;
     for reads in 0..60 {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let (sensor, driver) =
-            builder().build(Rigged(move || Ok(Panicking(emulator.link(), reads))));
+            builder().build(ConnectFn(move || Ok(Panicking(emulator.link(), reads))));
         let driver = tokio::spawn(driver);
         let work = async {
             sensor.opened().await?;
@@ -144,7 +145,7 @@ async fn a06_a_driver_that_panics_leaves_nobody_waiting() {
 
 #[tokio::test(start_paused = true)]
 async fn a06_an_observer_that_panics_ends_the_driver_with_the_cause() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let armed = Arc::new(AtomicBool::new(false));
     let trigger = Arc::clone(&armed);
     let sensor = builder()
@@ -171,7 +172,7 @@ async fn a06_an_observer_that_panics_ends_the_driver_with_the_cause() {
 #[tokio::test(start_paused = true)]
 async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most() {
     for rate in [Rate::hz(10.0), Rate::hz(0.1)] {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, rate).await.unwrap();
         scans(&mut stream, 1).await;
@@ -187,8 +188,8 @@ async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a10_sixteen_thousand_requests_that_wait_for_a_link_are_each_looked_at_once() {
-    let emulator = prompt().build();
+async fn a10_sixteen_thousand_requests_without_a_link_take_linear_time() {
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
     let mut state = sensor.state();
@@ -203,29 +204,29 @@ async fn a10_sixteen_thousand_requests_that_wait_for_a_link_are_each_looked_at_o
     for task in asking {
         assert!(matches!(task.await.unwrap(), Err(Error::Disconnected { .. })));
     }
-    // 7.6 s when each request that came was held against all that waited.
+    // It took 7.6 s while each new request was compared with all that waited.
     assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a08_a_change_of_speed_that_fails_under_a_stream_leaves_it_at_the_old_one() {
-    let emulator = prompt().baud_rate(BaudRate::B57600).build();
+async fn a08_a_failed_change_of_baud_rate_under_a_stream_keeps_the_old_one() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B57600).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 2).await;
-    // The sensor accepts, says a flipped status, and stays where it is.
+    // The sensor refuses; a flipped bit makes that a success; its baud rate stays.
     let faults = Faults::none().at(1, Fault::Status(b'1')).at(1, Fault::Flip(15, b'1' ^ b'0'));
     emulator.set_faults(faults);
     let error = sensor.set_baud_rate(BaudRate::B250000).await.unwrap_err();
     assert!(matches!(error, Error::NotConfirmed { .. }), "{error:?}");
     delivered.extend(scans(&mut stream, 3).await);
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     assert_eq!((emulator.baud_rate(), sensor.stats().disconnects), (Some(BaudRate::B57600), 0));
 }
 
 #[test]
-fn a11_the_drivers_time_is_never_the_wall_clocks() {
-    // It is asked by the line alone, for the stamp of a scan, which is only handed on.
+fn a11_the_driver_never_times_anything_by_the_wall_clock() {
+    // Only the line reads the wall clock, for a scan's stamp, which is not computed with.
     let mut asking = Vec::new();
     let mut folders = vec![std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/driver")];
     let mut files = 0;
@@ -252,8 +253,8 @@ fn a11_the_drivers_time_is_never_the_wall_clocks() {
 }
 
 #[test]
-fn a12_a_runtime_without_a_timer_panics_with_tokios_own_words() {
-    let emulator = runtime().block_on(async { prompt().build() });
+fn a12_a_runtime_without_a_timer_panics_with_tokios_own_message() {
+    let emulator = runtime().block_on(async { instant_sensor().build() });
     let no_timer = Builder::new_current_thread().build().unwrap();
     let caught = |work: &dyn Fn()| {
         let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_err();
@@ -265,7 +266,7 @@ fn a12_a_runtime_without_a_timer_panics_with_tokios_own_words() {
         let _ = no_timer.block_on(driver);
     });
     assert!(text.contains("timers are disabled") || text.contains("enable_time"), "{text}");
-    // No runtime at all: opening panics; building, asking and dropping do not.
+    // Without any runtime opening panics; building, requesting and dropping do not.
     let text = caught(&|| drop(Sensor::open("tcp://127.0.0.1:1").now_or_never()));
     assert!(text.contains("runtime"), "{text}");
     let (sensor, driver) = builder().build(emulator.clone());
@@ -274,7 +275,7 @@ fn a12_a_runtime_without_a_timer_panics_with_tokios_own_words() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a13_a_port_that_always_has_more_starves_no_other_task() {
+async fn a13_a_port_that_always_has_bytes_starves_no_other_task() {
     for pattern in [&b"x"[..], b"\n", b"\0"] {
         let beats = Arc::new(AtomicU64::new(0));
         let heart = tokio::spawn({
@@ -288,13 +289,13 @@ async fn a13_a_port_that_always_has_more_starves_no_other_task() {
         });
         let opened = Arc::new(AtomicU64::new(0));
         let count = Arc::clone(&opened);
-        let connect = Rigged(move || {
+        let connect = ConnectFn(move || {
             count.fetch_add(1, Relaxed);
-            Ok(Fountain::new(pattern))
+            Ok(EndlessPort::new(pattern))
         });
         let (sensor, driver) = builder().wait_for_sensor().build(connect);
         let driver = tokio::spawn(driver);
-        // The clock is paused: it goes on only when the driver has let go.
+        // The clock is paused: it advances only when the driver has yielded.
         tokio::time::sleep(Duration::from_secs(10)).await;
         assert!(beats.load(Relaxed) > 9_900, "{}", beats.load(Relaxed));
         assert!((5..30).contains(&opened.load(Relaxed)), "{}", opened.load(Relaxed));
@@ -304,14 +305,14 @@ async fn a13_a_port_that_always_has_more_starves_no_other_task() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a16_what_a_killed_process_has_left_behind_is_found_by_the_next_one() {
+async fn a16_the_state_that_a_killed_process_leaves_is_recovered_by_the_next_one() {
     for (left, speed) in [
         (&b"L0\n"[..], BaudRate::B19200),
         (b"G0447", BaudRate::B750000),
         (b"S2500000000000\n", BaudRate::B115200),
         (b"G04472501\nV\nL0\nG0007", BaudRate::B57600),
     ] {
-        let emulator: Emulator = prompt().baud_rate(speed).build();
+        let emulator: Emulator = instant_sensor().baud_rate(speed).build();
         let mut link = emulator.link();
         link.set_baud_rate(speed).unwrap();
         link.write_all(left).await.unwrap();

@@ -1,4 +1,4 @@
-//! Rows T: replies that are late, lost, doubled, or slow.
+//! Rows T: late, lost, doubled and slow replies.
 
 use std::io;
 use std::pin::Pin;
@@ -12,14 +12,14 @@ use tokio_scip::emulator::{
 };
 use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
 
-use super::rig::{lies, open, prompt, scans, second_poll};
-use crate::common::{Rigged, builder, ms, truthful};
+use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
+use crate::common::{ConnectFn, builder, ms, truthful};
 use crate::simulation::truth::Truth;
 
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
-async fn t01_a_late_reply_is_dropped_and_the_next_scan_is_its_own() {
+async fn t01_a_late_reply_is_dropped_and_each_scan_answers_its_own_poll() {
     for window in [Window::DETECTION, Window::FULL] {
         for late in (450..1500).step_by(10) {
             let outcome = second_poll(window, &[Fault::Late(ms(late))]).await;
@@ -30,7 +30,7 @@ async fn t01_a_late_reply_is_dropped_and_the_next_scan_is_its_own() {
 
 #[tokio::test(start_paused = true)]
 async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan() {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 1).await;
@@ -39,7 +39,7 @@ async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan
     let mut state = sensor.state();
     let since = Instant::now();
     state.wait_for(|state| matches!(state, State::Recovering)).await.map(drop).unwrap();
-    // One poll and six fences, half a second each.
+    // One poll and six fences, 500 ms each.
     assert!(since.elapsed() < ms(100 + 7 * 510), "{:?}", since.elapsed());
     let stats = sensor.stats();
     assert_eq!(stats.timeouts - before.timeouts, 1);
@@ -47,14 +47,14 @@ async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
     emulator.set_faults(Faults::none());
     delivered.extend(scans(&mut stream, 20).await);
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
 }
 
 #[tokio::test(start_paused = true)]
-async fn t03_a_second_copy_behind_a_reply_is_not_the_answer_to_the_next_poll() {
-    // As fast as it goes, so that nothing reads between two polls; and the
-    // whole turn, where all polls are the same.
-    let emulator = prompt().build();
+async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
+    // At the highest rate, so that the driver is never idle between two polls, and with
+    // the full window, where polls cannot differ.
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
     let mut delivered = scans(&mut stream, 1).await;
@@ -62,19 +62,19 @@ async fn t03_a_second_copy_behind_a_reply_is_not_the_answer_to_the_next_poll() {
     for _ in 0..300 {
         delivered.extend(scans(&mut stream, 1).await);
     }
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     assert!(emulator.fault_counts().doubled > 100);
     assert_eq!(sensor.stats().disconnects, 0);
 }
 
 #[tokio::test(start_paused = true)]
-async fn t03_a_second_copy_that_comes_after_the_next_poll_is_not_its_answer() {
-    let emulator = prompt().build();
+async fn t03_a_copy_that_comes_after_the_next_poll_is_not_delivered_for_it() {
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 1).await;
-    // The copy arrives while the poll that follows waits for its answer, whether
-    // the faulty poll asked for a step more, as it does, or for the same.
+    // The copy arrives while the next poll waits for its reply, whether the faulty poll
+    // asks for one step more, as it does, or for the same window.
     let mut faults = Faults::none().at(0, Fault::Doubled);
     for start in [43, 44] {
         let length = Window::new(start..=725).unwrap().reply_len();
@@ -82,12 +82,12 @@ async fn t03_a_second_copy_that_comes_after_the_next_poll_is_not_its_answer() {
     }
     emulator.set_faults(faults);
     delivered.extend(scans(&mut stream, 5).await);
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
-    assert!(sensor.stats().malformed.echo >= 1, "the copy was not seen");
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
+    assert!(sensor.stats().malformed.echo >= 1, "the copy was not dropped for its echo");
     assert_eq!(sensor.stats().disconnects, 0);
 }
 
-/// Windows whose polls have no room to differ.
+/// Windows that leave no room for polls to differ.
 fn without_room() -> [Window; 4] {
     let clustered = |window: Window, count| window.with_cluster_count(count).unwrap();
     [
@@ -104,7 +104,7 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
         [BaudRate::B19200, BaudRate::B115200, BaudRate::B750000].map(|rate| (window, rate))
     }) {
         for behind in [1, 5] {
-            // Whose values tell their request in groups, too.
+            // This truth's values name their request also in clusters.
             let truth = Truth::default();
             let emulator = truthful().world(truth.world()).baud_rate(baud_rate).build();
             let sensor = open(&emulator).await;
@@ -137,8 +137,8 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     let mut delivered = scans(&mut stream, 2).await;
     let took = delivered[1].received_at() - delivered[1].requested_at();
     for after in 1..=4 {
-        // The copy begins so many milliseconds after the next poll was sent, which takes
-        // 5.2 ms on the wire.
+        // The copy begins `after` ms after the next poll was sent, which takes 5.2 ms on the
+        // wire.
         let pause = Fault::Pause(window.reply_len(), ms(100 + after) - took);
         emulator.set_faults(Faults::none().at(0, Fault::Doubled).at(0, pause));
         for _ in 0..5 {
@@ -150,7 +150,7 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     assert!(sensor.stats().malformed.echo >= 3, "{:?}", sensor.stats());
 }
 
-/// A port that has a baud rate, and brings bytes at once.
+/// A port that claims a baud rate but delivers bytes at once.
 struct Claiming<P>(P);
 
 impl<P: Port> Port for Claiming<P> {
@@ -188,13 +188,13 @@ impl<P: AsyncWrite + Unpin> AsyncWrite for Claiming<P> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_a_baud_rate_that_replies_outrun_is_disproved() {
+async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
     let slow = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&slow).await;
     sensor.scan(WINDOW).await.unwrap();
     assert!(!sensor.stats().baud_rate_outrun);
     let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
-    let sensor = builder().connect(Rigged(move || Ok(Claiming(fast.link())))).await.unwrap();
+    let sensor = builder().connect(ConnectFn(move || Ok(Claiming(fast.link())))).await.unwrap();
     let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
     scans(&mut stream, 20).await;
     let stats = sensor.stats();
@@ -203,8 +203,8 @@ async fn o26_a_baud_rate_that_replies_outrun_is_disproved() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t04_a_lost_command_is_given_again_and_counted() {
-    let emulator = prompt().baud_rate(BaudRate::B115200).build();
+async fn t04_a_lost_command_is_retried_and_counted() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
     let sensor = open(&emulator).await;
     for fault in [Fault::CommandLost, Fault::Lost] {
         let before = sensor.stats().timeouts;
@@ -217,7 +217,7 @@ async fn t04_a_lost_command_is_given_again_and_counted() {
         assert!(emulator.is_laser_on());
         assert_eq!(sensor.stats().timeouts - before, 3, "{fault:?}");
     }
-    // Twice in a row (with a fence between) it is an error.
+    // Lost twice in a row, with a fence in between, it is an error.
     emulator.set_faults(Faults::none().at(0, Fault::Lost).at(2, Fault::Lost));
     let error = sensor.scan(WINDOW).await.unwrap_err();
     assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
@@ -225,27 +225,27 @@ async fn t04_a_lost_command_is_given_again_and_counted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t05_half_a_command_left_by_a_stalled_write_is_ended_before_the_next_one() {
+async fn t05_half_a_command_from_a_stalled_write_is_terminated_before_the_next_one() {
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         for stalled_after in 1..10 {
-            let emulator = prompt().empty_command(empty).build();
+            let emulator = instant_sensor().empty_command(empty).build();
             let (inner, mut opened) = (emulator.clone(), 0);
-            let connect = Rigged(move || {
+            let connect = ConnectFn(move || {
                 let link = FaultyLink::new(inner.link()).partial_writes(1);
                 opened += 1;
-                // LF, a fence of ten bytes, twice V with its LF, and then a G.
+                // LF, a fence of ten bytes, `V` LF twice, and then a `G`.
                 let stall = if opened == 1 { 15 + stalled_after } else { u64::MAX };
                 Ok(link.fail(Call::Write, stall, LinkFailure::Stall))
             });
             let sensor = builder().connect(connect).await.unwrap();
             let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
             let delivered = scans(&mut stream, 3).await;
-            assert_eq!(lies(&emulator, &delivered), [""; 0]);
+            assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
             let log = emulator.log();
             let halves = log.iter().filter(|line| line.verdict == Verdict::Malformed);
             let halves: Vec<_> = halves.map(|line| line.line.clone()).collect();
             let expected = b"G04472501"[..stalled_after as usize].to_vec();
-            // A whole command without its LF is a command.
+            // A complete command without its LF becomes valid by the LF that ends it.
             let expected = if stalled_after == 9 { vec![] } else { vec![expected] };
             assert_eq!(halves, expected, "stalled after {stalled_after} bytes");
         }
@@ -258,15 +258,15 @@ async fn t06_a_slow_line_is_polled_without_overlap_and_without_a_backlog() {
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     let delivered = scans(&mut stream, 50).await;
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     let stats = sensor.stats();
     assert_eq!((emulator.counts().overlapping, stats.timeouts), (0, 0));
     assert!(stats.polls_skipped > 6 * stats.polls, "{stats:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn t07_a_reply_that_trickles_in_is_given_up_at_its_deadline() {
-    let emulator = prompt().build();
+async fn t07_a_reply_that_trickles_in_times_out_at_its_deadline() {
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
@@ -274,41 +274,41 @@ async fn t07_a_reply_that_trickles_in_is_given_up_at_its_deadline() {
     let start = Instant::now();
     let error = stream.next().await.unwrap().unwrap_err();
     assert!(matches!(error, Error::Timeout { .. }), "{error:?}");
-    // Half a second, after at most a tenth until the poll is due.
+    // The deadline of 500 ms, and at most 100 ms until the poll is due.
     assert!(start.elapsed() <= ms(601), "{:?}", start.elapsed());
 }
 
 #[tokio::test(start_paused = true)]
 async fn t08_a_reply_whose_last_byte_comes_at_the_deadline_is_in_time() {
     let window = Window::new(384..=384).unwrap();
-    // What the command and the reply take on USB, 2,666 ns a byte.
+    // The time of command and reply on USB, 2,666 ns a byte.
     let wire = Duration::from_nanos(2_666) * (10 + 16);
     let mut last = 0;
     for tenths in 4970..5030 {
         let latency = Duration::from_micros(tenths * 100);
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let sensor = open(&emulator).await;
         let before = sensor.stats();
         emulator.set_faults(Faults::none().at(0, Fault::Late(latency)));
         let scan = sensor.scan(window).await.unwrap();
-        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
         let timeouts = sensor.stats().timeouts - before.timeouts;
         if latency + wire <= ms(500) {
-            assert_eq!(timeouts, 0, "{latency:?}: in time, and not taken");
+            assert_eq!(timeouts, 0, "{latency:?}: in time, but not accepted");
             last = tenths;
         } else if latency + wire > ms(501) {
-            assert_eq!(timeouts, 1, "{latency:?}: too late, and taken");
+            assert_eq!(timeouts, 1, "{latency:?}: too late, but accepted");
         }
     }
     assert_eq!(last, 4999);
 }
 
 #[tokio::test(start_paused = true)]
-async fn t09_what_comes_while_nothing_is_asked_for_is_read_counted_and_dropped() {
-    let emulator = prompt().build();
+async fn t09_unrequested_bytes_are_read_counted_and_dropped() {
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     sensor.scan(Window::FULL).await.unwrap();
-    // A reply to the very poll that comes next, and half a one.
+    // A reply to the very next poll, and parts of one.
     let data = vec![b'0'; 2 * 769];
     let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
     let reply = [&b"G00076801\n0\n"[..], &lines, b"\n\n"].concat();
@@ -317,7 +317,7 @@ async fn t09_what_comes_while_nothing_is_asked_for_is_read_counted_and_dropped()
         emulator.inject(stray);
         tokio::time::sleep(Duration::from_secs(10)).await;
         let scan = sensor.scan(Window::FULL).await.unwrap();
-        assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+        assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
         let stats = sensor.stats();
         assert_eq!(stats.timeouts, before.timeouts);
         let skipped = stats.bytes_skipped - before.bytes_skipped;
@@ -330,7 +330,7 @@ async fn t09_what_comes_while_nothing_is_asked_for_is_read_counted_and_dropped()
 async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
     for speed in [None, Some(BaudRate::B115200)] {
         let boot = Duration::from_secs(7);
-        let mut sensor = prompt().boot_time(boot);
+        let mut sensor = instant_sensor().boot_time(boot);
         if let Some(speed) = speed {
             sensor = sensor.baud_rate(speed);
         }
@@ -350,21 +350,21 @@ async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t12_the_late_answer_of_one_fence_is_not_that_of_the_next() {
-    let emulator = prompt().build();
+async fn t12_a_late_reply_to_one_fence_is_not_taken_for_the_next() {
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 1).await;
     let polls = emulator.log().len();
-    // The poll is lost, its fence is late, and the fence after that too.
+    // The poll is lost; its fence is late, and so is the next fence.
     let faults = Faults::none().at(0, Fault::Lost).at(1, Fault::Late(ms(700)));
     emulator.set_faults(faults.at(2, Fault::Late(ms(600))));
     let before = sensor.stats();
     delivered.extend(scans(&mut stream, 5).await);
-    assert_eq!(lies(&emulator, &delivered), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     let stats = sensor.stats();
     assert!(stats.fence_timeouts - before.fence_timeouts >= 2, "{stats:?}");
-    // Nothing is asked for before the last fence, and no fence is like another.
+    // No poll is sent before the last fence is answered, and no two fences are equal.
     let log = emulator.log();
     let sent: Vec<&[u8]> = log[polls..].iter().map(|line| &line.line[..]).collect();
     let poll = &b"G00076801"[..];

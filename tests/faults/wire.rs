@@ -1,5 +1,4 @@
-//! Rows W: what a bad line does to the bytes of replies. Damage at every single
-//! place is in `bytes`.
+//! Rows W: damage to the bytes of replies. `bytes` has damage at each single place.
 
 use std::time::Duration;
 
@@ -9,7 +8,7 @@ use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{Error, Rate, State, Window};
 
-use super::rig::{lies, open, prompt, scans, second_poll};
+use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
 use crate::common::{builder, ms};
 
 const WINDOW: Window = Window::DETECTION;
@@ -24,8 +23,8 @@ fn w03_two_fences_in_a_row_differ_in_two_bytes_at_least() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_taken() {
-    // The status, the status and the LF behind it, or the one before it.
+async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_accepted() {
+    // The status; the status and the LF behind it; the LF before it and the status.
     for lost in [10..11, 10..12, 9..11] {
         let outcome = second_poll(WINDOW, &[Fault::Drop(lost.clone())]).await;
         assert!(!outcome.accepted, "without {lost:?}");
@@ -37,7 +36,7 @@ async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_taken() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_seen() {
+async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_detected() {
     // The second poll asks for one step more: 64 points, two lines of 64 bytes.
     let window = Window::new(301..=363).unwrap();
     for line in [12..77, 77..142] {
@@ -52,25 +51,25 @@ async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_seen() {
 async fn w14_a_reply_that_runs_into_the_next_one_costs_one_scan() {
     let outcome = second_poll(WINDOW, &[Fault::Merged]).await;
     assert!(!outcome.accepted && outcome.errors.len() == 1);
-    // One fence at opening, and one that was found behind what it is glued to.
+    // One at opening, and one whose reply was recognised behind the merged replies.
     assert_eq!((outcome.stats.fences, outcome.stats.fence_timeouts), (2, 0));
 }
 
 #[tokio::test(start_paused = true)]
-async fn w16_w18_a_scan_comes_through_a_line_that_gives_one_byte_at_a_time() {
+async fn w16_w18_a_scan_comes_through_a_link_that_delivers_one_byte_at_a_time() {
     use tokio_scip::emulator::FaultyLink;
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let link = FaultyLink::new(emulator.link()).short_reads(1).partial_writes(1);
     let sensor = builder().attach(link).await.unwrap();
     let scan = sensor.scan(Window::FULL).await.unwrap();
-    assert_eq!(lies(&emulator, &[scan]), [""; 0]);
+    assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
     assert_eq!(sensor.stats().timeouts, 0);
 }
 
 #[tokio::test(start_paused = true)]
-async fn w17_replies_that_nobody_asked_for_in_front_of_the_right_one_are_not_taken_for_it() {
+async fn w17_unrequested_replies_before_the_right_one_are_not_accepted() {
     let few = b"L1\n0\n\nV\n0\nVEND:x\n\nG00000001\n0\n00\n\n\n\nG04472501\n6\n\n";
-    // As many points as the second poll has, and another echo.
+    // As many points as the second poll has, with another echo.
     let lines = ("0".repeat(64) + "\n").repeat(21) + &"0".repeat(22);
     let alike = format!("G04272401\n0\n{lines}\n\n");
     for others in [&few[..], alike.as_bytes()] {
@@ -82,7 +81,7 @@ async fn w17_replies_that_nobody_asked_for_in_front_of_the_right_one_are_not_tak
         };
         assert!(others.starts_with(found.as_bytes()), "{found}");
         assert!(outcome.stats.malformed.echo >= 1);
-        // The right reply, too: it came too late.
+        // The right reply is dropped, too: the poll has failed before it arrives.
         assert!(outcome.stats.bytes_skipped >= others.len() as u64);
         assert_eq!(outcome.stats.fences, 2);
     }
@@ -99,7 +98,7 @@ async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
         Fault::Garbage(vec![b'x'; 5000]),
     ];
     for fault in faults {
-        let emulator = prompt().build();
+        let emulator = instant_sensor().build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
         scans(&mut stream, 1).await;
@@ -109,7 +108,7 @@ async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
         let source = std::error::Error::source(&error).unwrap().to_string();
         assert!(source.contains("expected") || source.contains("two LFs"), "{fault:?}: {source}");
         scans(&mut stream, 1).await;
-        // Malformed at the poll that is due after 100 ms, whole at the next one.
+        // Malformed at the poll that is due after 100 ms, a whole scan at the next one.
         assert!(start.elapsed() <= ms(250), "{fault:?}: {:?}", start.elapsed());
         assert_eq!(sensor.stats().timeouts, 0, "{fault:?}");
     }
@@ -131,31 +130,32 @@ async fn w18_garbage_of_any_length_in_front_costs_one_scan_and_nuls_none() {
 async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
     let mut fired = 0;
     for seed in 0..100 {
-        let emulator = prompt().seed(seed).build();
+        let emulator = instant_sensor().seed(seed).build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
         let mut delivered = scans(&mut stream, 1).await;
         emulator.set_faults(Faults::none().noise(0.5, 4096).seed(seed));
         delivered.extend(scans(&mut stream, 10).await);
-        assert_eq!(lies(&emulator, &delivered), [""; 0], "seed {seed}");
+        assert_eq!(wrong_scans(&emulator, &delivered), [""; 0], "seed {seed}");
         fired += emulator.fault_counts().noise;
     }
     assert!(fired > 300, "{fired}");
 }
 
-/// Streams; then `pattern` comes without an end, and the link is given up soon.
-/// When it stops scans flow again.
+/// Streams, then repeats `pattern` without an end until the link is closed, and asserts
+/// that scans come again when the pattern stops. Returns the time until the link closed.
 async fn endless(pattern: &[u8]) -> Duration {
-    let emulator = prompt().build();
+    let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().at(0, Fault::Endless(pattern.to_vec())));
     let start = Instant::now();
     let mut state = sensor.state();
-    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
-    // Not kept: it is a lock on the state.
-    let lost = lost.unwrap().clone();
+    let closed = state.wait_for(|state| matches!(state, State::Disconnected { .. }));
+    let lost = tokio::time::timeout(Duration::from_secs(10), closed).await;
+    // Cloned at once, because `wait_for` returns a lock on the state.
+    let lost = lost.expect("the link stays open").unwrap().clone();
     let State::Disconnected { error, .. } = lost else { unreachable!() };
     let Error::Disconnected { source: Some(source), .. } = error else { panic!("{error:?}") };
     assert_eq!(source.to_string(), "far more comes than any sensor sends");
@@ -174,7 +174,7 @@ async fn endless(pattern: &[u8]) -> Duration {
 
 #[tokio::test(start_paused = true)]
 async fn w19_endless_garbage_ends_the_link_after_64_kib() {
-    // 64 KiB take 175 ms on USB; the next poll is due 100 ms after the last.
+    // 64 KiB take 175 ms on USB, and the next poll is due 100 ms after the last.
     assert!(endless(b"x").await <= ms(100 + 175 + 20));
     assert!(endless(b"G04472501\n0\n").await <= ms(100 + 175 + 20));
 }
@@ -186,11 +186,11 @@ async fn w20_endless_line_feeds_end_the_link_after_64_frames() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w21_a_telnet_server_is_named() {
+async fn w21_telnet_bytes_are_reported_with_a_hint_at_raw_mode() {
     let (near, mut far) = duplex(256);
     let _server = tokio::spawn(async move {
         let mut byte = [0];
-        // DO suppress-go-ahead, and then silence.
+        // DO SUPPRESS-GO-AHEAD, then silence.
         far.write_all(&[0xff, 0xfd, 0x03]).await.unwrap();
         while far.read(&mut byte).await.is_ok_and(|read| read > 0) {}
     });
@@ -200,10 +200,10 @@ async fn w21_a_telnet_server_is_named() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w24_d05_d06_a_sensor_that_is_switched_to_scip_2_is_named_and_taken_back() {
+async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_after_a_restart() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
-            let emulator = prompt().empty_command(empty).build();
+            let emulator = instant_sensor().empty_command(empty).build();
             let sensor = open(&emulator).await;
             let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
             scans(&mut stream, 1).await;
@@ -218,7 +218,7 @@ async fn w24_d05_d06_a_sensor_that_is_switched_to_scip_2_is_named_and_taken_back
             let state = sensor.state().borrow().clone();
             let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
             assert!(matches!(error, Error::WrongProtocol { .. }), "{mode:?}: {error:?}");
-            // It is never told to leave SCIP 2: some models lock up.
+            // The driver never sends the command that leaves SCIP 2, because some models lock up.
             assert_eq!(emulator.counts().malformed, 0, "{:?}", emulator.log());
             emulator.power_cycle();
             scans(&mut stream, 2).await;

@@ -1,4 +1,4 @@
-//! The emulated sensor's command line, held against the table in its docs.
+//! The emulated sensor's replies, compared with the table in its documentation.
 
 use std::time::Duration;
 
@@ -27,7 +27,7 @@ const PARTS: [&[u8]; 16] = [
     b"L",
 ];
 
-/// What a sensor on USB that sees 1234 mm everywhere answers.
+/// The expected replies of a sensor on USB that measures 1234 mm everywhere.
 struct Model {
     firmware: Firmware,
     empty: EmptyCommand,
@@ -100,8 +100,8 @@ impl Model {
     }
 }
 
-/// Whatever bytes come, in whatever pieces, the sensor answers every line as
-/// the table says, in order, and sends nothing else.
+/// Whatever bytes arrive, in whatever pieces, the sensor answers every line as the table
+/// requires, in order, and sends nothing else.
 pub(crate) fn every_line_is_answered_as_the_table_says(script: &[u8]) {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();
@@ -126,7 +126,7 @@ async fn talk(mut script: Script<'_>) {
     let mut model = Model { firmware, empty, laser: true, repeated };
     let (mut link, mut line, mut commands) = (emulator.link(), Vec::new(), 0);
     while !script.is_over() {
-        // A sensor's input buffer is small: no more than this at a time.
+        // At most this much at a time, because a sensor's input buffer is small.
         let (mut sent, mut expected, mut waiting) = (Vec::new(), Vec::new(), 0);
         while !script.is_over() && waiting < 8 && sent.len() < 200 {
             let part = match script.byte() {

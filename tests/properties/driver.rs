@@ -1,4 +1,4 @@
-//! The driver against any behaviour of a port and any use of its handles.
+//! The driver with any behaviour of a port and any use of its handles.
 
 use std::time::Duration;
 
@@ -8,16 +8,15 @@ use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
 use super::peer::Peer;
 use super::script::Script;
 
-/// No call takes longer: a fence may be sent six times, a command twice, the
-/// laser be switched and confirmed twice, and a lost sensor be waited for.
-const PATIENCE: Duration = Duration::from_secs(40);
-/// A second between two tries to open the port, a stall or a late reply of up
-/// to five, and a pass of fences.
+/// Longer than any call takes: a fence may be sent six times, a command twice, the laser
+/// be switched and confirmed twice, and the sensor be lost and found again.
+const CALL_LIMIT: Duration = Duration::from_secs(40);
+/// A second between two attempts to open the port, a stall or a late reply of up to five,
+/// and a pass of fences.
 const RECOVERY: Duration = Duration::from_secs(15);
 
-/// Whatever the port does, no scan is another request's, every call ends in
-/// time, the laser stays off when it was switched off, and scans come again
-/// when the port works again.
+/// Whatever the port does, no scan answers another request, every call ends in time, the
+/// laser stays off when it was switched off, and scans come again when the port works.
 pub(crate) fn the_driver_stands_any_port_and_any_user(script: &[u8]) {
     let mut header = Script::new(script);
     let half = header.below(script.len().max(1));
@@ -44,9 +43,9 @@ async fn use_sensor(script: Script<'_>, peer: Peer) {
             sleep(Duration::from_millis(50)).await;
         }
     };
-    timeout(RECOVERY, recovered).await.expect("scans do not flow again");
-    timeout(PATIENCE, sensor.close()).await.unwrap();
-    timeout(PATIENCE, driver).await.expect("the driver does not end").unwrap().unwrap();
+    timeout(RECOVERY, recovered).await.expect("no scan came when the port worked again");
+    timeout(CALL_LIMIT, sensor.close()).await.unwrap();
+    timeout(CALL_LIMIT, driver).await.expect("the driver does not end").unwrap().unwrap();
 }
 
 fn windows(choice: u8) -> Window {
@@ -57,7 +56,7 @@ struct User {
     sensor: Sensor,
     peer: Peer,
     stream: Option<ScanStream>,
-    /// How many polls there were when the laser was off for certain.
+    /// The number of polls when the laser was certainly off.
     off: Option<u64>,
     /// The last scan of the stream.
     last: Option<Scan>,
@@ -67,17 +66,17 @@ impl User {
     async fn follow(&mut self, mut script: Script<'_>) {
         while !script.is_over() {
             let (decision, parameter) = (script.byte(), script.byte());
-            let patience = match decision & 0x80 {
-                0 => PATIENCE,
+            let limit = match decision & 0x80 {
+                0 => CALL_LIMIT,
                 _ => Duration::from_millis(5 * u64::from(script.byte())),
             };
-            let call = timeout(patience, self.call(decision & 0x7f, parameter)).await;
-            assert!(patience < PATIENCE || call.is_ok(), "call {decision} was never answered");
+            let call = timeout(limit, self.call(decision & 0x7f, parameter)).await;
+            assert!(limit < CALL_LIMIT || call.is_ok(), "call {decision} never ended");
             let state = self.peer.lock();
             assert!(self.off.is_none_or(|polls| polls == state.polls), "a poll with the laser off");
             drop(state);
             let ended = matches!(&*self.sensor.state().borrow(), State::Closed { .. });
-            assert!(!ended, "the driver gave up: {:?}", self.sensor.state().borrow());
+            assert!(!ended, "the driver ended: {:?}", self.sensor.state().borrow());
         }
     }
 
@@ -118,7 +117,7 @@ impl User {
         }
     }
 
-    /// The stream's next item, if it comes soon.
+    /// Reads the stream's next item if it comes soon.
     async fn read(&mut self, parameter: u8) {
         let Some(stream) = &mut self.stream else {
             let rate = [Rate::hz(10.0), Rate::MAX, Rate::hz(1.0)][usize::from(parameter / 3) % 3];

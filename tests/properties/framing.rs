@@ -1,4 +1,4 @@
-//! The framing, held against a reference that knows nothing of chunks.
+//! The framing, compared with a reference that has no chunks.
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
@@ -6,7 +6,7 @@ use tokio_util::codec::Decoder;
 
 use super::script::Script;
 
-/// The framing as one would write it without any thought of speed or memory.
+/// The framing in its plainest form, without regard for speed or memory.
 fn reference(mut bytes: &[u8]) -> Vec<Frame> {
     let mut frames = Vec::new();
     loop {
@@ -23,8 +23,8 @@ fn reference(mut bytes: &[u8]) -> Vec<Frame> {
     }
 }
 
-/// Any bytes in any chunks give the frames of the reference, and no more than
-/// a frame is ever held back.
+/// Any bytes in any chunks make the frames of the reference, and at most one frame is
+/// ever buffered.
 pub(crate) fn chunks_make_no_difference(script: &[u8]) {
     let mut script = Script::new(script);
     let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());

@@ -1,5 +1,5 @@
-//! What holds for any bytes. Each property takes a script of bytes, so that
-//! these tests and the fuzzer (`tests/fuzz`) run the same code.
+//! Properties that hold for any bytes. Each takes a script of bytes, so that these tests
+//! and the fuzzer (`tests/fuzz`) run the same code.
 
 mod commands;
 mod driver;

@@ -1,10 +1,10 @@
-//! A sensor and a port that do what a script says: the driver's other end. A
-//! sensor on USB that puts the number of each `G` into its data; behind the
-//! script's end it works.
+//! A sensor and a port that follow a script: the driver's other end. The sensor is on
+//! USB, writes the number of each `G` into its data, and works without faults behind the
+//! script's end.
 //!
-//! What the script can do to a reply never makes another whole one of it, so
-//! that nothing wrong may ever be accepted: no bits are flipped, at most one
-//! byte is lost or added, and garbage has none of the letters of a reply.
+//! No fault in the script makes another valid reply, so that no wrong reply may ever be
+//! accepted: no bit is flipped, at most one byte is lost or added, and garbage has no
+//! character of a reply.
 
 use std::collections::VecDeque;
 use std::io;
@@ -25,28 +25,28 @@ pub(crate) struct Peer(Arc<Mutex<State>>);
 
 pub(crate) struct State {
     script: VecDeque<u8>,
-    /// Bytes a read gives and a write takes, in turn; 0 is "not yet".
+    /// Bytes that each read delivers and each write accepts, repeated; 0 is "not ready".
     sizes: Vec<u8>,
     turns: usize,
     link: u64,
     ending: Option<Ending>,
     refused: u8,
-    /// Until when writes wait.
+    /// The time until which writes stall.
     stalled: Option<Instant>,
     reader: Option<Waker>,
-    /// The line that is coming in, and whether it may be torn.
+    /// The command line received so far, and whether it may be incomplete.
     line: Vec<u8>,
     torn: bool,
-    /// What is on its way to the host, in order.
+    /// Bytes on their way to the host, in order.
     sent: VecDeque<(Instant, u8)>,
     bytes_sent: u64,
     bytes_read: u64,
-    /// When each `G` that was answered with data arrived.
+    /// The times at which each `G` that was answered with data arrived.
     scans: Vec<Instant>,
     pub(crate) laser: bool,
-    /// `G`s for more than one step, which fences are not.
+    /// The number of `G`s for more than one step, which no fence is.
     pub(crate) polls: u64,
-    /// Where the reply to the last fence ends, if it went out whole.
+    /// The offset at which the reply to the last fence ends, if it was sent undamaged.
     fence: Option<u64>,
 }
 
@@ -85,7 +85,7 @@ impl Peer {
         self.0.lock().unwrap()
     }
 
-    /// From now on everything works.
+    /// Ends all faults.
     pub(crate) fn heal(&self) {
         let mut state = self.lock();
         state.script.clear();
@@ -93,7 +93,7 @@ impl Peer {
     }
 }
 
-/// Digits in base 4000, repeated every three steps.
+/// Returns the value at `step`: a digit in base 4000, repeated every three steps.
 fn code(request: u64, step: u64) -> u16 {
     20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u16
 }
@@ -103,12 +103,12 @@ impl State {
         self.script.pop_front().unwrap_or(0)
     }
 
-    /// How many bytes this call may move; 0 is "not yet".
+    /// Returns how many bytes this call may move; 0 is "not ready".
     fn size(&mut self) -> usize {
         self.turns += 1;
         match self.sizes.get(self.turns % self.sizes.len().max(1)) {
             None => usize::MAX,
-            // Not for ever: a pattern of zeros alone would never move.
+            // Not for ever: a pattern of zeros alone would block the port.
             Some(0) => self.turns % 3,
             Some(size) => usize::from(*size),
         }
@@ -125,7 +125,7 @@ impl State {
             if is_command(&line) {
                 self.answer(&line);
             } else if !line.is_empty() {
-                assert!(torn, "no command: {}", line.escape_ascii());
+                assert!(torn, "not a command: {}", line.escape_ascii());
                 self.send(Duration::ZERO, &[&line, &b"\n1\n\n"[..]].concat());
             }
         }
@@ -143,7 +143,7 @@ impl State {
                 is_fence = steps.start() == steps.end();
                 self.polls += u64::from(!is_fence);
                 let proven = self.fence.is_some_and(|end| end <= self.bytes_read);
-                assert!(is_fence || proven, "a poll before the fence was answered");
+                assert!(is_fence || proven, "polled before the fence was answered");
                 if self.laser {
                     let request = self.scans.len() as u64;
                     let codes = steps.map(|step| code(request, step));
@@ -165,11 +165,11 @@ impl State {
 
     fn deliver(&mut self, whole: &[u8], is_fence: bool) {
         let mut reply = whole.to_vec();
-        // Not at once: polling as fast as possible would stop the paused clock.
+        // Never at once: polling at the highest rate would stop the paused clock.
         let mut delay = Duration::from_millis(20);
         let decision = match self.next() {
-            // Nothing protects a `V`, and two that are damaged alike make another
-            // sensor of this one: then it is lost instead.
+            // Nothing protects a `V`: two that are damaged alike look like another sensor.
+            // It is lost instead.
             0xa0..0xd0 if whole.starts_with(b"V") => 0x80,
             decision => decision,
         };
@@ -178,7 +178,7 @@ impl State {
             0..0x60 => delay = Duration::from_millis(20 + u64::from(decision) % 8 * 20),
             0x60..0x80 => delay = Duration::from_millis(20 * u64::from(self.next())),
             0x80..0x90 => reply.clear(),
-            0x90..0xa0 => {} // It comes twice, see below.
+            0x90..0xa0 => {} // Doubled, see below.
             0xa0..0xb0 => drop(reply.drain(place()..).next()),
             0xb0..0xc0 => reply.insert(place(), [b'\n', 0, 0xff][usize::from(decision) % 3]),
             0xc0..0xd0 => reply.truncate(place()),
@@ -200,7 +200,7 @@ impl State {
         }
         self.send(delay, &reply);
         if is_fence {
-            // A lost last LF may come with what follows.
+            // A lost last LF may be replaced by the byte that follows.
             let most = &whole[..whole.len() - 1];
             let before = self.bytes_sent - reply.len() as u64;
             let place = reply.windows(most.len()).position(|part| part == most);
@@ -222,7 +222,7 @@ impl State {
         self.sent.extend(bytes.iter().map(|&byte| (at, byte)));
     }
 
-    /// Which `G` the scan answers, if it is the answer to its own.
+    /// Returns the `G` that the scan answers. Panics if that is not its own.
     pub(crate) fn check(&self, scan: &Scan) -> u64 {
         let first = u64::from(scan.window().start().number());
         let digits = (first..).zip(scan.values()).take(3);
@@ -298,7 +298,7 @@ impl AsyncRead for Wire {
     ) -> Poll<io::Result<()>> {
         let peer = self.peer.clone();
         let mut state = peer.lock();
-        assert_eq!(state.link, self.link, "a port that was left is read");
+        assert_eq!(state.link, self.link, "a port was read after a newer one was opened");
         loop {
             let now = Instant::now();
             let arrived = state.sent.iter().take_while(|(at, _)| *at <= now).count();
@@ -332,7 +332,7 @@ impl AsyncWrite for Wire {
     ) -> Poll<io::Result<usize>> {
         let peer = self.peer.clone();
         let mut state = peer.lock();
-        assert_eq!(state.link, self.link, "a port that was left is written to");
+        assert_eq!(state.link, self.link, "a port was written to after a newer one was opened");
         if state.ending.is_some() {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
         }
@@ -343,7 +343,7 @@ impl AsyncWrite for Wire {
         }
         let count = state.size().min(bytes.len());
         if count == 0 {
-            // Whoever gives up now leaves half a command behind.
+            // A driver that stops waiting now leaves half a command behind.
             state.torn = true;
             context.waker().wake_by_ref();
             return Poll::Pending;

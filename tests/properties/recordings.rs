@@ -1,5 +1,5 @@
-//! Recordings of any bytes, and whole ones that were changed: reading ends, is
-//! harmless, and finds the same in a repaired file.
+//! Recordings of any bytes, and whole ones with changes: reading them ends, does no harm,
+//! and finds the same records in the repaired file.
 
 use std::io::Cursor;
 use std::sync::OnceLock;
@@ -11,12 +11,12 @@ use tokio_scip::{Rate, Sensor, Window};
 use super::script::Script;
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// The head of a chunk of 40 bytes and its records: kind, length, start, end.
+/// The size of a chunk's header before its checksum: kind, length, start, end.
 const CHUNK_CRC: usize = 9 + 8 + 8 + 8;
-/// Numbers that a careless reader believes.
+/// Lengths at and beyond the limits, which a careless reader would trust.
 const LENGTHS: [u64; 8] = [0, 1, 40, 0xffff_ffff, 0x1_0000_0000, 1 << 63, u64::MAX, u64::MAX - 8];
 
-/// A recording of three scans in two chunks, with metadata between them. Small, so
+/// A recording of three scans in two chunks, with metadata between them. It is small, so
 /// that a fuzzer runs many cases.
 fn whole() -> &'static [u8] {
     static WHOLE: OnceLock<Vec<u8>> = OnceLock::new();
@@ -55,7 +55,7 @@ impl std::io::Write for Pieces {
     }
 }
 
-/// The file that a script describes.
+/// Makes the file that a script describes.
 fn file(script: &mut Script<'_>) -> Vec<u8> {
     let mut file = match script.byte() % 4 {
         0 => return script.take(usize::MAX).to_vec(),
@@ -100,8 +100,7 @@ fn file(script: &mut Script<'_>) -> Vec<u8> {
     file
 }
 
-/// The same with no checksum in any chunk, so that changes in them are not
-/// noticed by it.
+/// Removes the checksum of each chunk, so that it does not reveal changes.
 fn without_checksums(whole: &[u8]) -> Vec<u8> {
     let mut file = whole.to_vec();
     let mut at = MAGIC.len();
@@ -115,7 +114,7 @@ fn without_checksums(whole: &[u8]) -> Vec<u8> {
     file
 }
 
-/// All that is in a file, the number of errors, and whether its end is missing.
+/// Returns all records of a file, the number of errors, and whether its end is missing.
 fn read(file: &[u8]) -> Result<(Vec<Record>, usize, bool), RecordingError> {
     let mut recording = Recording::read(Cursor::new(file.to_vec()))?;
     let (mut records, mut errors) = (Vec::new(), 0);
@@ -134,8 +133,8 @@ fn read(file: &[u8]) -> Result<(Vec<Record>, usize, bool), RecordingError> {
     Ok((records, errors, recording.is_truncated()))
 }
 
-/// Whatever is in a file, it is read to an end; what is read of it is in the
-/// repaired file, too, which is complete; and its scans have their points.
+/// Any file is read to an end; every record read from it is also in the repaired file,
+/// which is complete; and its scans have as many points as they must.
 pub(crate) fn any_file_is_read_and_repaired(script: &[u8]) {
     let file = file(&mut Script::new(script));
     let mut repaired = Vec::new();
@@ -160,7 +159,7 @@ pub(crate) fn any_file_is_read_and_repaired(script: &[u8]) {
     for scan in recording.scans().flatten() {
         assert_eq!(scan.values().len(), scan.window().points());
     }
-    // May fail, and does not panic. It takes longer than all the rest, so not always.
+    // It may fail but not panic. Not in all cases, because it takes longer than the rest.
     if script.first().is_some_and(|first| first % 8 == 7) {
         let _ = Recording::read(Cursor::new(file)).unwrap().replay(ReplayPace::Max);
     }

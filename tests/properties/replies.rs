@@ -1,5 +1,5 @@
-//! Replies to all commands, whole and damaged: what is accepted is what a
-//! reference made from the text accepts, with the same values.
+//! Replies to all commands, whole and damaged: the parser accepts exactly what a
+//! reference made from the protocol text accepts, with the same values.
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
@@ -8,8 +8,8 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use super::script::Script;
 
-/// Status and values of a reply (C-42-3320-A p. 3 to 6), or nothing if it is
-/// none.
+/// Returns status and values of a reply (C-42-3320-A p. 3 to 6), or `None` if it is
+/// invalid.
 fn reference(command: &Command, frame: &[u8]) -> Option<(u8, Vec<u16>)> {
     let lines: Vec<&[u8]> = frame.split(|&byte| byte == b'\n').collect();
     let [echo, status, data @ ..] = &lines[..] else { return None };
@@ -57,7 +57,7 @@ fn command(script: &mut Script<'_>) -> Command {
     }
 }
 
-/// The reply that a sensor might send.
+/// Makes a reply that a sensor might send.
 fn whole(command: &Command, script: &mut Script<'_>) -> Vec<u8> {
     let mut frame = command.bytes().to_vec();
     let status = match script.byte() {
@@ -95,8 +95,8 @@ fn damage(frame: &mut Vec<u8>, script: &mut Script<'_>) {
     }
 }
 
-/// Whatever comes, exactly what the reference accepts is accepted, and an error
-/// reads as one line of ASCII.
+/// Exactly what the reference accepts is accepted, and every error message is one line
+/// of ASCII.
 pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
     let mut script = Script::new(script);
     let command = command(&mut script);
@@ -111,7 +111,7 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
         an_expected_scan_is_the_one_that_a_search_finds(window, &frame);
     }
 
-    // The same reply at the end of whatever is before it.
+    // The same reply behind other bytes.
     let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
     let tails = lengths.iter().filter_map(|length| frame.get(frame.len().checked_sub(*length)?..));
     let tail = tails.filter_map(|tail| reference(&command, tail)).next();
@@ -120,8 +120,8 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
     }
 }
 
-/// A codec that expects a scan finds a good one exactly where a codec does that
-/// searches, and leaves the same behind it.
+/// A codec that expects a scan finds a valid one exactly where a codec that searches for
+/// the end finds it, and leaves the same bytes behind it.
 fn an_expected_scan_is_the_one_that_a_search_finds(window: Window, frame: &[u8]) {
     let bytes = BytesMut::from(&[frame, b"\n\nL1"].concat()[..]);
     let command = Command::Distances(window);

@@ -1,9 +1,9 @@
-//! [`Script`]: any bytes at all, read as the decisions that make up a case. A
-//! fuzzer changes the bytes, a property test draws them.
+//! [`Script`]: any bytes, read as the decisions that make up a case. A fuzzer changes
+//! the bytes; a property test draws them.
 
 #![allow(dead_code, reason = "each fuzz target uses a part of it")]
 
-/// Decisions, one after the other. Behind the end every decision is 0.
+/// A sequence of decisions. Behind its end every decision is 0.
 pub(crate) struct Script<'a>(&'a [u8]);
 
 impl<'a> Script<'a> {
@@ -23,12 +23,12 @@ impl<'a> Script<'a> {
         u16::from_be_bytes([self.byte(), self.byte()])
     }
 
-    /// A number below `bound`.
+    /// Returns a number below `bound`.
     pub(crate) fn below(&mut self, bound: usize) -> usize {
         usize::from(self.number()) % bound.max(1)
     }
 
-    /// The next `count` bytes as they are, or as many as there are.
+    /// Returns the next `count` bytes, or as many as are left.
     pub(crate) fn take(&mut self, count: usize) -> &'a [u8] {
         let (taken, rest) = self.0.split_at(count.min(self.0.len()));
         self.0 = rest;

@@ -1,5 +1,4 @@
-//! The reply to `V`: no line of it is lost, and what is shown of it is
-//! harmless.
+//! The reply to `V`: no line of it is lost, and its text is safe to display.
 
 use tokio_scip::protocol::{Command, Reply, Text, Version};
 
@@ -24,8 +23,8 @@ const PARTS: [&[u8]; 16] = [
     b"-",
 ];
 
-/// Every line of a reply to `V` is in the field of its name, the last one of
-/// each name, or among the others as it came.
+/// Every line of a reply to `V` is in the field of its name (the last line of each name),
+/// or among the others, unchanged.
 pub(crate) fn every_line_of_a_version_is_kept(script: &[u8]) {
     let mut script = Script::new(script);
     let mut frame = b"V\n0\n".to_vec();

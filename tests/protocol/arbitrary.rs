@@ -1,4 +1,4 @@
-//! Properties that hold for all bytes and all windows.
+//! Properties of the protocol's types that hold for all bytes and all windows.
 
 use proptest::prelude::*;
 use tokio_scip::protocol::{BaudRate, Command, Reply, Step, Text, Version, Window};
@@ -22,7 +22,7 @@ fn commands() -> impl Strategy<Value = Command> {
     ]
 }
 
-/// Bytes as they come over a bad line: mostly those that replies are made of.
+/// Bytes of a bad line, mostly those that replies consist of.
 fn noise() -> impl Strategy<Value = Vec<u8>> {
     let byte = prop_oneof![4 => 0x30..=0x6f_u8, 2 => Just(b'\n'), 1 => any::<u8>()];
     prop::collection::vec(byte, 0..200)

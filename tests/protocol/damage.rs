@@ -1,11 +1,11 @@
-//! What a line does to a reply (the rows W of the list of faults): every
-//! structural damage is refused, and how many flipped bits are not.
+//! Damage to a reply (rows W of the list of faults): all structural damage is refused,
+//! and the share of flipped bits that cannot be detected is counted.
 
 use tokio_scip::protocol::{Command, Reply, ReplyError, Status, Window};
 
 use super::encoder::{frame, frames, indoors, reply, spread};
 
-/// Windows of one line, of exactly one, of two, and as services use them.
+/// Windows whose data is less than a line, exactly one, two lines, and as services use.
 fn cases() -> Vec<(Command, Vec<u16>, Vec<u8>)> {
     [(384, 384), (0, 30), (0, 31), (0, 32), (44, 725), (0, 768)]
         .into_iter()
@@ -18,7 +18,7 @@ fn cases() -> Vec<(Command, Vec<u16>, Vec<u8>)> {
         .collect()
 }
 
-/// The scans that a reader gets out of `bytes` who cuts at every double LF.
+/// Returns the scans found by a reader that cuts `bytes` at every double LF.
 fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u16>> {
     frames(bytes)
         .into_iter()
@@ -40,7 +40,7 @@ fn the_undamaged_reply_is_accepted() {
 }
 
 #[test]
-fn w03_a_stray_character_is_seen_however_plain_the_others_are() {
+fn w03_an_invalid_character_is_detected_wherever_it_stands() {
     let command = Command::Distances(Window::DETECTION);
     for value in [0, 4095] {
         let whole = frame("G04472501", &[value; 682]);
@@ -71,14 +71,14 @@ fn w01_w06_a_reply_without_any_one_byte_is_never_accepted() {
 #[test]
 fn w02_w07_w12_a_reply_with_any_one_byte_more_is_never_accepted() {
     for (command, values, reply) in cases() {
-        // Behind the first LF of the terminator it is the same bytes again, or
-        // no terminator any more.
+        // Behind the first LF of the terminator another LF makes the same bytes, and any
+        // other byte leaves no terminator.
         for at in 0..reply.len() {
             for byte in [reply[at], b'\n', b'\r', 0, b'0', 0xff] {
                 let damaged = [&reply[..at], &[byte], &reply[at..]].concat();
                 let found = accepted(&command, &damaged);
                 if at + 2 >= reply.len() && byte == b'\n' {
-                    assert_eq!(found, std::slice::from_ref(&values)); // one LF too many behind it
+                    assert_eq!(found, std::slice::from_ref(&values)); // An LF behind the reply.
                 } else {
                     assert!(found.is_empty(), "{command} with {byte:#x} before byte {at}");
                 }
@@ -91,7 +91,7 @@ fn w02_w07_w12_a_reply_with_any_one_byte_more_is_never_accepted() {
 fn w15_a_truncated_reply_is_never_accepted() {
     for (command, _, reply) in cases() {
         for length in 0..reply.len() - 2 {
-            // As a reader cuts it, and if something made it end there.
+            // As a reader cuts it, and as if it had ended there.
             assert!(accepted(&command, &reply[..length]).is_empty());
             let ended = Reply::parse(&command, &reply[..length]);
             assert!(ended.is_err(), "{command}, {length} bytes of it");
@@ -153,8 +153,7 @@ fn w04_a_flipped_status_is_malformed_in_both_directions() {
     }
 }
 
-/// Every single flipped bit of a frame: in how many of its bits a flip is
-/// accepted, and of how many.
+/// Flips every bit of a frame once. Returns how many flips are accepted, and of how many.
 fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
     let echo = format!("G{:03}{:03}01", window.start(), window.end());
     let command = Command::Distances(window);
@@ -182,13 +181,13 @@ fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
 }
 
 #[test]
-fn w08_the_share_of_flipped_bits_that_no_one_can_see_is_the_one_in_the_readme() {
+fn w08_the_share_of_undetectable_flipped_bits_is_the_one_in_the_readme() {
     let share = |window: Window, values: &[u16]| {
         let (undetected, bits) = accepted_flips(window, values);
         (undetected as f64 * 100.0 / bits as f64).round() as u32
     };
     let points = Window::DETECTION.points();
-    // Outside of the detection window there is only code 19.
+    // Outside the detection window every value is error code 19.
     let full = |values: &[u16]| [&[19; 44], values, &[19; 43]].concat();
     let shares = [indoors(points), spread(points)]
         .map(|values| [share(Window::DETECTION, &values), share(Window::FULL, &full(&values))]);

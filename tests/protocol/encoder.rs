@@ -1,32 +1,31 @@
-//! A second, independent way to make replies: from the text's words and
-//! nothing of the crate.
+//! An independent encoder of replies, made from the protocol text without the crate.
 
-/// The 64 characters of 6 bits, 30 to 6f (p. 5), in order.
+/// The 64 characters of 6 bits, 0x30 to 0x6f (p. 5), in order.
 const CHARACTERS: &[u8; 64] = b"0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`abcdefghijklmno";
 
-/// A 12-bit value in two characters, the upper six bits first.
+/// Encodes a 12-bit value as two characters, the upper six bits first.
 pub(crate) fn characters(value: u16) -> [u8; 2] {
     assert!(value < 4096);
     [CHARACTERS[usize::from(value / 64)], CHARACTERS[usize::from(value % 64)]]
 }
 
-/// Data in lines of 64 bytes, an LF between them.
+/// Splits data into lines of 64 bytes, with an LF between them.
 pub(crate) fn lines(data: &[u8]) -> Vec<u8> {
     data.chunks(64).collect::<Vec<_>>().join(&b'\n')
 }
 
-/// A `G` reply of success to `echo`, without the two LFs at its end.
+/// Makes a `G` reply of success to `echo`, without the two LFs at its end.
 pub(crate) fn frame(echo: &str, values: &[u16]) -> Vec<u8> {
     let data: Vec<u8> = values.iter().flat_map(|&value| characters(value)).collect();
     [echo.as_bytes(), b"\n0\n", &lines(&data)].concat()
 }
 
-/// The same, with the two LFs.
+/// Makes the same reply with the two LFs.
 pub(crate) fn reply(echo: &str, values: &[u16]) -> Vec<u8> {
     [&frame(echo, values)[..], b"\n\n"].concat()
 }
 
-/// What a reader finds that takes everything up to two LFs as a frame.
+/// Splits bytes into frames at every double LF.
 pub(crate) fn frames(mut bytes: &[u8]) -> Vec<&[u8]> {
     let mut found = Vec::new();
     while let Some(end) = bytes.windows(2).position(|pair| pair == b"\n\n") {
@@ -36,7 +35,7 @@ pub(crate) fn frames(mut bytes: &[u8]) -> Vec<&[u8]> {
     found
 }
 
-/// Values spread evenly over all 4,096, always the same ones.
+/// Returns values spread evenly over all 4,096, always the same ones.
 pub(crate) fn spread(count: usize) -> Vec<u16> {
     let mut state = 1_u32;
     let mut next = || {
@@ -46,8 +45,8 @@ pub(crate) fn spread(count: usize) -> Vec<u16> {
     (0..count).map(|_| next()).collect()
 }
 
-/// Values as a sensor has them indoors: more than half are error codes, mostly
-/// 0, 6, 16 and 7; the rest are distances of up to 4 metres.
+/// Returns values as measured indoors: more than half are error codes, mostly 0, 6, 16
+/// and 7; the others are distances of up to 4 metres.
 pub(crate) fn indoors(count: usize) -> Vec<u16> {
     let codes = [0, 6, 16, 7, 0, 6];
     spread(count)

@@ -1,11 +1,10 @@
-//! A fence's reply is found behind what is left of another reply, and nowhere
-//! else.
+//! A fence's reply is found behind the remains of another reply, and nowhere else.
 
 use tokio_scip::protocol::{BaudRate, Command, Reply, Status, Window};
 
 use super::encoder::{frame, reply, spread};
 
-/// A `G` for one step, with its reply of success and of refusal.
+/// Returns a `G` for one step, with its reply of success and of refusal.
 fn fence(step: u16) -> (Command, Vec<u8>, Vec<u8>) {
     let echo = format!("G{step:03}{step:03}01");
     let refused = [echo.as_bytes(), b"\n6"].concat();
@@ -40,7 +39,7 @@ fn w15_a_fence_is_found_behind_a_reply_truncated_at_every_length() {
 
 #[test]
 fn no_whole_reply_of_another_command_ends_in_a_fence() {
-    // Its data spells a fence wherever it can.
+    // Its data contains the bytes of a fence wherever possible.
     let spelled = |step: u16, points: usize| -> Vec<u16> {
         let echo = format!("G{step:03}{step:03}01");
         let text: Vec<u8> = echo.bytes().chain(*b"0CD").cycle().take(points * 2).collect();
@@ -79,7 +78,7 @@ fn a_damaged_fence_is_not_found() {
 }
 
 #[test]
-fn a_failure_is_that_of_the_whole_frame() {
+fn without_a_fence_at_its_end_the_error_is_that_of_the_whole_frame() {
     let (command, _, _) = fence(385);
     let frame = b"G38538501\n0\nCD\nCD";
     assert_eq!(Reply::parse_end(&command, frame), Reply::parse(&command, frame));

@@ -1,6 +1,6 @@
-//! The protocol values, held against the text C-42-3320-A and against what
-//! real sensors send. The bytes here are written by hand from the text, or
-//! built by [`encoder`], which shares nothing with the crate.
+//! The protocol's values, compared with the text C-42-3320-A and with replies of real
+//! sensors. The bytes here are written by hand from the text, or made by [`encoder`],
+//! which shares no code with the crate.
 
 mod arbitrary;
 mod damage;

@@ -1,4 +1,4 @@
-//! Whole replies: the text's own, and error replies.
+//! Whole replies: those in the protocol text, and error replies.
 
 use tokio_scip::protocol::{BaudRate, Command, Malformed, Reply, ReplyError, Status, Text, Window};
 
@@ -20,7 +20,7 @@ fn commands_have_the_bytes_of_the_text() {
     assert_eq!(bytes(Command::Version), b"V");
     assert_eq!(bytes(Command::LaserOn), b"L1");
     assert_eq!(bytes(Command::LaserOff), b"L0");
-    // Six digits of speed and the seven reserved ones.
+    // Six digits of baud rate and the seven reserved ones.
     assert_eq!(bytes(Command::BaudRate(BaudRate::B19200)), b"S0192000000000");
     assert_eq!(bytes(Command::BaudRate(BaudRate::B57600)), b"S0576000000000");
     assert_eq!(bytes(Command::BaudRate(BaudRate::B115200)), b"S1152000000000");
@@ -45,7 +45,7 @@ fn the_value_of_the_text_is_1234_millimetres() {
 }
 
 #[test]
-fn every_value_of_twelve_bits_comes_through() {
+fn every_value_of_twelve_bits_is_decoded() {
     for first in (0..4096).step_by(512) {
         let sent: Vec<u16> = (first..first + 512).collect();
         let frame = frame("G00051101", &sent);
@@ -200,7 +200,7 @@ fn a_status_is_one_printable_character() {
 }
 
 #[test]
-fn another_echo_is_foreign_and_shown_in_short() {
+fn another_echo_is_foreign_and_shown_shortened() {
     let command = Command::Distances(Window::DETECTION);
     for frame in [
         &b""[..],
@@ -223,7 +223,7 @@ fn another_echo_is_foreign_and_shown_in_short() {
 }
 
 #[test]
-fn a_failure_says_where_what_was_expected_and_what_came() {
+fn an_error_names_the_place_what_was_expected_and_what_was_found() {
     let command = Command::Distances(Window::FULL);
     let mut damaged = frame("G00076801", &spread(769));
     damaged[12 + 2 * 65 + 5] = 0xff;
@@ -251,18 +251,18 @@ fn w24_a_status_with_its_checksum_is_scip_2() {
     assert_eq!(parse(b"V\n0Eu"), scip2("0Eu"));
     assert_eq!(parse(b"V\n0Ee"), scip2("0Ee"));
     assert_eq!(parse(b"V\n00P\nVEND:Hokuyo;x"), scip2("00P"));
-    // MD streams by itself.
+    // Sent without a request by a sensor that streams with MD.
     assert_eq!(parse(b"MD0044072501000\n99b\n0ABCD\n"), scip2("99b"));
     assert!(matches!(parse(b"MD0044072501000\n0"), Err(ReplyError::Foreign { .. })));
     assert!(matches!(parse(b"L1\n00P"), Err(ReplyError::Foreign { .. })));
-    // Three characters that no SCIP 2 sensor sends are damage.
+    // A status of three characters that no SCIP 2 sensor sends is damage.
     for damage in [&b"V\n0Ex"[..], b"V\n\x01\x02\x03", b"V\n0\x450", b"V\n\xff0/", b"V\n0\xff/"] {
         assert!(matches!(parse(damage), Err(ReplyError::Malformed(Malformed::Status { .. }))));
     }
 }
 
 #[test]
-fn w05_a_one_step_reply_that_lost_the_lf_after_its_status_is_no_scip_2() {
+fn w05_a_one_step_reply_without_the_lf_after_its_status_is_not_taken_for_scip_2() {
     let command = Command::Distances(window(384, 384, 1));
     assert_eq!(
         Reply::parse(&command, b"G38438401\n0CD"),

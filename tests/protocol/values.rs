@@ -1,10 +1,10 @@
-//! What a value means, and the six baud rates.
+//! The meaning of each value, and the six baud rates.
 
 use std::time::Duration;
 
 use tokio_scip::protocol::{BaudRate, ErrorCode, Measurement, Text, Window};
 
-/// The table of p. 7.
+/// The table of error codes, p. 7.
 const MEANINGS: [&str; 20] = [
     "Possibility of detected object is at 22m",
     "Reflected light has low intensity",
@@ -79,7 +79,7 @@ fn ranges_follow_rep_117_code_by_code() {
 }
 
 #[test]
-fn the_six_line_speeds_have_the_digits_of_the_text() {
+fn the_six_baud_rates_have_the_digits_of_the_text() {
     let digits: Vec<_> = BaudRate::ALL.iter().map(|speed| speed.digits()).collect();
     assert_eq!(
         digits,
@@ -95,7 +95,7 @@ fn the_six_line_speeds_have_the_digits_of_the_text() {
 }
 
 #[test]
-fn a_text_is_what_came_byte_for_byte() {
+fn a_text_keeps_every_byte() {
     let text = Text::from("H0713090");
     assert_eq!((text.as_bytes(), text.is_empty()), (&b"H0713090"[..], false));
     assert!(text == "H0713090" && &text == "H0713090");
@@ -107,7 +107,7 @@ fn a_text_is_what_came_byte_for_byte() {
 }
 
 #[test]
-fn other_line_speeds_are_refused_by_name() {
+fn other_baud_rates_are_refused_by_name() {
     for text in ["", "9600", "38400", "115200.0", "115 200", "fast", "-19200", "99999999999"] {
         let error = text.parse::<BaudRate>().unwrap_err().to_string();
         assert!(error.contains(&format!("{text:?}")) && error.contains("115200"), "{error}");
@@ -127,7 +127,7 @@ fn replies_take_the_milliseconds_of_the_table() {
         for (speed, expected) in BaudRate::ALL.into_iter().zip(milliseconds) {
             let time = speed.wire_time(bytes);
             assert_eq!((time.as_secs_f64() * 1000.0).round() as u32, expected, "{window}, {speed}");
-            // A poll is the ten bytes of its command as well.
+            // A poll is longer by the ten bytes of its command.
             assert_eq!(window.wire_time(speed), speed.wire_time(bytes + 10));
         }
     }

@@ -2,7 +2,7 @@
 
 use tokio_scip::protocol::{Command, Reply, Specification, Text, Version, Window};
 
-/// The example of the text (p. 4).
+/// The example in the text (p. 4).
 const OF_THE_TEXT: &[u8] = b"V\n\
 0\n\
 VEND: Hokuyo Automatic Co., Ltd.\n\
@@ -59,7 +59,7 @@ fn d11_the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
 #[test]
 fn a_real_reply_fits_in_the_length_that_deadlines_count_with() {
     assert!(OF_FIRMWARE_3.len() <= Command::Version.reply_len());
-    // The text's five lines, `STAT:` and one more, none of them over 64 bytes.
+    // Seven lines of 64 bytes: the text has five, firmware 3 adds `STAT:`, one is spare.
     let longest = [&b"V\n0\n"[..], &[&[b'x'; 64][..], b"\n"].concat().repeat(7), b"\n"].concat();
     assert_eq!(Command::Version.reply_len(), longest.len());
 }
@@ -101,7 +101,7 @@ fn specification(bracket: &str) -> Option<Specification> {
 }
 
 #[test]
-fn a_bracket_is_read_as_far_as_it_makes_sense() {
+fn the_valid_parts_of_a_bracket_are_read() {
     let parts = |bracket| {
         let found = specification(bracket).unwrap();
         (found.range, found.aperture, found.steps, found.motor_speed)

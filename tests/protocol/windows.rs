@@ -1,4 +1,4 @@
-//! Which windows there are.
+//! Valid and invalid windows.
 
 use tokio_scip::protocol::{Step, Window, WindowError};
 
@@ -66,14 +66,14 @@ fn degrees_are_the_steps_inside_the_interval() {
     assert_eq!(steps(-0.3, 0.3), Ok((384, 384)));
     assert_eq!(steps(0.1, 0.4), Ok((385, 385)));
     assert_eq!(steps(-119.54, 119.89), Ok((44, 725)));
-    // Step 44 is at -119.53125 degrees; a computed bound may miss it by a hair.
+    // Step 44 is at -119.53125 degrees; rounding may put a computed bound just past it.
     assert_eq!(steps(-119.531_25 + 1e-12, 119.9), Ok((44, 725)));
     assert_eq!(steps(-119.6, 90.0 - 1e-12), Ok((44, 640)));
     assert_eq!(steps((-std::f64::consts::FRAC_PI_2).to_degrees(), 0.0), Ok((128, 384)));
 }
 
 #[test]
-fn degrees_without_a_step_or_outside_of_the_turn_are_refused() {
+fn degrees_without_a_step_or_outside_the_revolution_are_refused() {
     for (from, to) in [
         (0.1, 0.2),
         (90.0, -90.0),
@@ -91,7 +91,7 @@ fn degrees_without_a_step_or_outside_of_the_turn_are_refused() {
 }
 
 #[test]
-fn refusals_say_what_to_do() {
+fn window_errors_name_what_is_valid() {
     let message = |error: WindowError| error.to_string();
     assert_eq!(message(WindowError::Step { found: 800 }), "invalid step 800: expected 0 to 768");
     assert!(message(WindowError::Reversed { start: 9, end: 3 }).ends_with("swap them"));

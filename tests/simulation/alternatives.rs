@@ -1,7 +1,6 @@
-//! What else could be done about a reply that is late, instead of a fence: a
-//! small client for each, on the same sensor and the same bad line as the
-//! driver. They use the crate's codec and checks of replies, so that nothing
-//! but the remedy differs.
+//! The alternatives to a fence after a late reply: a small client for each, on the same
+//! sensor and the same bad line as the driver. They use the crate's codec and checks of
+//! replies, so that only the remedy differs.
 
 use std::time::Duration;
 
@@ -16,19 +15,19 @@ use tokio_util::codec::Framed;
 use super::loss::{Loss, sensor};
 use super::truth::{Timed, Truth};
 
-/// What a client does after a poll without a scan. Before each command all of
-/// them drop what has come.
+/// The step that a client takes after a poll without a scan. Before each command all
+/// clients drop the input that has arrived.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Remedy {
-    /// No more than that.
+    /// No further step.
     Clear,
-    /// Waits until nothing has come for so long.
+    /// Waits until nothing has arrived for this long.
     Quiet(Duration),
     /// Sends `V` until one is answered.
     Version,
 }
 
-/// As the driver waits on USB.
+/// The driver's deadline for a `G` on USB.
 const G_TIMEOUT: Duration = Duration::from_millis(500);
 const V_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -37,15 +36,15 @@ struct Client {
 }
 
 impl Client {
-    /// Drops what has come.
+    /// Drops the input that has arrived.
     fn clear(&mut self) {
         while self.framed.next().now_or_never().is_some() {}
         self.framed.read_buffer_mut().clear();
         self.framed.codec_mut().reset();
     }
 
-    /// The values of the reply to `command`, none to `V`; `None` without a good
-    /// reply.
+    /// Returns the values of the reply to `command`, none for `V`, or `None` without a
+    /// valid reply.
     async fn exchange(&mut self, command: Command, limit: Duration) -> Option<Vec<u16>> {
         self.clear();
         let deadline = Instant::now() + limit;
@@ -60,7 +59,7 @@ impl Client {
                     }
                     return Some(values);
                 }
-                // A reply to something else.
+                // A reply to another command.
                 Err(ReplyError::Foreign { .. }) => {}
                 _ => return None,
             }
@@ -77,7 +76,7 @@ impl Client {
     }
 }
 
-/// Polls through the client with this remedy.
+/// Polls through a client with this remedy.
 pub(crate) async fn poll(
     remedy: Remedy,
     window: Window,

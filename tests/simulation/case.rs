@@ -1,4 +1,4 @@
-//! What a seed stands for: a sensor, a link to it, and what goes wrong.
+//! The case that a seed selects: a sensor, a link to it, and its faults.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ pub(crate) struct Case {
     pub(crate) speed: Option<BaudRate>,
     pub(crate) boot: Duration,
     pub(crate) faults: Faults,
-    /// How many faults can each change a value of a reply unseen.
+    /// The number of faults that can each change a value of a reply undetectably.
     pub(crate) flips: usize,
     /// Whether commands are refused.
     pub(crate) refuses: bool,
@@ -27,28 +27,28 @@ pub(crate) struct Case {
     pub(crate) torn: bool,
     /// Whether the driver may have to speak before a reply has ended.
     pub(crate) overlaps: bool,
-    /// How long an effect of these faults outlasts them.
+    /// The time by which an effect of these faults outlasts them.
     pub(crate) lingers: Duration,
-    pub(crate) does: Does,
+    pub(crate) events: Events,
     pub(crate) truth: Truth,
     pub(crate) script: LinkScript,
 }
 
 impl std::fmt::Debug for Case {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { speed, boot, faults, does, script, .. } = self;
-        write!(f, "{speed:?}, boots {boot:?}, {faults:?}, {does:?}, {script:?}")
+        let Self { speed, boot, faults, events, script, .. } = self;
+        write!(f, "{speed:?}, boots {boot:?}, {faults:?}, {events:?}, {script:?}")
     }
 }
 
-/// What happens besides faults of replies.
+/// Events besides faults of replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Does {
+pub(crate) struct Events {
     pub(crate) unplug: bool,
     pub(crate) power_cycle: bool,
-    pub(crate) stranger: bool,
-    pub(crate) rival: bool,
-    pub(crate) chatter: bool,
+    pub(crate) other_sensor: bool,
+    pub(crate) other_program: bool,
+    pub(crate) unrequested_bytes: bool,
 }
 
 impl Case {
@@ -82,27 +82,28 @@ impl Case {
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
-            does: Does {
+            events: Events {
                 unplug: random.once_in(4),
                 power_cycle: random.once_in(4),
-                stranger: random.once_in(10),
-                rival: random.once_in(8),
-                chatter: random.once_in(8),
+                other_sensor: random.once_in(10),
+                other_program: random.once_in(8),
+                unrequested_bytes: random.once_in(8),
             },
             truth,
             script: LinkScript::draw(random),
         };
-        case.does.unplug |= case.does.stranger;
+        case.events.unplug |= case.events.other_sensor;
         case.draw_faults(random);
-        let Does { unplug, power_cycle, stranger, rival, chatter } = case.does;
-        case.torn |= unplug || power_cycle || stranger || rival || case.script.fails;
-        case.overlaps |= case.torn || chatter;
+        let Events { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } =
+            case.events;
+        case.torn |= unplug || power_cycle || other_sensor || other_program || case.script.fails;
+        case.overlaps |= case.torn || unrequested_bytes;
         case
     }
 
     fn draw_faults(&mut self, random: &mut Random) {
         let long = Duration::from_secs(3);
-        // One of these: two together can shift points between them unseen.
+        // Only one of these: two together can shift points between them undetectably.
         let place = random.below(1500) as usize;
         let damage = [
             Fault::Damaged,
@@ -142,7 +143,7 @@ impl Case {
                 14 => faults.hung_up(rate / 5.0),
                 15 => faults.rate(rate / 50.0, Fault::Endless(b"xyz\n\n".to_vec())),
                 16 => {
-                    // A second character of a status: of a `G`'s, of an `L`'s.
+                    // A second character in the status of a `G`, or of an `L`.
                     let place = *random.pick(&[10, 3]);
                     faults.rate(rate, Fault::Insert(place, b"0".to_vec()))
                 }
@@ -163,7 +164,7 @@ impl Case {
     }
 }
 
-/// How ports behave that are opened to the sensor.
+/// The behaviour of the ports that are opened to the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinkScript {
     reads: usize,
@@ -178,16 +179,16 @@ impl LinkScript {
     }
 }
 
-/// Opens ports that do as the script says.
-pub(crate) struct Opener {
+/// Opens ports that behave as the script requires.
+pub(crate) struct SimulatedConnect {
     pub(crate) emulator: Emulator,
     pub(crate) script: LinkScript,
     pub(crate) random: Random,
-    /// Shared with the case, which ends failures.
+    /// Shared with the case, which ends the failures.
     pub(crate) healthy: std::sync::Arc<std::sync::atomic::AtomicBool>,
 }
 
-impl Connect for Opener {
+impl Connect for SimulatedConnect {
     type Port = FaultyLink<Link>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
@@ -196,7 +197,7 @@ impl Connect for Opener {
         let mut port = FaultyLink::new(link).short_reads(reads).partial_writes(writes);
         if fails && !self.healthy.load(std::sync::atomic::Ordering::Relaxed) {
             let call = *self.random.pick(&[Call::Read, Call::Write, Call::SetBaudRate]);
-            // EIO, ENODEV, and what is no error of its own.
+            // EIO, ENODEV, an end of input, and a call that never returns.
             let failures = [
                 LinkFailure::Errno(5),
                 LinkFailure::Errno(19),

@@ -1,24 +1,24 @@
-//! What happened in all runs together: every fault, every recovery.
+//! Counts of everything that happened in all runs together: each fault, each recovery.
 
 use std::collections::BTreeMap;
 
 use tokio_scip::emulator::{Emulator, FaultCounts};
 use tokio_scip::{Error, State, Stats};
 
-use super::case::Does;
+use super::case::Events;
 
 /// Counters by name.
 #[derive(Default)]
 pub(crate) struct Coverage {
-    /// Scans held against the truth.
+    /// Scans compared with the truth.
     pub(crate) checked: u64,
     pub(crate) missed: u64,
-    /// Recoveries after which the laser was found off, as it should be.
-    pub(crate) darkened: u64,
+    /// Recoveries after which the laser was off, as requested.
+    pub(crate) kept_off: u64,
     counts: BTreeMap<String, u64>,
 }
 
-/// What has to happen in a run of hours.
+/// Counters that must not be 0 after hours of simulation.
 const EXPECTED: [&str; 27] = [
     "error AnotherSensor",
     "error Disconnected",
@@ -31,9 +31,9 @@ const EXPECTED: [&str; 27] = [
     "state Recovering",
     "did unplug",
     "did power_cycle",
-    "did stranger",
-    "did rival",
-    "did chatter",
+    "did other_sensor",
+    "did other_program",
+    "did unrequested_bytes",
     "stats timeouts",
     "stats refused",
     "stats fences",
@@ -62,15 +62,15 @@ impl Coverage {
         self.count(format!("state {}", kind(state)), 1);
     }
 
-    pub(crate) fn add(&mut self, stats: &Stats, emulator: &Emulator, does: Does) {
-        let Does { unplug, power_cycle, stranger, rival, chatter } = does;
+    pub(crate) fn add(&mut self, stats: &Stats, emulator: &Emulator, events: Events) {
+        let Events { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } = events;
         let malformed = stats.malformed;
         for (name, by) in [
             ("did unplug", u64::from(unplug)),
             ("did power_cycle", power_cycle.into()),
-            ("did stranger", (stranger && unplug).into()),
-            ("did rival", rival.into()),
-            ("did chatter", chatter.into()),
+            ("did other_sensor", (other_sensor && unplug).into()),
+            ("did other_program", other_program.into()),
+            ("did unrequested_bytes", unrequested_bytes.into()),
             ("stats polls", stats.polls),
             ("stats scans", stats.scans),
             ("stats timeouts", stats.timeouts),
@@ -94,13 +94,13 @@ impl Coverage {
         }
     }
 
-    /// Fails if anything never happened.
+    /// Fails if an expected counter is 0.
     pub(crate) fn check(&self) {
         let never = EXPECTED.iter().filter(|name| !self.counts.contains_key(**name));
         let zero = self.counts.iter().filter(|(_, count)| **count == 0).map(|(name, _)| &**name);
         let never: Vec<&str> = never.copied().chain(zero).collect();
         assert!(never.is_empty(), "never happened: {never:?}\n{self}");
-        assert!(self.missed > 0 && self.checked > 0 && self.darkened > 0, "{self}");
+        assert!(self.missed > 0 && self.checked > 0 && self.kept_off > 0, "{self}");
     }
 }
 
@@ -108,18 +108,18 @@ impl std::fmt::Display for Coverage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         writeln!(f, "{:24} {:>12}", "scans checked", self.checked)?;
         writeln!(f, "{:24} {:>12}", "scans missed", self.missed)?;
-        writeln!(f, "{:24} {:>12}", "laser kept off", self.darkened)?;
+        writeln!(f, "{:24} {:>12}", "laser kept off", self.kept_off)?;
         self.counts.iter().try_for_each(|(name, count)| writeln!(f, "{name:24} {count:>12}"))
     }
 }
 
-/// The name of an enum's variant.
+/// Returns the name of an enum's variant.
 fn kind(value: &impl std::fmt::Debug) -> String {
     let text = format!("{value:?}");
     text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned()
 }
 
-/// Every field of the counts, by name.
+/// Returns every field of the counts with its name.
 fn faults(counts: &FaultCounts) -> Vec<(String, u64)> {
     let text = format!("{counts:?}");
     let fields = text.trim_start_matches("FaultCounts {").trim_end_matches('}').split(", ");

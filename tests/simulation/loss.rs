@@ -1,5 +1,5 @@
-//! How many scans a bad line costs, and whether any of them is wrong: a sensor
-//! on USB is polled for some time, and every scan is held against the truth.
+//! The number of scans that a bad line costs, and of wrong ones: a sensor on USB is
+//! polled for some time, and every scan is compared with the truth.
 
 use std::time::Duration;
 
@@ -9,17 +9,17 @@ use tokio_scip::{Rate, Sensor, Window};
 
 use super::truth::{Timed, Truth};
 
-/// What came of polling for some time.
+/// The counts after polling for some time.
 #[derive(Debug, Default)]
 pub(crate) struct Loss {
     /// `G`s sent for scans.
     pub(crate) polls: u64,
-    /// Scans that are the answer to their own `G`.
+    /// Scans that answer their own `G`.
     pub(crate) right: u64,
-    /// Of these, scans with one value in which a bit was flipped to another
-    /// value, which nobody can see.
+    /// Of these, scans with one value in which a flipped bit made another value, which
+    /// no driver can detect.
     pub(crate) flipped: u64,
-    /// Scans that are the answer to another one.
+    /// Scans that answer another `G`.
     pub(crate) wrong: u64,
 }
 
@@ -28,7 +28,7 @@ impl Loss {
         (self.right - self.flipped) as f64 / self.polls as f64
     }
 
-    /// Holds a scan against the truth.
+    /// Compares a scan with the truth and counts it.
     pub(crate) fn add(&mut self, truth: &Truth, scan: &Timed<'_>) {
         match truth.check(scan, 1) {
             Ok((_, flips)) => {
@@ -40,8 +40,8 @@ impl Loss {
     }
 }
 
-/// 1 % of the replies are late by up to 3 s, 0.5 % lost, 0.5 % damaged and
-/// 0.1 % doubled: all of that `times` as often.
+/// 1 % of the replies are late by up to 3 s, 0.5 % lost, 0.5 % damaged and 0.1 % doubled,
+/// each share multiplied by `times`.
 pub(crate) fn bad_line(times: f64) -> Faults {
     Faults::none()
         .late(0.01 * times, Duration::from_secs(3))
@@ -51,8 +51,8 @@ pub(crate) fn bad_line(times: f64) -> Faults {
         .seed(1)
 }
 
-/// 1 % of the replies come twice, and many a second copy behind the next
-/// command: a copy that comes while the line is quiet is no danger.
+/// 1 % of the replies are doubled, with many copies behind the next command. A copy that
+/// arrives while no reply is awaited does no harm.
 pub(crate) fn line_with_late_copies() -> Faults {
     Faults::none()
         .rate(0.01, Fault::Doubled)
@@ -61,7 +61,7 @@ pub(crate) fn line_with_late_copies() -> Faults {
         .seed(2)
 }
 
-/// The sensor that is polled: at [`Rate::MAX`] its motor sets the pace.
+/// The sensor to poll. At [`Rate::MAX`] its motor sets the rate.
 pub(crate) fn sensor(truth: &Truth, rate: Rate) -> Builder {
     let pace = if rate == Rate::MAX { Pace::PerRevolution } else { Pace::AtOnce };
     Emulator::builder().world(truth.world()).pace(pace)

@@ -1,6 +1,6 @@
-//! Driver, line and emulated sensor on a paused clock: a seed picks faults and
-//! users, and everything that happens is held against the truth. README.md
-//! tells what was run and how to run more.
+//! Driver, line and emulated sensor on a paused clock: a seed selects faults and users,
+//! and every scan and event is compared with the truth. README.md has the results and
+//! the commands.
 
 mod alternatives;
 mod case;
@@ -64,7 +64,7 @@ fn the_same_seed_gives_the_same_trace() {
     assert!(once.windows(2).all(|pair| pair[0] != pair[1]));
 }
 
-/// How long each of the loss figures is simulated.
+/// Returns the simulated time of each loss figure.
 fn loss_time() -> Duration {
     Duration::from_secs(60 * setting("SCIP_LOSS_MINUTES").unwrap_or(10))
 }
@@ -74,7 +74,7 @@ fn on_paused_clock<T>(work: impl Future<Output = T>) -> T {
     runtime.enable_time().start_paused(true).build().unwrap().block_on(work)
 }
 
-/// Polls through the driver for the time of a loss figure, and prints it.
+/// Polls through the driver for that time, and prints the loss.
 fn poll(window: Window, rate: Rate, faults: Faults) -> Loss {
     limit();
     let loss = on_paused_clock(loss::poll(window, rate, faults, loss_time()));
@@ -92,7 +92,7 @@ fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
 }
 
 #[test]
-fn t03_copies_of_replies_that_come_late_are_no_scans() {
+fn t03_late_copies_of_replies_are_not_delivered() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
         let loss = poll(Window::DETECTION, rate, line_with_late_copies());
         assert_eq!(loss.wrong, 0);
@@ -101,11 +101,11 @@ fn t03_copies_of_replies_that_come_late_are_no_scans() {
 }
 
 #[test]
-fn where_polls_cannot_differ_only_doubled_replies_are_left() {
+fn where_polls_cannot_differ_at_most_a_few_doubled_replies_are_delivered() {
     for rate in [Rate::hz(10.0), Rate::MAX] {
         let loss = poll(Window::FULL, rate, bad_line(1.0));
-        // One doubled reply in a thousand, and of these the few that a delay
-        // puts behind the next poll.
+        // One reply in a thousand is doubled; a delay puts a few of the copies behind the
+        // next poll.
         assert!(loss.wrong * 100_000 <= loss.polls, "{rate}: {loss:?}");
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
     }
@@ -120,11 +120,11 @@ fn poll_with(remedy: Remedy, window: Window, rate: Rate, faults: Faults) -> Loss
     loss
 }
 
-/// In the window in which polls cannot differ: the fence alone is compared.
+/// Uses the window in which polls cannot differ, so that only the remedies are compared.
 #[test]
 fn other_remedies_than_the_fence_deliver_stale_scans_or_cost_more() {
     let (window, rates) = (Window::FULL, [Rate::hz(10.0), Rate::MAX]);
-    // The rest of the table in README.md takes longer than a test should.
+    // The other half of the table in README.md takes too long for a test.
     let lines: &[f64] = if setting("SCIP_LOSS_MINUTES").is_some() { &[1.0, 5.0] } else { &[5.0] };
     for (times, rate) in lines.iter().flat_map(|times| rates.map(|rate| (*times, rate))) {
         println!("faults {times} times as often:");
@@ -134,8 +134,8 @@ fn other_remedies_than_the_fence_deliver_stale_scans_or_cost_more() {
         let (long, version) = (with(Remedy::Quiet(Duration::from_secs(3))), with(Remedy::Version));
         assert!(clear.wrong > 0 && short.wrong > 0, "{rate}: {clear:?}, {short:?}");
         assert!(long.right < fence.right * 3 / 4, "{rate}: {long:?}, {fence:?}");
-        // `V` goes wrong only where the replies to two of them are late, one after
-        // the other: not within minutes.
+        // `V` delivers a wrong scan only where the replies to two of them are late one
+        // after the other, which takes longer than minutes to happen.
         assert!(version.share() > 0.8, "{rate}: {version:?}");
     }
 }

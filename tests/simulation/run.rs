@@ -1,5 +1,5 @@
-//! One seed from its start to its end: users and chaos, then no more faults,
-//! then nobody.
+//! One seed from start to end: users with faults, then users without faults, then no
+//! users.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,34 +11,34 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::emulator::Faults;
 use tokio_scip::{Error, Rate, Sensor, State, Window};
 
-use super::case::{Case, Opener, SERIAL_NUMBER};
+use super::case::{Case, SERIAL_NUMBER, SimulatedConnect};
 use super::coverage::Coverage;
 use super::random::Random;
 use super::users;
 
-/// Longer than any call takes. Each of the users may wait for one another's
-/// exchanges, and each exchange for six fences.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+/// Longer than any call takes. Each user may have to wait for the exchanges of the
+/// others, and each exchange for six fences.
+pub(crate) const CALL_LIMIT: Duration = Duration::from_secs(60);
 
-/// What all that act in a run share.
+/// State that all tasks of a run share.
 #[derive(Clone)]
 pub(crate) struct Run {
     pub(crate) case: Arc<Case>,
     pub(crate) coverage: Arc<Mutex<Coverage>>,
     pub(crate) over: Arc<AtomicBool>,
     pub(crate) healthy: Arc<AtomicBool>,
-    /// Whether the laser may be off by request.
-    pub(crate) dark: Arc<AtomicBool>,
+    /// True while the laser may be off by request.
+    pub(crate) laser_may_be_off: Arc<AtomicBool>,
     trace: Arc<Mutex<DefaultHasher>>,
     start: Instant,
 }
 
-/// What came of a seed.
+/// The result of a seed.
 pub(crate) struct Outcome {
     pub(crate) simulated: Duration,
     pub(crate) trace: u64,
-    /// How long scans took to flow again, what outlasts the faults not counted,
-    /// and whether that is on USB.
+    /// The time until scans came again, without what outlasts the faults, and whether the
+    /// sensor is on USB.
     pub(crate) recovery: (Duration, bool),
 }
 
@@ -56,14 +56,14 @@ impl Run {
         self.over.load(Ordering::Relaxed)
     }
 
-    /// A call that must end, one way or the other.
+    /// Makes a call that must end, with a value or an error.
     pub(crate) async fn call<T>(
         &self,
         name: &str,
         call: impl Future<Output = Result<T, Error>>,
     ) -> Result<T, Error> {
-        let outcome = timeout(PATIENCE, call).await;
-        let outcome = outcome.unwrap_or_else(|_| panic!("{name} was never answered"));
+        let outcome = timeout(CALL_LIMIT, call).await;
+        let outcome = outcome.unwrap_or_else(|_| panic!("{name} never ended"));
         match &outcome {
             Ok(_) => self.note(format_args!("{name}: done")),
             Err(error) => {
@@ -76,24 +76,25 @@ impl Run {
     }
 }
 
-/// Runs a seed on a paused clock of its own.
+/// Runs a seed on its own paused clock.
 pub(crate) fn run(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();
-    let _told = Told(seed);
+    let _print = PrintSeed(seed);
     runtime.block_on(simulate(seed, coverage))
 }
 
-/// Says which seed it was.
-struct Told(u64);
+/// Prints the seed if its run panics.
+struct PrintSeed(u64);
 
-impl Drop for Told {
+impl Drop for PrintSeed {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let seed = self.0;
             eprintln!(
-                "seed {seed} failed: SCIP_SIMULATION_SEED={seed} SCIP_SIMULATION_TRACE=1 \
-                 cargo test --all-features --test simulation seeds"
+                "seed {seed} failed; to repeat it: SCIP_SIMULATION_SEED={seed} \
+                 SCIP_SIMULATION_TRACE=1 cargo test --features mcap,web --test it \
+                 simulation::seeds -- --nocapture"
             );
         }
     }
@@ -106,13 +107,13 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         coverage: Arc::clone(coverage),
         over: Arc::default(),
         healthy: Arc::default(),
-        dark: Arc::default(),
+        laser_may_be_off: Arc::default(),
         trace: Arc::default(),
         start: Instant::now(),
     };
     let case = &run.case;
     run.note(format_args!("{case:?}"));
-    let opener = Opener {
+    let connect = SimulatedConnect {
         emulator: case.emulator.clone(),
         script: case.script,
         random: Random::new(random.next()),
@@ -124,41 +125,41 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         true => builder.baud_rate(*random.pick(&tokio_scip::BaudRate::ALL)),
         false => builder,
     };
-    let (sensor, driver) = builder.build(opener);
+    let (sensor, driver) = builder.build(connect);
     let driver = tokio::spawn(driver);
 
     let mut users = vec![tokio::spawn(users::operator(run.clone(), sensor.clone(), random.next()))];
     for _ in 0..=random.below(3) {
         users.push(tokio::spawn(users::watcher(run.clone(), sensor.clone(), random.next())));
-        users.push(tokio::spawn(users::asker(run.clone(), sensor.clone(), random.next())));
+        users.push(tokio::spawn(users::requester(run.clone(), sensor.clone(), random.next())));
     }
     watch_states(&run, &sensor);
-    chaos(&run, &sensor, &mut random).await;
+    cause_faults(&run, &sensor, &mut random).await;
     run.over.store(true, Ordering::Relaxed);
     for user in users {
-        let done = timeout(PATIENCE * 2, user).await.expect("a user waits for ever");
+        let done = timeout(CALL_LIMIT * 2, user).await.expect("a user's task does not end");
         done.unwrap_or_else(|panic| std::panic::resume_unwind(panic.into_panic()));
     }
     let recovery = recover(&run, &sensor).await;
     check_rest(&run, &sensor).await;
 
-    coverage.lock().unwrap().add(&sensor.stats(), &case.emulator, case.does);
+    coverage.lock().unwrap().add(&sensor.stats(), &case.emulator, case.events);
     drop(sensor);
-    let end = timeout(PATIENCE, driver).await.expect("the driver does not end");
+    let end = timeout(CALL_LIMIT, driver).await.expect("the driver does not end");
     end.unwrap().expect("the driver failed");
     assert!(!case.emulator.is_connected(), "the port was not closed");
     let trace = run.trace.lock().unwrap().finish();
     Outcome { simulated: run.start.elapsed(), trace, recovery: (recovery, case.speed.is_none()) }
 }
 
-/// Notes each state, and none may be the end.
+/// Traces each state, and fails if one is the end of the driver.
 fn watch_states(run: &Run, sensor: &Sensor) {
     let (run, mut state) = (run.clone(), sensor.state());
     tokio::spawn(async move {
         while state.changed().await.is_ok() {
             let state = state.borrow_and_update().clone();
             if let State::Closed { error } = &state {
-                assert!(error.is_none(), "the driver gave up: {error:?}");
+                assert!(error.is_none(), "the driver ended: {error:?}");
                 return;
             }
             run.coverage.lock().unwrap().state(&state);
@@ -166,12 +167,12 @@ fn watch_states(run: &Run, sensor: &Sensor) {
     });
 }
 
-/// Faults come and go, and worse.
-async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
+/// Switches faults on and off, and causes the events of the case.
+async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
     let (case, emulator) = (&run.case, &run.case.emulator);
-    if case.refuses || case.does.stranger {
-        // Another sensor, or one that twice refuses to say who it is, ends an
-        // opening for good.
+    if case.refuses || case.events.other_sensor {
+        // Another sensor, or one that twice does not confirm its identity, ends opening for
+        // good.
         sensor.opened().await.unwrap();
     }
     let end = Instant::now() + Duration::from_secs(60) + random.ms(120_000);
@@ -185,13 +186,13 @@ async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
         let deed = random.below(5);
         run.note(format_args!("deed {deed}"));
         match deed {
-            0 if case.does.unplug => {
+            0 if case.events.unplug => {
                 emulator.unplug();
-                if random.once_in(2) && case.does.power_cycle {
+                if random.once_in(2) && case.events.power_cycle {
                     emulator.power_cycle();
                 }
                 sleep(random.ms(8000)).await;
-                if case.does.stranger {
+                if case.events.other_sensor {
                     emulator.set_serial_number("H9999999");
                     emulator.plug_in();
                     sleep(random.ms(8000)).await;
@@ -201,16 +202,16 @@ async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
                 }
                 emulator.plug_in();
             }
-            1 if case.does.power_cycle => emulator.power_cycle(),
-            2 if case.does.rival => {
-                // Another program takes the port for a moment.
+            1 if case.events.power_cycle => emulator.power_cycle(),
+            2 if case.events.other_program => {
+                // Another program uses the port for a moment.
                 let mut link = emulator.link();
                 let says: [&[u8]; 4] = [b"S1152000000000\n", b"L0\n", b"G0007", b"G00076801\n"];
                 let bytes = *random.pick(&says);
                 let _ = link.write_all(bytes).await;
                 sleep(random.ms(1000)).await;
             }
-            3 if case.does.chatter => {
+            3 if case.events.unrequested_bytes => {
                 let says = [b"hello\n\n".to_vec(), vec![b'x'; 5000], b"\n".to_vec(), vec![0]];
                 emulator.inject(random.pick(&says).clone());
             }
@@ -219,31 +220,31 @@ async fn chaos(run: &Run, sensor: &Sensor, random: &mut Random) {
     }
 }
 
-/// No more faults: scans flow again in time.
+/// Ends all faults and checks that scans come again in time.
 async fn recover(run: &Run, sensor: &Sensor) -> Duration {
     let (case, emulator) = (&run.case, &run.case.emulator);
     run.note(format_args!("faults stop"));
     let limit = Duration::from_secs(if case.speed.is_none() { 2 } else { 5 });
-    // What outlasts the faults, and what is no part of the recovery.
+    // The time that outlasts the faults, and that is no part of the recovery.
     let mut allowance = case.lingers;
     run.healthy.store(true, Ordering::Relaxed);
     emulator.set_faults(Faults::none());
     if case.script.fails {
-        // A port that fails later is a fault that has not stopped. One that hangs
-        // is given up at a deadline, and reopened after the longest back-off.
+        // A port that fails later is a fault that has not ended. One that hangs is
+        // closed at a deadline, and reopened after the longest back-off.
         emulator.unplug();
         emulator.plug_in();
         allowance += Duration::from_millis(1500);
     }
     let start = Instant::now();
-    let dark = run.dark.load(Ordering::Relaxed);
-    if dark {
-        // To be switched on and confirmed, each a turn of the motor or two.
+    let laser_may_be_off = run.laser_may_be_off.load(Ordering::Relaxed);
+    if laser_may_be_off {
+        // To switch the laser on and confirm it, one or two revolutions each.
         allowance += Duration::from_millis(500);
     }
     loop {
         let scanned = async {
-            if dark {
+            if laser_may_be_off {
                 sensor.laser_on().await?;
             }
             sensor.scans(Window::DETECTION, Rate::hz(10.0)).await
@@ -253,16 +254,17 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
             continue;
         };
         let flows = async { while !matches!(stream.next().await, Some(Ok(_))) {} };
-        timeout(PATIENCE, flows).await.expect("scans never flow again");
+        timeout(CALL_LIMIT, flows).await.expect("no scan came after the faults");
         break;
     }
     let took = start.elapsed();
     let within = limit + allowance;
-    assert!(took <= within, "scans flow again after {took:?}, not within {within:?}");
+    assert!(took <= within, "scans came again after {took:?}, expected within {within:?}");
     took.saturating_sub(allowance)
 }
 
-/// With nothing to do the driver knows where the sensor is.
+/// Checks that without streams the driver is connected, silent, and at the sensor's
+/// baud rate.
 async fn check_rest(run: &Run, sensor: &Sensor) {
     sleep(Duration::from_secs(2)).await;
     let emulator = &run.case.emulator;
@@ -273,7 +275,7 @@ async fn check_rest(run: &Run, sensor: &Sensor) {
     assert!(!streaming && emulator.is_laser_on());
     let counts = emulator.counts();
     assert!(run.case.torn || counts.malformed == 0, "{counts:?}: {:?}", emulator.log());
-    // What is garbled while the speed is looked for is answered, too.
+    // Garbled commands while the baud rate is looked for are answered, too.
     assert!(run.case.overlaps || counts.overlapping <= counts.garbled, "{counts:?}");
     let scans = counts.scans;
     sleep(Duration::from_secs(5)).await;

@@ -1,4 +1,4 @@
-//! What the sensor really saw: each scan's data tells which `G` it answers.
+//! The truth about each scan: its data identify the `G` that it answers.
 
 use std::sync::{Arc, Mutex};
 
@@ -6,17 +6,17 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Values, World, WorldTime};
 use tokio_scip::{Scan, Window};
 
-/// When the sensor looked at the world for each `G`.
+/// The times at which the sensor measured for each `G`.
 #[derive(Clone, Default)]
 pub(crate) struct Truth(Arc<Mutex<Vec<Instant>>>);
 
-/// A value for each `G` and step, such that two scans differ nearly everywhere.
+/// Returns the value for a `G` and a step; two scans differ nearly everywhere.
 fn code(request: u64, step: usize) -> u16 {
     let step = step as u64;
     20 + ((request * 1009 + step * 31 + request * step % 97) % 4000) as u16
 }
 
-/// A scan with the time that it was on its way.
+/// A scan with the time of its request and of its reply.
 pub(crate) struct Timed<'a> {
     pub(crate) window: Window,
     pub(crate) values: &'a [u16],
@@ -44,9 +44,9 @@ impl Truth {
         }
     }
 
-    /// Returns which `G` the scan answers, and how many of its values are damaged.
-    /// Fails unless that is the very `G` that it was requested with and no more than
-    /// `flips` values are damaged: nobody can see a bit that makes another value.
+    /// Returns the `G` that the scan answers, and how many of its values are damaged.
+    /// Fails unless that is the `G` of its own request and at most `flips` values are
+    /// damaged: no driver can detect a bit that makes another value.
     pub(crate) fn check(&self, scan: &Timed<'_>, flips: usize) -> Result<(u64, usize), String> {
         let &Timed { window, values, sent, received } = scan;
         let cluster = usize::from(window.cluster_count());
@@ -65,7 +65,7 @@ impl Truth {
             pairs.filter(|(expected, value)| *expected != Some(**value)).count()
         };
         let looks = self.0.lock().unwrap();
-        // Those that the sensor served while this one was waited for.
+        // The scans that the sensor served between request and reply.
         let from = looks.partition_point(|at| *at < sent);
         let until = looks.partition_point(|at| *at <= received);
         let found = |range: std::ops::Range<usize>| {
@@ -73,7 +73,7 @@ impl Truth {
             wrongs.into_iter().find(|(_, wrong)| *wrong <= flips)
         };
         found(from..until).ok_or_else(|| {
-            // It may be one of the last few hundred.
+            // For the message: it may be one of the last few hundred.
             let whose = found(from.saturating_sub(500)..from);
             format!("{values:?} for {window} are of {whose:?}: only {from}..{until} were served meanwhile")
         })

@@ -1,4 +1,4 @@
-//! Those who use the sensor in a run, each for itself.
+//! The users of the sensor in a run, one task each.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -20,12 +20,12 @@ fn window(random: &mut Random) -> Window {
         }
         _ => Window::DETECTION,
     };
-    // Of a few points one may be wrong and nobody could tell.
+    // One wrong value of only a few would leave the scan without a clear identity.
     let clustered = window.with_cluster_count(cluster).unwrap();
     if clustered.points() < 5 { window } else { clustered }
 }
 
-/// Follows streams, one after the other, quickly or slowly.
+/// Reads streams, one after the other, quickly or slowly.
 pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
     while !run.is_over() {
@@ -48,7 +48,7 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
             if random.once_in(50) {
                 stream = stream.clone();
             }
-            // A dropped future loses nothing.
+            // A dropped `next()` loses nothing.
             let Ok(item) = timeout(random.ms(3000), stream.next()).await else { continue };
             match item.expect("the stream ended") {
                 Ok(scan) => check(&run, window, &scan, &mut last),
@@ -62,7 +62,7 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Holds a scan against the truth and against the one before.
+/// Compares a scan with the truth and with the scan before it.
 fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>) {
     assert_eq!(scan.window(), window);
     let (request, _) = run
@@ -72,7 +72,7 @@ fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>)
         .unwrap_or_else(|wrong| panic!("{wrong}"));
     run.note(format_args!("scan {} is {request}", scan.sequence()));
     if let Some((before, last)) = last {
-        assert!(*before < request, "a scan came twice");
+        assert!(*before < request, "a scan was delivered twice");
         assert!(last.sequence() < scan.sequence(), "the sequence does not rise");
         assert!(last.requested_at() < scan.requested_at(), "time runs back");
         assert!(last.received_at() <= scan.requested_at(), "time runs back");
@@ -81,17 +81,17 @@ fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>)
     run.coverage.lock().unwrap().checked += 1;
 }
 
-/// Asks for single scans and for the version, and often does not wait for the
-/// answer.
-pub(crate) async fn asker(run: Run, sensor: Sensor, seed: u64) {
+/// Requests single scans and the version, and often drops the request before it is
+/// answered.
+pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
     while !run.is_over() {
         sleep(random.ms(4000)).await;
         let sensor = sensor.clone();
-        let patience = random.ms(400);
+        let limit = random.ms(400);
         let window = window(&mut random);
         if random.once_in(3) {
-            let _ = timeout(patience, sensor.scan(window)).await;
+            let _ = timeout(limit, sensor.scan(window)).await;
             run.note(format_args!("cancelled"));
         } else if random.once_in(4) {
             let _ = run.call("version", sensor.version()).await;
@@ -101,19 +101,19 @@ pub(crate) async fn asker(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Switches the laser and the baud rate. There is only one, so that it knows
-/// what to expect.
+/// Switches the laser and the baud rate. A run has one operator, so that it knows which
+/// state to expect.
 pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
     let emulator = &run.case.emulator;
     while !run.is_over() {
         sleep(random.ms(15_000)).await;
         let speed = *random.pick(&BaudRate::ALL);
-        // What only this operator does is what the sensor is at, unless another
-        // hand or a restart was in between.
+        // The sensor is in the state that this operator set, unless another program or a
+        // restart came in between.
         let undisturbed = {
             let resets = emulator.counts().resets;
-            let alone = !run.case.does.rival;
+            let alone = !run.case.events.other_program;
             move |now: u64| alone && now == resets
         };
         match random.below(7) {
@@ -125,19 +125,19 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 }
             }
             3 => {
-                run.dark.store(true, Ordering::Relaxed);
+                run.laser_may_be_off.store(true, Ordering::Relaxed);
                 let _ = timeout(random.ms(600), sensor.laser_off()).await;
             }
             4 => {
-                run.dark.store(true, Ordering::Relaxed);
+                run.laser_may_be_off.store(true, Ordering::Relaxed);
                 if run.call("laser off", sensor.laser_off()).await.is_ok() {
                     assert!(!undisturbed(emulator.counts().resets) || !emulator.is_laser_on());
-                    stay_dark(&run, &sensor, random.ms(20_000)).await;
+                    stay_off(&run, &sensor, random.ms(20_000)).await;
                 }
             }
             _ => {
                 if run.call("laser on", sensor.laser_on()).await.is_ok() {
-                    run.dark.store(false, Ordering::Relaxed);
+                    run.laser_may_be_off.store(false, Ordering::Relaxed);
                     if undisturbed(emulator.counts().resets) {
                         assert!(emulator.is_laser_on(), "after laser_on");
                     }
@@ -147,9 +147,9 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
     }
 }
 
-/// Nobody polls while the laser is off, and a sensor that was away has it off
-/// again when it is back.
-async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
+/// Checks that nothing is polled while the laser is off, and that the laser of a sensor
+/// that was away is switched off again.
+async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
     let (emulator, off) = (&run.case.emulator, Instant::now());
     let now = || (sensor.stats().reconnects, emulator.counts().resets);
     let (mut reconnects, mut resets) = now();
@@ -160,12 +160,11 @@ async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
         if latest.1 > resets {
             restarted = Instant::now();
         }
-        // A restart right behind the recovery goes unseen until the sensor is
-        // asked for something.
+        // A restart right after the recovery is not visible until the next request.
         let since = restarted.elapsed() > Duration::from_millis(500);
-        if latest.0 > reconnects && since && !run.case.does.rival {
+        if latest.0 > reconnects && since && !run.case.events.other_program {
             assert!(!emulator.is_laser_on(), "the laser is on after a recovery");
-            run.coverage.lock().unwrap().darkened += 1;
+            run.coverage.lock().unwrap().kept_off += 1;
         }
         (reconnects, resets) = latest;
     }
@@ -175,5 +174,8 @@ async fn stay_dark(run: &Run, sensor: &Sensor, time: Duration) {
         poll && received.at >= off && !received.garbled
     });
     let polls: Vec<_> = polls.collect();
-    assert!(run.case.does.rival || polls.is_empty(), "polled with the laser off: {polls:?}");
+    assert!(
+        run.case.events.other_program || polls.is_empty(),
+        "polled with the laser off: {polls:?}"
+    );
 }

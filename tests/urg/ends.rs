@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 
 use super::program::{Emulated, Running, Scratch, run, shell};
-use crate::common::prompt;
+use crate::common::instant_sensor;
 
 #[test]
 fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
@@ -103,7 +103,7 @@ fn sensor_without_scans() -> String {
             let is_poll = command.starts_with(b"G") && command[1..4] != command[4..7];
             if !is_poll {
                 let mut reply = Vec::new();
-                prompt::reply(&command, &mut reply);
+                instant_sensor::reply(&command, &mut reply);
                 stream.write_all(&reply).unwrap();
             }
         }

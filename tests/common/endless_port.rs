@@ -1,4 +1,4 @@
-//! A port out of which bytes come without an end.
+//! A port that delivers bytes without an end.
 
 use std::io;
 use std::pin::Pin;
@@ -8,28 +8,27 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_scip::Port;
 
-/// A peer that answers nothing that was asked, and talks without an end: the
-/// same bytes over and over, as fast as they are taken.
-pub(crate) struct Fountain {
+/// A peer that answers no command and repeats the same bytes without an end.
+pub(crate) struct EndlessPort {
     pattern: &'static [u8],
     at: usize,
-    /// Bytes a millisecond; none for as many as are taken.
+    /// Limits the rate where it is set; otherwise every read fills its buffer.
     rest: Option<tokio::time::Interval>,
 }
 
-impl Fountain {
-    /// As fast as they are taken.
+impl EndlessPort {
+    /// Fills every read.
     pub(crate) fn new(pattern: &'static [u8]) -> Self {
         Self { pattern, at: 0, rest: None }
     }
 
-    /// At most 100 bytes a millisecond.
+    /// Delivers at most 100 bytes a millisecond.
     pub(crate) fn slow(pattern: &'static [u8]) -> Self {
         Self { rest: Some(tokio::time::interval(Duration::from_millis(1))), ..Self::new(pattern) }
     }
 }
 
-impl AsyncRead for Fountain {
+impl AsyncRead for EndlessPort {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -48,7 +47,7 @@ impl AsyncRead for Fountain {
     }
 }
 
-impl AsyncWrite for Fountain {
+impl AsyncWrite for EndlessPort {
     fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
         Poll::Ready(Ok(b.len()))
     }
@@ -62,4 +61,4 @@ impl AsyncWrite for Fountain {
     }
 }
 
-impl Port for Fountain {}
+impl Port for EndlessPort {}

@@ -1,5 +1,5 @@
-//! A sensor that answers at once, from memory, without allocating: what is
-//! measured against it is the driver alone.
+//! A sensor that answers at once, from memory, without allocating, so that tests and
+//! benchmarks measure the driver alone.
 
 #![allow(dead_code, reason = "each test and benchmark uses a part of it")]
 
@@ -14,8 +14,7 @@ const VERSION: &[u8] = b"VEND:Hokuyo Automatic Co.,Ltd.\nPROD:SOKUIKI Sensor URG
 /// A full line of data: 32 points at various distances.
 const LINE: &[u8; 65] = b"0G0H0I0J1K2L3M4N5O6P7Q8R9S:T;U<V=W>X?Y@ZA[B\\C]D^E_F`GaHbIcJdKeLf\n";
 
-/// Appends what a sensor answers to `command`: well-formed `V` and `G` without
-/// clusters succeed.
+/// Appends a sensor's reply to `command`. `V`, and `G` without clusters, succeed.
 pub(crate) fn reply(command: &[u8], out: &mut Vec<u8>) {
     out.extend_from_slice(command);
     out.extend_from_slice(b"\n0\n");
@@ -38,20 +37,20 @@ pub(crate) fn reply(command: &[u8], out: &mut Vec<u8>) {
 
 /// The stream to such a sensor.
 #[derive(Debug, Default)]
-pub(crate) struct Prompt {
+pub(crate) struct InstantSensor {
     line: Vec<u8>,
     reply: Vec<u8>,
     taken: usize,
     reader: Option<Waker>,
 }
 
-impl Prompt {
+impl InstantSensor {
     pub(crate) fn new() -> Self {
         Self { line: Vec::with_capacity(64), reply: Vec::with_capacity(4096), ..Self::default() }
     }
 }
 
-impl AsyncRead for Prompt {
+impl AsyncRead for InstantSensor {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -73,7 +72,7 @@ impl AsyncRead for Prompt {
     }
 }
 
-impl AsyncWrite for Prompt {
+impl AsyncWrite for InstantSensor {
     fn poll_write(
         mut self: Pin<&mut Self>,
         _: &mut Context<'_>,
