@@ -1,11 +1,13 @@
 //! [`Error`]: everything that can fail, for the crate's users. Errors of the protocol
 //! itself are in [`protocol`](crate::protocol).
 
-use std::fmt;
+mod chain;
+
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+pub use self::chain::ErrorChain;
 use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
 
 /// The reason why an operation failed, and what to do about it.
@@ -311,37 +313,6 @@ fn or_sensor(name: &Option<Arc<str>>) -> &str {
     name.as_deref().unwrap_or("the sensor")
 }
 
-/// An error and its causes, as one line: `Display` joins them with `: `.
-///
-/// A cause whose text already ends the line is not repeated: some errors include
-/// the text of their cause in their own.
-#[derive(Debug, Clone, Copy)]
-pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
-
-impl<'a> ErrorChain<'a> {
-    /// Wraps any error; [`Error::chain`] is the short way for those of this crate.
-    pub fn new(error: &'a (dyn std::error::Error + 'a)) -> Self {
-        Self(error)
-    }
-}
-
-impl fmt::Display for ErrorChain<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut last = self.0.to_string();
-        f.write_str(&last)?;
-        let mut cause = self.0.source();
-        while let Some(error) = cause {
-            let text = error.to_string();
-            if !last.ends_with(&text) {
-                write!(f, ": {text}")?;
-                last = text;
-            }
-            cause = error.source();
-        }
-        Ok(())
-    }
-}
-
 /// Converts to an I/O error of the nearest kind, with this one inside, so that a function
 /// that returns `io::Result` can use `?`.
 impl From<Error> for io::Error {
@@ -378,18 +349,6 @@ impl From<std::convert::Infallible> for Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_chain_names_each_cause_once() {
-        #[derive(Debug, thiserror::Error)]
-        #[error("cannot start: {0}")]
-        struct Outer(#[source] Error);
-
-        let lost = Error::disconnected(Some(io::Error::other("device removed")));
-        let text = "cannot start: the link to the sensor is lost: device removed";
-        assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
-        assert_eq!(Error::Closed.chain().to_string(), Error::Closed.to_string());
-    }
 
     #[test]
     fn the_name_of_the_sensor_is_in_the_errors_of_its_link() {

@@ -1,0 +1,54 @@
+//! [`ErrorChain`]: an error and its causes on one line.
+
+use std::fmt;
+
+/// An error and its causes, as one line: `Display` joins them with `: `.
+///
+/// A cause whose text already ends the line is not repeated: some errors include
+/// the text of their cause in their own.
+#[derive(Debug, Clone, Copy)]
+pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
+
+impl<'a> ErrorChain<'a> {
+    /// Wraps any error; [`Error::chain`] is the short way for those of this crate.
+    pub fn new(error: &'a (dyn std::error::Error + 'a)) -> Self {
+        Self(error)
+    }
+}
+
+impl fmt::Display for ErrorChain<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut last = self.0.to_string();
+        f.write_str(&last)?;
+        let mut cause = self.0.source();
+        while let Some(error) = cause {
+            let text = error.to_string();
+            if !last.ends_with(&text) {
+                write!(f, ": {text}")?;
+                last = text;
+            }
+            cause = error.source();
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use super::*;
+    use crate::Error;
+
+    #[test]
+    fn a_chain_names_each_cause_once() {
+        #[derive(Debug, thiserror::Error)]
+        #[error("cannot start: {0}")]
+        struct Outer(#[source] Error);
+
+        let lost = Error::disconnected(Some(io::Error::other("device removed")));
+        let text = "cannot start: the link to the sensor is lost: device removed";
+        assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
+        assert_eq!(Error::Closed.chain().to_string(), Error::Closed.to_string());
+    }
+}

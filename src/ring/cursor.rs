@@ -1,0 +1,161 @@
+//! [`Cursor`]: a reader of a ring, at a place and to a depth of its own.
+
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+
+use tokio::task::coop;
+use tokio::time::Instant;
+
+use super::{Inner, ReaderState, Ring};
+use crate::{Error, Scan};
+
+impl Ring {
+    /// Returns a reader of what comes from now on, which can be `depth` scans behind
+    /// before it misses one. If no scan has come since the latest error, it begins with
+    /// that error.
+    pub(crate) fn subscribe(self: &Arc<Self>, depth: usize) -> Cursor {
+        let depth = depth.max(1);
+        let mut inner = self.lock();
+        let is_news = inner.error.is_some() && inner.error_at == inner.next;
+        let place = Place {
+            entry: inner.enter(depth),
+            depth,
+            next: inner.next,
+            errors: inner.errors - u64::from(is_news),
+            missed: 0,
+            finished: false,
+        };
+        drop(inner);
+        Cursor { ring: Arc::clone(self), place }
+    }
+}
+
+/// A reader of a ring.
+#[derive(Debug)]
+pub(crate) struct Cursor {
+    ring: Arc<Ring>,
+    place: Place,
+}
+
+/// How far a reader has got.
+#[derive(Debug, Clone, Copy)]
+struct Place {
+    /// Its entry in `Inner::readers`.
+    entry: usize,
+    depth: usize,
+    next: u64,
+    errors: u64,
+    missed: u64,
+    finished: bool,
+}
+
+impl Cursor {
+    /// Returns the next error or scan, or `None` after the end. Takes part in tokio's
+    /// cooperative scheduling: a task that always finds a scan yields now and then.
+    pub(crate) fn poll_next(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Scan, Error>>> {
+        if self.place.finished {
+            return Poll::Ready(None);
+        }
+        let coop = ready!(coop::poll_proceed(cx));
+        let mut inner = self.ring.lock();
+        if let Poll::Ready(item) = self.place.take(&mut inner) {
+            coop.made_progress();
+            return Poll::Ready(item);
+        }
+        let before = match inner.readers.get_mut(self.place.entry).map(|reader| &mut reader.state) {
+            Some(ReaderState::Waiting(waker)) if waker.will_wake(cx.waker()) => None,
+            Some(state) => Some(std::mem::replace(state, ReaderState::Waiting(cx.waker().clone()))),
+            None => None,
+        };
+        // With the lock released, as a waker that is dropped may run anything.
+        drop(inner);
+        drop(before);
+        Poll::Pending
+    }
+
+    /// Returns the next error or scan if there is one, without waiting; `None` also
+    /// after the end.
+    pub(crate) fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
+        match self.place.take(&mut self.ring.lock()) {
+            Poll::Ready(item) => item,
+            Poll::Pending => None,
+        }
+    }
+
+    /// Returns the newest scan, whether or not it was read.
+    pub(crate) fn latest(&self) -> Option<Scan> {
+        self.ring.lock().scans.back().cloned()
+    }
+
+    /// Returns the time of the newest scan, and the latest error since.
+    pub(crate) fn freshness(&self) -> (Option<Instant>, Option<Error>) {
+        let inner = self.ring.lock();
+        let error = inner.error.as_ref().filter(|_| inner.error_at == inner.next);
+        (inner.scans.back().map(Scan::received_at), error.cloned())
+    }
+
+    /// Returns another reader of the same depth, of what comes from now on.
+    pub(crate) fn resubscribe(&self) -> Self {
+        self.ring.subscribe(self.place.depth)
+    }
+
+    /// Returns true once the end was returned.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.place.finished
+    }
+
+    /// Returns the number of scans that this reader missed.
+    pub(crate) fn missed(&self) -> u64 {
+        self.place.missed
+    }
+}
+
+impl Place {
+    /// Takes the next error, scan or end, if one is there.
+    fn take(&mut self, inner: &mut Inner) -> Poll<Option<Result<Scan, Error>>> {
+        if self.finished {
+            return Poll::Ready(None);
+        }
+        let kept = inner.scans.len();
+        let oldest = inner.next - kept.min(self.depth) as u64;
+        // In its place: a scan from before a link was lost, after the loss, would
+        // look as if the link were back.
+        if inner.errors != self.errors && self.next.max(oldest) >= inner.error_at {
+            self.errors = inner.errors;
+            if let Some(error) = inner.error.clone() {
+                return Poll::Ready(Some(Err(error)));
+            }
+        }
+        if self.next < oldest {
+            self.missed += oldest - self.next;
+            inner.missed += oldest - self.next;
+            self.next = oldest;
+        }
+        // How far the next one is behind the oldest that the ring keeps.
+        let behind = self.next + kept as u64 - inner.next;
+        if let Some(scan) = inner.scans.get(behind as usize) {
+            self.next += 1;
+            return Poll::Ready(Some(Ok(scan.clone())));
+        }
+        if inner.ended {
+            self.finished = true;
+            return Poll::Ready(None);
+        }
+        Poll::Pending
+    }
+}
+
+impl Clone for Cursor {
+    fn clone(&self) -> Self {
+        let entry = self.ring.lock().enter(self.place.depth);
+        Self { ring: Arc::clone(&self.ring), place: Place { entry, ..self.place } }
+    }
+}
+
+impl Drop for Cursor {
+    fn drop(&mut self) {
+        let before = self.ring.lock().leave(self.place.entry);
+        // With the lock released, as a waker that is dropped may run anything.
+        drop(before);
+    }
+}

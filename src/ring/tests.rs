@@ -1,0 +1,216 @@
+//! Order, depth, ends and wake-ups of a ring, as one thread sees them.
+
+use futures::FutureExt;
+use std::future::poll_fn;
+use tokio::time::Instant;
+
+use super::*;
+use crate::Window;
+use crate::scan::ScanMeta;
+
+fn scan(sequence: u64) -> Scan {
+    let now = Instant::now();
+    let meta = ScanMeta {
+        sequence,
+        requested_at: now,
+        received_at: now,
+        stamp: std::time::SystemTime::now(),
+        repeat: false,
+        scan_time: std::time::Duration::from_millis(100),
+        reconnects: 0,
+    };
+    Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
+}
+
+/// What the reader gets without waiting.
+fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
+    let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
+    Some(item.map(|item| item.map(|scan| scan.sequence()).map_err(|error| error.to_string())))
+}
+
+#[test]
+fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(2);
+    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    assert_eq!(take(&mut reader), Some(Some(Ok(3))));
+    assert_eq!(take(&mut reader), Some(Some(Ok(4))));
+    assert_eq!(take(&mut reader), None);
+    assert_eq!((reader.missed(), ring.missed()), (3, 3));
+}
+
+#[test]
+fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(1);
+    ring.report(Error::LaserOff);
+    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut reader), Some(Some(Ok(4))));
+    assert_eq!(take(&mut reader), None);
+}
+
+#[test]
+fn an_error_comes_behind_the_scans_from_before_it() {
+    let ring = Ring::new();
+    let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
+    (0..3).for_each(|sequence| ring.push(scan(sequence)));
+    ring.report(Error::LaserOff);
+    assert_eq!(take(&mut reader), Some(Some(Ok(1))));
+    assert_eq!(take(&mut reader), Some(Some(Ok(2))));
+    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut reader), None);
+    ring.push(scan(3));
+    assert_eq!(take(&mut reader), Some(Some(Ok(3))));
+    // Of the two scans that are kept one is from before the error.
+    assert_eq!(take(&mut slow), Some(Some(Ok(2))));
+    assert_eq!(take(&mut slow), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut slow), Some(Some(Ok(3))));
+    assert_eq!((take(&mut slow), slow.missed()), (None, 2));
+}
+
+#[test]
+fn the_end_comes_after_what_is_left_and_its_cause() {
+    let ring = Ring::new();
+    let (mut reader, mut other) = (ring.subscribe(1), ring.subscribe(1));
+    ring.push(scan(0));
+    ring.end(Some(Error::Loopback { sensor: None }));
+    ring.end(Some(Error::Closed));
+    for reader in [&mut reader, &mut other] {
+        assert_eq!(take(reader), Some(Some(Ok(0))));
+        assert_eq!(take(reader), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
+        assert!(!reader.is_finished());
+        assert_eq!(take(reader), Some(None));
+        assert_eq!(take(reader), Some(None));
+        assert!(reader.is_finished());
+    }
+}
+
+#[test]
+fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since() {
+    let ring = Ring::new();
+    ring.report(Error::Loopback { sensor: None });
+    let (mut during, kept) = (ring.subscribe(1), ring.subscribe(1));
+    assert_eq!(take(&mut during), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
+    assert_eq!(take(&mut during), None);
+    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    let mut after = kept.resubscribe();
+    assert_eq!(take(&mut after), None);
+    ring.push(scan(5));
+    assert_eq!(take(&mut after), Some(Some(Ok(5))));
+    // Nor does it count what came before it as missed; `during` never read it.
+    assert_eq!((after.missed(), kept.missed(), ring.missed()), (0, 0, 0));
+    assert_eq!(
+        take(&mut kept.clone()),
+        Some(Some(Err(Error::Loopback { sensor: None }.to_string())))
+    );
+}
+
+#[test]
+fn each_reader_has_a_depth_of_its_own() {
+    let ring = Ring::new();
+    let (mut newest, mut all) = (ring.subscribe(1), ring.subscribe(4));
+    (0..6).for_each(|sequence| ring.push(scan(sequence)));
+    assert_eq!((take(&mut newest), take(&mut newest)), (Some(Some(Ok(5))), None));
+    for sequence in 2..6 {
+        assert_eq!(take(&mut all), Some(Some(Ok(sequence))));
+    }
+    assert_eq!((take(&mut all), newest.missed(), all.missed()), (None, 5, 2));
+    // With the deepest reader the ring gives up what nobody else wants.
+    drop(all);
+    assert_eq!(ring.lock().scans.len(), 1);
+    (6..9).for_each(|sequence| ring.push(scan(sequence)));
+    assert_eq!(ring.lock().scans.len(), 1);
+    assert_eq!(take(&mut newest), Some(Some(Ok(8))));
+}
+
+#[test]
+fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(2);
+    assert!(reader.latest().is_none() && reader.next_if_ready().is_none());
+    (0..3).for_each(|sequence| ring.push(scan(sequence)));
+    assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
+    let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
+    assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
+    assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
+    ring.report(Error::LaserOff);
+    assert!(matches!(reader.next_if_ready(), Some(Err(Error::LaserOff))));
+    ring.end(None);
+    assert!(reader.next_if_ready().is_none() && reader.is_finished());
+}
+
+#[test]
+fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
+    let ring = Ring::new();
+    let reader = ring.subscribe(1);
+    let error = || reader.freshness().1.map(|error| error.to_string());
+    ring.report(Error::LaserOff);
+    assert_eq!((reader.freshness().0, error()), (None, Some(Error::LaserOff.to_string())));
+    let scan = scan(0);
+    ring.push(scan.clone());
+    assert_eq!((reader.freshness().0, error()), (Some(scan.received_at()), None));
+    ring.report(Error::Loopback { sensor: None });
+    assert_eq!(error(), Some(Error::Loopback { sensor: None }.to_string()));
+}
+
+#[test]
+fn no_reader_ever_sees_the_end_without_its_cause() {
+    for _ in 0..1000 {
+        let ring = Ring::new();
+        let mut reader = ring.subscribe(1);
+        let ending = std::thread::spawn(move || ring.end(Some(Error::Loopback { sensor: None })));
+        let mut items = std::iter::repeat_with(|| take(&mut reader)).flatten();
+        assert_eq!(items.next(), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
+        assert_eq!(items.next(), Some(None));
+        assert!(ending.join().is_ok());
+    }
+}
+
+#[test]
+fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(8);
+    ring.push(scan(0));
+    ring.push(scan(1));
+    assert_eq!(take(&mut reader), Some(Some(Ok(0))));
+    let (mut clone, mut late) = (reader.clone(), ring.subscribe(8));
+    assert_eq!(take(&mut late), None);
+    for reader in [&mut reader, &mut clone] {
+        assert_eq!(take(reader), Some(Some(Ok(1))));
+    }
+    assert_eq!(ring.readers(), 3);
+    drop((reader, late));
+    assert_eq!(ring.readers(), 1);
+}
+
+#[tokio::test]
+async fn every_waiting_reader_is_woken() {
+    let ring = Ring::new();
+    let readers: Vec<_> = (0..3).map(|_| ring.subscribe(1)).collect();
+    let waiting = readers
+        .into_iter()
+        .map(|mut reader| tokio::spawn(async move { poll_fn(|cx| reader.poll_next(cx)).await }));
+    let waiting: Vec<_> = waiting.collect();
+    tokio::task::yield_now().await;
+    ring.push(scan(7));
+    for task in waiting {
+        let scan = task.await.ok().flatten().and_then(Result::ok);
+        assert_eq!(scan.map(|scan| scan.sequence()), Some(7));
+    }
+}
+
+#[tokio::test]
+async fn a_reader_that_always_finds_a_scan_lets_other_tasks_run() {
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(1);
+    let other = tokio::spawn(async {});
+    for sequence in 0..1000 {
+        ring.push(scan(sequence));
+        poll_fn(|cx| reader.poll_next(cx)).await;
+        if other.is_finished() {
+            return;
+        }
+    }
+    assert!(other.is_finished(), "a thousand scans in one go");
+}
