@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::mcap::MAX_CHUNKS;
+use super::mcap::MAX_INDEX_ENTRIES;
 
 /// The file that is written.
 pub(super) type Output = Box<dyn Write + Send>;
@@ -38,9 +38,9 @@ impl Parts {
     }
 
     /// Returns true if the current file should have no more messages.
-    pub(super) fn is_full(&self, duration: Duration, bytes: u64, chunks: usize) -> bool {
+    pub(super) fn is_full(&self, duration: Duration, bytes: u64, index_entries: usize) -> bool {
         self.path.is_some()
-            && (chunks >= MAX_CHUNKS
+            && (index_entries >= MAX_INDEX_ENTRIES
                 || self.limits.duration.is_some_and(|limit| duration >= limit)
                 || self.limits.bytes.is_some_and(|limit| bytes >= limit))
     }
@@ -83,15 +83,15 @@ mod tests {
         let limits = Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99) };
         let parts = |path| Parts::new(limits, path, |file| Box::new(file));
         let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
-        for (seconds, bytes, chunks, is_full) in [
-            (8, 98, MAX_CHUNKS - 1, false),
+        for (seconds, bytes, entries, is_full) in [
+            (8, 98, MAX_INDEX_ENTRIES - 1, false),
             (9, 0, 0, true),
             (0, 99, 0, true),
-            (0, 0, MAX_CHUNKS, true),
+            (0, 0, MAX_INDEX_ENTRIES, true),
         ] {
             let duration = Duration::from_secs(seconds);
-            assert_eq!(file.is_full(duration, bytes, chunks), is_full);
-            assert!(!pipe.is_full(duration, bytes, chunks));
+            assert_eq!(file.is_full(duration, bytes, entries), is_full);
+            assert!(!pipe.is_full(duration, bytes, entries));
         }
     }
 

@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
 
@@ -19,8 +19,6 @@ use super::progress::Progress;
 use super::writer::{LogClock, Times, Writer};
 use crate::Scan;
 
-/// A message is in the file after this time at the latest.
-const FLUSH_INTERVAL: Duration = Duration::from_secs(1);
 /// The bytes that wait for a slow disk at most. At 10 scans a second that is
 /// some four minutes.
 const HIGH_WATER_BYTES: usize = 8 << 20;
@@ -200,12 +198,10 @@ fn write_all(
     items: &mpsc::Receiver<WriteItem>,
     queue: &Queue,
 ) -> io::Result<()> {
-    // When the oldest message came that is not in the file.
-    let mut unwritten: Option<Instant> = None;
     loop {
-        let item = match unwritten {
+        let item = match writer.until_flush() {
             None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
-            Some(since) => items.recv_timeout(FLUSH_INTERVAL.saturating_sub(since.elapsed())),
+            Some(time) => items.recv_timeout(time),
         };
         let weight = item.as_ref().map_or(0, WriteItem::weight);
         match item {
@@ -224,15 +220,14 @@ fn write_all(
             }
             Err(RecvTimeoutError::Timeout) => {
                 writer.flush()?;
-                unwritten = None;
                 continue;
             }
             Err(RecvTimeoutError::Disconnected) => return writer.finish(),
         }
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
-        if unwritten.get_or_insert_with(Instant::now).elapsed() >= FLUSH_INTERVAL {
+        // Items that keep coming leave no time to wait for.
+        if writer.until_flush() == Some(Duration::ZERO) {
             writer.flush()?;
-            unwritten = None;
         }
     }
 }
@@ -265,7 +260,7 @@ impl<W: Write> Write for Counted<W> {
 
 #[cfg(test)]
 mod tests {
-    use std::time::SystemTime;
+    use std::time::{Instant, SystemTime};
 
     use futures::FutureExt as _;
 

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::mcap::{Fields, MessageHeader, Records, kind};
+use super::mcap::{Fields, MessageHeader, Records, kind, parse_metadata};
 use super::record::{Entry, Record, Reply, parse_command};
 use super::topics::Topic;
 use super::{Event, METADATA, RecordingError};
@@ -19,7 +19,7 @@ use crate::{Rate, Window};
 /// The metadata is searched in so many records: it stands near the beginning.
 const METADATA_SEARCH_RECORDS: usize = 256;
 /// The reason of damage that no checksum covers.
-const MALFORMED: &str = "a message, channel or metadata is not of its form";
+const MALFORMED: &str = "a message or channel is not of its form";
 
 /// A recording as an iterator over its records, in the order in which they were
 /// written.
@@ -146,8 +146,11 @@ impl Recording {
                     self.channels.insert(id, topic);
                     None
                 }),
-                kind::METADATA => metadata(content).map(|metadata| {
-                    self.metadata = metadata.unwrap_or(std::mem::take(&mut self.metadata));
+                kind::METADATA => parse_metadata(content).map(|(name, pairs)| {
+                    if name == METADATA {
+                        let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
+                        self.metadata = pairs.into_iter().map(owned).collect();
+                    }
                     None
                 }),
                 kind::MESSAGE => message(content, &mut self.channels),
@@ -184,21 +187,6 @@ fn channel(content: &[u8]) -> Option<(u16, Option<Topic>)> {
     let mut fields = Fields(content);
     let (id, _schema, name) = (fields.u16()?, fields.u16()?, fields.string()?);
     Some((id, Topic::ALL.into_iter().find(|topic| topic.name() == name)))
-}
-
-/// Parses metadata: a map if it is that of a recording.
-#[expect(clippy::option_option, reason = "malformed, somebody else's, or ours")]
-fn metadata(content: &[u8]) -> Option<Option<BTreeMap<String, String>>> {
-    let mut fields = Fields(content);
-    if fields.string()? != METADATA {
-        return Some(None);
-    }
-    let mut pairs = Fields(fields.bytes()?);
-    let mut map = BTreeMap::new();
-    while !pairs.0.is_empty() {
-        map.insert(pairs.string()?.to_owned(), pairs.string()?.to_owned());
-    }
-    Some(Some(map))
 }
 
 /// Parses a message: a record if it is of a topic of a recording. A channel that

@@ -5,7 +5,8 @@ use std::io::{Read, Write};
 
 use super::RecordingError;
 use super::mcap::{
-    Fields, FileError, McapWriter, MessageHeader, Section, Sections, header, kind, split_record,
+    Fields, FileError, McapWriter, MessageHeader, Section, Sections, header, is_well_formed, kind,
+    split_record,
 };
 
 /// The outcome of [`repair`].
@@ -15,7 +16,7 @@ pub struct Repaired {
     /// True if the end of the file was missing.
     pub was_truncated: bool,
     /// The number of damaged parts that were left out. Each is a chunk, about a
-    /// second of a recording.
+    /// second of a recording, or the malformed records of a chunk without a checksum.
     pub damaged_parts: u64,
     /// The places of the first of them in the file, at most 16.
     pub damaged_at: Vec<u64>,
@@ -23,6 +24,15 @@ pub struct Repaired {
 
 /// The number of places of damage that are kept.
 const MAX_PLACES: usize = 16;
+
+impl Repaired {
+    fn add_damage(&mut self, offset: u64) {
+        self.damaged_parts += 1;
+        if self.damaged_at.len() < MAX_PLACES {
+            self.damaged_at.push(offset);
+        }
+    }
+}
 
 /// Copies a recording that is cut off or damaged to `output` as a complete file,
 /// which other readers open.
@@ -67,7 +77,9 @@ pub fn repair(
     let mut writer =
         McapWriter::start(output, &header, usize::MAX).map_err(RecordingError::write)?;
     while let Some(section) = next {
-        copy(&sections, section, &mut writer).map_err(RecordingError::write)?;
+        if !copy(&sections, section, &mut writer).map_err(RecordingError::write)? {
+            repaired.add_damage(sections.offset());
+        }
         next = next_section(&mut sections, &mut repaired)?;
     }
     writer.finish().map_err(RecordingError::write)?;
@@ -83,43 +95,41 @@ fn next_section(
     loop {
         match sections.next() {
             Err(FileError::Damaged { offset, .. }) => {
-                repaired.damaged_parts += 1;
-                if repaired.damaged_at.len() < MAX_PLACES {
-                    repaired.damaged_at.push(offset);
-                }
+                repaired.add_damage(offset);
             }
             outcome => return outcome.map_err(RecordingError::from),
         }
     }
 }
 
+/// Copies what is well-formed of a section. Returns false if a part of it is not.
 fn copy<W: Write>(
     sections: &Sections,
     section: Section,
     writer: &mut McapWriter<W>,
-) -> std::io::Result<()> {
+) -> std::io::Result<bool> {
     match section {
-        // The records of a chunk without a checksum may not add up.
-        Section::Chunk { record, records } if is_sound(sections.bytes(records.clone())) => {
-            writer.copy_chunk(sections.bytes(record), sections.bytes(records))
+        Section::Chunk { record, records } if is_copied_whole(sections.bytes(records.clone())) => {
+            writer.copy_chunk(sections.bytes(record), sections.bytes(records))?;
+            Ok(true)
         }
-        Section::Chunk { records, .. } | Section::CutChunk { records } => {
-            let mut rest = sections.bytes(records);
-            while let Some((kind, content, behind)) = split_record(rest) {
-                copy_record(kind, content, writer)?;
-                rest = behind;
-            }
-            Ok(())
+        // The records of a chunk without a checksum may not add up.
+        Section::Chunk { records, .. } => {
+            let (is_right, rest) = copy_records(sections.bytes(records), writer)?;
+            Ok(is_right && rest.is_empty())
+        }
+        // That the last record is cut off is no damage.
+        Section::CutChunk { records } => {
+            copy_records(sections.bytes(records), writer).map(|(is_right, _)| is_right)
         }
         Section::Record { kind, content } => copy_record(kind, sections.bytes(content), writer),
     }
 }
 
-/// Checks that a chunk consists of whole records, and that its messages have
-/// their header.
-fn is_sound(mut records: &[u8]) -> bool {
+/// Checks that a chunk consists of whole, well-formed records that may stand in it.
+fn is_copied_whole(mut records: &[u8]) -> bool {
     while let Some((kind, content, behind)) = split_record(records) {
-        if kind == kind::MESSAGE && MessageHeader::parse(content).is_none() {
+        if kind == kind::METADATA || !is_well_formed(kind, content) {
             return false;
         }
         records = behind;
@@ -127,11 +137,28 @@ fn is_sound(mut records: &[u8]) -> bool {
     records.is_empty()
 }
 
+/// Returns false if a record was left out, and the bytes behind the last whole one.
+fn copy_records<'a, W: Write>(
+    mut records: &'a [u8],
+    writer: &mut McapWriter<W>,
+) -> std::io::Result<(bool, &'a [u8])> {
+    let mut is_right = true;
+    while let Some((kind, content, behind)) = split_record(records) {
+        is_right &= copy_record(kind, content, writer)?;
+        records = behind;
+    }
+    Ok((is_right, records))
+}
+
+/// Returns false if the record is malformed, and left out.
 fn copy_record<W: Write>(
     kind: u8,
     content: &[u8],
     writer: &mut McapWriter<W>,
-) -> std::io::Result<()> {
+) -> std::io::Result<bool> {
+    if !is_well_formed(kind, content) {
+        return Ok(false);
+    }
     match kind {
         kind::SCHEMA | kind::CHANNEL => writer.declare(kind, content),
         kind::METADATA => {
@@ -146,5 +173,5 @@ fn copy_record<W: Write>(
         }
         _ => {}
     }
-    Ok(())
+    Ok(true)
 }

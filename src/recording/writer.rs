@@ -6,7 +6,7 @@ use std::io;
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
-use super::mcap::{self, MAX_CHUNKS, McapWriter, MessageHeader};
+use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader};
 use super::parts::{Output, Parts};
 use super::topics::Topic;
 use crate::Scan;
@@ -14,6 +14,9 @@ use crate::ros::{self, since_1970};
 
 /// The library as the file's header names it.
 const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
+/// A message is in the file after this time at the latest: on the clock of the
+/// recording, which may be a paused one, and on the real one.
+const CHUNK_SPAN: Duration = Duration::from_secs(1);
 /// A file is split right behind a scan, so that its reply is in the same file. A
 /// consumer that is always behind never lets that be; after this time the file is
 /// split anywhere.
@@ -58,6 +61,8 @@ pub(super) struct Writer {
     /// The numbers of replies and events.
     numbers: [u32; 2],
     message: Vec<u8>,
+    /// When the chunk got its first message: log time, and the real time.
+    chunk_began: Option<(u64, Instant)>,
     part: Part,
     carried: Carried,
 }
@@ -97,6 +102,7 @@ impl Writer {
             frame_id,
             numbers: [0; 2],
             message: Vec::with_capacity(4096),
+            chunk_began: None,
             part: Part::default(),
             carried: Carried::default(),
         };
@@ -140,8 +146,15 @@ impl Writer {
         Ok(())
     }
 
+    /// Returns the time until the chunk must be ended, or `None` if it has no message.
+    pub(super) fn until_flush(&self) -> Option<Duration> {
+        let (_, began) = self.chunk_began?;
+        Some(CHUNK_SPAN.saturating_sub(began.elapsed()))
+    }
+
     /// Ends the chunk: all messages up to now are in the file and can be read.
     pub(super) fn flush(&mut self) -> io::Result<()> {
+        self.chunk_began = None;
         self.mcap.flush()
     }
 
@@ -156,6 +169,11 @@ impl Writer {
         if self.is_split_due(log_time) {
             self.start_next_part(log_time)?;
         }
+        let span = self.chunk_began.map(|(began, _)| log_time.saturating_sub(began));
+        if span.is_some_and(|span| span >= nanos(CHUNK_SPAN)) {
+            self.flush()?;
+        }
+        self.chunk_began.get_or_insert_with(|| (log_time, Instant::now()));
         self.part.began.get_or_insert(log_time);
         let publish_time = nanos(since_1970(times.wall));
         let channel = topic.channel();
@@ -168,7 +186,7 @@ impl Writer {
         let Part { began, full, at_seam, .. } = &mut self.part;
         let Some(began) = *began else { return false };
         let length = Duration::from_nanos(log_time.saturating_sub(began));
-        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.chunks());
+        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.index_entries());
         if !is_full {
             return false;
         }
@@ -180,6 +198,7 @@ impl Writer {
         let next = start(self.parts.next()?)?;
         std::mem::replace(&mut self.mcap, next).finish()?;
         self.part = Part::default();
+        self.chunk_began = None;
         if let Some(metadata) = &self.carried.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
@@ -200,7 +219,7 @@ impl Writer {
 
 /// Starts a file with the three channels.
 fn start(out: Output) -> io::Result<McapWriter<Output>> {
-    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_CHUNKS)?;
+    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_INDEX_ENTRIES)?;
     for topic in Topic::ALL {
         let message = topic.message_type();
         mcap.add_channel(topic.channel(), topic.name(), message.name(), message.definition());

@@ -301,9 +301,9 @@ impl AsyncRead for Wire {
         assert_eq!(state.link, self.link, "a port was read after a newer one was opened");
         loop {
             let now = Instant::now();
-            let arrived = state.sent.iter().take_while(|(at, _)| *at <= now).count();
-            if arrived > 0 {
-                let count = arrived.min(state.size()).min(buffer.remaining());
+            if state.sent.front().is_some_and(|(at, _)| *at <= now) {
+                let most = state.size().min(buffer.remaining());
+                let count = state.sent.iter().take(most).take_while(|(at, _)| *at <= now).count();
                 if count == 0 {
                     context.waker().wake_by_ref();
                     return Poll::Pending;

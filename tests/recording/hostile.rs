@@ -76,3 +76,49 @@ fn a_compressed_recording_is_reported_as_such() {
     assert_eq!(compression, "lz4");
     assert!(error.to_string().contains("`lz4`"), "{error}");
 }
+
+/// Text behind its length.
+fn text(text: &str) -> Vec<u8> {
+    [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
+}
+
+#[test]
+fn a_malformed_record_in_a_chunk_is_reported_by_the_reader_and_left_out_by_a_repair() {
+    let of_kind = |kind, content: &[u8]| record(kind, content.len() as u64, content);
+    let channel = [&[0; 4][..], &text("/scip/events"), &text("cdr"), &[0; 4]].concat();
+    let event = r#"{"event":"reconnected"}"#;
+    let data = [&[0, 1, 0, 0][..], &(event.len() as u32 + 1).to_le_bytes()].concat();
+    let data = [&data, event.as_bytes(), b"\0"].concat();
+    let message = of_kind(0x05, &[&[0; 22][..], &data].concat());
+    for (name, malformed) in [
+        ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
+        ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
+        ("bytes behind a map", of_kind(0x0c, &[&text("a")[..], &[0; 4], b"more"].concat())),
+        ("bytes behind a channel", of_kind(0x04, &[&channel[..], b"more"].concat())),
+        ("a short schema", of_kind(0x03, &[0; 4])),
+        ("a short message", of_kind(0x05, &[0; 21])),
+    ] {
+        let records = [of_kind(0x04, &channel), message.clone(), malformed, message.clone()];
+        let records = records.concat();
+        let length = records.len() as u64;
+        let file = [
+            MAGIC,
+            &record(0x06, 40 + length, &[chunk(length, length), records].concat()),
+            &of_kind(0x0f, &[0; 4]),
+            &of_kind(0x02, &[0; 20]),
+            MAGIC,
+        ]
+        .concat();
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(file.clone()), &mut repaired).unwrap();
+        assert_eq!((outcome.was_truncated, outcome.damaged_parts), (false, 1), "{name}");
+        for (file, damaged) in [(file, 1), (repaired.clone(), 0)] {
+            let mut recording = Recording::read(Cursor::new(file)).unwrap();
+            let items: Vec<_> = recording.by_ref().collect();
+            let errors = items.iter().filter(|item| item.is_err()).count();
+            assert_eq!((items.len() - errors, errors), (2, damaged), "{name}: {items:?}");
+            assert!(!recording.is_truncated(), "{name}");
+        }
+        assert_eq!(mcap::MessageStream::new(&repaired).unwrap().count(), 2, "{name}");
+    }
+}

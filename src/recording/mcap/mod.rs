@@ -6,11 +6,15 @@
 //! panics or reserves gigabytes on hostile lengths. The tests read what is
 //! written here with that crate.
 
+mod index;
 mod read;
+mod records;
 mod write;
 
-pub(super) use self::read::{FileError, Records, Section, Sections, split_record};
-pub(super) use self::write::{MAX_CHUNKS, McapWriter, header};
+pub(super) use self::index::MAX_INDEX_ENTRIES;
+pub(super) use self::read::{FileError, Section, Sections};
+pub(super) use self::records::{Records, is_well_formed, parse_metadata, split_record};
+pub(super) use self::write::{McapWriter, header};
 
 /// Starts and ends every file.
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";

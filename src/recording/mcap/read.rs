@@ -1,5 +1,5 @@
-//! [`Sections`] and [`Records`]: read a file from its beginning to wherever it
-//! ends, one chunk at a time, and find the next chunk behind a damaged part.
+//! [`Sections`]: reads a file from its beginning to wherever it ends, one chunk at a
+//! time, and finds the next chunk behind a damaged part.
 //!
 //! No length is believed before it agrees with another one or with the bytes that
 //! are there. So memory is bounded by the file, and by a chunk of it.
@@ -7,6 +7,7 @@
 use std::io::{self, Read};
 use std::ops::Range;
 
+use super::records::{fields_length, record_head};
 use super::{Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind};
 
 /// A chunk's head, behind the record's, up to the name of its compression: start,
@@ -16,6 +17,8 @@ const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4;
 const MAX_COMPRESSION_NAME: usize = 16;
 /// The bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
+/// The content of a footer.
+const FOOTER_BYTES: usize = 20;
 /// The record that ends the data, up to its content.
 const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
 
@@ -81,7 +84,7 @@ impl Sections {
         }
     }
 
-    /// Returns true if the file ended before its data did.
+    /// Returns true if the file was read and its end is missing.
     pub(in super::super) fn is_truncated(&self) -> bool {
         self.is_truncated
     }
@@ -128,7 +131,8 @@ impl Sections {
             let content = head.get(RECORD_HEAD..).unwrap_or_default();
             let is_plausible = match kind {
                 kind::DATA_END | kind::FOOTER => {
-                    if length == if kind == kind::FOOTER { 20 } else { 4 } {
+                    if length == if kind == kind::FOOTER { FOOTER_BYTES as u64 } else { 4 } {
+                        self.is_truncated = !self.has_end()?;
                         return Ok(None);
                     }
                     false
@@ -213,8 +217,11 @@ impl Sections {
             let rest = bytes.get(skipped..).unwrap_or_default();
             let is_next = |at: &usize| {
                 let rest = rest.get(*at..).unwrap_or_default();
-                rest.starts_with(&DATA_END_HEAD)
-                    || rest.first() == Some(&kind::CHUNK) && chunk_head(rest).is_some()
+                match rest.first() {
+                    Some(&kind::CHUNK) => chunk_head(rest).is_some(),
+                    Some(&kind::DATA_END) => rest.starts_with(&DATA_END_HEAD),
+                    _ => false,
+                }
             };
             if let Some(next) = (0..rest.len()).find(is_next) {
                 self.used = skipped + next;
@@ -233,7 +240,23 @@ impl Sections {
         }
     }
 
-    fn damaged(&self, reason: &'static str) -> FileError {
+    /// Skips the summary, and returns true if the file has its last byte: without its
+    /// end, other readers do not open it.
+    fn has_end(&mut self) -> Result<bool, FileError> {
+        loop {
+            let head = self.peek(RECORD_HEAD + FOOTER_BYTES + MAGIC.len())?;
+            let Some((kind, length)) = record_head(head) else { return Ok(false) };
+            if kind == kind::FOOTER {
+                let end = head.get(RECORD_HEAD + FOOTER_BYTES..).unwrap_or_default();
+                return Ok(length == FOOTER_BYTES as u64 && end.starts_with(&MAGIC));
+            }
+            if !self.skip(RECORD_HEAD as u64, length)? {
+                return Ok(false);
+            }
+        }
+    }
+
+    pub(super) fn damaged(&self, reason: &'static str) -> FileError {
         FileError::Damaged { offset: self.offset, reason }
     }
 
@@ -279,32 +302,6 @@ impl Sections {
     }
 }
 
-/// The kind of a record and the length of its content.
-fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
-    let (&kind, rest) = bytes.split_first()?;
-    Some((kind, Fields(rest).u64()?))
-}
-
-/// Returns how long the fields of a record are, or `None` if they are longer than
-/// `content`. Without such a check a damaged length skips the chunks behind.
-fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
-    let (numbers, texts) = match kind {
-        kind::HEADER | kind::METADATA => (0, 2),
-        kind::SCHEMA => (1, 3),
-        kind::CHANNEL => (2, 3),
-        // Messages are as long as they are; the others are not read.
-        _ => return Some(content.len()),
-    };
-    let mut fields = Fields(content);
-    for _ in 0..numbers {
-        fields.u16()?;
-    }
-    for _ in 0..texts {
-        fields.bytes()?;
-    }
-    Some(content.len() - fields.0.len())
-}
-
 /// The head of the chunk at the beginning of `bytes`, whatever its kind says, if
 /// its lengths agree.
 fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
@@ -327,70 +324,4 @@ fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
         compression: compression..compression + name.len(),
         records: start..end,
     })
-}
-
-/// Splits off the first record of a chunk: its kind, its content, and the rest.
-pub(in super::super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (kind, length) = record_head(records)?;
-    let rest = records.get(RECORD_HEAD..)?;
-    let (content, rest) = rest.split_at_checked(usize::try_from(length).ok()?)?;
-    Some((kind, content, rest))
-}
-
-/// Reads the records of a file, those in chunks included.
-pub(in super::super) struct Records {
-    sections: Sections,
-    /// The records of the current chunk that were not returned yet.
-    rest: Range<usize>,
-    is_cut: bool,
-}
-
-impl Records {
-    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
-        Self { sections: Sections::new(input), rest: 0..0, is_cut: false }
-    }
-
-    /// Returns true if the file ended before its data did.
-    pub(in super::super) fn is_truncated(&self) -> bool {
-        self.sections.is_truncated()
-    }
-
-    /// Returns the place of the latest record's section in the file.
-    pub(in super::super) fn offset(&self) -> u64 {
-        self.sections.offset()
-    }
-
-    /// Returns the kind and content of the next record, or `None` at the end of
-    /// the data. Only [`FileError::Damaged`] is followed by more.
-    pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
-        loop {
-            if !self.rest.is_empty() {
-                let rest = self.rest.clone();
-                let Some((_, content, behind)) = split_record(self.sections.bytes(rest.clone()))
-                else {
-                    self.rest = 0..0;
-                    if std::mem::take(&mut self.is_cut) {
-                        continue;
-                    }
-                    return Err(self.sections.damaged("a chunk ends in the middle of a record"));
-                };
-                let content = rest.end - behind.len() - content.len()..rest.end - behind.len();
-                self.rest = content.end..rest.end;
-                let kind = self.sections.bytes(rest).first().copied().unwrap_or_default();
-                return Ok(Some((kind, self.sections.bytes(content))));
-            }
-            match self.sections.next()? {
-                None => return Ok(None),
-                Some(Section::Record { kind, content }) => {
-                    return Ok(Some((kind, self.sections.bytes(content))));
-                }
-                Some(Section::Chunk { records, .. }) => {
-                    (self.rest, self.is_cut) = (records, false);
-                }
-                Some(Section::CutChunk { records }) => {
-                    (self.rest, self.is_cut) = (records, true);
-                }
-            }
-        }
-    }
 }

@@ -4,16 +4,14 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::{Fields, MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
+use super::index::{ChunkMessages, ChunkPlace, Index};
+use super::{MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
 
 /// A chunk of about this size is written without waiting for its end.
 const CHUNK_BYTES: usize = 768 << 10;
 /// A chunk's record up to its records: head, start, end, size, CRC, the empty
 /// name of no compression, length.
 const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
-/// The index of so many chunks is kept, 100 bytes each: 7 MB. At a chunk each
-/// second that is 18 hours.
-pub(in super::super) const MAX_CHUNKS: usize = 1 << 16;
 
 /// Writes an MCAP file without compression.
 pub(in super::super) struct McapWriter<W> {
@@ -22,9 +20,6 @@ pub(in super::super) struct McapWriter<W> {
     offset: u64,
     chunk: OpenChunk,
     index: Index,
-    /// The summary of more chunks than this is left out: such a file can be read,
-    /// though not searched.
-    max_chunks: usize,
 }
 
 /// The chunk that grows in memory.
@@ -35,52 +30,20 @@ struct OpenChunk {
     messages: ChunkMessages,
 }
 
-/// The messages of a chunk: their times, and their places among its records.
-#[derive(Default)]
-struct ChunkMessages {
-    span: Option<(u64, u64)>,
-    channels: BTreeMap<u16, Vec<(u64, u64)>>,
-}
-
-/// The content of the summary.
-#[derive(Default)]
-struct Index {
-    /// The latest schema and channel of each number, as records.
-    schemas: BTreeMap<u16, Vec<u8>>,
-    channels: BTreeMap<u16, Vec<u8>>,
-    /// One record for each chunk.
-    chunk_indexes: Vec<u8>,
-    metadata_indexes: Vec<u8>,
-    chunks: usize,
-    metadata: u32,
-    span: Option<(u64, u64)>,
-    messages: BTreeMap<u16, u64>,
-}
-
-impl ChunkMessages {
-    fn add(&mut self, header: MessageHeader, place: usize) {
-        self.span = Some(extend(self.span, header.log_time, header.log_time));
-        self.channels.entry(header.channel).or_default().push((header.log_time, place as u64));
-    }
-}
-
-fn extend(span: Option<(u64, u64)>, from: u64, to: u64) -> (u64, u64) {
-    span.map_or((from, to), |(start, end)| (start.min(from), end.max(to)))
-}
-
 impl<W: Write> McapWriter<W> {
     /// Starts a file. `header` is the content of its header record, as
-    /// [`header`] makes it.
+    /// [`header`] makes it. A file whose index has more entries than
+    /// `max_index_entries` ends without one.
     pub(in super::super) fn start(
         mut out: W,
         header: &[u8],
-        max_chunks: usize,
+        max_index_entries: usize,
     ) -> io::Result<Self> {
         let mut head = MAGIC.to_vec();
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
-        let (chunk, index) = (OpenChunk::default(), Index::default());
-        Ok(Self { out, offset: head.len() as u64, chunk, index, max_chunks })
+        let (chunk, index) = (OpenChunk::default(), Index::new(max_index_entries));
+        Ok(Self { out, offset: head.len() as u64, chunk, index })
     }
 
     /// Returns the bytes of the file up to now, with the open chunk.
@@ -88,9 +51,14 @@ impl<W: Write> McapWriter<W> {
         self.offset + self.chunk.record.len() as u64
     }
 
-    /// Returns the number of chunks written.
-    pub(in super::super) fn chunks(&self) -> usize {
-        self.index.chunks
+    /// Returns the number of chunks and metadata records written.
+    pub(in super::super) fn index_entries(&self) -> usize {
+        self.index.entries()
+    }
+
+    #[cfg(test)]
+    pub(super) fn index(&self) -> &Index {
+        &self.index
     }
 
     /// Declares a channel, and its message type.
@@ -170,12 +138,7 @@ impl<W: Write> McapWriter<W> {
         self.end_chunk()?;
         let mut record = Vec::new();
         put_record(&mut record, kind::METADATA, |out| out.extend_from_slice(content));
-        put_record(&mut self.index.metadata_indexes, kind::METADATA_INDEX, |out| {
-            out.extend_from_slice(&self.offset.to_le_bytes());
-            out.extend_from_slice(&(record.len() as u64).to_le_bytes());
-            put_bytes(out, name.as_bytes());
-        });
-        self.index.metadata += 1;
+        self.index.add_metadata(self.offset, record.len() as u64, name);
         self.write(&record)
     }
 
@@ -191,7 +154,7 @@ impl<W: Write> McapWriter<W> {
         self.end_chunk()?;
         let mut messages = ChunkMessages::default();
         let mut rest = records;
-        while let Some((kind, content, behind)) = super::read::split_record(rest) {
+        while let Some((kind, content, behind)) = super::split_record(rest) {
             match kind {
                 kind::SCHEMA | kind::CHANNEL => {
                     self.index.declare(kind, content);
@@ -215,14 +178,8 @@ impl<W: Write> McapWriter<W> {
         // A CRC of 0: none was computed.
         put_record(&mut end, kind::DATA_END, |out| out.extend_from_slice(&[0; 4]));
         let summary_at = end.len();
-        let start = self.offset + summary_at as u64;
-        let mut offsets_start = 0;
-        if self.index.chunks <= self.max_chunks {
-            let offsets = self.index.put_summary(&mut end, self.offset);
-            offsets_start = self.offset + end.len() as u64;
-            end.extend_from_slice(&offsets);
-        }
-        let start = if offsets_start == 0 { 0 } else { start };
+        let index = std::mem::take(&mut self.index);
+        let [start, offsets_start] = index.put_summary(&mut end, self.offset);
         end.push(kind::FOOTER);
         for field in [20, start, offsets_start] {
             end.extend_from_slice(&field.to_le_bytes());
@@ -243,7 +200,7 @@ impl<W: Write> McapWriter<W> {
         }
         let size = chunk.record.len() - CHUNK_HEAD;
         let records = chunk.record.get(CHUNK_HEAD..).unwrap_or_default();
-        let (start, end) = chunk.messages.span.unwrap_or_default();
+        let (start, end) = chunk.messages.span();
         let mut head = vec![kind::CHUNK];
         head.extend_from_slice(&((chunk.record.len() - RECORD_HEAD) as u64).to_le_bytes());
         head.extend_from_slice(&start.to_le_bytes());
@@ -269,44 +226,12 @@ impl<W: Write> McapWriter<W> {
         size: usize,
         messages: ChunkMessages,
     ) -> io::Result<()> {
-        let chunk_start = self.offset;
+        let start = self.offset;
         self.write(record)?;
-        let index_start = self.offset;
-        let (mut indexes, mut places) = (Vec::new(), Vec::new());
-        for (channel, messages) in &messages.channels {
-            places.extend_from_slice(&channel.to_le_bytes());
-            places.extend_from_slice(&(index_start + indexes.len() as u64).to_le_bytes());
-            put_record(&mut indexes, kind::MESSAGE_INDEX, |out| {
-                out.extend_from_slice(&channel.to_le_bytes());
-                out.extend_from_slice(&(messages.len() as u32 * 16).to_le_bytes());
-                for (time, place) in messages {
-                    out.extend_from_slice(&time.to_le_bytes());
-                    out.extend_from_slice(&place.to_le_bytes());
-                }
-            });
-            *self.index.messages.entry(*channel).or_default() += messages.len() as u64;
-        }
-        self.write(&indexes)?;
-        self.index.chunks += 1;
-        let (start, end) = messages.span.unwrap_or_default();
-        if messages.span.is_some() {
-            self.index.span = Some(extend(self.index.span, start, end));
-        }
-        if self.index.chunks > self.max_chunks {
-            self.index.chunk_indexes = Vec::new();
-            return Ok(());
-        }
-        put_record(&mut self.index.chunk_indexes, kind::CHUNK_INDEX, |out| {
-            for field in [start, end, chunk_start, record.len() as u64] {
-                out.extend_from_slice(&field.to_le_bytes());
-            }
-            put_bytes(out, &places);
-            out.extend_from_slice(&(indexes.len() as u64).to_le_bytes());
-            put_bytes(out, b"");
-            for field in [size as u64; 2] {
-                out.extend_from_slice(&field.to_le_bytes());
-            }
-        });
+        let indexes = messages.indexes(self.offset);
+        self.write(&indexes.records)?;
+        let chunk = ChunkPlace { start, length: record.len() as u64, size: size as u64 };
+        self.index.add_chunk(&chunk, &messages, &indexes);
         Ok(())
     }
 
@@ -331,104 +256,7 @@ impl OpenChunk {
     fn begin(&mut self, index: &Index) {
         if self.record.is_empty() {
             self.record.resize(CHUNK_HEAD, 0);
-            index.channels.values().for_each(|channel| self.record.extend_from_slice(channel));
+            index.channels().for_each(|channel| self.record.extend_from_slice(channel));
         }
-    }
-}
-
-impl Index {
-    /// Keeps a schema or a channel for the summary. Returns its record if that is
-    /// new.
-    fn declare(&mut self, kind: u8, content: &[u8]) -> Option<&[u8]> {
-        let id = Fields(content).u16()?;
-        let group = if kind == kind::SCHEMA { &mut self.schemas } else { &mut self.channels };
-        let mut record = Vec::new();
-        put_record(&mut record, kind, |out| out.extend_from_slice(content));
-        if group.get(&id) == Some(&record) {
-            return None;
-        }
-        let kept = group.entry(id).or_default();
-        *kept = record;
-        Some(kept)
-    }
-
-    /// Appends the summary to `out`, which stands at `base` in the file, and returns
-    /// the offsets of its groups.
-    fn put_summary(&mut self, out: &mut Vec<u8>, base: u64) -> Vec<u8> {
-        let mut statistics = Vec::new();
-        put_record(&mut statistics, kind::STATISTICS, |out| {
-            let (start, end) = self.span.unwrap_or_default();
-            out.extend_from_slice(&self.messages.values().sum::<u64>().to_le_bytes());
-            out.extend_from_slice(&(self.schemas.len() as u16).to_le_bytes());
-            out.extend_from_slice(&(self.channels.len() as u32).to_le_bytes());
-            out.extend_from_slice(&[0; 4]); // attachments
-            out.extend_from_slice(&self.metadata.to_le_bytes());
-            out.extend_from_slice(&(self.chunks as u32).to_le_bytes());
-            out.extend_from_slice(&start.to_le_bytes());
-            out.extend_from_slice(&end.to_le_bytes());
-            out.extend_from_slice(&(self.messages.len() as u32 * 10).to_le_bytes());
-            for (channel, count) in &self.messages {
-                out.extend_from_slice(&channel.to_le_bytes());
-                out.extend_from_slice(&count.to_le_bytes());
-            }
-        });
-        let groups = [
-            (kind::SCHEMA, self.schemas.values().flatten().copied().collect()),
-            (kind::CHANNEL, self.channels.values().flatten().copied().collect()),
-            (kind::STATISTICS, statistics),
-            (kind::CHUNK_INDEX, std::mem::take(&mut self.chunk_indexes)),
-            (kind::METADATA_INDEX, std::mem::take(&mut self.metadata_indexes)),
-        ];
-        let mut offsets = Vec::new();
-        for (kind, group) in groups {
-            if group.is_empty() {
-                continue;
-            }
-            put_record(&mut offsets, kind::SUMMARY_OFFSET, |offset| {
-                offset.push(kind);
-                offset.extend_from_slice(&(base + out.len() as u64).to_le_bytes());
-                offset.extend_from_slice(&(group.len() as u64).to_le_bytes());
-            });
-            out.extend_from_slice(&group);
-        }
-        offsets
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Writes so many chunks of one message.
-    fn chunks(count: usize, max_chunks: usize) -> McapWriter<Vec<u8>> {
-        let mut writer = McapWriter::start(Vec::new(), &header("", ""), max_chunks).unwrap();
-        writer.add_channel(0, "/scan", "std_msgs/msg/String", "string data");
-        for sequence in 0..count as u32 {
-            let time = u64::from(sequence);
-            let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };
-            writer.message(header, &[0; 4]).unwrap();
-            writer.flush().unwrap();
-        }
-        writer
-    }
-
-    #[test]
-    fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
-        let writer = chunks(1000, 1000);
-        assert_eq!(writer.chunks(), 1000);
-        // A recording has three channels, of 10 bytes each here.
-        assert!(writer.index.chunk_indexes.len() <= 1000 * (106 - 20));
-        let file = writer.finish().unwrap();
-        let summary = ::mcap::Summary::read(&file).unwrap().unwrap();
-        assert_eq!(summary.chunk_indexes.len(), 1000);
-    }
-
-    #[test]
-    fn a_file_of_more_chunks_keeps_no_index_and_ends_without_a_summary() {
-        let writer = chunks(1001, 1000);
-        assert_eq!(writer.index.chunk_indexes.capacity(), 0);
-        let file = writer.finish().unwrap();
-        assert!(::mcap::Summary::read(&file).unwrap().is_none());
-        assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 1001);
     }
 }

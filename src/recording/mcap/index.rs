@@ -1,0 +1,270 @@
+//! [`Index`] and [`ChunkMessages`]: where a file has what, for readers that search
+//! it. The index is all that a writer keeps of what is written already, so it decides
+//! the memory of a long recording.
+
+use std::collections::BTreeMap;
+
+use super::{Fields, MessageHeader, kind, put_bytes, put_record};
+
+/// A file's index has at most so many chunks and metadata records, 100 bytes each:
+/// 7 MB. At a chunk each second that is 18 hours.
+pub(in super::super) const MAX_INDEX_ENTRIES: usize = 1 << 16;
+
+/// The messages of a chunk: their times, and their places among its records.
+#[derive(Default)]
+pub(super) struct ChunkMessages {
+    span: Option<(u64, u64)>,
+    channels: BTreeMap<u16, Vec<(u64, u64)>>,
+}
+
+/// The content of a file's summary.
+#[derive(Default)]
+pub(super) struct Index {
+    /// The latest schema and channel of each number, as records.
+    schemas: BTreeMap<u16, Vec<u8>>,
+    channels: BTreeMap<u16, Vec<u8>>,
+    /// One record for each chunk.
+    chunk_indexes: Vec<u8>,
+    /// One record for each metadata record.
+    metadata_indexes: Vec<u8>,
+    chunks: usize,
+    metadata: usize,
+    span: Option<(u64, u64)>,
+    /// The number of messages of each channel.
+    messages: BTreeMap<u16, u64>,
+    /// The summary of a file with more entries is left out: such a file can be read,
+    /// though not searched.
+    max_entries: usize,
+}
+
+/// Where a chunk is, and how long its parts are.
+pub(super) struct ChunkPlace {
+    pub(super) start: u64,
+    /// The whole record.
+    pub(super) length: u64,
+    /// The records in it.
+    pub(super) size: u64,
+}
+
+/// The records behind a chunk that list its messages.
+pub(super) struct MessageIndexes {
+    pub(super) records: Vec<u8>,
+    /// The place in the file of each channel's record, as a chunk's index has it.
+    places: Vec<u8>,
+}
+
+impl ChunkMessages {
+    /// Adds a message that starts at `place` in the chunk's records.
+    pub(super) fn add(&mut self, header: MessageHeader, place: usize) {
+        self.span = Some(extend(self.span, header.log_time, header.log_time));
+        self.channels.entry(header.channel).or_default().push((header.log_time, place as u64));
+    }
+
+    /// Returns the log times of the first and the last message, 0 if there is none.
+    pub(super) fn span(&self) -> (u64, u64) {
+        self.span.unwrap_or_default()
+    }
+
+    /// Returns the records that stand at `start` in the file.
+    pub(super) fn indexes(&self, start: u64) -> MessageIndexes {
+        let (mut records, mut places) = (Vec::new(), Vec::new());
+        for (channel, messages) in &self.channels {
+            places.extend_from_slice(&channel.to_le_bytes());
+            places.extend_from_slice(&(start + records.len() as u64).to_le_bytes());
+            put_record(&mut records, kind::MESSAGE_INDEX, |out| {
+                out.extend_from_slice(&channel.to_le_bytes());
+                out.extend_from_slice(&(messages.len() as u32 * 16).to_le_bytes());
+                for (time, place) in messages {
+                    out.extend_from_slice(&time.to_le_bytes());
+                    out.extend_from_slice(&place.to_le_bytes());
+                }
+            });
+        }
+        MessageIndexes { records, places }
+    }
+}
+
+impl Index {
+    pub(super) fn new(max_entries: usize) -> Self {
+        Self { max_entries, ..Self::default() }
+    }
+
+    /// Returns the number of chunks and metadata records.
+    pub(super) fn entries(&self) -> usize {
+        self.chunks + self.metadata
+    }
+
+    /// Returns the channels declared up to now, as records.
+    pub(super) fn channels(&self) -> impl Iterator<Item = &[u8]> {
+        self.channels.values().map(Vec::as_slice)
+    }
+
+    /// Keeps a schema or a channel for the summary. Returns its record if that is
+    /// new.
+    pub(super) fn declare(&mut self, kind: u8, content: &[u8]) -> Option<&[u8]> {
+        let id = Fields(content).u16()?;
+        let group = if kind == kind::SCHEMA { &mut self.schemas } else { &mut self.channels };
+        let mut record = Vec::new();
+        put_record(&mut record, kind, |out| out.extend_from_slice(content));
+        if group.get(&id) == Some(&record) {
+            return None;
+        }
+        let kept = group.entry(id).or_default();
+        *kept = record;
+        Some(kept)
+    }
+
+    /// Adds a metadata record of this name, `length` bytes long, at `start`.
+    pub(super) fn add_metadata(&mut self, start: u64, length: u64, name: &str) {
+        self.metadata += 1;
+        if !self.has_room() {
+            return;
+        }
+        put_record(&mut self.metadata_indexes, kind::METADATA_INDEX, |out| {
+            out.extend_from_slice(&start.to_le_bytes());
+            out.extend_from_slice(&length.to_le_bytes());
+            put_bytes(out, name.as_bytes());
+        });
+    }
+
+    /// Adds a chunk with these messages.
+    pub(super) fn add_chunk(
+        &mut self,
+        chunk: &ChunkPlace,
+        messages: &ChunkMessages,
+        indexes: &MessageIndexes,
+    ) {
+        self.chunks += 1;
+        if let Some((start, end)) = messages.span {
+            self.span = Some(extend(self.span, start, end));
+        }
+        for (channel, messages) in &messages.channels {
+            *self.messages.entry(*channel).or_default() += messages.len() as u64;
+        }
+        if !self.has_room() {
+            return;
+        }
+        let (start, end) = messages.span();
+        put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
+            for field in [start, end, chunk.start, chunk.length] {
+                out.extend_from_slice(&field.to_le_bytes());
+            }
+            put_bytes(out, &indexes.places);
+            out.extend_from_slice(&(indexes.records.len() as u64).to_le_bytes());
+            put_bytes(out, b"");
+            for field in [chunk.size; 2] {
+                out.extend_from_slice(&field.to_le_bytes());
+            }
+        });
+    }
+
+    /// Returns true if the index is kept. If not, frees its memory.
+    fn has_room(&mut self) -> bool {
+        let has_room = self.entries() <= self.max_entries;
+        if !has_room {
+            (self.chunk_indexes, self.metadata_indexes) = (Vec::new(), Vec::new());
+        }
+        has_room
+    }
+
+    /// Appends the summary to `out`, which stands at `base` in the file. Returns the
+    /// places in the file of the summary and of the offsets at its end, 0 for both if
+    /// there were too many entries.
+    pub(super) fn put_summary(mut self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
+        if !self.has_room() {
+            return [0, 0];
+        }
+        let start = base + out.len() as u64;
+        let groups = [
+            (kind::SCHEMA, self.schemas.values().flatten().copied().collect()),
+            (kind::CHANNEL, self.channels.values().flatten().copied().collect()),
+            (kind::STATISTICS, self.statistics()),
+            (kind::CHUNK_INDEX, self.chunk_indexes),
+            (kind::METADATA_INDEX, self.metadata_indexes),
+        ];
+        let mut offsets: Vec<u8> = Vec::new();
+        for (kind, group) in groups {
+            if group.is_empty() {
+                continue;
+            }
+            put_record(&mut offsets, kind::SUMMARY_OFFSET, |offset| {
+                offset.push(kind);
+                offset.extend_from_slice(&(base + out.len() as u64).to_le_bytes());
+                offset.extend_from_slice(&(group.len() as u64).to_le_bytes());
+            });
+            out.extend_from_slice(&group);
+        }
+        let offsets_start = base + out.len() as u64;
+        out.extend_from_slice(&offsets);
+        [start, offsets_start]
+    }
+
+    fn statistics(&self) -> Vec<u8> {
+        let mut record = Vec::new();
+        put_record(&mut record, kind::STATISTICS, |out| {
+            let (start, end) = self.span.unwrap_or_default();
+            out.extend_from_slice(&self.messages.values().sum::<u64>().to_le_bytes());
+            out.extend_from_slice(&(self.schemas.len() as u16).to_le_bytes());
+            out.extend_from_slice(&(self.channels.len() as u32).to_le_bytes());
+            out.extend_from_slice(&[0; 4]); // attachments
+            out.extend_from_slice(&(self.metadata as u32).to_le_bytes());
+            out.extend_from_slice(&(self.chunks as u32).to_le_bytes());
+            out.extend_from_slice(&start.to_le_bytes());
+            out.extend_from_slice(&end.to_le_bytes());
+            out.extend_from_slice(&(self.messages.len() as u32 * 10).to_le_bytes());
+            for (channel, count) in &self.messages {
+                out.extend_from_slice(&channel.to_le_bytes());
+                out.extend_from_slice(&count.to_le_bytes());
+            }
+        });
+        record
+    }
+}
+
+fn extend(span: Option<(u64, u64)>, from: u64, to: u64) -> (u64, u64) {
+    span.map_or((from, to), |(start, end)| (start.min(from), end.max(to)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::McapWriter;
+    use super::super::write::header;
+    use super::*;
+
+    /// Writes so many chunks of one message.
+    fn chunks(count: usize, max_entries: usize) -> McapWriter<Vec<u8>> {
+        let mut writer = McapWriter::start(Vec::new(), &header("", ""), max_entries).unwrap();
+        writer.add_channel(0, "/scan", "std_msgs/msg/String", "string data");
+        for sequence in 0..count as u32 {
+            let time = u64::from(sequence);
+            let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };
+            writer.message(header, &[0; 4]).unwrap();
+            writer.flush().unwrap();
+        }
+        writer
+    }
+
+    #[test]
+    fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
+        let writer = chunks(1000, 1000);
+        assert_eq!(writer.index().entries(), 1000);
+        // A recording has three channels, of 10 bytes each here.
+        assert!(writer.index().chunk_indexes.len() <= 1000 * (106 - 20));
+        let file = writer.finish().unwrap();
+        let summary = ::mcap::Summary::read(&file).unwrap().unwrap();
+        assert_eq!(summary.chunk_indexes.len(), 1000);
+    }
+
+    #[test]
+    fn a_file_of_more_entries_keeps_no_index_and_ends_without_a_summary() {
+        let mut writer = chunks(999, 1000);
+        for _ in 0..2 {
+            writer.metadata("name", &BTreeMap::new()).unwrap();
+        }
+        assert_eq!(writer.index().chunk_indexes.capacity(), 0);
+        assert_eq!(writer.index().metadata_indexes.capacity(), 0);
+        let file = writer.finish().unwrap();
+        assert!(::mcap::Summary::read(&file).unwrap().is_none());
+        assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 999);
+    }
+}
