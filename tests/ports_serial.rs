@@ -24,7 +24,12 @@ struct Line {
 
 fn line() -> Line {
     limit();
-    let (far, near) = SerialStream::pair().unwrap();
+    // Copies, which the programs that other tests start do not inherit.
+    let (far, near) = serialport::TTYPort::pair().unwrap();
+    let [far, near] = [far, near].map(|end| {
+        let copy = end.try_clone_native().unwrap();
+        SerialStream::try_from(copy).unwrap()
+    });
     let path = near.name().unwrap();
     Line { far, near, path }
 }
@@ -32,7 +37,7 @@ fn line() -> Line {
 /// A line whose far end is a plain file, and the path of its near end.
 fn blocking_line() -> (std::fs::File, String) {
     limit();
-    let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+    let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
     grantpt(&far).unwrap();
     unlockpt(&far).unwrap();
     let path = ptsname(&far, Vec::new()).unwrap().into_string().unwrap();

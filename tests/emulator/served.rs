@@ -220,6 +220,19 @@ mod terminal {
     }
 
     #[tokio::test]
+    async fn a_program_that_was_started_meanwhile_does_not_keep_an_unplugged_one_open() {
+        let emulator = instant_sensor().build();
+        let served = serve(&emulator, None);
+        let mut program = tokio::process::Command::new("sleep").arg("600").spawn().unwrap();
+        let mut client = open(&served.path, 19_200);
+        assert_eq!(ask(&mut client, "L0").await, "L0\n0\n\n");
+        emulator.unplug();
+        assert!(matches!(client.read(&mut [0; 8]).await, Ok(0) | Err(_)));
+        program.kill().await.unwrap();
+        served.task.abort();
+    }
+
+    #[tokio::test]
     async fn unplugged_it_is_gone_and_plugged_in_again_it_is_back() {
         let link = scratch("replug");
         let emulator = instant_sensor().build();

@@ -4,6 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use serialport::TTYPort;
 use tokio_serial::{SerialPort, SerialStream};
 
 use super::pump;
@@ -91,7 +92,12 @@ struct TerminalPair {
 
 impl TerminalPair {
     fn open(symlink: Option<&Path>) -> io::Result<Self> {
-        let (master, mut slave) = SerialStream::pair()?;
+        // Programs that the process starts inherit the pair itself, and its master would
+        // keep the terminal open after the sensor was unplugged. They do not inherit
+        // copies (F_DUPFD_CLOEXEC).
+        let (master, slave) = TTYPort::pair()?;
+        let master = SerialStream::try_from(master.try_clone_native()?)?;
+        let mut slave = SerialStream::try_from(slave.try_clone_native()?)?;
         slave.set_baud_rate(19_200)?;
         let path = PathBuf::from(slave.name().ok_or(io::ErrorKind::Unsupported)?);
         let symlink = symlink.map(|at| Symlink::create(&path, at)).transpose()?;
