@@ -45,9 +45,9 @@ fn copy_to_new_block(bencher: Bencher) {
     bencher.bench_local(|| drop(black_box(black_box(&reply).to_vec())));
 }
 
-/// Does what the driver does with a reply: copies it into the read buffer, checks it,
-/// and decodes it into the shared values of a `Scan`, in the block of an older scan
-/// that nobody holds any more.
+/// Does what the driver does with a reply: copies it into the read buffer, checks it, and
+/// decodes it into the shared values of a `Scan`, in the block of an older scan that no
+/// consumer holds.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
     let reply = full_scan();
@@ -85,8 +85,7 @@ fn crate_decoder_to_new_block(bencher: Bencher) {
     });
 }
 
-/// Decodes into a new block by the general steps, which report what is wrong with a
-/// reply.
+/// Decodes into a new block by the general steps, which report the place of an error.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_in_steps(bencher: Bencher) {
     let reply = full_scan();

@@ -1,17 +1,17 @@
-//! What a scan costs in heap allocations, from the port to its consumers. The
-//! sensor here answers from memory and allocates nothing itself.
+//! The heap allocations of a scan, from the port to its consumers. The sensor here answers
+//! from memory and does not allocate.
 
 use crate::common::instant_sensor::InstantSensor;
 use tokio::runtime::{Builder, Runtime};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
 
-/// A runtime on this thread, where allocations are counted.
+/// Makes a runtime on this thread, where allocations are counted.
 fn runtime() -> Runtime {
     Builder::new_current_thread().enable_time().start_paused(true).build().unwrap()
 }
 
-/// A sensor, and a stream at `rate` with copies of it, after they ran until
-/// everything had its final size.
+/// Opens a sensor and a stream at `rate` with copies of it, and lets them run until all
+/// buffers have their final size.
 async fn open(rate: Rate, subscribers: usize) -> (Sensor, Vec<ScanStream>) {
     let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
     let stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
@@ -20,7 +20,7 @@ async fn open(rate: Rate, subscribers: usize) -> (Sensor, Vec<ScanStream>) {
     (sensor, streams)
 }
 
-/// Takes `scans` from each stream.
+/// Takes `scans` scans from each stream.
 async fn take(streams: &mut [ScanStream], scans: usize) {
     for _ in 0..scans {
         for stream in &mut *streams {
@@ -29,9 +29,8 @@ async fn take(streams: &mut [ScanStream], scans: usize) {
     }
 }
 
-/// How many allocations there were for how many scans, while each of the
-/// subscribers took 200 more than while it took one: what entering the
-/// runtime costs is not the scans'.
+/// Counts allocations and scans while each subscriber takes 200 scans. The cost of entering
+/// the runtime is subtracted by a run in which each takes one scan.
 fn allocations(rate: Rate, subscribers: usize) -> (u64, u64) {
     let runtime = runtime();
     let (sensor, mut streams) = runtime.block_on(open(rate, subscribers));
@@ -50,7 +49,7 @@ fn a_scan_on_the_grid_costs_no_allocation() {
 }
 
 #[test]
-fn a_scan_at_full_speed_costs_no_allocation() {
+fn a_scan_at_the_highest_rate_costs_no_allocation() {
     let (allocations, scans) = allocations(Rate::MAX, 1);
     assert!(scans >= 200);
     assert_eq!(allocations, 0);

@@ -1,5 +1,5 @@
-//! What a service moves between tasks and shares between threads can be moved
-//! and shared. Fails to compile if not.
+//! Checks at compile time that handles and data can be moved between tasks and shared
+//! between threads as services need it.
 
 use std::fmt::Debug;
 
@@ -44,7 +44,7 @@ fn the_driver_is_a_future_that_can_be_spawned() {
     spawned::<Driver>();
 }
 
-/// Never called: that it compiles is the test.
+/// Never called: the test is that it compiles.
 #[allow(dead_code)]
 fn every_future_can_be_awaited_in_a_spawned_task(
     sensor: &'static Sensor,

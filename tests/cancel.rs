@@ -1,4 +1,4 @@
-//! Dropping any future at any await loses nothing and disturbs nothing.
+//! Dropping any future at any await loses nothing and disturbs no other request.
 
 use std::future::{Future, poll_fn};
 use std::pin::pin;
@@ -8,8 +8,8 @@ use crate::common::{builder, truthful};
 use tokio_scip::emulator::{Emulator, Verdict};
 use tokio_scip::{BaudRate, Driver, Rate, Sensor, Window};
 
-/// Lets the driver run step by step, and drops the future that `ask` makes after
-/// `steps` of them. True if it was finished by then.
+/// Runs the driver step by step, and drops the future that `ask` makes after `steps` of
+/// them. Returns whether it had finished by then.
 async fn drop_after<F: Future>(
     driver: &mut std::pin::Pin<&mut Driver>,
     future: F,
@@ -31,8 +31,8 @@ async fn drop_after<F: Future>(
     .await
 }
 
-/// Drops what `ask` makes after every number of steps, and then asks for a scan
-/// over the wire.
+/// Drops the future that `ask` makes after every number of steps, and requests a scan
+/// after each. Returns how many steps the future takes to finish.
 async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
     for steps in 0.. {
         let emulator = truthful().baud_rate(BaudRate::B19200).build();
@@ -45,7 +45,7 @@ async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
 
         let window = Window::new(100..=110).unwrap();
         let scan = with(&mut driver, pin!(sensor.scan(window))).await;
-        // After laser_off the answer is that it is off.
+        // After laser_off the scan fails with LaserOff.
         if emulator.is_laser_on() {
             assert_eq!(scan.unwrap().len(), 11, "dropped after {steps} steps");
         }
@@ -58,7 +58,7 @@ async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
     unreachable!()
 }
 
-/// Drives the driver until `future` is done.
+/// Runs the driver until `future` has finished.
 async fn with<F: Future>(
     driver: &mut std::pin::Pin<&mut Driver>,
     mut future: std::pin::Pin<&mut F>,
@@ -73,7 +73,7 @@ async fn with<F: Future>(
     .await
 }
 
-/// The sensor only ever received whole commands, one at a time.
+/// Asserts that the sensor received only whole commands, one at a time.
 fn check_line(emulator: &Emulator) {
     assert_eq!((emulator.counts().malformed, emulator.counts().overlapping), (0, 0));
     assert!(emulator.log().iter().all(|line| line.garbled || line.verdict != Verdict::Malformed));
@@ -108,7 +108,7 @@ async fn a01_laser_commands_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a01_a_change_of_speed_dropped_at_every_await() {
+async fn a01_a_change_of_baud_rate_dropped_at_every_await() {
     let steps = dropped_at_every_step(|sensor| async move {
         sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
     });
@@ -116,7 +116,7 @@ async fn a01_a_change_of_speed_dropped_at_every_await() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a01_a_request_that_was_dropped_before_its_turn_is_not_written() {
+async fn a01_a_request_dropped_in_the_queue_is_not_written() {
     let emulator = truthful().build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let busy = tokio::spawn({
@@ -167,7 +167,7 @@ async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_that_never_ran_leaves_nobody_waiting() {
+async fn a_driver_that_is_dropped_before_it_runs_ends_every_call() {
     let (sensor, driver) = builder().build(truthful().build());
     let asked = tokio::spawn({
         let sensor = sensor.clone();

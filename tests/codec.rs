@@ -1,5 +1,5 @@
-//! The framing: where replies end, however their bytes are cut up. That any
-//! bytes in any chunks are framed alike is in `properties`.
+//! The framing: where replies end, in whatever pieces their bytes arrive. `properties`
+//! checks it for any bytes.
 
 use bytes::BytesMut;
 use tokio_scip::Window;
@@ -7,8 +7,7 @@ use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command, Reply};
 use tokio_util::codec::{Decoder, Encoder};
 
-/// Feeds `chunks` one after the other, and takes every frame as soon as it is
-/// there.
+/// Decodes `chunks` one after the other, and takes every frame as soon as it is complete.
 fn decode<'a>(chunks: impl IntoIterator<Item = &'a [u8]>) -> (Vec<Frame>, BytesMut) {
     let (mut codec, mut buffer, mut frames) = (ScipCodec::default(), BytesMut::new(), Vec::new());
     for chunk in chunks {
@@ -93,7 +92,7 @@ fn w19_a15_an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
 fn a_reply_of_the_greatest_length_is_a_reply() {
     let mut bytes = vec![b'x'; MAX_FRAME];
     bytes.extend_from_slice(b"\n\n");
-    // Also where a read ends between the two line feeds.
+    // Also where a read ends between the two LFs.
     for chunk in [100, MAX_FRAME, MAX_FRAME + 1, bytes.len()] {
         let (frames, _) = decode(bytes.chunks(chunk));
         assert_eq!(frames, [reply(&bytes[..MAX_FRAME])], "in chunks of {chunk}");
@@ -101,7 +100,7 @@ fn a_reply_of_the_greatest_length_is_a_reply() {
 }
 
 #[test]
-fn w19_endless_garbage_is_not_kept() {
+fn w19_endless_garbage_is_not_buffered() {
     let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::new());
     for _ in 0..1000 {
         buffer.extend_from_slice(&[b'x'; 100]);
@@ -125,7 +124,7 @@ fn a15_half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
     assert!(buffer.is_empty());
 }
 
-/// A window of 33 points, its reply and its values.
+/// Returns a window of 33 points, its reply and its values.
 fn scan() -> (Window, &'static [u8], Vec<u16>) {
     let reply = b"G00003201\n0\n\
         0123456789:;<=>?@ABCDEFGHIJKLMNOPQRSTUVWXYZ[\\]^_`abcdefghijklmno\n01\n\n";
@@ -133,7 +132,7 @@ fn scan() -> (Window, &'static [u8], Vec<u16>) {
     (Window::new(0..=32).unwrap(), reply, values)
 }
 
-/// A codec that has encoded the `G` for `window`.
+/// Makes a codec that has encoded the `G` for `window`.
 fn expecting(window: Window) -> ScipCodec {
     let mut codec = ScipCodec::default();
     codec.encode(&Command::Distances(window), &mut BytesMut::new()).unwrap();
@@ -176,12 +175,12 @@ fn w12_an_expected_scan_with_a_terminator_inside_is_malformed() {
 }
 
 #[test]
-fn w19_a_scan_that_ends_an_over_long_reply_is_not_taken_for_one() {
+fn w19_a_scan_at_the_end_of_an_over_long_reply_is_not_accepted() {
     let (window, reply, _) = scan();
     let (mut codec, mut buffer) = (expecting(window), BytesMut::new());
     buffer.extend_from_slice(&[b'G'; MAX_FRAME + 1]);
     assert_eq!(codec.decode(&mut buffer).unwrap(), None);
-    // The last byte is still there: half a terminator it might be.
+    // The last byte is kept, because it may be half a terminator.
     assert_eq!(&*buffer, b"G");
     buffer.extend_from_slice(&reply[1..]);
     assert_eq!(&*buffer, reply);

@@ -1,4 +1,4 @@
-//! A line that brings far more than any sensor sends, and always has more.
+//! A port that delivers far more than any sensor sends, and always has more.
 
 use std::collections::VecDeque;
 use std::pin::Pin;
@@ -12,15 +12,15 @@ use tokio::time::timeout;
 use tokio_scip::emulator::{Emulator, Link};
 use tokio_scip::{Connect, Error, Port, Rate, Window};
 
-/// A link to a sensor, until it is opened: then `pattern` comes without end,
-/// and reading never has to wait.
-struct Hose {
+/// A link to a sensor. ConnectOnce `open` is set, it delivers `pattern` without an end, and
+/// reading never waits.
+struct FloodingPort {
     link: Link,
     open: Arc<AtomicBool>,
     pattern: &'static [u8],
 }
 
-impl AsyncRead for Hose {
+impl AsyncRead for FloodingPort {
     fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -36,7 +36,7 @@ impl AsyncRead for Hose {
     }
 }
 
-impl AsyncWrite for Hose {
+impl AsyncWrite for FloodingPort {
     fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -54,7 +54,7 @@ impl AsyncWrite for Hose {
     }
 }
 
-impl Port for Hose {
+impl Port for FloodingPort {
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<std::io::Result<usize>> {
         let open = self.open.load(Ordering::Relaxed);
         open.then(|| {
@@ -64,44 +64,44 @@ impl Port for Hose {
     }
 }
 
-/// Opens it once.
-struct Once(Option<Hose>);
+/// Connects once.
+struct ConnectOnce(Option<FloodingPort>);
 
-impl Connect for Once {
-    type Port = Hose;
+impl Connect for ConnectOnce {
+    type Port = FloodingPort;
 
-    async fn connect(&mut self) -> Result<Hose, Error> {
-        self.0.take().ok_or(Error::NoSuchPort { port: "hose".to_owned() })
+    async fn connect(&mut self) -> Result<FloodingPort, Error> {
+        self.0.take().ok_or(Error::NoSuchPort { port: "endless".to_owned() })
     }
 }
 
-/// A hose, the sensor behind it, and what opens it.
-fn hose(pattern: &'static [u8]) -> (Emulator, Arc<AtomicBool>, Hose) {
+/// Returns an endless port with the sensor behind it, and its switch.
+fn flooding_port(pattern: &'static [u8]) -> (Emulator, Arc<AtomicBool>, FloodingPort) {
     let emulator = truthful().build();
     let open = Arc::new(AtomicBool::new(false));
-    let hose = Hose { link: emulator.link(), open: Arc::clone(&open), pattern };
-    (emulator, open, hose)
+    let flooding_port = FloodingPort { link: emulator.link(), open: Arc::clone(&open), pattern };
+    (emulator, open, flooding_port)
 }
 
-/// Without an end of a reply, with nothing but ends, and with replies.
+/// Bytes without an end of a reply, with ends only, and with replies.
 const PATTERNS: [&[u8]; 4] = [b"x", b"\0", b"\n\n", b"L1\n0\n\n"];
 
 #[tokio::test(start_paused = true)]
-async fn a_flood_from_the_beginning_is_no_sensor() {
+async fn a_flood_at_opening_is_an_error() {
     for pattern in PATTERNS {
-        let (emulator, open, hose) = hose(pattern);
+        let (emulator, open, flooding_port) = flooding_port(pattern);
         open.store(true, Ordering::Relaxed);
-        let error = builder().attach(hose).await.unwrap_err();
+        let error = builder().attach(flooding_port).await.unwrap_err();
         assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
         assert!(!emulator.is_connected());
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
+async fn a_flood_on_an_idle_link_fails_the_next_request() {
     for pattern in PATTERNS {
-        let (emulator, open, hose) = hose(pattern);
-        let sensor = builder().attach(hose).await.unwrap();
+        let (emulator, open, flooding_port) = flooding_port(pattern);
+        let sensor = builder().attach(flooding_port).await.unwrap();
         open.store(true, Ordering::Relaxed);
         // Wakes the reader.
         emulator.inject(b"x".as_slice());
@@ -111,11 +111,12 @@ async fn a_flood_on_an_idle_line_holds_up_neither_requests_nor_the_end() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flood_from_a_port_that_asks_the_system_ends_the_session() {
+async fn a_flood_from_a_port_with_try_read_ends_the_session() {
     for pattern in PATTERNS {
-        let (_emulator, open, hose) = hose(pattern);
-        let sensor = builder().reconnect(false).connect(Once(Some(hose))).await.unwrap();
-        // Nobody reads before the next command.
+        let (_emulator, open, flooding_port) = flooding_port(pattern);
+        let sensor =
+            builder().reconnect(false).connect(ConnectOnce(Some(flooding_port))).await.unwrap();
+        // The driver does not read before the next command.
         open.store(true, Ordering::Relaxed);
         let answer = timeout(ms(60_000), sensor.scan(Window::FULL)).await.unwrap();
         assert!(matches!(answer, Err(Error::Disconnected { .. })), "{answer:?}");
@@ -125,8 +126,8 @@ async fn a_flood_from_a_port_that_asks_the_system_ends_the_session() {
 #[tokio::test(start_paused = true)]
 async fn a_flood_under_a_stream_ends_it() {
     for pattern in PATTERNS {
-        let (_emulator, open, hose) = hose(pattern);
-        let sensor = builder().attach(hose).await.unwrap();
+        let (_emulator, open, flooding_port) = flooding_port(pattern);
+        let sensor = builder().attach(flooding_port).await.unwrap();
         let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
         stream.next().await.unwrap().unwrap();
         open.store(true, Ordering::Relaxed);
@@ -138,7 +139,7 @@ async fn a_flood_under_a_stream_ends_it() {
     }
 }
 
-/// A sensor whose every reply is there as soon as its command is written.
+/// A sensor whose replies are complete as soon as the command is written.
 #[derive(Default)]
 struct Oracle {
     replies: VecDeque<u8>,

@@ -1,5 +1,4 @@
-//! Freshness, depth, late subscription, and names: what an unattended service asks of
-//! its handles.
+//! Freshness, depth, late subscription and names: the needs of an unattended service.
 
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -83,7 +82,7 @@ async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_po
     assert_eq!(sensor.stats().schedules.len(), 1);
     let latest = newest.latest().unwrap();
     assert_eq!(newest.next().await.unwrap().unwrap(), latest);
-    // It may have been opened after the first one.
+    // It may have been opened after the first scan.
     assert!(newest.missed() + 1 >= latest.sequence(), "{}", newest.missed());
     for sequence in 0..=latest.sequence() {
         assert_eq!(all.next_if_ready().unwrap().unwrap().sequence(), sequence);
@@ -93,14 +92,14 @@ async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_po
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_that_is_kept_to_make_others_hands_on_no_old_error_and_misses_nothing() {
+async fn a_stream_kept_for_resubscribing_passes_on_no_old_error_and_misses_nothing() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let kept = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     kept.resubscribe().next().await.unwrap().unwrap();
     emulator.unplug();
     sleep(Duration::from_secs(1)).await;
-    // A current error is no old one.
+    // The current error is reported, even to a new stream.
     let during = kept.resubscribe().next().await.unwrap();
     assert!(matches!(during, Err(Error::Disconnected { .. })), "{during:?}");
     emulator.plug_in();
@@ -133,7 +132,7 @@ async fn the_first_scan_after_a_reconnect_is_marked_also_if_scans_were_missed() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_opened_before_the_first_link_begins_with_the_reason_for_its_absence() {
+async fn a_stream_opened_before_the_first_link_begins_with_the_reason_why_there_is_none() {
     let emulator = Emulator::builder().build();
     emulator.unplug();
     let (sensor, driver) = builder().wait_for_sensor().build(emulator.clone());
@@ -146,7 +145,7 @@ async fn a_stream_opened_before_the_first_link_begins_with_the_reason_for_its_ab
     assert!(stream.next().await.unwrap().is_ok());
 }
 
-/// What was logged, each line with its level and the fields of its spans.
+/// Collects log lines, each with its level and the fields of its spans.
 #[derive(Clone, Default)]
 struct Log(Arc<Mutex<Logged>>);
 
@@ -209,7 +208,7 @@ impl Subscriber for Log {
 }
 
 #[tokio::test(start_paused = true)]
-async fn logs_and_errors_name_the_sensor_inside_of_the_span_of_its_user() {
+async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
@@ -232,7 +231,7 @@ async fn logs_and_errors_name_the_sensor_inside_of_the_span_of_its_user() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_now_and_then() {
+async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_every_ten_minutes() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
@@ -245,6 +244,6 @@ async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_now_and_then() {
         *level == Level::INFO && line.contains("waiting for the sensor")
     };
     let waiting = log.lines.iter().filter(is_waiting).count();
-    // At level debug, which is what the log collects.
+    // Only at level debug and above, which the log collects.
     assert_eq!((waiting, log.lines.len()), (6, 6), "once, and every ten minutes: {:?}", log.lines);
 }

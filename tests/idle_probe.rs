@@ -1,5 +1,4 @@
-//! A link that nothing was asked of for a while: its sensor is probed where it could
-//! disappear without a word.
+//! The probe of an idle link that can lose its sensor without a sign.
 
 use std::io;
 use std::pin::Pin;
@@ -13,7 +12,7 @@ use tokio_scip::{BaudRate, Connect, Error, Port, Rate, Sensor, SensorBuilder, St
 
 const S: Duration = Duration::from_secs(1);
 
-/// A link that can die silently, as one over TCP.
+/// A link that can die silently, like a TCP connection.
 struct Remote(Link);
 
 impl Port for Remote {
@@ -64,14 +63,14 @@ impl Connect for ConnectRemote {
     }
 }
 
-/// A sensor on a link that can die silently.
+/// Opens a sensor on a link that can die silently.
 async fn remote(builder: SensorBuilder) -> (Sensor, Emulator) {
     let emulator = Emulator::default();
     let sensor = builder.connect(ConnectRemote(emulator.clone())).await.unwrap();
     (sensor, emulator)
 }
 
-/// The number of commands that the sensor gets in one idle minute.
+/// Counts the commands that the sensor receives in one idle minute.
 async fn commands_in_a_minute(emulator: &Emulator) -> u64 {
     let before = emulator.counts().commands;
     sleep(60 * S).await;
@@ -95,7 +94,7 @@ async fn an_idle_link_is_probed_if_it_can_die_silently_and_otherwise_on_request(
 }
 
 #[tokio::test(start_paused = true)]
-async fn o22_a_link_that_died_silently_while_idle_is_noticed_by_the_probe() {
+async fn o22_the_probe_detects_a_link_that_died_silently_while_idle() {
     let (sensor, emulator) = remote(Sensor::builder()).await;
     let mut state = sensor.state();
     emulator.set_faults(Faults::none().every(Fault::Lost));

@@ -1,7 +1,6 @@
-//! All tests of the crate and its program from outside, one module for each
-//! concern: README.md has the list. They are one executable because linking
-//! takes longer than compiling; `cargo test --all-features polling::` runs the
-//! tests of one module.
+//! All tests that use the crate and its program from outside, one module for each concern.
+//! README.md lists them. They are one executable, because linking takes longer than
+//! compiling. `cargo test --features mcap,web polling::` runs the tests of one module.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 

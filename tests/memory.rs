@@ -1,5 +1,5 @@
-//! What a driver takes of the heap, counted to the byte: whatever its sensor
-//! sends, and thousands of them together.
+//! The heap memory of a driver, counted to the byte: with any input from its sensor, and
+//! with hundreds of drivers together.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use tokio::runtime::Runtime;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{Connect, Rate, Window};
 
-/// What one sensor may take of the heap, its task and streams included.
+/// The limit for one sensor, including its task and streams.
 const LIMIT: u64 = 32 * 1024;
 
 fn runtime() -> Runtime {
@@ -22,7 +22,7 @@ fn sensor() -> Emulator {
     Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).log_capacity(0).build()
 }
 
-/// The driver's use of the heap over some time, nothing else's.
+/// Measures the heap use of the driver alone over some time.
 fn driving<C: Connect>(runtime: &Runtime, connect: C) -> AllocationInfo {
     measure(|| {
         runtime.block_on(async {

@@ -1,6 +1,5 @@
-//! Every call on a port fails once, one after the other, in each way that a
-//! system has: what the service asked for is an error with a kind of its own
-//! or succeeds, in time; afterwards all is well again, and nothing is left
+//! Each call on a port fails once, in each way that a system has. The caller gets a typed
+//! error or a success, in time; afterwards everything works again, and no port is left
 //! open.
 
 use std::io;
@@ -12,12 +11,12 @@ use tokio::time::{Instant, timeout};
 use tokio_scip::emulator::{Call, CallCounter, Emulator, FaultyLink, LinkFailure, Pace};
 use tokio_scip::{BaudRate, Connect, Error, Rate, Sensor, Window};
 
-/// A short one: its reply comes in few reads.
+/// A small window, whose reply arrives in few reads.
 fn window() -> Window {
     Window::new(300..=320).unwrap()
 }
 
-/// EIO, ENXIO, EBADF, ENODEV, ECONNRESET; the end; silence.
+/// EIO, ENXIO, EBADF, ENODEV, and kinds of errors; the end of input; no response.
 const FAILURES: [LinkFailure; 9] = [
     LinkFailure::Errno(5),
     LinkFailure::Errno(6),
@@ -30,7 +29,7 @@ const FAILURES: [LinkFailure; 9] = [
     LinkFailure::Stall,
 ];
 
-/// What a service does.
+/// A sequence of calls by a service.
 #[derive(Clone, Copy, Debug)]
 enum Scenario {
     Open,
@@ -39,7 +38,7 @@ enum Scenario {
     Reconnect,
 }
 
-/// Runs it, and gives the first error.
+/// Runs the scenario, and returns the first error.
 async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result<(), Error> {
     match scenario {
         Scenario::Open => sensor.opened().await,
@@ -74,8 +73,8 @@ async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result
     }
 }
 
-/// Opens links to the sensor, and counts those that are open. The calls of all
-/// of them count as those of one, so that the n-th is the n-th of the scenario.
+/// Opens links to the sensor, and counts those that are open. Calls are counted over all
+/// links, so that the n-th call is the n-th of the scenario.
 fn connect(
     emulator: &Emulator,
     writes: usize,
@@ -104,7 +103,7 @@ fn calls(counter: &CallCounter, failure: Option<(Call, u64, LinkFailure)>) -> u6
     }
 }
 
-/// Runs the scenario with one failing call; whether the call was reached.
+/// Runs the scenario with one failing call. Returns whether that call was reached.
 async fn with_failure(
     scenario: Scenario,
     writes: usize,
@@ -133,7 +132,7 @@ async fn with_failure(
         assert!(failure.is_some() || matches!(scenario, Scenario::Reconnect), "{error:?}");
     }
     if reconnect {
-        // Whatever it was, it happened once, and scans flow again.
+        // The failure occurs once, so scans come again.
         let start = Instant::now();
         while sensor.scan(window()).await.is_err() {}
         let took = start.elapsed();
@@ -156,13 +155,13 @@ async fn with_failure(
     let ended = timeout(Duration::from_secs(1), &mut driver).await;
     assert!(
         ended.is_ok_and(|driver| driver.is_ok()),
-        "{scenario:?} {failure:?}: a panic or a hang"
+        "{scenario:?} {failure:?}: the driver panicked or does not end"
     );
     assert!(!emulator.is_connected(), "{scenario:?} {failure:?}: the port is still open");
     totals
 }
 
-/// Every n-th call of each kind fails in every way.
+/// Lets every n-th call of each kind fail in every way.
 async fn every_call_fails_once(scenario: Scenario) {
     for (reconnect, writes) in [(true, usize::MAX), (true, 3), (false, usize::MAX)] {
         if !reconnect && matches!(scenario, Scenario::Reconnect) {
@@ -191,7 +190,7 @@ async fn o02_every_call_fails_once_under_a_stream() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o02_every_call_fails_once_during_changes_of_speed() {
+async fn o02_every_call_fails_once_during_changes_of_baud_rate() {
     every_call_fails_once(Scenario::Speed).await;
 }
 

@@ -1,4 +1,4 @@
-//! The observer gets every frame that comes, as it came.
+//! The observer receives every frame, unchanged.
 
 use std::sync::{Arc, Mutex};
 
@@ -7,7 +7,7 @@ use tokio_scip::protocol::Command;
 use tokio_scip::{Sensor, Window};
 
 #[tokio::test(start_paused = true)]
-async fn the_observer_gets_good_and_malformed_replies_fences_and_foreign_frames() {
+async fn the_observer_receives_valid_malformed_and_foreign_replies_and_fences() {
     let emulator = Emulator::builder().world(Fixed::filled(1234)).build();
     let replies = Arc::new(Mutex::new(Vec::new()));
     let sink = Arc::clone(&replies);
@@ -17,11 +17,11 @@ async fn the_observer_gets_good_and_malformed_replies_fences_and_foreign_frames(
     });
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     replies.lock().unwrap().clear();
-    // Of the scan, of the laser.
+    // One in front of the scan's reply, one in front of the laser's.
     let foreign = Fault::Insert(0, b"X\n0\n\n".to_vec());
     emulator.set_faults(Faults::none().at(0, Fault::Drop(14..15)).at(3, foreign));
     let window = Window::new(384..=385).unwrap();
-    // Malformed, a fence, and then whole.
+    // A malformed reply, a fence, and then a whole scan.
     let scan = sensor.scan(window).await.unwrap();
     assert_eq!(scan.values(), [1234, 1234]);
     sensor.laser_off().await.unwrap();
@@ -30,7 +30,7 @@ async fn the_observer_gets_good_and_malformed_replies_fences_and_foreign_frames(
     let found: Vec<_> = replies
         .iter()
         .map(|(command, text, _)| match (command, text.split('\n').next().unwrap()) {
-            // Which step a fence asks for is the driver's choice.
+            // The step of a fence is the driver's choice.
             (None, echo) if echo.starts_with('G') => (None, "a fence"),
             (command, echo) => (*command, echo),
         })

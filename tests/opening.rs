@@ -1,4 +1,4 @@
-//! Opening: finding the sensor, moving it to the wanted speed, and each way to
+//! Opening: the search for the sensor, the change to the wanted baud rate, and each way to
 //! fail.
 
 use std::time::Duration;
@@ -18,7 +18,7 @@ fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o08_a_sensor_is_found_at_each_speed_and_left_there() {
+async fn o08_a_sensor_is_found_at_each_baud_rate_and_keeps_it() {
     for speed in BaudRate::ALL {
         let emulator = truthful().baud_rate(speed).build();
         let start = Instant::now();
@@ -30,7 +30,7 @@ async fn o08_a_sensor_is_found_at_each_speed_and_left_there() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_is_moved_from_each_speed_to_each() {
+async fn a_sensor_is_changed_from_each_baud_rate_to_each() {
     for from in BaudRate::ALL {
         for to in BaudRate::ALL {
             let emulator = truthful().baud_rate(from).build();
@@ -42,7 +42,7 @@ async fn a_sensor_is_moved_from_each_speed_to_each() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_on_usb_has_no_line_speed_and_needs_none() {
+async fn a_sensor_on_usb_has_no_baud_rate_and_needs_none() {
     for firmware in [Firmware::Text, Firmware::V3] {
         let emulator = truthful().firmware(firmware).build();
         let sensor = builder().connect(emulator.clone()).await.unwrap();
@@ -52,7 +52,7 @@ async fn a_sensor_on_usb_has_no_line_speed_and_needs_none() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_sensor_says_who_it_is_in_both_characters() {
+async fn the_version_is_read_from_both_kinds_of_firmware() {
     let emulator = truthful().firmware(Firmware::V3).serial_number("H0713090").build();
     let sensor = builder().connect(emulator.clone()).await.unwrap();
     let before = emulator.counts().commands;
@@ -70,7 +70,7 @@ async fn the_sensor_says_who_it_is_in_both_characters() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn nobody_answers_at_any_speed() {
+async fn a_silent_sensor_is_an_error_after_all_baud_rates() {
     let emulator = truthful().baud_rate(BaudRate::B19200).faults(Faults::none().every(Fault::Lost));
     let start = Instant::now();
     let error = fails(&emulator.build()).await;
@@ -80,13 +80,13 @@ async fn nobody_answers_at_any_speed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn nobody_answers_on_usb() {
+async fn a_silent_sensor_on_usb_is_an_error() {
     let error = fails(&truthful().faults(Faults::none().every(Fault::Lost)).build()).await;
     assert!(matches!(error, Error::NoAnswer { baud_rate: None, searched: false, .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn w24_d05_d06_a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
+async fn w24_d05_d06_a_sensor_in_scip_2_is_distinguished_from_a_silent_one_at_once() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         let emulator = truthful().build();
         emulator.set_mode(mode);
@@ -99,7 +99,7 @@ async fn w24_d05_d06_a_sensor_in_scip_2_is_told_from_a_silent_one_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w22_a_loopback_is_told_from_a_silent_sensor() {
+async fn w22_a_loopback_is_distinguished_from_a_silent_sensor() {
     let (near, mut far) = duplex(256);
     tokio::spawn(async move {
         let (mut read, mut write) = tokio::io::split(&mut far);
@@ -110,8 +110,8 @@ async fn w22_a_loopback_is_told_from_a_silent_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w22_an_echo_of_our_own_commands_is_a_loopback_too() {
-    // Half-duplex wiring: every command comes back, and then its reply.
+async fn w22_an_echo_of_the_commands_is_a_loopback_too() {
+    // Half-duplex wiring: every command comes back, then its reply follows.
     let emulator = truthful().build();
     let (near, mut far) = duplex(4096);
     tokio::spawn(async move {
@@ -136,14 +136,14 @@ async fn w22_an_echo_of_our_own_commands_is_a_loopback_too() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w21_translated_line_ends_are_named() {
+async fn w21_translated_line_ends_are_reported() {
     let error = fails(&truthful().faults(Faults::none().every(Fault::CrLf)).build()).await;
     let source = std::error::Error::source(&error).unwrap().to_string();
     assert!(source.contains("raw mode"), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_unplugged_sensor_is_no_such_port_unless_it_is_waited_for() {
+async fn an_unplugged_sensor_is_no_such_port_without_wait_for_sensor() {
     let emulator = truthful().build();
     emulator.unplug();
     assert!(matches!(fails(&emulator).await, Error::NoSuchPort { .. }));
@@ -173,7 +173,7 @@ async fn t10_a_sensor_that_boots_slowly_is_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_does_not_get_better_is_not_waited_for() {
+async fn permanent_errors_are_returned_despite_wait_for_sensor() {
     let emulator = truthful().build();
     emulator.set_mode(Mode::Scip2);
     let error = builder().wait_for_sensor().connect(emulator).await.unwrap_err();
@@ -181,14 +181,14 @@ async fn what_does_not_get_better_is_not_waited_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o04_a_port_in_use_says_so() {
+async fn o04_a_port_in_use_is_reported_as_such() {
     let emulator = truthful().build();
     let _first = builder().connect(emulator.clone()).await.unwrap();
     assert!(matches!(fails(&emulator).await, Error::Busy { .. }));
 }
 
 #[tokio::test(start_paused = true)]
-async fn another_sensor_than_the_one_asked_for_is_refused() {
+async fn another_sensor_than_the_expected_one_is_refused() {
     let emulator = truthful().serial_number("H0000001").build();
     let error = builder().serial_number("H0000002").connect(emulator.clone()).await.unwrap_err();
     let Error::AnotherSensor { expected, found, .. } = error else { panic!("{error:?}") };
@@ -201,7 +201,7 @@ async fn another_sensor_than_the_one_asked_for_is_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t05_o07_half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
+async fn t05_o07_half_a_command_and_old_replies_of_the_last_program_are_harmless() {
     use tokio_scip::emulator::EmptyCommand;
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         let emulator = truthful().empty_command(empty).build();
@@ -215,7 +215,7 @@ async fn t05_o07_half_a_command_and_old_replies_of_the_last_user_do_no_harm() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o11_a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
+async fn o11_a_bridge_has_one_baud_rate_and_the_sensor_keeps_it() {
     use tokio_scip::emulator::Link;
     struct Bridge(Emulator, BaudRate);
     impl tokio_scip::Connect for Bridge {
@@ -241,7 +241,7 @@ async fn o11_a_bridge_has_one_speed_and_the_sensor_is_not_told_to_leave_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_wildest_settings_are_taken_as_the_nearest_sensible_ones() {
+async fn extreme_settings_are_replaced_by_the_nearest_valid_ones() {
     let emulator = truthful().build();
     let longest = Duration::MAX;
     let wild = builder().ring_depth(usize::MAX).open_timeout(longest).reply_latency(longest);
@@ -250,7 +250,7 @@ async fn the_wildest_settings_are_taken_as_the_nearest_sensible_ones() {
     stream.next().await.unwrap().unwrap();
     sensor.close().await;
 
-    // No wait at all would be a busy loop.
+    // Without any pause it would be a busy loop.
     let none = Duration::ZERO;
     let eager = builder().backoff(none..=none).connect(emulator.clone()).await.unwrap();
     emulator.unplug();
@@ -258,8 +258,8 @@ async fn the_wildest_settings_are_taken_as_the_nearest_sensible_ones() {
     assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
 }
 
-/// Ports that are tried one after another: the first `useless` of them open
-/// and stay silent, or do not even open.
+/// Ports that are tried one after another: the first `useless` of them stay silent, or fail
+/// to open.
 struct Several {
     emulator: Emulator,
     left: usize,
@@ -277,7 +277,7 @@ impl tokio_scip::Connect for Several {
         if !self.opens {
             std::future::pending::<()>().await;
         }
-        // Its fences are answered, its V never.
+        // It answers fences, and never `V`.
         let mut faults = Faults::none();
         for reply in 0..100 {
             faults = faults.at(reply, if reply == 0 { Fault::Late(ms(0)) } else { Fault::Lost });
@@ -291,7 +291,7 @@ impl tokio_scip::Connect for Several {
 }
 
 #[tokio::test(start_paused = true)]
-async fn where_there_are_several_ports_each_one_gets_its_turn() {
+async fn several_ports_are_tried_in_turn() {
     for opens in [true, false] {
         let emulator = truthful().build();
         let several = Several { emulator: emulator.clone(), left: 2, opens };
@@ -302,7 +302,7 @@ async fn where_there_are_several_ports_each_one_gets_its_turn() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
+async fn a_new_port_that_denies_permission_for_a_moment_is_opened() {
     struct Plugged(Emulator, usize);
     impl tokio_scip::Connect for Plugged {
         type Port = tokio_scip::emulator::Link;
@@ -319,13 +319,13 @@ async fn a_port_that_has_just_appeared_may_be_forbidden_for_a_moment() {
     let emulator = truthful().build();
     let plugged = |tries| Plugged(emulator.clone(), tries);
     builder().wait_for_sensor().connect(plugged(0)).await.unwrap();
-    // Who does not wait wants to know at once.
+    // Without `wait_for_sensor` the error is returned at once.
     let error = builder().connect(plugged(3)).await.unwrap_err();
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn o07_what_the_system_kept_while_the_port_was_closed_is_no_flood() {
+async fn o07_bytes_buffered_while_the_port_was_closed_are_not_a_flood() {
     let emulator = truthful().build();
     let link = emulator.link();
     emulator.inject(b"xyz\n\n".repeat(2000));

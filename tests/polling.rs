@@ -1,4 +1,4 @@
-//! Polls on a grid, and what streams make of them.
+//! Polls on a grid, and the scans that streams deliver from them.
 
 use std::time::Duration;
 
@@ -17,7 +17,7 @@ async fn take(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     scans
 }
 
-/// Whether nothing comes for a minute.
+/// Returns whether the stream yields nothing for a minute.
 async fn is_silent(stream: &mut ScanStream) -> bool {
     timeout(Duration::from_secs(60), stream.next()).await.is_err()
 }
@@ -27,7 +27,7 @@ async fn open(emulator: &Emulator) -> Sensor {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_motor_a_little_slow_or_fast_is_polled_every_turn() {
+async fn a_motor_a_little_slow_or_fast_is_polled_every_revolution() {
     for revolution in [99_500, 100_000, 100_500].map(Duration::from_micros) {
         let emulator = truthful().revolution(revolution).build();
         let sensor = open(&emulator).await;
@@ -56,7 +56,7 @@ async fn polls_lie_on_the_grid_without_drift() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t06_a_line_that_is_too_slow_is_polled_as_fast_as_it_goes_and_told_once() {
+async fn t06_a_line_that_is_too_slow_is_polled_at_its_own_rate_and_reported_once() {
     let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -103,11 +103,11 @@ async fn a02_no_error_is_lost_to_a_slow_consumer() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_error_comes_once_for_each_change_of_condition() {
+async fn an_error_is_reported_once_for_each_change_of_condition() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    // Ten polls in a row, the fences between them not counted, are damaged.
+    // Ten polls in a row are damaged; the fences between them are not.
     let mut faults = Faults::none();
     for reply in (0..20).step_by(2) {
         faults = faults.at(reply, Fault::Drop(100..101));
@@ -123,13 +123,13 @@ async fn an_error_comes_once_for_each_change_of_condition() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_streams_of_the_same_cost_one_poll_a_period() {
+async fn two_streams_of_the_same_window_and_rate_cost_one_poll_a_period() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut two = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut three = one.clone();
-    // The first poll may have been sent before the second stream was there.
+    // The first poll may have been sent before the second stream existed.
     take(&mut two, 1).await;
     take(&mut one, 1).await;
     take(&mut three, 1).await;
@@ -173,12 +173,12 @@ async fn streams_of_different_windows_share_the_sensor_fairly() {
         count
     };
     let (one, two) = tokio::join!(count(&mut one), count(&mut two));
-    // Ten turns a second for both.
+    // Ten revolutions a second for both.
     assert!((98..=102).contains(&one) && (98..=102).contains(&two), "{one} and {two}");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a07_requests_and_polls_take_turns_however_many_requests_there_are() {
+async fn a07_requests_and_polls_alternate_however_many_requests_there_are() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
@@ -195,7 +195,7 @@ async fn a07_requests_and_polls_take_turns_however_many_requests_there_are() {
     for answer in asked {
         answers.push(request_of(&answer.await.unwrap()).unwrap());
     }
-    // First come, first served, with a poll of the stream between any two.
+    // Requests in order, with a poll of the stream between any two.
     assert!(answers.windows(2).all(|pair| pair[0] < pair[1]));
     let polled = sensor.stats().scans - before - 1000;
     assert!((998..=1002).contains(&polled), "{polled} polls between 1000 requests");
@@ -209,7 +209,7 @@ async fn a_stream_ends_with_none_after_close_and_stays_ended() {
     take(&mut stream, 1).await;
     sensor.close().await;
     assert!(!emulator.is_connected());
-    // What had come before the end is still there.
+    // Scans received before the end are still delivered.
     while let Some(item) = stream.next().await {
         item.unwrap();
     }
@@ -251,7 +251,7 @@ async fn only_scans_leaves_the_errors_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn only_scans_ends_where_the_stream_ends_and_says_so() {
+async fn only_scans_ends_where_the_stream_ends_and_returns_the_cause() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -269,7 +269,7 @@ async fn only_scans_ends_where_the_stream_ends_and_says_so() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_time_that_replies_take_is_told_with_its_mean() {
+async fn the_time_that_replies_take_is_reported_with_its_mean() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     assert_eq!(sensor.stats().reply_latency.mean(), Duration::ZERO);
@@ -296,7 +296,7 @@ async fn t11_the_same_data_again_is_marked_as_a_repeat() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o21_hours_of_suspend_cost_no_burst() {
+async fn o21_hours_of_suspend_cause_no_burst() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -326,7 +326,7 @@ async fn a09_polls_rest_while_the_laser_is_off_by_request() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_that_is_opened_again_begins_anew_and_at_once() {
+async fn a_stream_that_is_opened_again_polls_at_once() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let rate = Rate::every(Duration::from_secs(3600));
@@ -340,7 +340,7 @@ async fn a_stream_that_is_opened_again_begins_anew_and_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_rest_is_neither_missed_polls_nor_a_low_rate() {
+async fn a_pause_of_polling_is_neither_skipped_polls_nor_a_low_rate() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

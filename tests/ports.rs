@@ -1,4 +1,4 @@
-//! Endpoints as text, TCP ports, and listing: what needs no pseudo-terminal.
+//! Endpoints as text, TCP ports, and listing: everything that needs no pseudo-terminal.
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
@@ -28,7 +28,7 @@ fn tcp_addresses_are_read_and_written() {
 }
 
 #[test]
-fn a_text_that_names_no_port_is_refused_with_the_reason() {
+fn an_invalid_port_is_refused_with_the_reason() {
     let table = [
         ("", "empty"),
         (" /dev/ttyACM0", "white space"),
@@ -91,7 +91,7 @@ fn device_paths_and_serial_numbers_are_read_and_written() {
 
 #[cfg(not(feature = "serial"))]
 #[test]
-fn without_the_feature_a_device_path_is_refused_and_the_feature_named() {
+fn without_the_feature_a_device_path_is_refused_naming_the_feature() {
     for text in ["/dev/ttyACM0", "COM3", "serial:H0713090"] {
         let error = text.parse::<Endpoint>().unwrap_err();
         assert!(error.to_string().contains("feature `serial`"), "{error}");
@@ -139,7 +139,7 @@ async fn bytes_go_both_ways_over_tcp() {
 
 #[tokio::test]
 async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
-    // Not every machine has IPv6.
+    // IPv6 where the machine has it.
     let (host, server) = match TcpListener::bind(("::1", 0)).await {
         Ok(server) => ("::1", server),
         Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
@@ -156,7 +156,7 @@ async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
 }
 
 #[tokio::test]
-async fn a_server_that_is_not_there_yet_is_worth_waiting_for() {
+async fn a_server_that_is_not_there_yet_is_a_transient_error() {
     let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
     let port = server.local_addr().unwrap().port();
     drop(server);
@@ -169,7 +169,7 @@ async fn a_server_that_is_not_there_yet_is_worth_waiting_for() {
 
 #[cfg(feature = "serial")]
 #[tokio::test]
-async fn listing_the_ports_says_what_there_is() {
+async fn listing_the_ports_puts_likely_sensors_first() {
     let ports = tokio_scip::port::list().await.unwrap();
     let sensors = ports.iter().take_while(|port| port.is_likely_sensor()).count();
     assert!(ports.iter().skip(sensors).all(|port| !port.is_likely_sensor()), "sensors first");
@@ -202,7 +202,7 @@ fn a_path_that_is_not_utf_8_is_refused() {
 
 #[cfg(all(feature = "serde", feature = "cli"))]
 #[test]
-fn an_endpoint_as_data_is_its_text() {
+fn an_endpoint_is_serialized_as_its_text() {
     for text in ["/dev/ttyACM0", "serial:H0713090", "tcp://[::1]:4001?baud=57600"] {
         let endpoint: Endpoint = text.parse().unwrap();
         let json = serde_json::to_string(&endpoint).unwrap();
@@ -213,7 +213,7 @@ fn an_endpoint_as_data_is_its_text() {
     assert!(error.contains("the TCP port is missing"), "{error}");
 }
 
-/// A server that takes no part in the handshake because its queue is full.
+/// A server that does not accept connections, because its queue is full.
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {

@@ -1,5 +1,5 @@
-//! Serial ports, on pseudo-terminals and on real files that are none. In real
-//! time, and without sleeping: every wait is for bytes.
+//! Serial ports on pseudo-terminals, and on files that are not serial ports. In real time,
+//! without sleeping: each wait is for bytes.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,11 +13,11 @@ use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
 use tokio_serial::SerialPort as _;
 use tokio_serial::SerialStream;
 
-/// A line with two ends, and the path of one of them.
+/// A serial line with two ends, and the path of one of them.
 struct Line {
     far: SerialStream,
-    /// Held open, so that the line does not hang up while nobody has it open;
-    /// it also sees how the line is set.
+    /// Held open, so that the line does not hang up between two openings, and to read the
+    /// line's settings.
     near: SerialStream,
     path: String,
 }
@@ -34,7 +34,7 @@ fn line() -> Line {
     Line { far, near, path }
 }
 
-/// A line whose far end is a plain file, and the path of its near end.
+/// Makes a line whose far end is a blocking file, and returns the path of its near end.
 fn blocking_line() -> (std::fs::File, String) {
     limit();
     let far = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
@@ -44,7 +44,7 @@ fn blocking_line() -> (std::fs::File, String) {
     (far.into(), path)
 }
 
-/// A directory that is removed with all that is in it.
+/// A directory that is removed with its content.
 struct Scratch(PathBuf);
 
 impl Scratch {
@@ -124,12 +124,12 @@ async fn a_long_stream_in_pieces_of_all_sizes_is_read_to_its_end() {
     let mut came = vec![0; bytes.len()];
     let read = port.read_exact(&mut came);
     let both = tokio::time::timeout(Duration::from_secs(60), async { tokio::join!(write, read) });
-    both.await.expect("the reader is not told of what came").1.unwrap();
+    both.await.expect("the reader is not woken").1.unwrap();
     assert!(came == bytes);
 }
 
 #[tokio::test]
-async fn what_has_come_is_read_though_the_runtime_has_not_seen_it() {
+async fn received_bytes_are_read_before_the_runtime_reports_readiness() {
     let (mut far, path) = blocking_line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let mut bytes = [0; 16];
@@ -143,16 +143,16 @@ async fn what_has_come_is_read_though_the_runtime_has_not_seen_it() {
     assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
 }
 
-/// A reply comes in pieces, and after each of them is nothing to be had.
+/// A reply arrives in pieces, and behind each of them the queue is empty.
 #[cfg(target_os = "linux")]
 #[tokio::test]
-async fn a_read_does_not_ask_again_before_the_system_tells_of_more() {
+async fn a_read_does_not_try_again_before_the_system_reports_readiness() {
     let (mut far, path) = blocking_line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let mut bytes = [0; 16];
     for piece in [b"first".as_slice(), b"next", b"last"] {
         std::io::Write::write_all(&mut far, piece).unwrap();
-        // The runtime has not looked since.
+        // The runtime has not polled for readiness since.
         assert!(port.read(&mut bytes).now_or_never().is_none());
         assert_eq!(port.read(&mut bytes).await.unwrap(), piece.len());
     }
@@ -169,7 +169,7 @@ async fn a_command_wakes_the_thread_for_its_reply_alone() {
         let mut asleep = before;
         for _ in 0..COMMANDS {
             std::io::Read::read_exact(&mut far, &mut [0; 2]).unwrap();
-            // Answers only when nobody is awake to see it.
+            // Answers only while the runtime's thread sleeps.
             while metrics.worker_park_count(0) == asleep {
                 std::thread::yield_now();
             }
@@ -185,14 +185,14 @@ async fn a_command_wakes_the_thread_for_its_reply_alone() {
         }
     };
     let exchanges = tokio::time::timeout(Duration::from_secs(60), exchanges);
-    exchanges.await.expect("the reader is not told of what came");
+    exchanges.await.expect("the reader is not woken");
     let sleeps = tokio::runtime::Handle::current().metrics().worker_park_count(0) - before;
     assert!(sleeps < COMMANDS * 3 / 2, "{sleeps} wake-ups for {COMMANDS} commands");
     sensor.join().unwrap();
 }
 
-/// Writes until the line takes no more, as when a sensor is stuck; returns how
-/// much it took.
+/// Writes until the line accepts no more, as when a sensor does not read. Returns the
+/// number of bytes accepted.
 fn stall(port: &mut SerialPort) -> usize {
     let mut taken = 0;
     while let Some(written) = port.write(&[b'x'; 1024]).now_or_never() {
@@ -202,7 +202,7 @@ fn stall(port: &mut SerialPort) -> usize {
 }
 
 #[tokio::test]
-async fn o16_flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
+async fn o16_flush_and_shutdown_do_not_wait_for_a_stalled_line() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     stall(&mut port);
@@ -211,7 +211,7 @@ async fn o16_flush_and_shutdown_do_not_wait_for_a_line_that_is_stuck() {
 }
 
 #[tokio::test]
-async fn a_write_goes_on_when_a_line_that_was_stuck_moves_again() {
+async fn a_stalled_write_goes_on_when_the_line_moves_again() {
     let mut line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     let taken = stall(&mut port);
@@ -225,15 +225,15 @@ async fn a_write_goes_on_when_a_line_that_was_stuck_moves_again() {
 }
 
 #[tokio::test]
-async fn o17_a_port_that_is_dropped_takes_its_unsent_output_along() {
+async fn o17_dropping_a_port_discards_its_unsent_output() {
     let mut line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
     let taken = stall(&mut port);
     drop(port);
     let mut port = SerialPort::open(&line.path).await.unwrap();
     let write = tokio::time::timeout(Duration::from_secs(5), port.write_all(b"V"));
-    write.await.expect("the line is as stuck as before").unwrap();
-    // A pseudo-terminal has a few KiB on the far side by then: those were sent.
+    write.await.expect("the line still does not move").unwrap();
+    // A pseudo-terminal passes on a few KiB at once: those were sent.
     let mut came = 0;
     while line.far.read_u8().await.unwrap() != b'V' {
         came += 1;
@@ -260,7 +260,7 @@ async fn o04_an_open_port_is_busy_until_it_is_dropped() {
 }
 
 #[tokio::test]
-async fn an_opening_that_is_given_up_leaves_no_port_open_behind_it() {
+async fn a_dropped_opening_leaves_no_port_open() {
     let line = line();
     let mut connector = Endpoint::Serial(line.path.clone()).into_connector();
     let mut given_up = 0;
@@ -272,7 +272,7 @@ async fn an_opening_that_is_given_up_leaves_no_port_open_behind_it() {
 }
 
 #[tokio::test]
-async fn o07_what_had_come_before_the_port_was_opened_is_read() {
+async fn o07_bytes_received_before_the_port_was_opened_are_read() {
     let mut line = line();
     line.far.write_all(b"left").await.unwrap();
     let mut port = SerialPort::open(&line.path).await.unwrap();
@@ -323,7 +323,7 @@ async fn o06_a_file_that_is_not_a_serial_port_and_a_missing_path_have_different_
 }
 
 #[tokio::test]
-async fn a_serial_number_that_no_port_leads_to_is_no_such_sensor() {
+async fn a_serial_number_that_no_port_has_is_an_error() {
     let mut connector = Endpoint::SerialNumber("H0000000".to_owned()).into_connector();
     assert_eq!(connector.expected_serial_number(), Some("H0000000"));
     loop {

@@ -30,7 +30,7 @@ fn a_rate_lies_between_once_a_day_and_a_thousand_a_second() {
 }
 
 #[test]
-fn a_rate_is_read_from_what_it_is_written_as() {
+fn a_rate_is_parsed_from_its_own_text() {
     for (text, rate) in [
         ("10 Hz", Rate::hz(10.0)),
         ("12.5 Hz", Rate::hz(12.5)),
@@ -46,7 +46,7 @@ fn a_rate_is_read_from_what_it_is_written_as() {
 }
 
 #[test]
-fn a_text_that_is_no_rate_is_refused_with_what_would_be_one() {
+fn an_invalid_rate_is_refused_with_the_valid_ones() {
     for text in [
         "", "0", "-1", "1001", "nan", "inf", "fast", "max Hz", "10 kHz", "Hz", "10HzHz",
         "10 Hz Hz", "HzHz",

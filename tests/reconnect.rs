@@ -1,4 +1,4 @@
-//! The link is lost and comes back, with what the service had asked for.
+//! A lost link comes back with the settings and streams that the service had asked for.
 
 use std::time::Duration;
 
@@ -12,7 +12,7 @@ async fn open(emulator: &Emulator) -> Sensor {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
+async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut state = sensor.state();
@@ -29,7 +29,7 @@ async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
     tokio::time::sleep(Duration::from_secs(60)).await;
     let late = sensor.scans(Window::FULL, Rate::hz(1.0)).await;
     let mut late = late.unwrap();
-    assert!(matches!(late.next().await, Some(Err(_))), "a new stream is not told");
+    assert!(matches!(late.next().await, Some(Err(_))), "a new stream does not report the loss");
 
     emulator.plug_in();
     let start = Instant::now();
@@ -40,7 +40,7 @@ async fn a_stream_tells_of_the_loss_once_and_goes_on_after_a_replug() {
     late.next().await.unwrap().unwrap();
     let stats = sensor.stats();
     assert_eq!((stats.disconnects, stats.reconnects), (1, 1));
-    assert!(stats.polls_skipped < 10, "a minute without a link counts as missed: {stats:?}");
+    assert!(stats.polls_skipped < 10, "a minute without a link counts as skipped polls: {stats:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -74,7 +74,7 @@ async fn a10_a_request_made_while_disconnected_is_answered_when_the_sensor_is_ba
 }
 
 #[tokio::test(start_paused = true)]
-async fn d01_d02_line_speed_and_laser_are_restored_after_a_reset() {
+async fn d01_d02_baud_rate_and_laser_are_restored_after_a_reset() {
     let emulator = truthful().baud_rate(BaudRate::B19200).boot_time(Duration::from_secs(2)).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
@@ -93,13 +93,13 @@ async fn d01_d02_line_speed_and_laser_are_restored_after_a_reset() {
     assert_eq!(scan.len(), 682);
     assert!(!errors.is_empty());
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
-    // Two seconds of boot, and at most five to be found.
+    // Two seconds of boot, and at most five until it is found.
     assert!(start.elapsed() < Duration::from_secs(7), "{:?}", start.elapsed());
 
     sensor.laser_off().await.unwrap();
     emulator.power_cycle();
     assert!(emulator.is_laser_on());
-    // Nothing is polled: the loss shows when something is asked for.
+    // Nothing is polled, so the loss is detected at the next request.
     tokio::time::sleep(Duration::from_secs(10)).await;
     let _ = sensor.set_baud_rate(BaudRate::B57600).await;
     sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
@@ -155,7 +155,7 @@ async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken
 }
 
 #[tokio::test(start_paused = true)]
-async fn d09_any_sensor_takes_a_spare_and_sets_it_like_the_one_before() {
+async fn d09_any_sensor_accepts_a_spare_and_restores_the_settings_on_it() {
     let emulator = truthful().serial_number("H0000001").build();
     let sensor = builder().any_sensor().connect(emulator.clone()).await.unwrap();
     sensor.laser_off().await.unwrap();
@@ -184,11 +184,11 @@ async fn d09_waiting_for_a_sensor_goes_on_while_another_one_is_there() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d09_a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() {
+async fn d09_a_flipped_bit_in_the_serial_number_does_not_refuse_the_sensor() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     emulator.unplug();
-    // After a fence the first V, with its serial number on the fifth line.
+    // Behind the fence comes the first `V`, whose fifth line is the serial number.
     emulator.set_faults(Faults::none().at(1, Fault::Flip(160, 1)));
     emulator.plug_in();
     sensor.scan(Window::FULL).await.unwrap();
@@ -196,8 +196,8 @@ async fn d09_a_flipped_bit_in_the_serial_number_does_not_turn_the_sensor_away() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flipped_bit_in_the_first_serial_number_does_not_turn_the_sensor_away_later() {
-    // After a fence the first V, with its serial number on the fifth line.
+async fn a_flipped_bit_in_the_first_serial_number_does_not_refuse_the_sensor_later() {
+    // Behind the fence comes the first `V`, whose fifth line is the serial number.
     let faults = Faults::none().at(1, Fault::Flip(160, 1));
     let emulator = truthful().pace(Pace::AtOnce).faults(faults).build();
     let sensor = open(&emulator).await;
@@ -209,7 +209,7 @@ async fn a_flipped_bit_in_the_first_serial_number_does_not_turn_the_sensor_away_
 }
 
 #[tokio::test(start_paused = true)]
-async fn without_reconnecting_a_lost_link_is_the_end() {
+async fn without_reconnecting_a_lost_link_ends_the_driver() {
     let emulator = truthful().build();
     let sensor = builder().reconnect(false).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -227,7 +227,7 @@ async fn without_reconnecting_a_lost_link_is_the_end() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_attached_stream_that_ends_is_the_end() {
+async fn the_end_of_an_attached_stream_ends_the_driver() {
     let emulator = truthful().build();
     let sensor = builder().attach(emulator.link()).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();
@@ -258,7 +258,7 @@ async fn a_sensor_that_is_silent_for_a_while_is_found_again_on_the_same_port() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_that_joins_another_while_there_is_no_link_is_told_so() {
+async fn a_stream_that_joins_another_without_a_link_reports_the_loss() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut first = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -266,15 +266,15 @@ async fn a_stream_that_joins_another_while_there_is_no_link_is_told_so() {
     emulator.unplug();
     while first.next().await.unwrap().is_ok() {}
     let mut second = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let told = tokio::time::timeout(ms(100), second.next()).await;
-    assert!(matches!(told, Ok(Some(Err(Error::Disconnected { .. })))), "{told:?}");
-    // The first one was told already.
+    let item = tokio::time::timeout(ms(100), second.next()).await;
+    assert!(matches!(item, Ok(Some(Err(Error::Disconnected { .. })))), "{item:?}");
+    // The first stream has reported the loss before.
     assert!(tokio::time::timeout(Duration::from_secs(60), first.next()).await.is_err());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_damaged_first_serial_number_does_not_lock_the_sensor_out() {
-    // After a fence the first V, with its serial number on the fifth line.
+async fn a_damaged_first_serial_number_does_not_refuse_the_sensor_later() {
+    // Behind the fence comes the first `V`, whose fifth line is the serial number.
     let faults = Faults::none().at(1, Fault::Flip(160, 1));
     let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
@@ -286,14 +286,14 @@ async fn a_damaged_first_serial_number_does_not_lock_the_sensor_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_serial_number_that_is_damaged_differently_each_time_is_asked_for_again() {
+async fn a_serial_number_that_is_damaged_differently_each_time_is_requested_again() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     emulator.unplug();
-    // Another digit, and then twice another name of the field: no serial number
-    // at all.
+    // Another digit first, then twice another name of the field, which means no serial
+    // number at all.
     let digit = Fault::Flip(160, 1);
     let name = || Fault::Flip(152, 1);
     emulator.set_faults(Faults::none().at(1, digit).at(2, name()).at(3, name()));
@@ -309,14 +309,14 @@ async fn a_serial_number_that_is_damaged_differently_each_time_is_asked_for_agai
 }
 
 #[tokio::test(start_paused = true)]
-async fn nobody_is_told_who_the_sensor_was_while_there_is_none() {
+async fn version_fails_while_there_is_no_sensor() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
     emulator.unplug();
     let mut state = sensor.state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
-    // It answers the fence, says who it is, and then refuses to switch off.
+    // It answers the fence and `V`, and refuses to switch its laser off.
     let refused = (2..1000).step_by(3);
     let faults = refused.fold(Faults::none(), |all, n| all.at(n, Fault::Status(b'1')));
     emulator.set_faults(faults);
@@ -340,7 +340,7 @@ async fn a_link_that_comes_and_goes_is_not_reopened_without_a_pause() {
         let _ = tokio::time::timeout_at(end, state.wait_for(|state| !connected(state))).await;
     }
     assert!((50..=100).contains(&times), "{times} times a minute");
-    // Once it has lasted for a while, there is no need to wait.
+    // A link that has lasted for a while is reopened without a wait.
     emulator.plug_in();
     tokio::time::sleep(Duration::from_secs(10)).await;
     let start = Instant::now();
@@ -371,7 +371,7 @@ async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
     emulator.unplug();
     let mut state = sensor.state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
-    // Dropped after it was queued, and before the driver looked.
+    // Dropped while it is queued.
     assert!(futures::FutureExt::now_or_never(sensor.close()).is_none());
     tokio::time::sleep(ms(5000)).await;
     emulator.plug_in();
@@ -387,18 +387,18 @@ async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
     let scans = emulator.counts().scans;
     emulator.power_cycle();
     assert!(emulator.is_laser_on());
-    // Powering up leaves a break on the line; nothing is asked of the sensor.
+    // Powering up leaves a break on the line; no command is sent.
     emulator.inject(b"\0".as_slice());
     tokio::time::sleep(ms(1000)).await;
     assert!(!emulator.is_laser_on());
-    // Fences count as scans there: one for the break, those that confirm.
+    // Fences count as scans: one for the break, and those that confirm the laser.
     assert!(emulator.counts().scans - scans <= 2);
 }
 
 #[tokio::test(start_paused = true)]
 async fn t12_no_fence_is_sent_again_after_a_reconnect() {
-    // The system keeps what arrives while a port is closed: an answer to the
-    // last session's fence must not be one to the next session's.
+    // The system keeps what arrives while a port is closed: a reply to a fence of the last
+    // session must not match one of the next session.
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     for _ in 0..3 {

@@ -1,5 +1,4 @@
-//! Scans and what belongs to them as data (feature `serde`), in the shape that
-//! the documentation promises.
+//! Scans and related types as data (feature `serde`), in the documented shape.
 
 use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
@@ -9,7 +8,7 @@ use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::port::UsbId;
 use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
 
-/// A distance, a code for nothing in range, one for no echo, and saturation.
+/// A distance, an error code for nothing in range, one for no echo, and saturation.
 async fn sensor() -> (Sensor, Emulator) {
     let emulator = Emulator::builder()
         .world(|_: WorldTime, codes: &mut Values| {
@@ -54,7 +53,7 @@ fn a_scan_that_was_written_is_read_back_as_the_same() {
         scan.scan_time(Duration::from_millis(99)).reconnects(2).build().unwrap()
     };
     let grouped = scan(window(10, 20, 4));
-    // The rest of a cluster, which keeps its direction.
+    // The rest of a cluster keeps its direction.
     let part = grouped.crop(window(18, 20, 1)).unwrap();
     for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped, part] {
         let line = serde_json::to_string(&scan).unwrap();
@@ -65,7 +64,7 @@ fn a_scan_that_was_written_is_read_back_as_the_same() {
 }
 
 #[test]
-fn a_scan_is_read_from_little_and_never_an_impossible_one() {
+fn a_scan_is_deserialized_from_few_fields_and_never_an_invalid_one() {
     let read = |value: Value| serde_json::from_value::<Scan>(value);
     let scan = read(json!({"start": 384, "end": 385, "values": [1234, 0]})).unwrap();
     assert_eq!((scan.values(), scan.sequence(), scan.scan_time()), (&[1234, 0][..], 0, 0.1));
@@ -84,7 +83,7 @@ fn a_scan_is_read_from_little_and_never_an_impossible_one() {
 }
 
 #[test]
-fn a_rate_and_an_endpoint_are_their_text() {
+fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
     for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::MAX] {
         let data = serde_json::to_value(rate).unwrap();
         assert_eq!(data, json!(rate.to_string()));
@@ -108,7 +107,7 @@ fn a_rate_and_an_endpoint_are_their_text() {
 }
 
 #[test]
-fn a_window_can_be_read_back_and_never_an_impossible_one() {
+fn a_window_is_deserialized_and_never_an_invalid_one() {
     let window = Window::DETECTION.with_cluster_count(4).unwrap();
     let data = serde_json::to_value(window).unwrap();
     assert_eq!(data, json!({"start": 44, "end": 725, "cluster": 4}));
@@ -147,7 +146,7 @@ async fn measurements_version_and_stats_are_data() {
 }
 
 #[test]
-fn an_error_in_a_state_is_told_with_all_its_causes() {
+fn an_error_in_a_state_is_serialized_with_all_its_causes() {
     let refused = std::io::Error::new(std::io::ErrorKind::NotFound, "no such device");
     let error = Error::Open { port: "/dev/ttyACM0".to_owned(), source: Arc::new(refused) };
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
@@ -157,7 +156,7 @@ fn an_error_in_a_state_is_told_with_all_its_causes() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_state_is_an_object_that_needs_no_clock_to_be_read() {
+async fn a_state_is_serialized_without_instants() {
     let data = |state: &State| serde_json::to_value(state).unwrap();
     let (sensor, emulator) = sensor().await;
     let connected = json!({

@@ -1,4 +1,4 @@
-//! Laser and baud rate: told, confirmed, and restored.
+//! Laser and baud rate: set, confirmed, and restored.
 
 use crate::common::{builder, ms, truthful};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Pace};
@@ -33,7 +33,7 @@ async fn w04_a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
     assert!(!emulator.is_laser_on());
 
     sensor.laser_on().await.unwrap();
-    // The sensor refuses, and a flipped bit makes success of it.
+    // The sensor refuses, and a flipped bit makes that a success.
     emulator
         .set_faults(Faults::none().at(0, Fault::Status(b'1')).at(0, Fault::Flip(3, b'1' ^ b'0')));
     sensor.laser_off().await.unwrap();
@@ -41,12 +41,12 @@ async fn w04_a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w04_a_sensor_that_only_pretends_to_obey_is_found_out() {
+async fn w04_a_false_status_of_success_is_detected() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut faults = Faults::none();
     for reply in 0..10 {
-        // Every second reply is that of the fence.
+        // Every second reply is that to a fence.
         if reply % 2 == 0 {
             faults = faults.at(reply, Fault::Status(b'1')).at(reply, Fault::Flip(3, b'1' ^ b'0'));
         }
@@ -62,7 +62,7 @@ async fn w04_a_sensor_that_only_pretends_to_obey_is_found_out() {
 async fn d14_a_baud_rate_that_stays_is_reported_with_the_status_of_s() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
-    // Behind a fence; refused, which shows as "already so".
+    // Behind a fence; a flipped bit makes the refusal "already at that baud rate".
     let shown = Fault::Flip(15, b'1' ^ b'3');
     emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')).at(1, shown));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
@@ -73,7 +73,7 @@ async fn d14_a_baud_rate_that_stays_is_reported_with_the_status_of_s() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t04_a_command_that_fails_is_named_and_not_the_fence() {
+async fn t04_an_error_names_the_command_that_failed_and_not_the_fence() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().rate(1.0, Fault::CommandLost));
@@ -82,7 +82,7 @@ async fn t04_a_command_that_fails_is_named_and_not_the_fence() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_laser_that_somebody_else_switched_off_is_switched_on() {
+async fn a_laser_that_another_program_switched_off_is_switched_on() {
     use tokio::io::AsyncWriteExt;
     let emulator = truthful().build();
     let mut link = emulator.link();
@@ -96,7 +96,7 @@ async fn a_laser_that_somebody_else_switched_off_is_switched_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a08_the_speed_changes_under_a_stream_and_back() {
+async fn a08_the_baud_rate_changes_under_a_stream_and_back() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -112,7 +112,7 @@ async fn a08_the_speed_changes_under_a_stream_and_back() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o10_a_speed_that_is_there_already_is_no_error() {
+async fn o10_setting_the_current_baud_rate_is_not_an_error() {
     let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B57600).await.unwrap();
@@ -127,7 +127,7 @@ async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
     for fault in [Fault::Lost, Fault::CommandLost, Fault::Drop(3..4), Fault::Late(ms(900))] {
         let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
         let sensor = open(&emulator).await;
-        // Reply 0 is the fence that follows the trial of the port's speed.
+        // Reply 0 is that to the fence behind the trial of the port's baud rate.
         emulator.set_faults(Faults::none().at(1, fault.clone()));
         let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
         let lost = fault == Fault::CommandLost;
@@ -139,7 +139,7 @@ async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_refused_speed_leaves_both_where_they_were() {
+async fn a_refused_baud_rate_changes_neither_side() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')));
@@ -149,11 +149,11 @@ async fn a_refused_speed_leaves_both_where_they_were() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d01_the_speed_that_was_set_is_proven_when_it_is_asked_for_again() {
+async fn d01_a_baud_rate_that_is_set_again_is_confirmed_and_not_assumed() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
-    // Nothing is polled, so that nobody notices.
+    // Nothing is polled, so the restart is not detected.
     emulator.power_cycle();
     let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
     assert!(outcome.is_err());

@@ -1,5 +1,4 @@
-//! The driver on a pseudo-terminal, in real time: what only a real terminal
-//! does.
+//! The driver on a pseudo-terminal, in real time: behaviour that only a real terminal has.
 
 use std::path::PathBuf;
 use std::pin::Pin;
@@ -22,7 +21,7 @@ fn serve(emulator: &Emulator, name: &str) -> (PathBuf, JoinHandle<std::io::Resul
     (path, tokio::spawn(terminal.serve()))
 }
 
-/// Opens a serial port by its path, and counts what is done to it.
+/// Opens a serial port by its path, and counts the calls on it.
 struct Counting {
     path: String,
     counts: Arc<Counts>,
@@ -32,7 +31,7 @@ struct Counts {
     opened: AtomicU64,
     /// A permit for each attempt to open the port that failed.
     refused: Semaphore,
-    /// Reads that reported that the port is gone.
+    /// The number of reads that reported the end of the port.
     dead_reads: AtomicU64,
     flushes: AtomicU64,
 }
@@ -116,7 +115,7 @@ impl AsyncWrite for Counted {
 }
 
 #[tokio::test]
-async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_spins_meanwhile() {
+async fn o01_o16_a_stream_goes_on_after_unplug_and_replug_without_a_busy_loop() {
     let emulator = truthful().build();
     let (path, _serving) = serve(&emulator, "replug");
     let counts = Arc::new(Counts::new());
@@ -135,11 +134,11 @@ async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_
             }
         };
         assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
-        // The driver has looked for the port in vain a few times.
+        // The driver has failed to open the port a few times.
         counts.refused.acquire_many(3).await.unwrap().forget();
-        // The waits between are 100 ms and 200 ms at the least.
+        // The pauses between attempts are at least 100 ms and 200 ms.
         assert!(start.elapsed() >= Duration::from_millis(100 + 200));
-        // The dead port was dropped at the first sign.
+        // The port was dropped at the first read that reported its end.
         assert_eq!(counts.dead_reads.load(Relaxed), round);
         emulator.plug_in();
         let scan = stream.next().await.unwrap().unwrap();
@@ -147,19 +146,23 @@ async fn o01_o16_a_stream_goes_on_by_itself_after_unplug_and_replug_and_nothing_
         assert!(matches!(*state.borrow_and_update(), State::Connected { .. }));
         assert_eq!(counts.opened.load(Relaxed), round + 1);
     }
-    assert_eq!(counts.flushes.load(Relaxed), 0, "a flush drains, and blocks the runtime");
+    assert_eq!(
+        counts.flushes.load(Relaxed),
+        0,
+        "flush was called: it blocks the runtime until the port has drained"
+    );
 }
 
 #[tokio::test]
-async fn a_sensor_at_another_baud_rate_is_found_and_moved_on_a_real_terminal() {
+async fn a_sensor_at_another_baud_rate_is_found_and_changed_on_a_real_terminal() {
     let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let (path, _serving) = serve(&emulator, "baud_rate");
     let sensor = builder().baud_rate(BaudRate::B250000).open(path.to_str().unwrap()).await.unwrap();
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
-    assert!(emulator.counts().garbled > 0, "the wrong baud_rate was not garbled");
+    assert!(emulator.counts().garbled > 0, "bytes at the wrong baud rate were not garbled");
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
     Truth::of(&emulator.log()).check(&scan).unwrap();
-    // Somebody else gets the port when the driver is gone, at its old baud_rate.
+    // Another program opens the port, at its old baud rate, when the driver is gone.
     sensor.close().await;
     let sensor = builder().open(path.to_str().unwrap()).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();

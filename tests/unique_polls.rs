@@ -1,13 +1,12 @@
-//! The commands that the driver sends differ from their neighbours, so that a
-//! reply that comes twice cannot answer the next one. What that is good for is
-//! in `simulation`.
+//! Successive commands of the driver differ, so that a doubled reply cannot match the next
+//! command. `simulation` shows the effect.
 
 use crate::common::{Truth, builder, ms, truthful};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{Rate, Scan, Stats, Window};
 
-/// Streams until the sensor was polled `polls` times; what was delivered, and
-/// what the driver says of it.
+/// Streams until the sensor has had `polls` polls. Returns the scans delivered, and the
+/// driver's counters.
 async fn stream(emulator: &Emulator, window: Window, rate: Rate, polls: u64) -> (Vec<Scan>, Stats) {
     let sensor = builder().ring_depth(16).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(window, rate).await.unwrap();
@@ -55,8 +54,8 @@ async fn successive_polls_differ_wherever_the_window_leaves_any_room() {
 
 #[tokio::test(start_paused = true)]
 async fn the_reply_to_a_fence_that_comes_twice_is_not_taken_for_that_of_a_single_step() {
-    // The first fence is that of step 0, and the second copy of its reply is
-    // late enough to arrive after the next command.
+    // The first fence asks for step 0, and the copy of its reply is late enough to arrive
+    // after the next command.
     for step in 0..4 {
         let fence = Faults::none().at(0, Fault::Doubled).rate(0.3, Fault::Late(ms(400))).seed(5);
         let emulator = truthful().pace(Pace::AtOnce).faults(fence).build();

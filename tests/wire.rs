@@ -1,5 +1,5 @@
-//! At every baud rate the driver gets what the line can carry: on the paused
-//! clock, against a sensor that sends at baud rate and answers at once.
+//! The driver reaches the rate that the line can carry, at every baud rate: on the paused
+//! clock, with a sensor that answers at once and sends at the baud rate.
 
 use crate::common::builder;
 use tokio::time::Instant;
@@ -8,7 +8,7 @@ use tokio_scip::{BaudRate, Rate, Window};
 
 const SCANS: u32 = 200;
 
-/// Scans a second of `window`, polled as fast as it goes.
+/// Measures the scans a second of `window` at [`Rate::MAX`].
 async fn rate(window: Window, speed: BaudRate) -> f64 {
     let world = Fixed::filled(1234);
     let emulator = Emulator::builder().world(world).baud_rate(speed).pace(Pace::AtOnce).build();
@@ -22,7 +22,7 @@ async fn rate(window: Window, speed: BaudRate) -> f64 {
     f64::from(SCANS) / start.elapsed().as_secs_f64()
 }
 
-/// The time that a `G` and its reply take on the line, in seconds.
+/// Returns the seconds that a `G` and its reply take on the line.
 fn exchange(window: Window, speed: BaudRate) -> f64 {
     let bytes = "G04472501\n".len() + window.reply_len();
     bytes as f64 * 10.0 / f64::from(speed.bits_per_second())
@@ -32,11 +32,11 @@ fn exchange(window: Window, speed: BaudRate) -> f64 {
 async fn at_least_99_percent_of_what_the_line_can_carry_is_reached() {
     for speed in BaudRate::ALL {
         for window in [Window::DETECTION, Window::FULL] {
-            // Where polls cannot differ, a fence stands between them.
+            // Where polls cannot differ, a fence precedes each poll.
             let fence = if window == Window::FULL { "G38438401\n".len() + 16 } else { 0 };
             let fence = fence as f64 * 10.0 / f64::from(speed.bits_per_second());
             let exact = exchange(window, speed) + fence;
-            // The timer's resolution is 1 ms, which only fast lines feel.
+            // The timer's resolution of 1 ms matters only on fast lines.
             let carried =
                 if speed <= BaudRate::B115200 { exact } else { (exact * 1e3).ceil() / 1e3 };
             // A fence is an exchange of its own, and waits for the timer, too.

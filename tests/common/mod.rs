@@ -1,4 +1,4 @@
-//! What all tests of the driver share: an emulated sensor that writes the number of
+//! Helpers of all tests of the driver: an emulated sensor that writes the number of
 //! each request into its data, and a check that each scan carries its own request's.
 
 pub(crate) mod endless_port;

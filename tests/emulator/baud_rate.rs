@@ -1,4 +1,4 @@
-//! Baud rates, and lines whose two ends have different ones.
+//! Baud rates, and links whose two ends have different ones.
 
 use std::time::Duration;
 
@@ -29,7 +29,7 @@ async fn a_link_starts_at_19200_baud_and_has_none_on_usb() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn at_a_wrong_baud_rate_the_sensor_hears_no_command() {
+async fn at_a_wrong_baud_rate_the_sensor_receives_no_command() {
     for baud_rate in &BaudRate::ALL[1..] {
         let emulator = serial(*baud_rate);
         let mut link = emulator.link();
@@ -52,23 +52,23 @@ async fn at_a_wrong_baud_rate_the_host_reads_no_reply() {
             let mut link = emulator.link();
             link.set_baud_rate(sensor).unwrap();
             link.write_all(b"V\n").await.unwrap();
-            // The command is through, and the reply has not begun.
+            // The command has arrived, and its reply has not begun.
             sleep(5 * MS).await;
             link.set_baud_rate(host).unwrap();
-            let heard = listen_bytes(&mut link).await;
-            assert!(!heard.starts_with(b"V\n0\nVEND:"), "{sensor} {host}");
+            let received = listen_bytes(&mut link).await;
+            assert!(!received.starts_with(b"V\n0\nVEND:"), "{sensor} {host}");
         }
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_accepted_baud_rate_is_in_force_one_revolution_later_and_brings_a_stray_byte() {
+async fn an_accepted_baud_rate_applies_one_revolution_later_with_a_stray_byte() {
     let emulator = serial(BaudRate::B19200);
     let mut link = emulator.link();
     let start = Instant::now();
     assert_eq!(ask(&mut link, "S1152000000000").await, "S1152000000000\n0\n\n");
     link.set_baud_rate(BaudRate::B115200).unwrap();
-    // 15 bytes took 7.8 ms; the revolution counts from then.
+    // 15 bytes took 7.8 ms; the revolution begins then.
     sleep(100 * MS - start.elapsed()).await;
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
     assert_eq!(link.read_u8().await.unwrap(), 0);

@@ -16,15 +16,15 @@ async fn l0_with(fault: Fault) -> Vec<u8> {
     let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
     let mut link = emulator.link();
     link.write_all(b"L0\n").await.unwrap();
-    let mut heard = listen_bytes(&mut link).await;
-    heard.extend(listen_bytes(&mut link).await);
+    let mut received = listen_bytes(&mut link).await;
+    received.extend(listen_bytes(&mut link).await);
     assert_eq!(emulator.fault_counts().total(), 1);
-    heard
+    received
 }
 
 #[tokio::test(start_paused = true)]
 async fn each_fault_leaves_the_bytes_that_its_name_says() {
-    for (fault, heard) in [
+    for (fault, received) in [
         (Fault::CommandLost, &b""[..]),
         (Fault::Lost, b""),
         (Fault::Late(2 * S), b"L0\n0\n\n"),
@@ -42,12 +42,12 @@ async fn each_fault_leaves_the_bytes_that_its_name_says() {
         (Fault::Status(b'~'), b"L0\n~\n\n"),
         (Fault::Reset(2), b"L0"),
     ] {
-        assert_eq!(l0_with(fault.clone()).await, heard, "{fault:?}");
+        assert_eq!(l0_with(fault.clone()).await, received, "{fault:?}");
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_reply_is_of_a_command_that_was_done_and_a_lost_command_is_not() {
+async fn a_command_whose_reply_is_lost_takes_effect_and_a_lost_command_does_not() {
     for (fault, laser) in
         [(Fault::Lost, false), (Fault::CommandLost, true), (Fault::Status(b'9'), true)]
     {
@@ -58,7 +58,7 @@ async fn a_lost_reply_is_of_a_command_that_was_done_and_a_lost_command_is_not() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn faults_meet_the_replies_that_they_are_for() {
+async fn faults_affect_only_their_replies() {
     let faults = Faults::none().at(1, Fault::Lost).at(3, Fault::Status(b'8'));
     let emulator = instant_sensor().faults(faults).build();
     let mut link = emulator.link();
@@ -75,7 +75,7 @@ async fn faults_meet_the_replies_that_they_are_for() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_late_reply_holds_up_those_behind_it() {
+async fn a_late_reply_delays_those_behind_it() {
     let emulator = instant_sensor().faults(Faults::none().at(0, Fault::Late(3 * S))).build();
     let mut link = emulator.link();
     let start = Instant::now();
@@ -89,7 +89,7 @@ async fn a_late_reply_holds_up_those_behind_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_trickle_and_a_pause_take_their_time() {
+async fn a_trickle_and_a_pause_delay_the_reply() {
     let faults = Faults::none().at(0, Fault::Trickle(S / 10)).at(1, Fault::Pause(5, 2 * S));
     let mut link = instant_sensor().faults(faults).build().link();
     let start = Instant::now();
@@ -120,7 +120,7 @@ async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
         link.write_all(b"G04472501\n").await.unwrap();
         let mut part = vec![0; after];
         link.read_exact(&mut part).await.unwrap();
-        // Silent while it starts, and then at another baud rate.
+        // Silent while it starts, then at another baud rate.
         link.write_all(b"V\n").await.unwrap();
         sleep(2 * S).await;
         assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
@@ -136,9 +136,9 @@ async fn a_hang_up_ends_the_link_after_its_byte() {
     let emulator = instant_sensor().faults(Faults::none().at(0, Fault::HangUp(4))).build();
     let mut link = emulator.link();
     link.write_all(b"L0\n").await.unwrap();
-    let mut heard = Vec::new();
-    link.read_to_end(&mut heard).await.unwrap();
-    assert_eq!(heard, b"L0\n0");
+    let mut received = Vec::new();
+    link.read_to_end(&mut received).await.unwrap();
+    assert_eq!(received, b"L0\n0");
     assert_eq!(link.read(&mut [0; 8]).await.unwrap(), 0);
     assert!(link.write_all(b"V\n").await.is_err());
     assert!(!emulator.is_connected());
@@ -147,7 +147,7 @@ async fn a_hang_up_ends_the_link_after_its_byte() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn endless_bytes_go_on_until_the_faults_are_others() {
+async fn endless_bytes_go_on_until_the_faults_change() {
     let faults = Faults::none().at(0, Fault::Endless(b"\n\n".to_vec()));
     let emulator = instant_sensor().baud_rate(BaudRate::B750000).faults(faults).build();
     let mut link = emulator.link();
@@ -157,7 +157,7 @@ async fn endless_bytes_go_on_until_the_faults_are_others() {
     let mut flood = vec![0; 1_000_000];
     link.read_exact(&mut flood).await.unwrap();
     assert!(flood.iter().all(|&byte| byte == b'\n'));
-    // 75 kB/s, as the line carries.
+    // 75 kB/s, the rate of the line.
     assert!((12..20).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
     emulator.set_faults(Faults::none());
     let mut rest = Vec::new();
@@ -167,40 +167,40 @@ async fn endless_bytes_go_on_until_the_faults_are_others() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flood_that_nobody_reads_is_not_kept() {
+async fn a_flood_that_is_not_read_is_not_buffered() {
     let faults = Faults::none().at(0, Fault::Endless(b"x".to_vec()));
     let emulator = instant_sensor().faults(faults).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
     sleep(3600 * S).await;
     emulator.set_faults(Faults::none());
-    let mut heard = Vec::new();
-    let _ = tokio::time::timeout(S, link.read_to_end(&mut heard)).await;
-    assert!((1000..20_000).contains(&heard.len()), "{}", heard.len());
+    let mut received = Vec::new();
+    let _ = tokio::time::timeout(S, link.read_to_end(&mut received)).await;
+    assert!((1000..20_000).contains(&received.len()), "{}", received.len());
 }
 
-/// Everything that comes of 2,000 scans polled twice a second.
+/// Returns all bytes of 2,000 scans polled twice a second.
 async fn polled(emulator: &Emulator) -> Vec<u8> {
     let mut link = emulator.link();
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for _ in 0..2000 {
         if link.write_all(b"G38438401\n").await.is_err() {
             link = emulator.link();
         }
-        let _ = tokio::time::timeout(S / 2, link.read_to_end(&mut heard)).await;
+        let _ = tokio::time::timeout(S / 2, link.read_to_end(&mut received)).await;
     }
-    heard
+    received
 }
 
 #[tokio::test(start_paused = true)]
-async fn drawn_faults_fire_about_as_often_as_they_should_and_the_same_again() {
+async fn random_faults_occur_at_their_rate_and_repeat_with_the_seed() {
     let spec = "late=0.05:3s,lost=0.05,command-lost=0.05,damaged=0.05,doubled=0.05,merged=0.05,\
                 noise=0.05:64,pause=0.05:1s,reset=0.05,hang-up=0.05";
     let faults: Faults = spec.parse().unwrap();
-    let mut heard = Vec::new();
+    let mut received = Vec::new();
     for seed in [1, 1, 2] {
         let emulator = instant_sensor().faults(faults.clone()).seed(seed).build();
-        heard.push((polled(&emulator).await, emulator.fault_counts(), emulator.counts()));
+        received.push((polled(&emulator).await, emulator.fault_counts(), emulator.counts()));
         let counts = emulator.fault_counts();
         for count in [
             counts.late,
@@ -217,8 +217,8 @@ async fn drawn_faults_fire_about_as_often_as_they_should_and_the_same_again() {
             assert!((60..=140).contains(&count), "{counts:?}");
         }
     }
-    assert!(heard[0] == heard[1], "the same seed gives the same bytes");
-    assert!(heard[0].0 != heard[2].0, "another seed gives others");
+    assert!(received[0] == received[1], "the same seed makes the same bytes");
+    assert!(received[0].0 != received[2].0, "another seed makes other bytes");
 }
 
 #[tokio::test(start_paused = true)]

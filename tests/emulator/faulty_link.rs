@@ -1,4 +1,4 @@
-//! The stream whose calls fail as scripted.
+//! The stream whose calls fail according to a script.
 
 use std::io::ErrorKind;
 use std::time::Duration;
@@ -57,7 +57,7 @@ async fn an_end_lasts_and_so_does_a_stall() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn writes_fail_and_take_a_part() {
+async fn writes_fail_or_accept_a_part() {
     let (near, mut far) = duplex(4096);
     let mut link =
         FaultyLink::new(near).partial_writes(2).fail(Call::Write, 2, LinkFailure::Errno(28));
@@ -96,12 +96,12 @@ async fn reads_stop_where_they_are_split() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_loopback_gives_back_what_is_written_and_nothing_else() {
+async fn a_loopback_returns_what_is_written_and_nothing_else() {
     let (near, _far) = fed(b"never read").await;
     let mut link = FaultyLink::new(near).loopback();
     assert!(is_stuck(link.read_u8()).await);
     assert_eq!(ask(&mut link, "V\n").await, "V\n\n");
-    // A reader that waits is woken by a write.
+    // A waiting reader is woken by a write.
     let (mut read, mut write) = tokio::io::split(link);
     let reader = tokio::spawn(async move { read.read_u8().await.unwrap() });
     tokio::task::yield_now().await;
@@ -126,7 +126,7 @@ async fn flushes_are_counted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_change_of_the_baud_rate_fails_when_it_is_told_to() {
+async fn a_change_of_the_baud_rate_fails_on_request() {
     let emulator = instant_sensor().baud_rate(BaudRate::B57600).build();
     let mut link = FaultyLink::new(emulator.link()).fail(
         Call::SetBaudRate,

@@ -1,4 +1,4 @@
-//! The handle of a test to the sensor.
+//! The handle by which a test controls the sensor.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use tokio_scip::{Connect, Error};
 use super::{ask, instant_sensor, listen};
 
 #[tokio::test(start_paused = true)]
-async fn the_log_holds_the_last_commands_and_what_they_were_worth() {
+async fn the_log_holds_the_last_commands_with_their_verdicts() {
     let emulator = instant_sensor().log_capacity(3).build();
     let mut link = emulator.link();
     let start = Instant::now();
@@ -45,7 +45,7 @@ async fn a_command_before_the_end_of_the_last_reply_is_an_overlap() {
     listen(&mut link).await;
     assert_eq!(emulator.counts().overlapping, 1);
     assert!(emulator.log()[1].overlapping);
-    // A line feed to end whatever was typed, and a command behind it, are not.
+    // An LF that ends a half-typed command, and a command behind it, do not overlap.
     link.write_all(b"\nV\n").await.unwrap();
     listen(&mut link).await;
     assert_eq!(emulator.counts().overlapping, 1);
@@ -75,7 +75,7 @@ async fn the_sensor_stays_as_it_is_between_links() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_was_not_read_waits_for_the_next_link() {
+async fn unread_bytes_wait_for_the_next_link() {
     let emulator = instant_sensor().build();
     emulator.link().write_all(b"V\n").await.unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
@@ -125,14 +125,14 @@ async fn connecting_needs_a_cable_and_a_free_port() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_on_the_cable_is_lost_when_it_is_pulled() {
+async fn bytes_on_the_cable_are_lost_when_it_is_pulled() {
     let emulator = instant_sensor().build();
     emulator.link().write_all(b"V\n").await.unwrap();
     tokio::time::sleep(Duration::from_secs(1)).await;
     emulator.unplug();
     emulator.plug_in();
     assert_eq!(listen(&mut emulator.link()).await, "");
-    // Also bytes that the sensor sends while the cable is off.
+    // Neither do bytes that the sensor sends while the cable is off arrive later.
     let emulator = Emulator::default();
     emulator.link().write_all(b"V\n").await.unwrap();
     emulator.unplug();
@@ -146,16 +146,16 @@ async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
     let emulator = instant_sensor().baud_rate(tokio_scip::BaudRate::B19200).laser(false).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
-    // Two bytes in, ten bytes out, at 0.52 ms each.
+    // Two bytes to the sensor and ten bytes back, 0.52 ms each.
     tokio::time::sleep(Duration::from_micros(12 * 521)).await;
     emulator.power_cycle();
-    let heard = listen(&mut link).await;
-    assert!((9..=12).contains(&heard.len()), "{heard:?}");
+    let received = listen(&mut link).await;
+    assert!((9..=12).contains(&received.len()), "{received:?}");
     assert!(emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]
-async fn bytes_that_nobody_asked_for_wake_a_reader() {
+async fn unrequested_bytes_wake_a_reader() {
     let emulator = instant_sensor().build();
     let mut link = emulator.link();
     let reader = tokio::spawn(async move { listen(&mut link).await });
@@ -165,7 +165,7 @@ async fn bytes_that_nobody_asked_for_wake_a_reader() {
 }
 
 #[test]
-fn a_sensor_can_be_had_outside_of_a_runtime() {
+fn a_sensor_can_be_made_outside_a_runtime() {
     let emulator = Emulator::default();
     let link = emulator.link();
     emulator.power_cycle();
@@ -174,7 +174,7 @@ fn a_sensor_can_be_had_outside_of_a_runtime() {
 }
 
 #[test]
-fn handles_and_links_go_wherever_a_service_needs_them() {
+fn handles_and_links_are_send_and_sync() {
     fn everywhere<T: Send + Sync + 'static>() {}
     everywhere::<Emulator>();
     everywhere::<tokio_scip::emulator::Link>();

@@ -1,4 +1,4 @@
-//! Whatever is typed, the sensor stands it and answers in the text's form.
+//! Any bytes as commands: the sensor answers in the form that the text requires.
 
 use std::time::Duration;
 
@@ -15,14 +15,14 @@ fn replies(emulator: &Emulator, bytes: &[u8]) -> Vec<u8> {
     runtime.unwrap().block_on(async {
         let mut link = emulator.link();
         link.write_all(bytes).await.unwrap();
-        let mut heard = Vec::new();
-        let read = link.read_to_end(&mut heard);
+        let mut received = Vec::new();
+        let read = link.read_to_end(&mut received);
         let _ = tokio::time::timeout(Duration::from_secs(3600), read).await;
-        heard
+        received
     })
 }
 
-/// Bytes that are likely to be commands or nearly so.
+/// Bytes that are likely to be commands, or almost.
 fn line() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![
         "[VLSGX][0-9]{0,14}".prop_map(String::into_bytes),
@@ -42,14 +42,14 @@ proptest! {
         prop_assert!(reply.ends_with(b"\n\n"));
         let rest = &reply[echo.len() + 1..];
         prop_assert!(rest[1] == b'\n' && rest[0].is_ascii_graphic());
-        // An error has no data, and only the end has two line feeds together.
+        // An error reply has no data, and only its end has two LFs in a row.
         prop_assert!(rest[0] == b'0' || rest.len() == 3);
         prop_assert_eq!(rest.windows(2).position(|pair| pair == b"\n\n"), Some(rest.len() - 2));
         prop_assert!(rest.split(|&byte| byte == b'\n').all(|line| line.len() <= 64));
     }
 
     #[test]
-    fn bytes_of_any_kind_are_stood(
+    fn any_bytes_are_answered_without_a_panic(
         bytes in proptest::collection::vec(any::<u8>(), 0..2000),
         seed in any::<u64>(),
     ) {

@@ -7,7 +7,7 @@ use tokio_scip::emulator::{EmptyCommand, Firmware, Fixed, Mode, RepeatedLaser, V
 use super::{ask, instant_sensor, listen};
 
 #[tokio::test(start_paused = true)]
-async fn the_texts_firmware_tells_five_lines_of_version() {
+async fn the_texts_firmware_replies_to_v_with_five_lines() {
     let emulator = instant_sensor().firmware(Firmware::Text).serial_number("H0400000").build();
     let expected = "V\n0\n\
         VEND: Hokuyo Automatic Co., Ltd.\n\
@@ -19,7 +19,7 @@ async fn the_texts_firmware_tells_five_lines_of_version() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn firmware_3_tells_six_lines_of_version_in_206_bytes() {
+async fn firmware_3_replies_to_v_with_six_lines_in_206_bytes() {
     let reply = ask(&mut instant_sensor().build().link(), "V").await;
     let expected = "V\n0\n\
         VEND:Hokuyo Automatic Co.,Ltd.\n\
@@ -63,7 +63,7 @@ async fn a_carriage_return_ends_a_command_and_a_line_feed_answers_it() {
     let mut link = instant_sensor().build().link();
     link.write_all(b"L0\r").await.unwrap();
     assert_eq!(listen(&mut link).await, "L0\n0\n\n");
-    // CR LF is a command and an empty one.
+    // CR LF is a command and an empty command.
     link.write_all(b"L1\r\n").await.unwrap();
     assert_eq!(listen(&mut link).await, "L1\n0\n\n");
     assert_eq!(listen(&mut link).await, "");
@@ -71,7 +71,7 @@ async fn a_carriage_return_ends_a_command_and_a_line_feed_answers_it() {
 
 #[tokio::test(start_paused = true)]
 async fn the_texts_example_of_1234_mm() {
-    // 0x4D2 is 010011 010010, 0x13 and 0x12, 0x43 and 0x42.
+    // 0x4D2 is 010011 010010, 0x13 and 0x12, and with 0x30 added 0x43 and 0x42.
     let reply = ask(&mut instant_sensor().build().link(), "G38438401").await;
     assert_eq!(reply.as_bytes(), b"G38438401\n0\n\x43\x42\n\n");
 }
@@ -105,14 +105,14 @@ async fn a_full_scan_has_1576_bytes_in_25_lines_of_data() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cluster_is_its_smallest_code_and_the_last_one_may_be_partial() {
+async fn a_cluster_has_its_smallest_value_and_the_last_one_may_be_partial() {
     let mut codes = [0; 769];
     for (step, code) in codes.iter_mut().enumerate() {
         *code = 64 * step as u16 % 4096;
     }
     codes[3] = 7;
     let mut link = instant_sensor().world(Fixed(codes)).build().link();
-    // Steps 2 to 6 are 128, 7, 256, 320 and 384.
+    // The values of steps 2 to 6 are 128, 7, 256, 320 and 384.
     for (command, data) in [
         ("G00200601", "2007405060"),
         ("G00200602", "074060"),
@@ -131,7 +131,7 @@ async fn cluster_00_works_like_01() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_wrong_with_a_command_is_echoed_with_an_error_status() {
+async fn an_invalid_command_is_echoed_with_an_error_status() {
     let mut link = instant_sensor().firmware(Firmware::Text).build().link();
     for (command, status) in [
         ("G10009901", '5'),
@@ -161,7 +161,7 @@ async fn an_undefined_command_gets_silence_or_status_e() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_empty_command_gets_one_of_three_answers() {
+async fn an_empty_command_gets_one_of_three_replies() {
     for (empty, reply) in [
         (EmptyCommand::Silence, ""),
         (EmptyCommand::Status, "\nE\n\n"),
@@ -210,7 +210,7 @@ async fn on_rs232_the_reserved_area_is_echoed_and_ignored() {
 async fn a_miscounting_firmware_sends_a_point_more_or_less() {
     let mut more = instant_sensor().miscount(1).build().link();
     assert_eq!(ask(&mut more, "G10010101").await, "G10010101\n0\nCBCBCB\n\n");
-    // There is nothing after step 768: code 19.
+    // No step follows 768, so the surplus point is error code 19.
     assert_eq!(ask(&mut more, "G76876801").await, "G76876801\n0\nCB0C\n\n");
     let mut less = instant_sensor().miscount(-1).build().link();
     assert_eq!(ask(&mut less, "G10010101").await, "G10010101\n0\nCB\n\n");
@@ -228,7 +228,7 @@ async fn in_scip_2_every_command_has_a_status_of_three_characters() {
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
 }
 
-/// Clients of later sensors ask for SCIP 2 first, and fall back if it is refused.
+/// Clients of newer sensors ask for SCIP 2 first, and fall back if it is refused.
 #[tokio::test(start_paused = true)]
 async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
     let mut link = instant_sensor().build().link();
@@ -271,13 +271,13 @@ async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_scip_2_scans_stream_unasked_until_they_are_stopped() {
+async fn in_scip_2_scans_stream_without_requests_until_they_are_stopped() {
     let emulator = instant_sensor().mode(Mode::Scip2Streaming).build();
     let mut link = emulator.link();
     for _ in 0..3 {
         let frame = listen(&mut link).await;
         assert!(frame.starts_with("MD0044072501000\n99b\n"), "{frame}");
-        // 682 points of three characters in lines of 64 with a check character.
+        // 682 points of three characters, in lines of 64 with a check character each.
         assert_eq!(frame.len(), 16 + 4 + 6 + 682 * 3 + 32 * 2 + 1);
     }
     assert_eq!(ask(&mut link, "QT").await, "QT\n00P\n\n");

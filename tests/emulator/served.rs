@@ -1,6 +1,5 @@
-//! The sensor on other streams: in memory, on TCP, on a pseudo-terminal.
-//!
-//! The pseudo-terminal and TCP run on the wall clock, and wait for bytes only.
+//! The sensor behind other streams: in memory, on TCP, on a pseudo-terminal. The latter
+//! two run in real time, and each wait is for bytes.
 
 use std::time::Duration;
 
@@ -75,7 +74,7 @@ async fn tcp_clients_are_served_one_after_the_other() {
     assert_eq!(ask(&mut first, "G38438401").await, "G38438401\n6\n\n");
     drop(first);
     assert_eq!(listen_bytes(&mut second).await, b"L0\n2\n\n");
-    // Unplugged it hangs up, and is there again later.
+    // Unplugged it hangs up; plugged in it is reachable again.
     emulator.unplug();
     assert_eq!(second.read(&mut [0; 8]).await.unwrap(), 0);
     emulator.plug_in();
@@ -106,11 +105,11 @@ mod terminal {
     }
 
     fn open(path: &Path, baud_rate: u32) -> SerialStream {
-        // Exclusive, as the crate's own ports are.
+        // With an exclusive lock, as the crate's own ports have.
         SerialStream::open(&tokio_serial::new(path.to_str().unwrap(), baud_rate)).unwrap()
     }
 
-    /// A path of this test's own, with nothing there.
+    /// Returns a path that is used by one test only, with nothing there.
     fn scratch(name: &str) -> PathBuf {
         let path = std::env::temp_dir().join(format!("emulator-{}-{name}", std::process::id()));
         let _ = std::fs::remove_file(&path);
@@ -128,7 +127,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn one_client_keeps_others_out_while_it_is_there() {
+    async fn the_port_is_locked_while_a_client_is_there() {
         let served = serve(&instant_sensor().build(), None);
         let mut client = open(&served.path, 19_200);
         let builder = tokio_serial::new(served.path.to_str().unwrap(), 19_200);
@@ -137,7 +136,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn what_a_client_did_not_read_is_there_for_the_next_one() {
+    async fn bytes_that_a_client_did_not_read_go_to_the_next_one() {
         let emulator = instant_sensor().build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
@@ -166,11 +165,11 @@ mod terminal {
         tokio::time::sleep(Duration::from_millis(20)).await;
         client.set_baud_rate(19_200).unwrap();
         client.write_all(b"\n").await.unwrap();
-        let heard = received(&emulator).await;
-        assert!(heard.garbled && heard.line != b"L0" && emulator.is_laser_on());
+        let line = received(&emulator).await;
+        assert!(line.garbled && line.line != b"L0" && emulator.is_laser_on());
         while listen_bytes(&mut client).await.is_empty() {}
 
-        // A command is understood, and the answer comes at another baud rate.
+        // A command arrives intact, and the reply comes at another baud rate.
         client.write_all(b"V\n").await.unwrap();
         while emulator.counts().commands < 2 {
             tokio::time::sleep(Duration::from_millis(1)).await;
@@ -181,7 +180,7 @@ mod terminal {
         assert!(!reply.starts_with(b"V\n0\n"), "{}", reply.escape_ascii());
     }
 
-    /// The first command line that reaches the sensor.
+    /// Waits for the first command that reaches the sensor.
     async fn received(emulator: &Emulator) -> Received {
         loop {
             if let Some(received) = emulator.log().into_iter().next() {
@@ -262,7 +261,7 @@ mod terminal {
         assert_eq!(error.kind(), std::io::ErrorKind::AlreadyExists);
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "precious");
         std::fs::remove_file(&path).unwrap();
-        // One that is left over from before is.
+        // A symbolic link that an earlier run left is replaced.
         std::os::unix::fs::symlink("/nowhere", &path).unwrap();
         drop(Pty::open(&emulator, Some(&path)).unwrap());
         assert!(path.symlink_metadata().is_err());

@@ -11,7 +11,7 @@ use super::{ask, instant_sensor, listen};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// A sensor on USB: it serves one command a revolution.
+/// A sensor on USB, which serves one command a revolution.
 fn turning(revolution: Duration) -> Emulator {
     Emulator::builder().revolution(revolution).world(Fixed::filled(1234)).build()
 }
@@ -25,7 +25,7 @@ async fn times(link: &mut Link, command: &str, start: Instant) -> (Duration, Dur
     (first, start.elapsed())
 }
 
-/// A scan of the whole window, in as few reads as it takes.
+/// Reads a scan of the full window with as few reads as possible.
 async fn scan(link: &mut Link) {
     link.write_all(b"G04472501\n").await.unwrap();
     let mut reply = [0; 1399];
@@ -34,7 +34,7 @@ async fn scan(link: &mut Link) {
 }
 
 fn about(time: Duration, expected: Duration) -> bool {
-    // Timers have a resolution of one millisecond, and only ever are late.
+    // Timers have a resolution of one millisecond, and are late but never early.
     time >= expected && time <= expected + 2 * MS
 }
 
@@ -53,7 +53,7 @@ async fn a_command_is_answered_when_the_next_revolution_begins() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn polling_back_to_back_gives_one_scan_a_revolution() {
+async fn polling_back_to_back_delivers_one_scan_a_revolution() {
     for micros in [99_500, 100_000, 100_500] {
         let revolution = Duration::from_micros(micros);
         let emulator = turning(revolution);
@@ -98,11 +98,11 @@ async fn a_scan_shows_the_revolution_finished_last() {
     };
     let mut link = Emulator::builder().world(world).build().link();
     let start = Instant::now();
-    // Asked for in revolution 4, answered when revolution 5 begins.
+    // Requested in revolution 4, answered when revolution 5 begins.
     sleep_until(start + 420 * MS).await;
     assert_eq!(ask(&mut link, "G00000001").await, "G00000001\n0\n1X\n\n");
 
-    // At once: the distances that are in the memory by then.
+    // With this pace: the distances in the sensor's memory at that moment.
     let mut link = Emulator::builder().pace(Pace::AtOnce).world(world).build().link();
     let start = Instant::now();
     sleep_until(start + 420 * MS).await;
@@ -127,7 +127,7 @@ async fn a_reply_takes_its_time_on_the_line() {
         link.set_baud_rate(baud_rate).unwrap();
         let start = Instant::now();
         let (first, last) = times(&mut link, "G00076801", start).await;
-        // The command's ten bytes come before it.
+        // The ten bytes of the command precede it.
         let command = baud_rate.wire_time(10);
         assert!(about(first, command + baud_rate.wire_time(1)), "{baud_rate}: {first:?}");
         let expected = command + Duration::from_micros(micros);
@@ -158,7 +158,7 @@ async fn replies_come_in_order_behind_each_other() {
     assert!(listen(&mut link).await.starts_with("G"));
     assert!(listen(&mut link).await.starts_with("V"));
     assert_eq!(listen(&mut link).await, "L0\n0\n\n");
-    // 10 bytes in; 78, 206 and 6 bytes out, without a pause.
+    // 10 bytes to the sensor; 78, 206 and 6 bytes back without a pause.
     assert!(about(start.elapsed(), BaudRate::B19200.wire_time(300)), "{:?}", start.elapsed());
 }
 
@@ -169,7 +169,7 @@ async fn a_sensor_is_silent_while_it_starts() {
     sleep(2900 * MS).await;
     link.write_all(b"L0\nL").await.unwrap();
     sleep(200 * MS).await;
-    // The `L` of before is forgotten too.
+    // The restart also reverts the `L` from before.
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
     assert_eq!(emulator.counts().commands, 1);
     emulator.power_cycle();
@@ -177,7 +177,7 @@ async fn a_sensor_is_silent_while_it_starts() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_latency_comes_on_top() {
+async fn a_latency_is_added_to_every_reply() {
     let mut link = instant_sensor().latency(40 * MS).build().link();
     let (first, _) = times(&mut link, "V", Instant::now()).await;
     assert!(about(first, 40 * MS), "{first:?}");

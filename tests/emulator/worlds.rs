@@ -8,7 +8,7 @@ use tokio_scip::emulator::{
 
 use super::ask;
 
-/// The values of a world in the first revolutions of a sensor, ten a second.
+/// Returns the values of a world in a sensor's first revolutions, ten a second.
 fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
     let (sender, receiver) = std::sync::mpsc::channel();
     let world = move |look: WorldTime, codes: &mut Values| {
@@ -35,7 +35,7 @@ fn a_room_is_mostly_distances_with_errors_where_a_sensor_has_them() {
             let window = &codes[44..=725];
             let distances = window.iter().filter(|&&code| code >= 20).count();
             assert!(distances > 682 * 75 / 100, "seed {seed}: {distances}");
-            // In front is a wall, or something before it, or a doorway.
+            // In front is a wall, an object before it, or a doorway.
             assert!(window.iter().filter(|&&code| code >= 20).all(|&code| code > 100));
         }
     }
@@ -68,8 +68,8 @@ fn people_move_and_walls_do_not() {
     let both = (44..=725).filter(|&step| first[step] >= 20 && last[step] >= 20);
     let moved = both.filter(|&step| first[step].abs_diff(last[step]) > 100).count();
     assert!((5..200).contains(&moved), "{moved}");
-    // Nobody walks faster than a person: what a scan shows, the next one mostly
-    // shows, too.
+    // Nobody moves faster than a person walks: most of what a scan shows is in the next
+    // one, too.
     for pair in scans.windows(2) {
         let jumps = (0..STEPS).filter(|&step| pair[0][step].abs_diff(pair[1][step]) > 100);
         assert!(jumps.count() < 60);
@@ -97,13 +97,13 @@ fn a_room_is_the_same_on_every_machine() {
         .fold(0_u64, |sum, &code| sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(u64::from(code)));
     assert_eq!(
         checksum, 7576578781778081501,
-        "the room has changed: recordings of it are not what they were"
+        "the room has changed: recordings made of it no longer match"
     );
 }
 
-/// The figures are those of six captures of a real URG-04LX indoors.
+/// The figures are those of six scans captured indoors from a real URG-04LX.
 #[test]
-fn a_hard_room_lacks_as_many_points_as_a_real_one() {
+fn a_hard_room_has_as_many_missing_points_as_a_real_one() {
     let mut total = 0;
     for seed in 0..20 {
         let (mut counts, mut points) = ([0_u32; 20], 0);
@@ -137,7 +137,7 @@ fn a_scene_has_its_walls_discs_and_openings_where_they_were_put() {
     let values = looks(scene, 1)[0];
     let degrees = |angle: f64| values[(384.0 + angle * 1024.0 / 360.0).round() as usize];
     assert_eq!(degrees(0.0), 2000);
-    // The wall's end, at 26.6 degrees, and past it.
+    // The wall ends at 26.6 degrees: a step before its end, and a step past it.
     assert!(degrees(26.3).abs_diff(2231) < 5, "{}", degrees(26.3));
     assert_eq!(degrees(27.0), 0, "nothing is there");
     assert_eq!((degrees(90.0), degrees(-90.0)), (1500, 2500));
@@ -174,7 +174,7 @@ fn a_disc_goes_back_and_forth() {
 }
 
 #[test]
-fn a_sparse_world_lacks_the_share_that_was_asked_for_and_keeps_the_rest() {
+fn a_sparse_world_omits_the_requested_share_and_keeps_the_rest() {
     for (share, from, to) in
         [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
     {
@@ -192,8 +192,8 @@ fn a_sparse_world_lacks_the_share_that_was_asked_for_and_keeps_the_rest() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn sensors_with_the_same_seed_say_the_same() {
-    let mut heard = Vec::new();
+async fn sensors_with_the_same_seed_send_the_same_bytes() {
+    let mut received = Vec::new();
     for seed in [8, 8, 9] {
         let mut link = Emulator::builder().seed(seed).build().link();
         let mut all = String::new();
@@ -201,7 +201,7 @@ async fn sensors_with_the_same_seed_say_the_same() {
             all += &ask(&mut link, "G04472501").await;
             tokio::time::sleep(Duration::from_millis(30)).await;
         }
-        heard.push(all);
+        received.push(all);
     }
-    assert!(heard[0] == heard[1] && heard[0] != heard[2]);
+    assert!(received[0] == received[1] && received[0] != received[2]);
 }

@@ -34,7 +34,7 @@ pub(crate) fn wrong_scans(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
 pub(crate) struct Outcome {
     /// The errors that the stream yielded.
     pub(crate) errors: Vec<Error>,
-    /// Whether a scan answers the poll that had the fault.
+    /// True if a scan answers the poll that had the fault.
     pub(crate) accepted: bool,
     pub(crate) stats: Stats,
 }

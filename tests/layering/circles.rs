@@ -1,25 +1,24 @@
-//! No modules side by side depend on each other in a circle: of two files in a
-//! folder one can be read without the other, and so can two folders in one.
+//! Checks that no sibling modules depend on each other in a circle: of two files in a
+//! folder, or two folders, one can be read without the other.
 //!
-//! What counts as a dependency is a path in code that leads to an item of the
-//! other module, through whatever re-exports. A folder depends on what any file
-//! in it depends on. A module may use its children and they may use it, as
-//! everywhere in Rust; but what a child takes from a sibling through their
-//! parent's `use` is a dependency on that sibling. Unit tests do not count.
+//! A dependency is a path in code that leads to an item of the other module, through any
+//! re-exports. A folder depends on everything that a file in it depends on. A module may
+//! use its children and they may use it; but an item that a child takes from a sibling
+//! through their parent's `use` is a dependency on that sibling. Unit tests do not count.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::source::code;
 
-/// The names of the modules from a crate's root to one of them.
+/// The names of the modules on the path from a crate's root.
 type Module = Vec<String>;
 
-/// A file's `use`s and other paths, split at `::`.
+/// The imports and other paths of a file, split at `::`.
 #[derive(Default)]
 struct Paths {
-    /// What each imported name stands for.
+    /// The path that each imported name stands for.
     imports: Vec<(String, Vec<String>)>,
-    /// All paths that are used, those of private imports included.
+    /// All paths that are used, including those of private imports.
     used: Vec<Vec<String>>,
 }
 
@@ -28,7 +27,7 @@ struct Tree {
     modules: BTreeMap<Module, Paths>,
 }
 
-/// Every circle in the sources, as the way around it.
+/// Returns every circle in the sources, each as the path around it.
 fn circles(sources: &[(String, String)]) -> Vec<String> {
     const PROGRAM: &str = "bin/urg/";
     let (program, library): (Vec<_>, Vec<_>) =
@@ -66,7 +65,7 @@ impl Tree {
         Self { modules }
     }
 
-    /// For each module: which of its children depend on which.
+    /// Returns for each module which of its children depend on which.
     fn dependencies(&self) -> BTreeMap<Module, BTreeMap<&str, BTreeSet<&str>>> {
         let mut all: BTreeMap<_, BTreeMap<_, BTreeSet<_>>> = BTreeMap::new();
         for (from, paths) in &self.modules {
@@ -82,7 +81,7 @@ impl Tree {
         all
     }
 
-    /// The module that has what a path in `from` names; `None` in other crates.
+    /// Returns the module that has the item of a path in `from`; `None` in other crates.
     fn target(&self, from: &Module, path: &[String], depth: usize) -> Option<Module> {
         let mut module = from.clone();
         let mut rest = path;
@@ -106,7 +105,7 @@ impl Tree {
             } else {
                 let imports = &self.modules.get(&module)?.imports;
                 let import = imports.iter().find(|(alias, _)| alias == name);
-                // A name may be imported from where it is imported in turn.
+                // A name may be imported from a module that imports it, too.
                 let Some((_, import)) = import.filter(|_| depth < 8) else { break };
                 let whole: Vec<_> = import.iter().chain(after).cloned().collect();
                 return self.target(&module, &whole, depth + 1).or(Some(module));
@@ -130,7 +129,7 @@ impl Paths {
         while at < tokens.len() {
             let end = at + tokens[at..].iter().position(|t| *t == ";").unwrap_or(tokens.len() - at);
             if tokens[at] == "use" {
-                // `pub use`, `pub(crate) use`: for others to find it there.
+                // `pub use`, `pub(crate) use`: other modules find the name here.
                 let is_public = at > 0 && matches!(tokens[at - 1], "pub" | ")");
                 paths.tree(&tokens[at + 1..end], &[], is_public);
                 at = end;
@@ -142,7 +141,7 @@ impl Paths {
                     path.push(tokens[at + 2].to_owned());
                     at += 2;
                 }
-                // `mod name;` is no use of it.
+                // `mod name;` is not a use.
                 if path.len() > 1 {
                     paths.used.push(path);
                 }
@@ -154,7 +153,7 @@ impl Paths {
         paths
     }
 
-    /// Reads `a::b`, `a as b` or `a::{b, c::d}`, behind `prefix`.
+    /// Parses `a::b`, `a as b` or `a::{b, c::d}` behind `prefix`.
     fn tree(&mut self, tokens: &[&str], prefix: &[&str], is_public: bool) {
         let mut path = prefix.to_vec();
         let mut at = 0;
@@ -201,7 +200,7 @@ fn is_name(token: &str) -> bool {
     token.starts_with(|c: char| c.is_alphabetic() || c == '_')
 }
 
-/// Names, `::`, and single characters.
+/// Splits code into names, `::`, and single characters.
 fn tokens(code: &str) -> Vec<&str> {
     let mut tokens = Vec::new();
     let mut rest = code.trim_start();
@@ -220,11 +219,11 @@ fn tokens(code: &str) -> Vec<&str> {
     tokens
 }
 
-/// A way from each name back to itself, each circle once.
+/// Returns a path from each name back to itself, each circle once.
 fn ways_around(graph: &BTreeMap<&str, BTreeSet<&str>>) -> impl Iterator<Item = String> {
     let mut known = BTreeSet::new();
     let ways = graph.keys().filter_map(move |&start| {
-        // Breadth first, so that the way is the shortest.
+        // Breadth first, so that each path is the shortest.
         let mut ways = vec![vec![start]];
         let mut seen = BTreeSet::new();
         while !ways.is_empty() {
@@ -266,7 +265,7 @@ fn a_circle_is_found_however_its_paths_are_written() {
     for (sources, expected) in [
         (&[("p/a.rs", "use super::b::B;"), ("p/b.rs", "use crate::p::a::A;")][..], "p: a → b → a"),
         (&[("p/a.rs", "fn f() { super::b::g() }"), ("p/b.rs", "use super::a;")], "p: a → b → a"),
-        // Through what their parent imports, under another name too.
+        // Through an import of their parent, also under another name.
         (
             &[
                 ("p/mod.rs", "mod a; mod b; pub use a::A; use b::{self, B as C};"),
@@ -292,7 +291,7 @@ fn a_circle_is_found_however_its_paths_are_written() {
             ],
             "p: a → b → c → a",
         ),
-        // Of two folders, though no two of their files have one.
+        // Between two folders, though no two of their files form a circle.
         (
             &[
                 ("p/mod.rs", ""),
@@ -304,7 +303,7 @@ fn a_circle_is_found_however_its_paths_are_written() {
             ],
             ": p → q → p",
         ),
-        // In the program, where `crate` is another one.
+        // In the program, where `crate` is another crate.
         (
             &[
                 ("bin/urg/main.rs", "mod args; mod commands;"),
@@ -320,22 +319,22 @@ fn a_circle_is_found_however_its_paths_are_written() {
 }
 
 #[test]
-fn what_is_no_circle_is_fine() {
+fn dependencies_without_a_circle_are_accepted() {
     for sources in [
         // A parent and its children.
         &[
             ("p/mod.rs", "mod a; pub use a::A; struct P; fn f() { a::g() }"),
             ("p/a.rs", "use super::P;"),
         ][..],
-        // One way only, and another crate's names.
+        // One direction only, and names of another crate.
         &[("p/a.rs", "use super::b::B; use std::a;"), ("p/b.rs", "use a::A; use tokio::p::a;")],
-        // What a parent re-exports is its child's, not its own.
+        // A re-export of a parent belongs to its child.
         &[
             ("p/mod.rs", "pub use a::A; pub use b::B;"),
             ("p/a.rs", "use super::B;"),
             ("p/b.rs", "use super::Other;"),
         ],
-        // Comments, text and unit tests.
+        // Comments, string literals and unit tests.
         &[
             ("p/a.rs", "use super::b;"),
             ("p/b.rs", "//! [`super::a`]\nconst A: &str = \"super::a\"; /* super::a::f() */"),

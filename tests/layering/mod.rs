@@ -1,6 +1,6 @@
-//! The modules of `src` depend on each other in one direction only. Reading a
-//! file never needs the files above it, and the protocol can be used without
-//! an async runtime, a clock or a log.
+//! Checks that the modules of `src` depend on each other in one direction only, so that a
+//! file can be read without those above it, and that `protocol` uses no async runtime,
+//! clock or log.
 
 mod circles;
 mod source;
@@ -10,19 +10,19 @@ use std::path::Path;
 
 use source::{code, read, words};
 
-/// From the top down: a module uses those behind it in this list, and no other.
+/// The modules from the top down: each may use those behind it in this list.
 const ORDER: [&str; 13] = [
     "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "ros", "scan",
     "rate", "error", "protocol",
 ];
 
-/// They may use all of the crate, and only the program and tests use them.
+/// Modules that may use the whole crate; only the program and tests use them.
 const ASIDE: [&str; 2] = ["emulator", "recording"];
 
-/// What `protocol` must not name: I/O, clocks and logs.
+/// Words that `protocol` must not contain: I/O, clocks and logs.
 const NOT_IN_PROTOCOL: [&str; 10] =
     ["Instant", "SystemTime", "io", "net", "fs", "thread", "log", "println", "eprintln", "dbg"];
-/// The same, as beginnings of crate names.
+/// Beginnings of the names of crates that `protocol` must not use.
 const NO_CRATE_IN_PROTOCOL: [&str; 3] = ["tokio", "tracing", "futures"];
 
 #[test]
@@ -31,7 +31,7 @@ fn dependencies_point_down_only() {
     assert!(violations.is_empty(), "\n{}\n", violations.join("\n"));
 }
 
-/// All of `src`, with paths relative to it.
+/// Reads all of `src`, with paths relative to it.
 fn sources() -> Vec<(String, String)> {
     let mut sources = Vec::new();
     read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), "", &mut sources);
@@ -39,7 +39,7 @@ fn sources() -> Vec<(String, String)> {
     sources
 }
 
-/// What is wrong in the sources, a line each.
+/// Returns the violations, a line each.
 fn violations(sources: &[(String, String)]) -> Vec<String> {
     let lib = sources.iter().find(|(path, _)| path == "lib.rs").map_or("", |(_, text)| text);
     let exports = exports(&code(lib));
@@ -85,13 +85,13 @@ fn place(module: &str) -> Option<usize> {
     ORDER.iter().position(|name| *name == module)
 }
 
-/// The modules that a file is in: `driver/session.rs` is `driver::session`.
+/// Returns the modules that a file is in: `driver/session.rs` is `driver::session`.
 fn modules(path: &str) -> Vec<String> {
     let path = path.strip_suffix(".rs").unwrap_or(path);
     path.strip_suffix("/mod").unwrap_or(path).split('/').map(str::to_owned).collect()
 }
 
-/// Which module each name comes from that `lib.rs` exports.
+/// Returns the module that each name exported by `lib.rs` comes from.
 fn exports(lib: &str) -> BTreeMap<String, String> {
     let mut exports = BTreeMap::new();
     for statement in lib.split(';').filter_map(|part| part.split_once("use ")) {
@@ -103,8 +103,8 @@ fn exports(lib: &str) -> BTreeMap<String, String> {
     exports
 }
 
-/// The names that code in a module `depth` deep takes from the crate's root:
-/// what follows `crate::`, or as many `super::` as lead there.
+/// Returns the names that code in a module `depth` deep takes from the crate's root: those
+/// behind `crate::`, or behind as many `super::` as lead there.
 fn names_of_the_crate(code: &str, depth: usize) -> Vec<String> {
     let code: String = code.chars().filter(|c| !c.is_whitespace()).collect();
     let to_root = "super::".repeat(depth);
@@ -126,7 +126,7 @@ fn first_name(path: &str) -> String {
     if path.starts_with('*') { "*".to_owned() } else { words(path).next().unwrap_or("").to_owned() }
 }
 
-/// The members of a group of imports whose opening brace was taken off.
+/// Splits a group of imports, without its opening brace, into its members.
 fn group_members(group: &str) -> Vec<&str> {
     let (mut members, mut depth, mut start) = (Vec::new(), 0, 0);
     for (at, c) in group.char_indices() {
@@ -187,7 +187,7 @@ fn an_import_upward_is_found_however_it_is_written() {
 }
 
 #[test]
-fn what_points_down_or_is_no_code_is_fine() {
+fn downward_dependencies_and_text_are_accepted() {
     for (path, text) in [
         ("sensor.rs", "use crate::{driver::Request, stream::ScanStream, Window, Builder};"),
         ("driver/session.rs", "use super::schedule; use super::super::codec::ScipCodec;"),

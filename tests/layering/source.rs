@@ -1,9 +1,9 @@
-//! The sources as the checks of their layers read them: without comments, text
-//! and unit tests.
+//! The sources as the layering checks read them: without comments, string literals and
+//! unit tests.
 
 use std::path::Path;
 
-/// All sources below `folder`, with paths relative to `src`.
+/// Reads all sources below `folder`, with paths relative to `src`.
 pub(super) fn read(folder: &Path, prefix: &str, sources: &mut Vec<(String, String)>) {
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
@@ -16,8 +16,8 @@ pub(super) fn read(folder: &Path, prefix: &str, sources: &mut Vec<(String, Strin
     }
 }
 
-/// The source without comments, without what stands in quotes, and without its
-/// unit tests (`#[cfg(test)] mod`).
+/// Returns the source without comments, without the content of quotes, and without unit
+/// tests (`#[cfg(test)] mod`).
 pub(super) fn code(source: &str) -> String {
     let mut code = String::new();
     let mut rest = source;
@@ -55,7 +55,7 @@ pub(super) fn code(source: &str) -> String {
     code
 }
 
-/// The length of a literal in quotes, quotes included.
+/// Returns the length of a quoted literal, quotes included.
 fn quoted(text: &str, quote: char) -> usize {
     let mut escaped = false;
     for (at, c) in text.char_indices().skip(1) {
@@ -69,7 +69,7 @@ fn quoted(text: &str, quote: char) -> usize {
     text.len()
 }
 
-/// The length of a block in braces, braces included.
+/// Returns the length of a block, braces included.
 fn block(text: &str) -> usize {
     let mut depth = 0;
     for (at, c) in text.char_indices() {

@@ -1,4 +1,4 @@
-//! Kills, full disks and slow ones.
+//! Recordings after a kill, on a full disk, on a disk that stalls, and with damage.
 
 use std::io::{self, Write};
 use std::sync::mpsc;
@@ -9,7 +9,7 @@ use tokio_scip::{Error, Rate, Sensor, Window};
 
 use super::sink::{Sink, polls, record, sensor, window};
 
-/// Where `part` ends in `whole`.
+/// Returns the offset in `whole` at which `part` ends.
 fn end_of(part: &[u8], whole: &[u8]) -> usize {
     let at = whole.windows(part.len()).position(|window| window == part);
     at.expect("not in the file") + part.len()
@@ -36,18 +36,18 @@ async fn a_file_cut_off_at_any_byte_is_read_to_its_last_whole_message() {
         truncated += usize::from(recording.is_truncated());
     }
     assert_eq!(most, records.len());
-    // All but those that lack only the index.
+    // Every file is truncated but those that lack only the index.
     assert!(truncated > *ends.last().unwrap());
 }
 
-/// A file of three chunks besides the one that only declares the channels.
+/// Makes a file of three chunks behind the one that declares the channels.
 async fn three_chunks() -> (Vec<u8>, Vec<Record>) {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     let mut scans = sensor.scans(window(380, 384, 1), Rate::hz(10.0)).await.unwrap();
     for _ in 0..3 {
-        // Metadata is no part of a chunk, so it ends one.
+        // Metadata is not part of a chunk, so it ends one.
         recorder.describe(&sensor, &scans).await.unwrap();
         recorder.record(&scans.next().await.unwrap()).unwrap();
     }
@@ -80,7 +80,7 @@ async fn a_flipped_bit_anywhere_is_reported_costs_one_chunk_and_never_changes_a_
     assert_eq!(damaged, reported);
 }
 
-/// What is on a disk that is full, at any byte, can be read; the stream goes on.
+/// At whatever byte the disk becomes full, the file can be read, and the stream goes on.
 #[tokio::test(start_paused = true)]
 async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
     for room in [1_000, 10_000, 100_000, 1_200_000] {
@@ -94,14 +94,14 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
         let sensor = builder.connect(sensor()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
         let item = scans.next().await.unwrap();
-        // Until a chunk is full and the disk, too.
+        // Until a chunk is complete and does not fit on the disk.
         let error = loop {
             if let Err(error) = recorder.record(&item) {
                 break error;
             }
         };
         assert!(is_full(&error), "{error:?}");
-        // It is told again, and the stream has not noticed.
+        // Each later record fails, too, and the stream is not affected.
         assert!(recorder.record(&scans.next().await.unwrap()).is_err());
         assert!(scans.next().await.unwrap().is_ok());
         assert!(recorder.progress().lost > 0);
@@ -116,9 +116,9 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
     }
 }
 
-/// The last chunk is there, and only its index is not.
+/// The last chunk is on the disk; only its index is not.
 #[tokio::test(start_paused = true)]
-async fn a_disk_that_is_full_at_the_very_end_is_told_by_finish() {
+async fn finish_fails_if_the_disk_is_full_at_the_very_end() {
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     let run = async |room| {
@@ -138,7 +138,7 @@ fn is_full(error: &RecordingError) -> bool {
     matches!(error, RecordingError::Write { source } if source.kind() == io::ErrorKind::StorageFull)
 }
 
-/// Holds up writing until it is told to go on.
+/// A file whose writes block until they are released.
 struct Slow {
     sink: Sink,
     hangs: mpsc::Sender<()>,
@@ -148,7 +148,7 @@ struct Slow {
 impl Write for Slow {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.sink.bytes().len() > 1_000 {
-            // From the second chunk on; afterwards without end.
+            // From the second chunk on. Once `go` is dropped, writes do not block.
             let _ = self.hangs.send(());
             let _ = self.go.recv();
         }
@@ -161,15 +161,15 @@ impl Write for Slow {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
+async fn a_disk_that_stalls_costs_scans_but_neither_time_nor_unbounded_memory() {
     let sink = Sink::new();
     let ((go, wait), (hangs, hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
-    // Twice as much as may wait: this would hang if it could. And again, when
-    // nothing is taken from it any more.
+    // Twice as many as the queue holds: this must not block. And again once the writer hangs
+    // and takes nothing from the queue.
     for _ in 0..12_000 {
         recorder.record(&item).unwrap();
     }
@@ -180,7 +180,7 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
     let progress = recorder.progress();
     assert!(progress.lost > 4_000, "{progress:?}");
     assert_eq!((progress.scans + progress.lost, progress.lost_replies), (24_000, 0));
-    // Replies are no scans.
+    // Recorded as replies, not as scans.
     sensor.scan(Window::DETECTION).await.unwrap();
     let (lost, progress) = (progress.lost, recorder.progress());
     assert_eq!((progress.lost, progress.lost_replies), (lost, 1));
@@ -190,7 +190,7 @@ async fn a_disk_that_hangs_costs_scans_and_never_time_or_memory_without_end() {
 }
 
 #[tokio::test]
-async fn who_waits_for_room_loses_nothing_to_a_disk_that_hangs() {
+async fn waiting_for_ready_loses_no_scan_to_a_disk_that_stalls() {
     let sink = Sink::new();
     let ((go, wait), (hangs, _hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };
@@ -210,14 +210,14 @@ async fn who_waits_for_room_loses_nothing_to_a_disk_that_hangs() {
             tokio::time::timeout(Duration::from_secs(60), recorder.ready()).await.unwrap();
         }
     }
-    assert!(go.is_none(), "there was always room");
+    assert!(go.is_none(), "`ready` never waited");
     assert_eq!((recorder.progress().scans, recorder.progress().lost), (12_000, 0));
     recorder.finish().await.unwrap();
     assert_eq!(sink.records().len(), 12_000);
 }
 
 #[tokio::test(start_paused = true)]
-async fn nobody_waits_for_room_on_a_disk_that_is_full() {
+async fn ready_does_not_wait_for_a_full_disk() {
     let mut recorder = Recorder::builder().write_to(Sink::with_room(10_000)).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
@@ -228,7 +228,7 @@ async fn nobody_waits_for_room_on_a_disk_that_is_full() {
     }
 }
 
-/// Takes the head of a file, and panics at what comes then.
+/// A file that panics when more than so many bytes are written.
 struct Panics(usize);
 
 impl Write for Panics {
@@ -243,14 +243,14 @@ impl Write for Panics {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_writer_that_panics_fails_the_recording_and_holds_up_nobody() {
+async fn a_writer_that_panics_fails_the_recording_and_blocks_nothing() {
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
-    // One scan is written at the end, and many before.
+    // One scan is written by `finish`; many are written before it.
     for scans in [1, 12_000] {
         let mut recorder = Recorder::builder().write_to(Panics(4_000)).unwrap();
         for _ in 0..scans {
-            // Fails from some time on.
+            // Fails once the writer has panicked.
             let _ = recorder.record(&item);
         }
         if scans > 1 {
@@ -265,15 +265,15 @@ async fn a_writer_that_panics_fails_the_recording_and_holds_up_nobody() {
     }
 }
 
-/// On the real clock, since a file has to be there in real time.
+/// In real time, because the test waits for a file.
 #[tokio::test]
-async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
+async fn recorded_scans_are_in_the_file_before_it_is_finished() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
     let mut length = sink.length();
-    // Comes after a second, unless it never comes.
+    // It is written after a second.
     let written = length.wait_for(|length| *length > 4_000);
     tokio::time::timeout(Duration::from_secs(60), written).await.unwrap().unwrap();
     let mut recording = sink.open();
@@ -285,7 +285,7 @@ async fn what_was_recorded_is_in_the_file_before_it_is_finished() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_that_ends_because_its_file_is_damaged_says_so() {
+async fn a_replay_that_ends_at_damage_reports_it() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 400).await;
     for damaged in [false, true] {

@@ -1,4 +1,4 @@
-//! Gaps: where they were, and where they are in the file and in a replay.
+//! Gaps in a stream, in its recording, and in the replay.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use tokio_scip::{Error, Rate, Sensor, Window};
 use super::sink::{Sink, events, sensor};
 
 #[tokio::test(start_paused = true)]
-async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
+async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
@@ -40,7 +40,7 @@ async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
     assert!(delivered.len() > 5_600, "{} scans", delivered.len());
 
     let records = sink.records();
-    // The log began with the recorder, a moment before.
+    // The recorder was built a moment before `began`.
     let since =
         |at: std::time::SystemTime| at.duration_since(began.1).unwrap_or_default().as_secs_f64();
     let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
@@ -65,7 +65,7 @@ async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
         "{events:?}"
     );
 
-    // And all of it again.
+    // A replay delivers all scans again.
     let replay = sink.open().replay(ReplayPace::Max).unwrap();
     let builder = Sensor::builder().ring_depth(1 << 14);
     let sensor = builder.connect(replay).await.unwrap();
@@ -79,7 +79,7 @@ async fn ten_minutes_with_a_sensor_unplugged_twice_are_there_with_both_gaps() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_at_its_own_pace_has_the_gap_where_it_was() {
+async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
@@ -115,7 +115,7 @@ async fn a_replay_at_its_own_pace_has_the_gap_where_it_was() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn scans_that_were_missed_are_told_and_their_replies_are_there() {
+async fn missed_scans_are_recorded_as_an_event_and_by_their_replies() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();

@@ -1,4 +1,4 @@
-//! What stands in the file.
+//! The content of a recorded file.
 
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use tokio_scip::{Rate, Scan, Sensor, Window};
 
 use super::sink::{Sink, polls, record, sensor};
 
-/// An empty folder that goes with the test.
+/// An empty folder that is removed at the end of its test.
 struct Folder(PathBuf);
 
 impl Folder {
@@ -23,7 +23,7 @@ impl Folder {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // It goes with the system's temporary files otherwise.
+        // If this fails, the system removes it with its temporary files.
         let _ = std::fs::remove_dir_all(&self.0);
     }
 }
@@ -56,7 +56,7 @@ fn assert_same(scan: &Scan, recorded: &LaserScan) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_the_driver_delivered_is_what_is_read() {
+async fn a_recording_is_read_as_the_driver_delivered_it() {
     let sink = Sink::new();
     let items = record(sensor(), &sink, Window::DETECTION, 30).await;
     let mut recording = sink.open();
@@ -70,7 +70,7 @@ async fn what_the_driver_delivered_is_what_is_read() {
     let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
     let mut last = None;
     for (item, record) in items.iter().zip(scans.clone()) {
-        let Entry::Scan(recorded) = &record.entry else { panic!("no scan") };
+        let Entry::Scan(recorded) = &record.entry else { panic!("not a scan") };
         let scan = item.as_ref().unwrap();
         assert_same(scan, recorded);
         assert_eq!(u64::from(record.sequence), scan.sequence());
@@ -78,7 +78,7 @@ async fn what_the_driver_delivered_is_what_is_read() {
     }
     assert_eq!((items.len(), scans.count()), (30, 30));
 
-    // The reply that each scan was made of, with all that was asked for.
+    // The reply of each scan, with the surplus points that were requested.
     let replies = polls(&records);
     for (item, reply) in items.iter().zip(&replies) {
         let scan = item.as_ref().unwrap();
@@ -100,7 +100,7 @@ async fn what_the_driver_delivered_is_what_is_read() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_file_is_written_over_only_if_that_is_asked_for() {
+async fn a_file_is_overwritten_only_on_request() {
     let folder = Folder::new("exists");
     let path = folder.0.join("run.mcap");
     std::fs::write(&path, "precious").unwrap();
@@ -117,12 +117,12 @@ async fn a_file_is_written_over_only_if_that_is_asked_for() {
 }
 
 #[test]
-fn what_is_no_recording_is_told_as_what_it_is() {
+fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
     let read = |bytes: &'static [u8]| Recording::read(bytes).map(drop);
     assert!(matches!(read(b"sequence,stamp,step\n1,2,3\n"), Err(RecordingError::NotMcap)));
     let open = Recording::open(Path::new("no/such/file.mcap"));
     assert!(matches!(open, Err(RecordingError::Open { .. })));
-    // Nothing was recorded yet.
+    // A file of no bytes: nothing was recorded yet.
     let replayed = Recording::read(&b""[..]).unwrap().replay(Default::default());
     assert!(matches!(replayed, Err(RecordingError::NoReplies)));
 }
@@ -143,7 +143,7 @@ async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn any_rate_that_was_asked_for_can_be_read_again() {
+async fn any_requested_rate_can_be_read_again() {
     let periods =
         [Duration::from_secs(3000), Duration::from_millis(33), Duration::from_nanos(1_234_567)];
     let rates = periods.map(Rate::every).into_iter().chain([Rate::hz(30.0), Rate::MAX]);
@@ -158,7 +158,7 @@ async fn any_rate_that_was_asked_for_can_be_read_again() {
     }
 }
 
-/// Leaves a recording and what is in it, for `tests/recording_readers.py`.
+/// Writes a recording and its content for `tests/recording_readers.py`.
 #[tokio::test(start_paused = true)]
 async fn other_readers_have_a_recording_to_read() {
     let sink = Sink::new();
@@ -170,7 +170,7 @@ async fn other_readers_have_a_recording_to_read() {
     write_truth(&folder.join("recording.txt"), &truth_of(&scans, &numbers));
 }
 
-/// The scans of these numbers, a line each: stamp, frame, ranges.
+/// Formats the scans with these numbers, a line each: stamp, frame, ranges.
 pub(crate) fn truth_of<'a>(scans: &[Scan], numbers: impl IntoIterator<Item = &'a u32>) -> String {
     let mut truth = String::new();
     for number in numbers {

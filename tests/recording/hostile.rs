@@ -1,4 +1,4 @@
-//! Files that were made to harm: they are read within the memory of their bytes.
+//! Hostile files: reading one takes no more memory than its own size.
 
 use std::io::Cursor;
 
@@ -6,18 +6,18 @@ use tokio_scip::recording::{Recording, RecordingError, repair};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
-/// A record that claims this length.
+/// Makes a record that claims this length.
 fn record(kind: u8, length: u64, content: &[u8]) -> Vec<u8> {
     [&[kind][..], &length.to_le_bytes(), content].concat()
 }
 
-/// The fields of a chunk: times, size, CRC, compression, length of its records.
+/// Makes the fields of a chunk: times, size, CRC, compression, length of its records.
 fn chunk(size: u64, records: u64) -> Vec<u8> {
     let (size, records) = (size.to_le_bytes(), records.to_le_bytes());
     [&[0; 16][..], &size, &[0; 4], &[0; 4], &records].concat()
 }
 
-/// A string or a map that claims this length.
+/// Makes the length field of a string or a map.
 fn claims(length: u32) -> [u8; 4] {
     length.to_le_bytes()
 }
@@ -46,7 +46,7 @@ fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
         ),
         ("a message index of 4 GB", record(0x07, G4, &[&[0; 2][..], &claims(u32::MAX)].concat())),
         ("a schema of 4 GB", record(0x03, 6, &[&[0; 2][..], &claims(u32::MAX)].concat())),
-        ("a record of no kind", record(0x00, 0, &[])),
+        ("a record of an unknown kind", record(0x00, 0, &[])),
         ("zeros", vec![0; 1000]),
     ];
     for (name, bytes) in cases {

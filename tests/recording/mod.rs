@@ -1,5 +1,5 @@
-//! Recordings: what was delivered is in the file, whatever became of the file,
-//! and comes out of it again byte for byte.
+//! Recordings: everything delivered is in the file, even if the file is cut off or
+//! damaged, and a replay delivers it again byte for byte.
 
 mod crash_and_full_disk;
 mod events;

@@ -1,4 +1,4 @@
-//! Recordings that were cut off or damaged, made complete.
+//! The repair of recordings that are cut off or damaged.
 
 use std::io::{self, Cursor};
 use std::path::Path;
@@ -9,8 +9,8 @@ use tokio_scip::{Rate, Sensor, Window};
 use super::file::{truth_of, write_truth};
 use super::sink::{Sink, record, sensor, window};
 
-/// All messages of a file, as a reader finds them that others wrote: by the
-/// index at its end.
+/// Returns all messages of a file as an independent reader finds them: by the index at
+/// the file's end.
 fn by_index(file: &[u8]) -> Vec<(String, u32, u64, u64, Vec<u8>)> {
     let summary = mcap::Summary::read(file).unwrap().expect("no summary");
     let mut messages = Vec::new();
@@ -77,7 +77,7 @@ async fn a_whole_file_is_repaired_to_the_same_file() {
     assert!(repaired == sink.bytes());
 }
 
-/// Leaves the file for `tests/recording_readers.py`.
+/// Leaves its file for `tests/recording_readers.py`.
 #[tokio::test(start_paused = true)]
 async fn a_damaged_and_cut_off_file_is_repaired_without_its_damaged_chunk() {
     let sink = Sink::new();
@@ -107,7 +107,7 @@ async fn a_damaged_and_cut_off_file_is_repaired_without_its_damaged_chunk() {
 }
 
 #[test]
-fn what_is_no_recording_is_not_repaired() {
+fn a_file_that_is_not_a_recording_is_not_repaired() {
     let mut out = Vec::new();
     let error = repair(Cursor::new(b"precious".to_vec()), &mut out).unwrap_err();
     assert!(matches!(error, RecordingError::NotMcap), "{error:?}");

@@ -1,4 +1,4 @@
-//! A recording as a sensor.
+//! The replay of a recording as an emulated sensor.
 
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use tokio_scip::{Error, Rate, Scan, Sensor, State, Window};
 
 use super::sink::{Sink, polls, record, sensor, window};
 
-/// All that a sensor gives until it is over.
+/// Reads everything that a sensor delivers until its stream ends.
 async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
     let builder = Sensor::builder().ring_depth(1 << 16);
     let sensor = builder.connect(emulator).await.unwrap();
@@ -29,7 +29,7 @@ fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u16>> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_gives_every_scan_again_for_every_kind_of_window() {
+async fn a_replay_delivers_every_scan_again_for_every_kind_of_window() {
     for window in [
         Window::DETECTION,
         Window::FULL,
@@ -71,13 +71,14 @@ async fn a_recording_of_a_replay_has_the_same_bytes() {
         };
         sink.records().into_iter().filter_map(stamp).collect::<Vec<_>>()
     };
-    // The first `V` may be the second one of then, as opening has it.
+    // Opening asks for `V` twice, and a replay may answer the first with the second one's
+    // reply.
     assert_eq!(stamps(&first)[2..], stamps(&second)[2..]);
     assert_eq!(first.open().metadata(), second.open().metadata());
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_takes_as_long_as_was_recorded_or_no_time() {
+async fn a_replay_takes_the_recorded_time_or_none() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 50).await;
     let mut took = Vec::new();
@@ -86,7 +87,7 @@ async fn a_replay_takes_as_long_as_was_recorded_or_no_time() {
         drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::MAX).await;
         took.push(began.elapsed());
     }
-    // 49 periods of 100 ms, and the opening.
+    // 49 periods of 100 ms, and the time of opening.
     assert!(
         took[0] > Duration::from_millis(4890) && took[0] < Duration::from_millis(5100),
         "{took:?}"
@@ -95,7 +96,7 @@ async fn a_replay_takes_as_long_as_was_recorded_or_no_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_was_damaged_or_refused_is_so_again() {
+async fn damaged_and_refused_replies_are_replayed_as_such() {
     let kinds = |items: &[Result<Scan, Error>]| {
         let kind = |item: &Result<Scan, Error>| match item {
             Ok(_) => "scan",
@@ -105,10 +106,10 @@ async fn what_was_damaged_or_refused_is_so_again() {
         };
         items.iter().map(kind).collect::<Vec<_>>()
     };
-    // Replies 0 to 2 are those of opening; fences count, too.
+    // Replies 0 to 2 are those of opening; replies to fences count, too.
     let faults = Faults::none()
         .at(5, Fault::Drop(700..701))
-        // The poll, the `L1` that follows, its fence, and the poll again.
+        // The poll, the `L1` that follows, its fence, and the repeated poll.
         .at(9, Fault::Status(b'7'))
         .at(10, Fault::Status(b'7'))
         .at(11, Fault::Status(b'7'))
@@ -127,7 +128,7 @@ async fn what_was_damaged_or_refused_is_so_again() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn another_window_shows_what_was_recorded_of_it() {
+async fn another_window_shows_the_recorded_part_of_it() {
     let sink = Sink::new();
     let recorded = record(sensor(), &sink, window(100, 199, 1), 10).await;
     let open = || sink.open().replay(ReplayPace::Max).unwrap();
@@ -141,7 +142,7 @@ async fn another_window_shows_what_was_recorded_of_it() {
         |all: &Vec<u16>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
     assert_eq!(values(&groups), values(&recorded).iter().map(smallest).collect::<Vec<Vec<_>>>());
 
-    // Nothing was ever measured on the left.
+    // The recording has no values on the left.
     let wider = drain(open(), window(90, 199, 1), Rate::MAX).await;
     for (wide, all) in values(&wider).iter().zip(values(&recorded)) {
         assert_eq!((&wide[..7], &wide[10..]), (&[19; 7][..], &all[..]));
@@ -156,14 +157,14 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     let emulator = sink.open().replay(ReplayPace::Max).unwrap();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     assert_eq!(sensor.version().await.unwrap().serial_number.to_string(), "42");
-    // Fences take no scan away.
+    // Fences do not consume a scan.
     sensor.laser_off().await.unwrap();
     assert!(!emulator.is_laser_on());
     sensor.laser_on().await.unwrap();
     for expected in values(&recorded) {
         assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().values(), expected);
     }
-    // Then it is over.
+    // Then the recording is over.
     let end = sensor.scan(Window::DETECTION).await;
     assert!(matches!(end, Err(Error::Closed)), "{end:?}");
     let again = Sensor::builder().connect(emulator).await;
@@ -192,10 +193,10 @@ async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_sca
     }
 }
 
-/// One point of the wider window is missing, so that the rest has the length of
-/// the narrower one.
+/// One point of the wider window is lost, so that the reply has the length of the
+/// narrower one.
 #[tokio::test(start_paused = true)]
-async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
+async fn a_damaged_reply_is_never_replayed_as_a_scan_of_another_window() {
     let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
     let last_point = wide.reply_len() - 4..wide.reply_len() - 2;
     let emulator = sensor();
@@ -211,7 +212,7 @@ async fn what_was_damaged_is_never_taken_for_another_windows_scan() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_is_that_of_the_stream_that_was_described_and_knows_what_others_saw() {
+async fn a_replay_is_that_of_the_described_stream_and_has_the_polls_of_others() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let original =

@@ -1,4 +1,4 @@
-//! Recorded scans as `Scan`s, without a replay.
+//! Recorded scans as [`Scan`]s, without a replay.
 
 use std::io::Cursor;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use tokio_scip::{Scan, Sensor, Window};
 
 use super::sink::{Sink, record, sensor, window};
 
-/// Stands for any function that is written for live scans.
+/// An example of a function that is written for live scans.
 fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, f32, bool) {
     let values = scan.values().to_vec();
     (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
@@ -39,7 +39,7 @@ async fn recorded_scans_are_those_that_the_driver_delivered() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn refused_and_malformed_replies_are_no_scans_and_the_end_is_an_end() {
+async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_scans() {
     let sink = Sink::new();
     let emulator = sensor();
     emulator.set_faults(Faults::none().at(5, Fault::Drop(700..701)).at(9, Fault::Status(b'7')));
@@ -53,7 +53,7 @@ async fn refused_and_malformed_replies_are_no_scans_and_the_end_is_an_end() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_without_replies_is_an_error_and_not_an_empty_one() {
+async fn a_recording_without_replies_is_an_error_and_not_an_empty_replay() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();

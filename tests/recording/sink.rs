@@ -1,4 +1,4 @@
-//! Files in memory, also bad ones, and recording into them.
+//! Files in memory, some on a full disk, and recording into them.
 
 use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
@@ -13,12 +13,12 @@ use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 pub(crate) struct Sink {
     bytes: Arc<Mutex<Vec<u8>>>,
     room: usize,
-    /// How many bytes there are, to be awaited.
+    /// The number of bytes written, to be awaited.
     length: watch::Sender<usize>,
 }
 
 impl Sink {
-    /// One on a disk with room for so many bytes.
+    /// A file on a disk that holds this many bytes.
     pub(crate) fn with_room(room: usize) -> Self {
         Self { bytes: Arc::default(), room, length: watch::Sender::new(0) }
     }
@@ -53,7 +53,7 @@ impl Write for Sink {
         }
         file.extend_from_slice(&bytes[..fits]);
         let length = file.len();
-        // Whoever is woken looks at the file.
+        // Unlocked first, because the woken task reads the file.
         drop(file);
         self.length.send_replace(length);
         Ok(fits)
@@ -64,7 +64,7 @@ impl Write for Sink {
     }
 }
 
-/// A sensor no two scans of which are the same.
+/// A sensor whose scans all differ.
 pub(crate) fn sensor() -> Emulator {
     let world = |look: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
@@ -74,7 +74,7 @@ pub(crate) fn sensor() -> Emulator {
     Emulator::builder().world(world).build()
 }
 
-/// Records `count` scans, and gives them.
+/// Records `count` scans, and returns them.
 pub(crate) async fn record(
     emulator: Emulator,
     sink: &Sink,
@@ -98,7 +98,7 @@ pub(crate) async fn record(
     items
 }
 
-/// The replies to `G` that were polls.
+/// Returns the replies to polls.
 pub(crate) fn polls(records: &[Record]) -> Vec<Reply> {
     let replies = records.iter().filter_map(|record| match &record.entry {
         Entry::Reply(reply) if reply.bytes.starts_with(b"G") => Some(reply.clone()),

@@ -1,4 +1,4 @@
-//! Recordings in several files.
+//! Recordings that are split into several files.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,7 +11,7 @@ use tokio_scip::{Error, Rate, Sensor, Window};
 use super::file::{truth_of, write_truth};
 use super::sink::{polls, sensor};
 
-/// A folder for the files of a test, without those of the last run.
+/// Returns an empty folder for the files of a test.
 fn folder(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = fs::remove_dir_all(&folder);
@@ -19,7 +19,7 @@ fn folder(name: &str) -> PathBuf {
     folder
 }
 
-/// Records 350 scans, 35 s.
+/// Records 350 scans, 35 s, and returns them.
 async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> {
     let mut recorder = builder.create(path).unwrap();
     let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64).jitter_seed(7);
@@ -37,7 +37,7 @@ async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> 
     delivered
 }
 
-/// The files of a recording, in order.
+/// Returns the files of a recording, in order.
 fn parts(path: &Path) -> Vec<PathBuf> {
     let name = path.file_stem().unwrap().to_str().unwrap();
     let numbered = (2..).map(|n| path.with_file_name(format!("{name}_{n:04}.mcap")));
@@ -51,7 +51,7 @@ fn read(path: &Path) -> Vec<Record> {
     records
 }
 
-/// The numbers of the scans in a file.
+/// Returns the numbers of the scans in a file.
 fn scans(records: &[Record]) -> Vec<u32> {
     let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
     scans.map(|record| record.sequence).collect()
@@ -77,7 +77,7 @@ async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_repla
             let ended = records.iter().map(|record| record.at).max().unwrap();
             let seconds = ended.duration_since(began).unwrap().as_secs_f64();
             assert!(seconds <= 12.0, "{part:?}: {seconds} s");
-            // Those of the first seconds belong to a file that is replayed alone.
+            // Each file has the sensor's identity, so that it replays without the others.
             let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
             let builder = Sensor::builder().ring_depth(1 << 10);
             let sensor = builder.connect(replay).await.unwrap();
@@ -112,8 +112,8 @@ async fn no_file_is_overwritten_by_a_further_one() {
     assert_eq!(scans(&first).len() + scans(&second).len(), 350);
 }
 
-/// The consumer is always a scan behind: there is no place without an
-/// outstanding scan.
+/// The consumer is always one scan behind, so that a scan is outstanding at each place
+/// where the file could be split.
 #[tokio::test(start_paused = true)]
 async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
     let path = folder("split-behind").join("run.mcap");

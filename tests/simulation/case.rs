@@ -21,11 +21,11 @@ pub(crate) struct Case {
     pub(crate) faults: Faults,
     /// The number of faults that can each change a value of a reply undetectably.
     pub(crate) flips: usize,
-    /// Whether commands are refused.
+    /// True if commands are refused.
     pub(crate) refuses: bool,
-    /// Whether commands may reach the sensor in part.
+    /// True if commands may reach the sensor in part.
     pub(crate) torn: bool,
-    /// Whether the driver may have to speak before a reply has ended.
+    /// True if the driver may have to send a command before a reply has ended.
     pub(crate) overlaps: bool,
     /// The time by which an effect of these faults outlasts them.
     pub(crate) lingers: Duration,

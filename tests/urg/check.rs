@@ -1,8 +1,8 @@
-//! The self-test, against good and bad sensors.
+//! `urg check`, on good and on faulty sensors.
 
 use super::program::{Emulated, Running, Scratch, run};
 
-/// The verdicts by step.
+/// Returns each step with its verdict.
 fn verdicts(report: &str) -> Vec<(&str, &str)> {
     report
         .lines()
@@ -15,7 +15,7 @@ fn verdicts(report: &str) -> Vec<(&str, &str)> {
 }
 
 #[test]
-fn a_good_sensor_is_told_so_step_by_step() {
+fn a_good_sensor_passes_every_step() {
     let link = Scratch::new("check-good");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
     let output = run(&format!("check {} --duration 1s", sensor.port), 0);
@@ -32,7 +32,7 @@ fn a_good_sensor_is_told_so_step_by_step() {
 }
 
 #[test]
-fn a_sensor_that_loses_replies_has_failed() {
+fn a_sensor_that_damages_replies_fails_the_check() {
     let link = Scratch::new("check-bad");
     let sensor = Emulated::start(&format!(
         "--link {} --revolution 20ms --faults damaged=0.5,seed=3",
@@ -45,7 +45,7 @@ fn a_sensor_that_loses_replies_has_failed() {
 }
 
 #[test]
-fn a_port_without_a_sensor_has_failed_and_says_why() {
+fn a_check_of_a_missing_port_fails_with_the_reason() {
     let missing = Scratch::new("check-missing");
     let output = run(&format!("check {}", missing.path()), 1);
     assert_eq!(verdicts(&output.stdout), [("FAILED", "link")]);
@@ -53,7 +53,7 @@ fn a_port_without_a_sensor_has_failed_and_says_why() {
 }
 
 #[test]
-fn a_check_that_is_interrupted_is_no_good_one() {
+fn an_interrupted_check_does_not_exit_with_success() {
     let mut check = Running::start("check emulated --duration 1h");
     while !check.line().contains("laser") {}
     check.signal("INT");
@@ -63,9 +63,9 @@ fn a_check_that_is_interrupted_is_no_good_one() {
 }
 
 #[test]
-fn replies_that_are_faster_than_the_baud_rate_disprove_it() {
+fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
     let link = Scratch::new("outrun");
-    // A pseudo-terminal takes any baud rate, and the sensor on it has none.
+    // A pseudo-terminal accepts any baud rate, and its emulated sensor ignores it.
     let sensor = Emulated::start(&format!("--revolution 20ms --link {}", link.path()));
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     let row = info.lines().find(|line| line.starts_with("baud rate")).unwrap();

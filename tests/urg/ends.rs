@@ -1,4 +1,4 @@
-//! How the program ends when it is told to, or when nobody reads it any more.
+//! The end of the program by a signal, by its options, or by a closed pipe.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
@@ -7,7 +7,7 @@ use super::program::{Emulated, Running, Scratch, run, shell};
 use crate::common::instant_sensor;
 
 #[test]
-fn a_stream_that_is_told_to_end_is_done_and_ends_with_a_whole_line() {
+fn a_signal_ends_a_stream_with_success_and_a_whole_line() {
     let start = |signal| (signal, Running::start("stream emulated"));
     for (signal, mut stream) in ["INT", "TERM", "HUP"].map(start) {
         stream.line();
@@ -40,7 +40,7 @@ fn a_stream_that_nobody_reads_can_be_interrupted() {
     let link = Scratch::new("unread");
     let sensor = Emulated::start(&format!("--revolution 10ms --link {}", link.path()));
     let stream = Running::start_unread(&format!("stream {} --rate max", sensor.port));
-    // By the time that this one is done, the other's pipe has long been full.
+    // When this one has ended, the other one's pipe has long been full.
     let mut other = Running::start("stream emulated --count 20");
     other.rest();
     stream.signal("INT");
@@ -49,7 +49,7 @@ fn a_stream_that_nobody_reads_can_be_interrupted() {
 }
 
 #[test]
-fn waiting_for_a_sensor_says_so_and_can_be_interrupted() {
+fn waiting_for_a_sensor_is_announced_and_can_be_interrupted() {
     let missing = Scratch::new("waiting");
     let mut info = Running::start(&format!("info {} --wait", missing.path()));
     assert!(info.notice().starts_with("urg: waiting for a sensor on "));
@@ -68,7 +68,7 @@ fn a_stream_ends_after_its_duration() {
 }
 
 #[test]
-fn an_emulator_that_is_told_to_end_takes_its_link_along() {
+fn a_signal_ends_an_emulator_and_removes_its_symbolic_link() {
     for signal in ["INT", "TERM", "HUP"] {
         let link = Scratch::new("gone");
         let sensor = Emulated::start(&format!("--link {}", link.path()));
@@ -82,7 +82,7 @@ fn an_emulator_that_is_told_to_end_takes_its_link_along() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_stream_that_is_to_outlive_its_terminal_does_so() {
+fn a_stream_that_ignores_hang_up_outlives_its_terminal() {
     let mut stream = Running::spawn(shell("trap '' HUP; exec $urg stream emulated --count 5"));
     stream.read();
     stream.line();
@@ -91,8 +91,7 @@ fn a_stream_that_is_to_outlive_its_terminal_does_so() {
     assert_eq!(stream.end().0.code(), Some(0));
 }
 
-/// Serves a sensor on TCP that answers everything but polls, and returns its
-/// PORT.
+/// Serves a sensor on TCP that answers every command but polls, and returns its PORT.
 fn sensor_without_scans() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = format!("tcp://{}", listener.local_addr().unwrap());
@@ -112,7 +111,7 @@ fn sensor_without_scans() -> String {
 }
 
 #[test]
-fn no_scan_is_no_success_and_the_last_line_has_the_reason() {
+fn no_scan_is_a_failure_and_the_last_line_has_the_reason() {
     let stream = run(&format!("stream {} --duration 3s", sensor_without_scans()), 1);
     let reason = stream.stderr.lines().last().unwrap();
     assert!(reason.contains("no scan in 3."), "{}", stream.stderr);
@@ -121,7 +120,7 @@ fn no_scan_is_no_success_and_the_last_line_has_the_reason() {
 
 #[cfg(feature = "mcap")]
 #[test]
-fn a_recording_without_a_scan_is_no_success() {
+fn a_recording_without_a_scan_is_a_failure() {
     let file = Scratch::with_extension("no-scan", ".mcap");
     let port = sensor_without_scans();
     let record = run(&format!("record {port} {} --duration 3s", file.path()), 1);

@@ -1,10 +1,10 @@
-//! What comes on standard output, from the sensor inside of the program.
+//! Standard output, with the emulated sensor inside the program.
 
 use serde_json::Value;
 
 use super::program::run;
 
-/// The scans of NDJSON, parsed.
+/// Parses the scans of NDJSON.
 pub(crate) fn scans(ndjson: &str) -> Vec<Value> {
     ndjson.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }
@@ -13,7 +13,7 @@ pub(crate) fn values(scan: &Value) -> Vec<u64> {
     scan["values"].as_array().unwrap().iter().map(|value| value.as_u64().unwrap()).collect()
 }
 
-/// Whether all fields fit together as the documentation has it.
+/// Asserts that all fields of a scan fit together as documented.
 pub(crate) fn check(scan: &Value) {
     let field = |name: &str| scan[name].as_f64().unwrap_or_else(|| panic!("{name} in {scan}"));
     let mut names: Vec<_> = scan.as_object().unwrap().keys().map(String::as_str).collect();
@@ -74,7 +74,7 @@ fn a_stream_of_twenty_scans_is_twenty_lines_of_ndjson_without_a_gap() {
 }
 
 #[test]
-fn the_window_is_what_was_asked_for_in_steps_or_degrees() {
+fn the_window_can_be_given_in_steps_or_degrees() {
     for (options, window) in [
         ("--start 0 --end 768", (0, 768, 1)),
         ("--start 100 --end 110 --cluster 4", (100, 110, 4)),
@@ -119,7 +119,7 @@ fn a_scan_can_be_a_table_json_or_csv() {
     assert!(table.starts_with("step  direction   distance\n  44  -119.53°"), "{table}");
     assert!(table.contains("SOKUIKI Sensor URG-04LX H0713090: steps 44..=725"), "{table}");
     assert!(table.contains("nearest"), "{table}");
-    // Outside of its window a sensor has nothing but code 19.
+    // Outside the detection window a sensor has only error code 19.
     let outside = run("scan emulated --start 0 --end 9", 0).stdout;
     assert!(outside.contains("- error code 19: Non-Measurable Distance"), "{outside}");
     assert!(outside.contains("0 of 10 points have a distance"), "{outside}");
@@ -129,7 +129,7 @@ fn a_scan_can_be_a_table_json_or_csv() {
 }
 
 #[test]
-fn info_tells_who_the_sensor_is_for_eyes_and_for_programs() {
+fn info_shows_the_sensors_identity_as_text_and_json() {
     let text = run("info emulated", 0).stdout;
     assert!(text.contains("serial number  H0713090"), "{text}");
     assert!(text.contains("baud rate      none (USB)"), "{text}");
@@ -142,7 +142,7 @@ fn info_tells_who_the_sensor_is_for_eyes_and_for_programs() {
 }
 
 #[test]
-fn laser_and_line_speed_are_switched_and_said_on_standard_error() {
+fn laser_and_baud_rate_are_set_and_reported_on_standard_error() {
     for (arguments, said) in [
         ("laser emulated off", "urg: emulated: the laser is off\n"),
         ("laser emulated on", "urg: emulated: the laser is on\n"),
@@ -154,7 +154,7 @@ fn laser_and_line_speed_are_switched_and_said_on_standard_error() {
 }
 
 #[test]
-fn a_rate_that_the_line_cannot_carry_is_said_once_with_what_helps() {
+fn a_rate_that_the_line_cannot_carry_is_reported_once_with_a_remedy() {
     let output = run("stream emulated --baud 19200 --count 6", 0);
     assert_eq!(scans(&output.stdout).len(), 6);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);

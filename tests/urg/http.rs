@@ -1,11 +1,11 @@
-//! As much of an HTTP client as the tests need.
+//! A minimal HTTP client for these tests.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 
 use super::program::PATIENCE;
 
-/// Who asks where.
+/// A client of an address, and the host that it names.
 #[derive(Clone, Copy)]
 pub(crate) struct Client<'a> {
     pub(crate) address: &'a str,
@@ -14,7 +14,7 @@ pub(crate) struct Client<'a> {
 }
 
 impl Client<'_> {
-    /// Asks, and reads the head of the response.
+    /// Sends a request, and reads the head of the response.
     pub(crate) fn get(&self, path: &str) -> Response {
         let stream = TcpStream::connect(self.address).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -49,13 +49,13 @@ fn crlf(stream: &mut impl BufRead) -> String {
     line.strip_suffix("\r\n").unwrap_or_else(|| panic!("{line:?} has no end")).to_owned()
 }
 
-/// A response, of which the body is still to be read.
+/// A response whose body is not read yet.
 pub(crate) struct Response {
     pub(crate) status: u16,
     headers: Vec<(String, String)>,
     stream: BufReader<TcpStream>,
     chunked: bool,
-    /// What is left of the body, or of its current chunk.
+    /// The bytes left of the body, or of its current chunk.
     left: usize,
 }
 
@@ -69,7 +69,7 @@ impl Response {
         header.map(|(_, value)| value.as_str()).unwrap_or_default()
     }
 
-    /// The next byte of the body. A body that ends early is a failure.
+    /// Reads the next byte of the body. Panics if the body ends early.
     fn byte(&mut self) -> Option<u8> {
         if self.left == 0 && self.chunked {
             self.left = usize::from_str_radix(&crlf(&mut self.stream), 16).unwrap();
@@ -90,7 +90,7 @@ impl Response {
         Some(byte[0])
     }
 
-    /// The next line of the body, without its end; `None` after the last.
+    /// Reads the next line of the body, without its end; `None` after the last.
     pub(crate) fn line(&mut self) -> Option<String> {
         let mut line = Vec::new();
         loop {
@@ -104,7 +104,7 @@ impl Response {
         Some(String::from_utf8(line).unwrap())
     }
 
-    /// What is left of the body.
+    /// Reads the rest of the body.
     pub(crate) fn text(mut self) -> String {
         let bytes: Vec<_> = std::iter::from_fn(|| self.byte()).collect();
         String::from_utf8(bytes).unwrap()

@@ -1,5 +1,5 @@
-//! The `urg` program, run as a user runs it. In real time, and without
-//! sleeping: every wait is for a line that the program writes, or for its end.
+//! The `urg` program, run as a user runs it: in real time, and without sleeping. Each wait
+//! is for a line that the program writes, or for its end.
 
 mod check;
 mod ends;

@@ -1,4 +1,4 @@
-//! What is for other programs: completions, manual pages, the list of ports.
+//! Output for other programs: completions, manual pages, the list of ports.
 
 use super::program::{COMMANDS, run};
 
@@ -15,7 +15,7 @@ fn completions_for_each_shell_know_every_command() {
 }
 
 #[test]
-fn a_manual_page_tells_of_every_command_and_each_has_its_own() {
+fn the_manual_page_lists_every_command_and_each_has_its_own() {
     let program = run("man", 0).stdout;
     assert!(program.contains(".TH URG 1"), "{program}");
     assert!(program.contains("/dev/ttyACM0"), "{program}");
@@ -29,7 +29,7 @@ fn a_manual_page_tells_of_every_command_and_each_has_its_own() {
 }
 
 #[test]
-fn the_list_of_ports_is_data_too() {
+fn the_list_of_ports_can_be_json() {
     let list = run("list --format json", 0).stdout;
     let ports: serde_json::Value = serde_json::from_str(&list).unwrap();
     for port in ports.as_array().unwrap() {

@@ -1,11 +1,11 @@
-//! The picture of a scan: whether it is SVG at all, and shows what was measured.
+//! The picture of a scan: it is well-formed SVG, and shows the measured values.
 
 use super::program::{Emulated, run};
 
 struct Element {
     name: String,
     attributes: Vec<(String, String)>,
-    /// What stands right behind its tag.
+    /// The text right behind the element's tag.
     text: String,
 }
 
@@ -20,7 +20,7 @@ impl Element {
     }
 }
 
-/// The elements of well-formed XML. Panics where it is not well-formed.
+/// Parses the elements of an XML document. Panics if it is not well-formed.
 fn elements(xml: &str) -> Vec<Element> {
     let xml =
         xml.strip_prefix("<?xml version=\"1.0\" encoding=\"UTF-8\"?>").expect("a declaration");
@@ -55,7 +55,7 @@ fn elements(xml: &str) -> Vec<Element> {
     found
 }
 
-/// Text with its entities resolved; a lone & is none.
+/// Replaces entities. A single & is an error.
 fn plain(text: &str) -> String {
     let mut parts = text.split('&');
     let mut plain = parts.next().unwrap().to_owned();
@@ -93,7 +93,7 @@ fn a_picture_is_well_formed_and_names_sensor_time_rings_angles_and_codes() {
 
 #[test]
 fn each_distance_is_a_point_where_it_was_measured() {
-    // The same seed sees the same room.
+    // The same seed makes the same room.
     let svg = run("scan emulated --format svg --start 0 --end 768 --cluster 3", 0).stdout;
     let elements = elements(&svg);
     let circles: Vec<_> = elements
@@ -104,8 +104,8 @@ fn each_distance_is_a_point_where_it_was_measured() {
     let summary = texts(&svg).into_iter().find(|text| text.contains("have a distance")).unwrap();
     let count: usize = summary.split(' ').next().unwrap().parse().unwrap();
     assert_eq!(circles.len(), count);
-    // The nearest one is as far from the sensor as the legend says. The full
-    // sector of 4.2 m is 152 mm wide.
+    // The nearest point is as far from the sensor as the legend states. The full sector of
+    // 4.2 m is 152 mm wide.
     let sensor = elements.iter().find(|element| element.get("class") == Some("sensor")).unwrap();
     let (x, y) = (sensor.number("cx"), sensor.number("cy"));
     let metre = 152.0 / 8.4;
@@ -114,9 +114,9 @@ fn each_distance_is_a_point_where_it_was_measured() {
         .map(|(cx, cy)| (cx - x).hypot(cy - y) / metre)
         .min_by(f64::total_cmp)
         .unwrap();
-    let (_, told) = summary.split_once("nearest ").unwrap();
-    let told: f64 = told.split(' ').next().unwrap().parse().unwrap();
-    assert!((nearest - told).abs() < 0.002, "{nearest} {told}");
+    let (_, stated) = summary.split_once("nearest ").unwrap();
+    let stated: f64 = stated.split(' ').next().unwrap().parse().unwrap();
+    assert!((nearest - stated).abs() < 0.002, "{nearest} {stated}");
 }
 
 #[test]
@@ -131,7 +131,7 @@ fn every_window_makes_a_picture() {
 }
 
 #[test]
-fn what_a_sensor_says_stays_text() {
+fn text_from_a_sensor_stays_text_in_a_picture() {
     let sensor = Emulated::start("--tcp 0 --serial-number <a&b>\"'\x1b]]>");
     let svg = run(&format!("scan {} --format svg", sensor.port), 0).stdout;
     let texts = texts(&svg);

@@ -1,4 +1,4 @@
-//! How the tests run the program and read what it writes.
+//! Runs the program and reads its output.
 
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
@@ -12,10 +12,10 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::common::limit::limit;
 
-/// More than anything here takes, and less than anybody likes to wait.
+/// More than any step here takes.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// The commands that `urg help` lists, but for those of feature `web`.
+/// The commands that `urg help` lists, without those of feature `web`.
 pub(crate) const COMMANDS: &[&str] = &[
     "list",
     "info",
@@ -33,9 +33,9 @@ pub(crate) const COMMANDS: &[&str] = &[
 
 const URG: &str = env!("CARGO_BIN_EXE_urg");
 
-/// Has every child process begin with a SIGHUP that is not ignored, and the
-/// test that starts it end some time. Under `nohup` this process ignores the
-/// signal, and a child inherits that; a signal with a handler is reset in a child.
+/// Starts every child process with SIGHUP at its default, and limits the time of the test.
+/// Under `nohup` this process ignores SIGHUP, and a child inherits that; a handled signal
+/// is reset to its default in a child.
 fn prepare() {
     limit();
     static HANDLER: LazyLock<()> = LazyLock::new(|| {
@@ -43,13 +43,13 @@ fn prepare() {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
             runtime.unwrap().block_on(async { signal(SignalKind::hangup()).map(drop) }).unwrap();
         };
-        // A runtime cannot be dropped inside of another one.
+        // A runtime cannot be dropped inside another one.
         thread::spawn(install).join().unwrap();
     });
     LazyLock::force(&HANDLER);
 }
 
-/// The program with these arguments.
+/// Returns the program with these arguments.
 pub(crate) fn program(arguments: &str) -> Command {
     prepare();
     let mut command = Command::new(URG);
@@ -57,7 +57,7 @@ pub(crate) fn program(arguments: &str) -> Command {
     command
 }
 
-/// A shell that runs `script`, in which `$urg` is the program.
+/// Returns a shell that runs `script`, in which `$urg` is the program.
 pub(crate) fn shell(script: &str) -> Command {
     prepare();
     let mut command = Command::new("sh");
@@ -65,7 +65,7 @@ pub(crate) fn shell(script: &str) -> Command {
     command
 }
 
-/// The program with these arguments, to be run to its end.
+/// Returns the program with these arguments, to be run to its end.
 pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
     prepare();
     let mut command = assert_cmd::Command::new(URG);
@@ -73,7 +73,7 @@ pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
     command
 }
 
-/// What the program wrote on its way to the exit code that is expected.
+/// The output of a program that ended with the expected exit code.
 pub(crate) struct Output {
     pub(crate) stdout: String,
     pub(crate) stderr: String,
@@ -88,7 +88,7 @@ pub(crate) fn run(arguments: &str, exit_code: i32) -> Output {
     }
 }
 
-/// Runs the program to an error, and gives its one line.
+/// Runs the program, which must fail, and returns its one line of error.
 pub(crate) fn failure(arguments: &str) -> String {
     let output = run(arguments, 1);
     assert_eq!(output.stdout, "");
@@ -97,7 +97,7 @@ pub(crate) fn failure(arguments: &str) -> String {
     output.stderr
 }
 
-/// The program while it runs; it is killed if a test fails meanwhile.
+/// A running program, killed if the test fails meanwhile.
 pub(crate) struct Running {
     child: Child,
     /// Held, so that it stays open.
@@ -113,12 +113,12 @@ impl Running {
         running
     }
 
-    /// Nobody reads its standard output.
+    /// Starts the program with a standard output that is not read.
     pub(crate) fn start_unread(arguments: &str) -> Self {
         Self::spawn(program(arguments))
     }
 
-    /// Runs what ends by becoming the program.
+    /// Runs a command that becomes the program.
     pub(crate) fn spawn(mut command: Command) -> Self {
         let mut child = command
             .stdin(Stdio::piped())
@@ -130,27 +130,27 @@ impl Running {
         Self { _stdin: child.stdin.take(), child, stdout: None, stderr }
     }
 
-    /// Now somebody reads its standard output.
+    /// Starts to read standard output.
     pub(crate) fn read(&mut self) {
         self.stdout = self.child.stdout.take().map(lines);
     }
 
-    /// The next line of standard output.
+    /// Reads the next line of standard output.
     pub(crate) fn line(&mut self) -> String {
-        next(self.stdout.as_ref().expect("it is read"))
+        next(self.stdout.as_ref().expect("standard output is not read"))
     }
 
-    /// The next line on standard error.
+    /// Reads the next line of standard error.
     pub(crate) fn notice(&mut self) -> String {
         next(&self.stderr)
     }
 
-    /// What is left of standard output, to its end.
+    /// Reads standard output to its end.
     pub(crate) fn rest(&mut self) -> Vec<String> {
         self.stdout.take().map(|lines| all(&lines)).unwrap_or_default()
     }
 
-    /// Nobody reads its standard output any more.
+    /// Closes the pipe of standard output.
     pub(crate) fn close_pipe(&mut self) {
         drop((self.child.stdout.take(), self.stdout.take()));
     }
@@ -161,9 +161,9 @@ impl Running {
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
     }
 
-    /// Waits for its end.
+    /// Waits for the program's end, and returns the rest of standard error.
     pub(crate) fn end(mut self) -> (ExitStatus, Vec<String>) {
-        // It ends its standard error by ending.
+        // Standard error ends with the program.
         let notices = all(&self.stderr);
         (self.child.wait().unwrap(), notices)
     }
@@ -196,7 +196,7 @@ fn next(lines: &Receiver<String>) -> String {
     }
 }
 
-/// All lines up to the end.
+/// Reads all lines to the end.
 fn all(lines: &Receiver<String>) -> Vec<String> {
     let mut all = Vec::new();
     loop {
@@ -208,14 +208,14 @@ fn all(lines: &Receiver<String>) -> Vec<String> {
     }
 }
 
-/// An emulated sensor in a program of its own, and where it is.
+/// An emulated sensor in its own process, and its PORT.
 pub(crate) struct Emulated {
     pub(crate) running: Running,
     pub(crate) port: String,
 }
 
 impl Emulated {
-    /// Runs `urg emulate` and waits until it serves.
+    /// Runs `urg emulate`, and waits until it serves.
     pub(crate) fn start(arguments: &str) -> Self {
         let mut running = Running::start(&format!("emulate {arguments}"));
         let notice = running.notice();
@@ -225,7 +225,7 @@ impl Emulated {
     }
 }
 
-/// A path that nothing has, removed in the end.
+/// A path of a file that does not exist yet, removed at the end.
 pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {

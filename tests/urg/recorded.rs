@@ -1,4 +1,4 @@
-//! Recording with the program, and recordings in the place of a port.
+//! Recording with the program, and recordings in place of a port.
 
 use std::fs::{self, File};
 use std::io::{Cursor, Read};
@@ -15,12 +15,12 @@ use super::formats::{check, scans, values};
 use super::program::{Emulated, PATIENCE, Running, Scratch, failure, run, shell};
 use super::served::{FAST, SCANS, check_held, held};
 
-/// A recording that nothing has yet.
+/// Returns a path for a recording.
 fn scratch(name: &str) -> Scratch {
     Scratch::with_extension(name, ".mcap")
 }
 
-/// A recording of so many scans at 10 Hz, made in no time; gives their values.
+/// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
 pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
     let mut recorder = Recorder::create(path).unwrap();
     let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1024);
@@ -38,7 +38,7 @@ pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<V
     all
 }
 
-/// The ranges of the scans in a file, and the bytes of the replies to polls.
+/// Returns the ranges of the scans in a file, and the bytes of the replies to polls.
 fn contents(recording: Recording) -> (Vec<Vec<f32>>, Vec<Vec<u8>>) {
     let (mut scans, mut polls) = (Vec::new(), Vec::new());
     for record in recording {
@@ -53,14 +53,14 @@ fn contents(recording: Recording) -> (Vec<Vec<f32>>, Vec<Vec<u8>>) {
     (scans, polls)
 }
 
-/// The ranges of a line of NDJSON, as a recording has them, finite ones only.
+/// Returns the ranges in a line of NDJSON as a recording has them, finite ones only.
 fn ranges(scan: &Value) -> Vec<Option<f32>> {
     let ranges = scan["ranges"].as_array().unwrap().iter();
     ranges.map(|range| range.as_f64().map(|range| range as f32)).collect()
 }
 
 #[tokio::test]
-async fn what_was_recorded_is_what_the_sensor_held_and_comes_again_from_the_file() {
+async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
     let (file, link) = (scratch("held"), Scratch::new("recorded"));
     let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
     let output =
@@ -73,7 +73,7 @@ async fn what_was_recorded_is_what_the_sensor_held_and_comes_again_from_the_file
     check_held(&replay.stdout, &held(7).await);
     let (recorded, _) = contents(Recording::open(file.path()).unwrap());
     assert_eq!(recorded.len(), SCANS);
-    // Also at a pace of its own it has the stamps of then.
+    // A replay at another rate keeps the recorded stamps.
     let stamps: Vec<_> =
         scans(&replay.stdout).iter().map(|scan| scan["stamp"].as_f64().unwrap()).collect();
     assert!(stamps[SCANS - 1] - stamps[0] > 1.0, "{stamps:?}");
@@ -101,10 +101,10 @@ async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_t
         assert_eq!(scans.iter().map(values).collect::<Vec<_>>(), recorded, "{pace}");
         let first = &scans[0];
         assert_eq!((&first["start"], &first["cluster"]), (&100.into(), &2.into()));
-        // Nine periods, unless it is to be faster; nothing comes before its time.
+        // Nine periods, unless another rate is asked for; no scan comes before its time.
         assert!(!pace.is_empty() || began.elapsed().as_secs_f64() > 0.85);
     }
-    // Another window of it, and but a part.
+    // A smaller window, and only a part of the recording.
     let output = run(&format!("stream {} --start 150 --count 3 --rate max", file.path()), 0);
     assert_eq!(output.stderr, "");
     let part: Vec<_> = scans(&output.stdout).iter().map(values).collect();
@@ -143,7 +143,7 @@ async fn a_page_shows_a_recording_until_it_ends() {
     assert_eq!((status.code(), notices), (Some(0), vec![]));
 }
 
-/// Many more than streams keep, and than a recorder lets wait for its disk.
+/// Many more scans than streams keep, and than a recorder's queue holds.
 #[tokio::test(start_paused = true)]
 async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_bytes() {
     let (file, copy, pipe) = (scratch("long"), scratch("copy"), scratch("slow-disk"));
@@ -157,7 +157,7 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
     let copied = contents(Recording::open(copy.path()).unwrap());
     assert_eq!(original.1.len(), 3000);
     assert!(original.1 == copied.1, "other bytes");
-    // By now the other two's pipes have been full for long.
+    // By now the pipes of the other two have long been full.
     let mut bytes = Vec::new();
     unread.read_to_end(&mut bytes).unwrap();
     let (status, notices) = disk.end();
@@ -176,21 +176,21 @@ async fn a_replay_waits_for_a_reader_that_is_slow_and_a_copy_of_it_has_the_same_
 }
 
 #[test]
-fn polls_without_a_scan_are_those_of_the_recording_and_no_others() {
+fn polls_without_a_scan_are_counted_for_the_recording_alone() {
     let (file, link) = (scratch("tally"), Scratch::new("tally"));
     let faults = "--revolution 10ms --faults damaged=0.4,seed=5";
     let sensor = Emulated::start(&format!("--link {} {faults}", link.path()));
     let record = format!("record {} {} --rate max --count 20", sensor.port, file.path());
-    let told = run(&record, 0).stderr;
+    let stderr = run(&record, 0).stderr;
     let records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
     let is_failure = |entry: &Entry| matches!(entry, Entry::Event(Event::Error { .. }));
     let failed = records.filter(is_failure).count();
-    assert!(failed > 3, "{told}");
-    assert!(told.contains(&format!(", {failed} polls without a scan")), "{failed}: {told}");
+    assert!(failed > 3, "{stderr}");
+    assert!(stderr.contains(&format!(", {failed} polls without a scan")), "{failed}: {stderr}");
 }
 
 #[test]
-fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
+fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
     let (file, nobody) = (scratch("exists"), Scratch::new("nobody"));
     let precious = b"precious".repeat(100_000);
     fs::write(file.path(), &precious).unwrap();
@@ -201,7 +201,7 @@ fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
     run(&format!("record emulated {} --force --count 1 --frame-id front", file.path()), 0);
     let mut records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
     assert!(records.any(|entry| matches!(entry, Entry::Scan(scan) if scan.frame_id == "front")));
-    assert!(fs::metadata(file.path()).unwrap().len() < 100_000, "nothing old is left");
+    assert!(fs::metadata(file.path()).unwrap().len() < 100_000, "the old content is still there");
     assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
 
     let into_itself = format!("record {0} {0} --force", file.path());
@@ -210,17 +210,17 @@ fn a_file_is_written_over_only_with_force_and_only_when_there_is_a_sensor() {
 }
 
 #[test]
-fn a_recording_with_but_one_name_is_told_which_one_is_missing() {
-    let told = run("record", 2).stderr;
-    assert!(told.starts_with("urg: which PORT?"), "{told}");
-    let told = run("record run.mcap --force", 2).stderr;
-    assert!(told.starts_with("urg: which PORT?"), "{told}");
-    let told = run("record /dev/ttyACM0 --count 3", 2).stderr;
+fn with_one_name_only_record_asks_for_the_missing_one() {
+    let stderr = run("record", 2).stderr;
+    assert!(stderr.starts_with("urg: which PORT?"), "{stderr}");
+    let stderr = run("record run.mcap --force", 2).stderr;
+    assert!(stderr.starts_with("urg: which PORT?"), "{stderr}");
+    let stderr = run("record /dev/ttyACM0 --count 3", 2).stderr;
     assert!(
-        told.contains("FILE.mcap") && told.contains("`urg record /dev/ttyACM0 run.mcap`"),
-        "{told}"
+        stderr.contains("FILE.mcap") && stderr.contains("`urg record /dev/ttyACM0 run.mcap`"),
+        "{stderr}"
     );
-    assert_eq!(told.matches("ttyACM0").count(), 1, "{told}");
+    assert_eq!(stderr.matches("ttyACM0").count(), 1, "{stderr}");
 }
 
 #[test]
@@ -236,18 +236,18 @@ fn no_file_is_left_where_there_was_no_sensor() {
     assert!(!fs::exists(file.path()).unwrap());
 }
 
-/// Begins to record into a pipe, `record` being all of the command line but that.
+/// Starts to record into a pipe; `record` is the command line up to its FILE.
 fn into_pipe(pipe: &Scratch, record: &str) -> (Running, File) {
     assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
     let running = Running::start(&format!("{record} {} --force", pipe.path()));
-    // Opening waits for the one who writes, who may have failed.
+    // Opening blocks until the program opens the pipe, which may have failed.
     let (sender, opened) = std::sync::mpsc::channel();
     let path = pipe.path().to_owned();
     std::thread::spawn(move || sender.send(File::open(path).unwrap()));
     (running, opened.recv_timeout(PATIENCE).unwrap())
 }
 
-/// The same, and what has come once there is more than `enough`.
+/// Records into a pipe, and returns the bytes read once they are more than `enough`.
 fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
     let (running, mut file) = into_pipe(pipe, "record emulated");
     let mut bytes = vec![0; enough];
@@ -268,17 +268,17 @@ fn an_interrupted_recording_ends_with_its_index() {
         let scans = recording
             .by_ref()
             .filter(|record| matches!(record.as_ref().unwrap().entry, Entry::Scan(_)));
-        let told = notices[0].split_once(".mcap: ").unwrap().1.to_owned();
-        assert!(told.starts_with(&format!("{} scans in ", scans.count())), "{told}");
+        let stderr = notices[0].split_once(".mcap: ").unwrap().1.to_owned();
+        assert!(stderr.starts_with(&format!("{} scans in ", scans.count())), "{stderr}");
         assert!(!recording.is_truncated(), "{signal}");
     }
 }
 
 #[test]
-fn a_pipe_that_nobody_reads_can_be_given_up() {
+fn recording_into_a_pipe_that_nobody_reads_can_be_interrupted() {
     let pipe = scratch("nobody-reads");
     assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
-    // Ignored until the program listens.
+    // SIGINT is ignored until the program handles it.
     let script = format!("trap '' INT; echo; exec $urg record emulated {} --force", pipe.path());
     let mut record = shell(&script).stdout(Stdio::piped()).spawn().unwrap();
     let mut trapped = [0];
@@ -298,11 +298,11 @@ fn a_pipe_that_nobody_reads_can_be_given_up() {
     };
     record.wait().unwrap();
     assert_eq!(status, Some(0));
-    assert!(fs::exists(pipe.path()).unwrap(), "it was not made by the program");
+    assert!(fs::exists(pipe.path()).unwrap(), "the program removed a pipe that it had not made");
 }
 
 #[test]
-fn what_was_recorded_before_a_kill_can_be_replayed() {
+fn scans_recorded_before_a_kill_can_be_replayed() {
     let (pipe, file) = (scratch("killed-pipe"), scratch("killed"));
     let (record, mut rest, mut bytes) = until(&pipe, 50_000);
     record.signal("KILL");
@@ -318,7 +318,7 @@ fn what_was_recorded_before_a_kill_can_be_replayed() {
 }
 
 #[test]
-fn a_full_disk_is_told_and_what_was_recorded_before_can_be_replayed() {
+fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
     let full = scratch("full");
     symlink("/dev/full", full.path()).unwrap();
     let line = failure(&format!("record emulated {} --force", full.path()));
@@ -329,15 +329,15 @@ fn a_full_disk_is_told_and_what_was_recorded_before_can_be_replayed() {
     let file = scratch("quota");
     let script = format!("trap '' XFSZ; ulimit -f 128; exec $urg record emulated {}", file.path());
     let output = shell(&script).output().unwrap();
-    let told = String::from_utf8(output.stderr).unwrap();
-    assert_eq!((output.status.code(), told.lines().count()), (Some(1), 1), "{told}");
-    assert!(told.contains(file.path()) && told.contains("can be read"), "{told}");
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), stderr.lines().count()), (Some(1), 1), "{stderr}");
+    assert!(stderr.contains(file.path()) && stderr.contains("can be read"), "{stderr}");
     let replay = run(&format!("stream {} --rate max", file.path()), 0);
     assert!(scans(&replay.stdout).len() >= 10);
 }
 
 #[tokio::test(start_paused = true)]
-async fn what_is_no_recording_is_told_as_what_it_is() {
+async fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
     let file = scratch("other");
     let line = failure(&format!("stream {}", file.path()));
     assert!(line.contains("cannot open") && line.contains(file.path()), "{line}");
@@ -350,7 +350,7 @@ async fn what_is_no_recording_is_told_as_what_it_is() {
     let usage = run("record emulated run.bag", 2).stderr;
     assert!(usage.contains("run.bag.mcap"), "{usage}");
 
-    // Good at first, and damaged later on.
+    // A valid beginning with damage later.
     fs::remove_file(file.path()).unwrap();
     recording(file.path(), Window::DETECTION, 600).await;
     let mut bytes = fs::read(file.path()).unwrap();

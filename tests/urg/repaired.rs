@@ -1,4 +1,4 @@
-//! `urg repair`, `--split`, and what is left of a recording that could not go on.
+//! `urg repair`, `--split`, and recordings that end because of a write error.
 
 use std::fs;
 use std::io::Cursor;
@@ -37,18 +37,18 @@ async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repair
     let replayed = run(&format!("stream {} --rate max --format ndjson", cut.path()), 0);
     assert_eq!(before["scans"], scans(&replayed.stdout).len());
 
-    // The copy has a name of its own beside the file.
+    // The copy has its own name beside the file.
     let out = cut.path().replace(".mcap", ".repaired.mcap");
-    let told = run(&format!("repair {}", cut.path()), 0).stderr;
-    assert!(told.contains("complete") && told.contains("its end was missing"), "{told}");
+    let stderr = run(&format!("repair {}", cut.path()), 0).stderr;
+    assert!(stderr.contains("complete") && stderr.contains("its end was missing"), "{stderr}");
     let after = info(&out);
     assert_eq!((&after["complete"], &after["scans"]), (&true.into(), &before["scans"]));
-    // Nothing is overwritten, and nothing is written for a whole file.
-    let told = failure(&format!("repair {}", cut.path()));
-    assert!(told.contains(&out), "{told}");
+    // Nothing is overwritten, and a whole file is not copied.
+    let stderr = failure(&format!("repair {}", cut.path()));
+    assert!(stderr.contains(&out), "{stderr}");
     fs::remove_file(&out).unwrap();
-    let told = run(&format!("repair {} {out}", whole.path()), 0).stderr;
-    assert!(told.contains("nothing to repair"), "{told}");
+    let stderr = run(&format!("repair {} {out}", whole.path()), 0).stderr;
+    assert!(stderr.contains("nothing to repair"), "{stderr}");
     assert!(!fs::exists(&out).unwrap());
 }
 
@@ -56,8 +56,11 @@ async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repair
 fn a_split_recording_has_its_scans_in_several_files() {
     let file = scratch("split-run");
     let record = format!("record emulated {} --count 90 --rate max --split 150kB", file.path());
-    let told = run(&record, 0).stderr;
-    assert!(told.contains("90 scans in ") && told.contains(" kB in 3 files, none lost"), "{told}");
+    let stderr = run(&record, 0).stderr;
+    assert!(
+        stderr.contains("90 scans in ") && stderr.contains(" kB in 3 files, none lost"),
+        "{stderr}"
+    );
     let parts: Vec<String> =
         (2..=3).map(|n| file.path().replace(".mcap", &format!("_{n:04}.mcap"))).collect();
     let counts: Vec<usize> =
@@ -66,8 +69,8 @@ fn a_split_recording_has_its_scans_in_several_files() {
     parts.iter().for_each(|part| fs::remove_file(part).unwrap());
 }
 
-/// The signal of a limit on the size of files ends a program without a word,
-/// unless it is handled.
+/// The signal for exceeding a limit on file size ends a program without a message unless
+/// it is handled.
 #[test]
 fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
     let (file, lines) = (scratch("limited"), Scratch::new("limited-lines"));
@@ -79,9 +82,9 @@ fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
         // In blocks of 512 or 1024 bytes.
         let script = format!("ulimit -f 64; {command}");
         let output = Command::new("sh").args(["-c", &script]).output().unwrap();
-        let told = String::from_utf8(output.stderr).unwrap();
-        assert_eq!(output.status.code(), Some(1), "{command}: {told}");
-        assert!(told.to_lowercase().contains("file too large"), "{command}: {told}");
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{command}: {stderr}");
+        assert!(stderr.to_lowercase().contains("file too large"), "{command}: {stderr}");
     }
     let file = fs::read(file.path()).unwrap();
     let mut recording = Recording::read(Cursor::new(file)).unwrap();

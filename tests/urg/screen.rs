@@ -1,5 +1,4 @@
-//! The radar on a real terminal: that it is there, and that the terminal is as
-//! before when it is gone.
+//! `urg view` on a real terminal: it draws, and restores the terminal at its end.
 
 use std::fs::{File, OpenOptions};
 use std::process::Stdio;
@@ -12,7 +11,7 @@ use super::program::{PATIENCE, program};
 
 /// A terminal, and the program that draws on it.
 struct Terminal {
-    /// The user's side.
+    /// The end that a user sees and types on.
     user: SerialStream,
     /// Held, so that the terminal stays when the program has ended.
     line: SerialStream,
@@ -22,12 +21,12 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// Only what is drawn is shown.
+    /// Starts the program with standard error closed off.
     async fn start(arguments: &str) -> Self {
         Self::start_with(arguments, |_| Stdio::null()).await
     }
 
-    /// `stderr` says where its standard error goes.
+    /// Starts the program; `stderr` returns its standard error for the terminal's path.
     async fn start_with(arguments: &str, stderr: impl FnOnce(&str) -> Stdio) -> Self {
         let (user, line) = SerialStream::pair().unwrap();
         let path = line.name().unwrap();
@@ -44,7 +43,7 @@ impl Terminal {
         Self { user, line, urg, settings, drawn: String::new() }
     }
 
-    /// Waits until all of these were drawn, one behind the other.
+    /// Waits until all these texts were drawn, in this order.
     async fn until(&mut self, texts: &[&str]) {
         let read = async {
             let mut from = 0;
@@ -61,7 +60,7 @@ impl Terminal {
         waited.unwrap_or_else(|_| panic!("{texts:?} not in {:?}", self.drawn));
     }
 
-    /// Waits for the end, after which the terminal is as it was.
+    /// Waits for the end, and asserts that the terminal is as before.
     async fn end(mut self) -> Option<i32> {
         self.until(&["\x1b[?1049h", "\x1b[?1049l", "\x1b[?25h"]).await;
         let status = self.urg.wait().await.unwrap();
@@ -82,7 +81,7 @@ async fn stty(path: &str, arguments: &[&str]) -> String {
 }
 
 #[tokio::test]
-async fn keys_work_and_the_terminal_is_given_back_when_the_user_quits() {
+async fn keys_work_and_the_terminal_is_restored_when_the_user_quits() {
     let mut terminal = Terminal::start("view emulated").await;
     terminal.until(&["URG-04LX", "quit"]).await;
     terminal.user.write_all(b"?").await.unwrap();
@@ -92,10 +91,10 @@ async fn keys_work_and_the_terminal_is_given_back_when_the_user_quits() {
 }
 
 #[tokio::test]
-async fn the_terminal_is_given_back_on_ctrl_c_and_on_a_signal() {
+async fn the_terminal_is_restored_on_ctrl_c_and_on_a_signal() {
     let mut terminal = Terminal::start("view emulated --rate max").await;
     terminal.until(&["URG-04LX"]).await;
-    // In raw mode this is a key like others.
+    // In raw mode Ctrl-C is an ordinary key.
     terminal.user.write_all(b"\x03").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 
@@ -108,7 +107,7 @@ async fn the_terminal_is_given_back_on_ctrl_c_and_on_a_signal() {
 
 #[cfg(feature = "mcap")]
 #[tokio::test]
-async fn a_recording_tells_how_far_it_is_and_takes_its_line_along() {
+async fn a_recording_shows_its_progress_and_removes_that_line_at_the_end() {
     let file = super::program::Scratch::with_extension("progress", ".mcap");
     let arguments = format!("record emulated {}", file.path());
     let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
@@ -121,7 +120,7 @@ async fn a_recording_tells_how_far_it_is_and_takes_its_line_along() {
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
 }
 
-/// A terminal that is stopped, as with Ctrl-S: what is written to it waits.
+/// Stops a terminal, as Ctrl-S does: writes to it block.
 fn stop(terminal: &str) {
     let (stop, terminal) = (rustix::termios::Action::OOff, open(terminal));
     rustix::termios::tcflow(&terminal, stop).unwrap();
@@ -129,7 +128,7 @@ fn stop(terminal: &str) {
 
 #[cfg(feature = "mcap")]
 #[tokio::test]
-async fn a_stopped_terminal_holds_up_neither_a_recording_nor_its_end() {
+async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
     let pipe = super::program::Scratch::with_extension("stopped", ".mcap");
     assert!(Command::new("mkfifo").arg(pipe.path()).status().await.unwrap().success());
     let arguments = format!("record emulated {} --force", pipe.path());
@@ -137,7 +136,7 @@ async fn a_stopped_terminal_holds_up_neither_a_recording_nor_its_end() {
     let mut file = tokio::fs::File::open(pipe.path()).await.unwrap();
     terminal.until(&["(Ctrl-C ends it)"]).await;
     stop(&terminal.line.name().unwrap());
-    // What takes longer to come than several lines stand.
+    // Takes longer to arrive than several progress lines are shown.
     let mut bytes = vec![0; 50_000];
     file.read_exact(&mut bytes).await.unwrap();
     let id = terminal.urg.id().unwrap().to_string();
@@ -147,7 +146,7 @@ async fn a_stopped_terminal_holds_up_neither_a_recording_nor_its_end() {
         terminal.urg.wait().await.unwrap().code()
     };
     let ended = tokio::time::timeout(PATIENCE, ended).await;
-    assert_eq!(ended.expect("it waits for the terminal"), Some(0));
+    assert_eq!(ended.expect("the program waits for the terminal"), Some(0));
     let mut recording =
         tokio_scip::recording::Recording::read(std::io::Cursor::new(bytes)).unwrap();
     assert!(recording.by_ref().all(|record| record.is_ok()));
@@ -155,7 +154,7 @@ async fn a_stopped_terminal_holds_up_neither_a_recording_nor_its_end() {
 }
 
 #[tokio::test]
-async fn a_stopped_terminal_holds_up_no_notice() {
+async fn a_stopped_terminal_delays_no_notice() {
     let link = super::program::Scratch::new("stopped");
     let (_user, line) = SerialStream::pair().unwrap();
     let path = line.name().unwrap();
@@ -165,20 +164,22 @@ async fn a_stopped_terminal_holds_up_no_notice() {
         .kill_on_drop(true)
         .spawn()
         .unwrap();
-    // It tells where the sensor is before it is there.
+    // The line on standard error comes before the sensor is ready.
     let info =
         Command::from(program(&format!("info {} --wait", link.path()))).kill_on_drop(true).output();
-    let info = tokio::time::timeout(PATIENCE, info).await.expect("there is no sensor").unwrap();
+    let info =
+        tokio::time::timeout(PATIENCE, info).await.expect("the sensor is not there").unwrap();
     assert!(info.status.success(), "{info:?}");
     let id = emulate.id().unwrap().to_string();
     assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
-    let ended = tokio::time::timeout(PATIENCE, emulate.wait()).await.expect("it does not end");
+    let ended =
+        tokio::time::timeout(PATIENCE, emulate.wait()).await.expect("the emulator does not end");
     assert_eq!(ended.unwrap().code(), Some(0));
 }
 
 #[cfg(feature = "mcap")]
 #[tokio::test]
-async fn a_radar_of_a_recording_ends_with_it_and_says_so() {
+async fn the_radar_of_a_recording_ends_with_it_and_reports_that() {
     let file = super::program::Scratch::with_extension("radar", ".mcap");
     super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
     let arguments = format!("view {}", file.path());
@@ -196,7 +197,7 @@ async fn a_stream_on_a_terminal_is_one_short_line_for_each_scan() {
     assert_eq!(lines.len(), 3, "{lines:?}");
     assert!(lines.iter().all(|line| line.chars().count() <= 80), "{lines:?}");
 
-    // For programs, also there.
+    // With `--format` NDJSON, also on a terminal.
     let mut terminal = Terminal::start("stream emulated --count 1 --format ndjson").await;
     terminal.until(&["{\"sequence\":0", "\"ranges\":[", "}"]).await;
 }

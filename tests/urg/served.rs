@@ -1,4 +1,4 @@
-//! Two programs: one that is a sensor, and one that uses it.
+//! Two processes: one serves an emulated sensor, the other one uses it.
 
 use std::collections::HashMap;
 use std::sync::mpsc;
@@ -11,15 +11,15 @@ use tokio_scip::{Sensor, Window};
 use super::formats::{check, scans, values};
 use super::program::{Emulated, Running, Scratch, run};
 
-/// The arguments for an emulated sensor whose motor is fast, so that tests are.
+/// The argument for an emulated sensor with a fast motor, so that tests are fast.
 pub(crate) const FAST: &str = "--revolution 50ms";
 const REVOLUTION: Duration = Duration::from_millis(50);
 
-/// How many scans are held against what the sensor held.
+/// The number of scans compared with the sensor's.
 pub(crate) const SCANS: usize = 30;
 
-/// What the [`FAST`] emulated sensor of this seed holds in steps 44..=725 after
-/// each of its first revolutions, to look up which one it was.
+/// Returns the values of steps 44..=725 in each of the first revolutions of a [`FAST`]
+/// sensor with this seed, with the number of the revolution.
 pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
@@ -40,8 +40,8 @@ pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     receiver.try_iter().collect()
 }
 
-/// Fails unless these are [`SCANS`] scans without a gap, each of which the
-/// sensor held, one after the other.
+/// Asserts that these are [`SCANS`] scans without a gap, each measured by the sensor, in
+/// order.
 pub(crate) fn check_held(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
     let scans = scans(ndjson);
     assert_eq!(scans.len(), SCANS);
@@ -50,7 +50,7 @@ pub(crate) fn check_held(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
         check(scan);
         assert_eq!(scan["sequence"], number as u64);
         let revolution = held.get(&values(scan)).copied();
-        assert!(revolution.is_some(), "scan {number} is none that the sensor held");
+        assert!(revolution.is_some(), "scan {number} was not measured by the sensor");
         assert!(revolution > last, "scan {number} is older than the one before");
         last = revolution;
     }
@@ -61,7 +61,7 @@ fn stream(port: &str) -> String {
 }
 
 #[tokio::test]
-async fn scans_over_a_pseudo_terminal_are_what_the_sensor_held() {
+async fn scans_over_a_pseudo_terminal_are_those_of_the_sensor() {
     let link = Scratch::new("pty");
     let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
     assert_eq!(sensor.port, link.path());
@@ -73,7 +73,7 @@ async fn scans_over_a_pseudo_terminal_are_what_the_sensor_held() {
 }
 
 #[tokio::test]
-async fn scans_over_tcp_are_what_the_sensor_held() {
+async fn scans_over_tcp_are_those_of_the_sensor() {
     let sensor = Emulated::start(&format!(
         "--tcp 0 --seed 8 --firmware text --serial-number H1234567 {FAST}"
     ));
@@ -91,7 +91,7 @@ async fn scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
     let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9 {FAST}", link.path()));
     let output = run(&format!("{} --baud 115200", stream(&sensor.port)), 0);
     check_held(&output.stdout, &held(9).await);
-    // It stays there, and is found there.
+    // It keeps this baud rate, and is found at it.
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains("baud rate      115200 baud"), "{info}");
     let output = run(&format!("baud {} 57600", sensor.port), 0);
@@ -101,7 +101,7 @@ async fn scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
 }
 
 #[test]
-fn the_speed_behind_a_bridge_cannot_be_changed() {
+fn the_baud_rate_behind_a_bridge_cannot_be_changed() {
     let sensor = Emulated::start("--tcp 0 --baud 57600");
     assert!(sensor.port.ends_with("?baud=57600"), "{}", sensor.port);
     let line = super::program::failure(&format!("baud {} 115200", sensor.port));
@@ -166,7 +166,7 @@ fn faults_cost_scans_and_never_the_stream() {
 }
 
 #[test]
-fn what_a_sensor_says_cannot_write_to_the_terminal() {
+fn text_from_a_sensor_cannot_control_the_terminal() {
     let sensor = Emulated::start("--tcp 0 --serial-number \x1b[31mred");
     let info = run(&format!("info {}", sensor.port), 0).stdout;
     assert!(info.contains(r"\x1b[31mred"), "{info}");
@@ -174,7 +174,7 @@ fn what_a_sensor_says_cannot_write_to_the_terminal() {
 }
 
 #[test]
-fn a_hard_room_and_the_answer_to_a_repeated_laser_command_are_options() {
+fn a_hard_room_and_the_status_of_a_repeated_laser_command_are_options() {
     let arguments = "--tcp 0 --room hard --repeated-laser 0 --firmware text";
     let sensor = Emulated::start(&format!("{arguments} {FAST}"));
     let scan = scans(&run(&format!("scan {} --format json", sensor.port), 0).stdout).remove(0);

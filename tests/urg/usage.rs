@@ -1,4 +1,4 @@
-//! Help, command lines that make no sense, and what cannot be opened.
+//! Help, invalid command lines, and ports that cannot be opened.
 
 use super::program::{COMMANDS, Emulated, Scratch, failure, program, run, urg};
 
@@ -16,7 +16,7 @@ fn every_command_has_help_on_standard_output() {
 }
 
 #[test]
-fn a_command_line_that_makes_no_sense_ends_with_2() {
+fn an_invalid_command_line_exits_with_2() {
     for arguments in [
         "",
         "fly",
@@ -110,7 +110,7 @@ fn each_failure_is_one_line_that_names_the_port() {
         let line = failure(&format!("{command} {}", directory.display()));
         assert!(line.contains("is not a serial port"), "{line}");
     }
-    // A port of this machine that is free, and then nobody's.
+    // A port of this machine that was free a moment ago.
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let line = failure(&format!("info tcp://{free}"));
     assert!(line.contains(&format!("tcp://{free}")) && line.contains("refused"), "{line}");
@@ -119,12 +119,12 @@ fn each_failure_is_one_line_that_names_the_port() {
 }
 
 #[test]
-fn a_port_in_use_says_so() {
+fn a_port_in_use_is_reported_as_such() {
     let link = Scratch::new("in-use");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
     let mut stream = super::program::Running::start(&format!("stream {}", sensor.port));
     stream.line();
-    // Root may open it all the same.
+    // Root may open it nevertheless.
     let output = urg(&format!("info {}", sensor.port)).assert().get_output().clone();
     let stderr = String::from_utf8(output.stderr).unwrap();
     assert!(output.status.success() || stderr.contains("is in use"), "{stderr}");
@@ -199,7 +199,7 @@ fn a_second_emulator_does_not_take_the_link_of_one_that_runs() {
     let line = failure(&format!("emulate --link {}", link.path()));
     assert!(line.contains("another `urg emulate` is serving there"), "{line}");
     run(&format!("info {}", first.port), 0);
-    // The link of one that was killed is free again.
+    // The symbolic link of a killed one is free again.
     first.running.signal("KILL");
     first.running.end();
     let second = Emulated::start(&format!("--link {}", link.path()));

@@ -1,4 +1,4 @@
-//! `urg serve`: what it serves to whom, over real sockets.
+//! `urg serve` over real sockets: its pages, streams and limits.
 
 use std::collections::HashMap;
 use std::io::Write;
@@ -12,7 +12,7 @@ use super::formats::{check, values};
 use super::http::{Client, Response};
 use super::program::{Emulated, PATIENCE, Running, Scratch, failure};
 
-/// `urg serve` and its address.
+/// A running `urg serve`, and its address.
 struct Served {
     running: Running,
     address: String,
@@ -39,7 +39,7 @@ impl Served {
         serde_json::from_str(&self.get(path).text()).unwrap()
     }
 
-    /// Asks for `/health` until it has this status.
+    /// Requests `/health` until it has this status.
     fn health(&self, status: u16) -> Value {
         let patience = Instant::now() + PATIENCE;
         loop {
@@ -61,7 +61,7 @@ fn scan(line: &str) -> Value {
 }
 
 #[test]
-fn the_page_brings_all_it_needs_and_refers_to_nothing_elsewhere() {
+fn the_page_contains_all_it_needs_and_refers_to_no_other_address() {
     let served = Served::start("emulated");
     let response = served.get("/");
     assert_eq!(
@@ -82,14 +82,14 @@ fn the_page_brings_all_it_needs_and_refers_to_nothing_elsewhere() {
     assert_eq!(page.matches(&format!("nonce=\"{nonce}\"")).count(), 2);
     assert_eq!(page.matches("<script").count(), 1);
     assert_eq!(page.matches("<style").count(), 1);
-    // The name of SVG, in the icon, is not an address.
+    // The XML name of SVG, in the icon, is not fetched.
     let page = page.replace("http://www.w3.org/2000/svg", "");
     for word in ["http:", "https:", " src=", "@import", "url(", "{nonce}", "{style}", "{script}"] {
         assert!(!page.contains(word), "{word}");
     }
     assert_eq!(page.matches("href=").count(), page.matches("href=\"data:").count());
     assert!(page.contains("Distance data on the preceding and succeeding steps have errors"));
-    assert!(!served.get("/").text().contains(nonce), "it must not be guessed");
+    assert!(!served.get("/").text().contains(nonce), "the nonce is the same for two requests");
 }
 
 #[test]
@@ -105,11 +105,11 @@ fn scans_come_as_urg_stream_writes_them() {
         assert_eq!(sequence, next.unwrap_or(sequence));
         next = Some(sequence + 1);
     }
-    assert_eq!(response.line(), None, "three were asked for");
+    assert_eq!(response.line(), None, "more than the three requested scans");
 }
 
 #[test]
-fn scans_come_as_server_sent_events_where_those_are_asked_for() {
+fn scans_come_as_server_sent_events_on_request() {
     let served = Served::start("emulated");
     let client = Client { accept: "text/event-stream", ..served.client() };
     let mut response = client.get("/scans?max=2");
@@ -137,7 +137,7 @@ fn two_viewers_get_the_same_scans_and_cost_one() {
     let both: Vec<_> = one.keys().filter(|sequence| other.contains_key(sequence)).collect();
     assert!(both.len() > 10, "only {both:?} reached both");
     for sequence in both {
-        assert_eq!(one[sequence], other[sequence], "scan {sequence} was not one and the same");
+        assert_eq!(one[sequence], other[sequence], "scan {sequence} differs between the two");
     }
     let stats = &served.json("/state")["stats"];
     assert_eq!(stats["schedules"].as_array().unwrap().len(), 1, "{stats}");
@@ -146,7 +146,7 @@ fn two_viewers_get_the_same_scans_and_cost_one() {
 }
 
 #[test]
-fn health_tells_of_a_sensor_that_is_unplugged_and_comes_back_and_so_do_streams() {
+fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
     let link = Scratch::new("health");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
     let served = Served::start(link.path());
@@ -183,7 +183,7 @@ async fn on_tcp(emulator: Emulator) -> String {
     let address = listener.local_addr().unwrap();
     tokio::spawn(async move {
         while let Ok((client, _)) = listener.accept().await {
-            // It ends with the program.
+            // Ends with the test.
             let _ = emulator.serve(client).await;
         }
     });
@@ -218,7 +218,7 @@ fn a_page_that_waits_for_its_sensor_is_there_before_it() {
     let served = Served::start(&format!("{} --wait", link.path()));
     let health = served.health(503);
     assert_eq!(health["link"], "waiting", "{health}");
-    // As soon as it was looked for.
+    // The reason is there after the first attempt.
     let why = || served.health(503)["why"].as_str().unwrap().to_owned();
     while !why().contains("no port") {}
     assert_eq!(served.json("/state")["sensor"], Value::Null);
@@ -229,13 +229,13 @@ fn a_page_that_waits_for_its_sensor_is_there_before_it() {
 }
 
 #[test]
-fn a_client_that_is_slow_holds_up_nobody_and_then_gets_new_scans() {
+fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
     let link = Scratch::new("slow");
     let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
     let served = Served::start(&format!("{} --rate max", sensor.port));
     let mut slow = served.get("/scans");
     let first = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
-    // Far more than the system keeps for it.
+    // Far more than the system buffers for it.
     let mut quick = served.get("/scans?max=1500");
     let mut last = 0;
     while let Some(line) = quick.line() {
@@ -253,12 +253,12 @@ fn a_client_that_is_slow_holds_up_nobody_and_then_gets_new_scans() {
             break;
         }
         before = line["sequence"].as_u64().unwrap();
-        assert!(before < last, "all of the past was kept for a slow client");
+        assert!(before < last, "all scans were kept for a slow client");
     }
 }
 
 #[test]
-fn who_asks_for_another_host_is_refused() {
+fn a_request_for_another_host_is_refused() {
     let served = Served::start("emulated");
     for host in ["evil.example", "evil.example:80", "192.168.1.1"] {
         for path in ["/", "/scans", "/state", "/health"] {
@@ -272,7 +272,7 @@ fn who_asks_for_another_host_is_refused() {
 }
 
 #[test]
-fn what_cannot_be_served_is_said_so() {
+fn requests_and_addresses_that_cannot_be_served_are_refused_with_the_reason() {
     let served = Served::start("emulated");
     assert_eq!(served.get("/nothing").status, 404);
     let response = served.get("/scans?max=none");
@@ -283,18 +283,18 @@ fn what_cannot_be_served_is_said_so() {
 }
 
 #[test]
-fn viewers_are_bounded_and_the_oldest_of_a_crowded_address_makes_room() {
+fn viewers_are_limited_and_the_oldest_of_the_address_with_most_is_closed() {
     let served = Served::start("emulated");
     let mut viewers: Vec<_> = (0..33).map(|_| served.get("/scans")).collect();
     assert!(viewers.iter().all(|viewer| viewer.status == 200));
     assert_eq!(served.json("/state")["viewers"], 32);
     scan(&viewers[32].line().unwrap());
-    // The first one ends, somewhere in a line or between two.
+    // The first one is closed, somewhere in a line or between two.
     let oldest = viewers.remove(0);
     assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| oldest.text())).is_err());
 }
 
-/// What a supervisor and a new viewer find while others misuse the server.
+/// Asserts that a supervisor and a new viewer are served while others misuse the server.
 fn is_served_in_time(served: &Served) {
     for _ in 0..5 {
         let asked = Instant::now();
@@ -311,12 +311,12 @@ fn is_served_in_time(served: &Served) {
 }
 
 #[test]
-fn clients_that_send_their_request_byte_by_byte_keep_nobody_out() {
+fn clients_that_send_their_request_byte_by_byte_block_no_other() {
     let served = Served::start("emulated");
     served.health(200);
     let mut slow: Vec<_> = (0..300).map(|_| TcpStream::connect(&served.address).unwrap()).collect();
     for byte in b"GET /health HT" {
-        // Those that had to make room for others are closed by now.
+        // Those that were closed in favour of others are gone by now.
         slow.retain(|mut client| client.write_all(&[*byte]).is_ok());
     }
     assert!(slow.len() >= 100, "{} are still open", slow.len());
@@ -324,7 +324,7 @@ fn clients_that_send_their_request_byte_by_byte_keep_nobody_out() {
 }
 
 #[test]
-fn clients_that_never_read_their_scans_keep_nobody_out() {
+fn clients_that_never_read_their_scans_block_no_other() {
     let served = Served::start("emulated");
     served.health(200);
     let clients = (0..200).map(|_| {
@@ -347,7 +347,7 @@ fn an_interrupt_ends_open_connections_and_the_program() {
         }
         served.running.signal(signal);
         for mut stream in streams {
-            // To its proper end, or this would fail.
+            // Reads a proper end of the body, or panics.
             while let Some(line) = stream.line() {
                 scan(&line);
             }
@@ -363,7 +363,7 @@ fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
     let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
     let served = Served::start(&format!("{} --rate max", sensor.port));
     let _stuck = served.get("/scans");
-    // By the time that this one is done, the other's buffers have long been full.
+    // When this one has ended, the other one's buffers have long been full.
     served.get("/scans?max=1000").text();
     served.running.signal("INT");
     let (status, _) = served.running.end();
@@ -371,7 +371,7 @@ fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
 }
 
 #[test]
-fn a_page_for_the_network_says_that_everybody_can_look_and_takes_any_name() {
+fn a_page_for_the_network_warns_that_it_is_open_and_accepts_any_host_name() {
     let mut running = Running::start("serve emulated --listen 0.0.0.0:0");
     let notice = running.notice();
     let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
