@@ -12,7 +12,7 @@ use tokio::time::timeout;
 use tokio_scip::emulator::{Emulator, Link};
 use tokio_scip::{Connect, Error, Port, Rate, Window};
 
-/// A link to a sensor. ConnectOnce `open` is set, it delivers `pattern` without an end, and
+/// A link to a sensor. Once `open` is set, it delivers `pattern` without an end, and
 /// reading never waits.
 struct FloodingPort {
     link: Link,
@@ -139,14 +139,16 @@ async fn a_flood_under_a_stream_ends_it() {
     }
 }
 
-/// A sensor whose replies are complete as soon as the command is written.
+/// A sensor whose replies are complete as soon as the command is written. Unlike
+/// `InstantSensor` it never wakes the driver, so that only a driver that yields lets others
+/// run.
 #[derive(Default)]
-struct Oracle {
+struct ReadyReplies {
     replies: VecDeque<u8>,
     polls: Arc<AtomicUsize>,
 }
 
-impl AsyncRead for Oracle {
+impl AsyncRead for ReadyReplies {
     fn poll_read(
         mut self: Pin<&mut Self>,
         _: &mut Context<'_>,
@@ -161,7 +163,7 @@ impl AsyncRead for Oracle {
     }
 }
 
-impl AsyncWrite for Oracle {
+impl AsyncWrite for ReadyReplies {
     fn poll_write(
         mut self: Pin<&mut Self>,
         _: &mut Context<'_>,
@@ -196,8 +198,8 @@ impl AsyncWrite for Oracle {
 #[tokio::test(start_paused = true)]
 async fn a_sensor_that_answers_at_once_leaves_time_for_others() {
     let polls = Arc::new(AtomicUsize::new(0));
-    let oracle = Oracle { polls: Arc::clone(&polls), ..Oracle::default() };
-    let sensor = builder().attach(oracle).await.unwrap();
+    let port = ReadyReplies { polls: Arc::clone(&polls), ..ReadyReplies::default() };
+    let sensor = builder().attach(port).await.unwrap();
     let mut stream = sensor.scans(Window::new(384..=390).unwrap(), Rate::MAX).await.unwrap();
     stream.next().await.unwrap().unwrap();
     let start = polls.load(Ordering::Relaxed);

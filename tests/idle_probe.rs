@@ -1,65 +1,30 @@
 //! The probe of an idle link that can lose its sensor without a sign.
 
-use std::io;
-use std::pin::Pin;
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use crate::common::hooked::{Hooked, Hooks};
 use tokio::time::{Instant, sleep};
 use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
-use tokio_scip::{BaudRate, Connect, Error, Port, Rate, Sensor, SensorBuilder, State, Window};
+use tokio_scip::{Connect, Error, Rate, Sensor, SensorBuilder, State, Window};
 
 const S: Duration = Duration::from_secs(1);
 
 /// A link that can die silently, like a TCP connection.
-struct Remote(Link);
+struct Remote;
 
-impl Port for Remote {
-    fn baud_rate(&self) -> Option<BaudRate> {
-        self.0.baud_rate()
-    }
-
-    fn can_die_silently(&self) -> bool {
+impl Hooks for Remote {
+    fn can_die_silently(&self, _port_can: bool) -> bool {
         true
-    }
-}
-
-impl AsyncRead for Remote {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_read(context, buffer)
-    }
-}
-
-impl AsyncWrite for Remote {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.0).poll_write(context, bytes)
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
     }
 }
 
 struct ConnectRemote(Emulator);
 
 impl Connect for ConnectRemote {
-    type Port = Remote;
+    type Port = Hooked<Link, Remote>;
 
-    async fn connect(&mut self) -> Result<Remote, Error> {
-        self.0.connect().await.map(Remote)
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        self.0.connect().await.map(|port| Hooked { port, hooks: Remote })
     }
 }
 

@@ -1,18 +1,17 @@
 //! The driver on a pseudo-terminal, in real time: behaviour that only a real terminal has.
 
 use std::path::PathBuf;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 
+use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{Truth, builder, truthful};
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 use tokio_scip::emulator::{Emulator, Pty};
-use tokio_scip::{BaudRate, Connect, Error, Port, Rate, State, Window};
+use tokio_scip::port::SerialPort;
+use tokio_scip::{BaudRate, Connect, Error, Rate, State, Window};
 
 /// Serves the emulated sensor on a terminal with a stable name.
 fn serve(emulator: &Emulator, name: &str) -> (PathBuf, JoinHandle<std::io::Result<()>>) {
@@ -47,70 +46,28 @@ impl Counts {
     }
 }
 
-struct Counted {
-    port: tokio_scip::port::SerialPort,
-    counts: Arc<Counts>,
-}
+struct Count(Arc<Counts>);
 
 impl Connect for Counting {
-    type Port = Counted;
+    type Port = Hooked<SerialPort, Count>;
 
-    async fn connect(&mut self) -> Result<Counted, Error> {
-        let port = tokio_scip::port::SerialPort::open(&self.path).await;
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        let port = SerialPort::open(&self.path).await;
         match port {
             Ok(_) => drop(self.counts.opened.fetch_add(1, Relaxed)),
             Err(_) => self.counts.refused.add_permits(1),
         }
-        Ok(Counted { port: port?, counts: Arc::clone(&self.counts) })
+        Ok(Hooked { port: port?, hooks: Count(Arc::clone(&self.counts)) })
     }
 }
 
-impl Port for Counted {
-    fn baud_rate(&self) -> Option<BaudRate> {
-        self.port.baud_rate()
+impl Hooks for Count {
+    fn after_read(&mut self, count: usize) {
+        self.0.dead_reads.fetch_add(u64::from(count == 0), Relaxed);
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> std::io::Result<()> {
-        self.port.set_baud_rate(baud_rate)
-    }
-
-    fn discard_output(&mut self) {
-        self.port.discard_output();
-    }
-}
-
-impl AsyncRead for Counted {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<std::io::Result<()>> {
-        let before = buffer.filled().len();
-        let outcome = Pin::new(&mut self.port).poll_read(cx, buffer);
-        if matches!(&outcome, Poll::Ready(outcome) if outcome.is_err() || buffer.filled().len() == before)
-        {
-            self.counts.dead_reads.fetch_add(1, Relaxed);
-        }
-        outcome
-    }
-}
-
-impl AsyncWrite for Counted {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<std::io::Result<usize>> {
-        Pin::new(&mut self.port).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        self.counts.flushes.fetch_add(1, Relaxed);
-        Pin::new(&mut self.port).poll_flush(cx)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
-        Pin::new(&mut self.port).poll_shutdown(cx)
+    fn on_flush(&mut self) {
+        self.0.flushes.fetch_add(1, Relaxed);
     }
 }
 

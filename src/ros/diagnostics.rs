@@ -8,7 +8,8 @@ use super::{MessageType, write_header};
 
 pub(super) const TYPE: MessageType = MessageType {
     name: "diagnostic_msgs/msg/DiagnosticArray",
-    definition: "\
+    definition: concat!(
+        "\
 std_msgs/Header header
 diagnostic_msgs/DiagnosticStatus[] status
 ================================================================================
@@ -26,15 +27,9 @@ diagnostic_msgs/KeyValue[] values
 MSG: diagnostic_msgs/KeyValue
 string key
 string value
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
 ",
+        header_definition!()
+    ),
     hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
 };
 

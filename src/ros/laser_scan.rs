@@ -12,7 +12,8 @@ use crate::Scan;
 
 pub(super) const TYPE: MessageType = MessageType {
     name: "sensor_msgs/msg/LaserScan",
-    definition: "\
+    definition: concat!(
+        "\
 std_msgs/Header header
 float32 angle_min
 float32 angle_max
@@ -23,15 +24,9 @@ float32 range_min
 float32 range_max
 float32[] ranges
 float32[] intensities
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
 ",
+        header_definition!()
+    ),
     hash: "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
 };
 

@@ -23,6 +23,22 @@
 //! the form that DDS, `rmw_zenoh` and MCAP files have in common. The module knows no
 //! topics, files or networks.
 
+/// Expands to the definition of the header that both messages begin with.
+macro_rules! header_definition {
+    () => {
+        "\
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"
+    };
+}
+
 mod cdr;
 mod diagnostics;
 mod laser_scan;

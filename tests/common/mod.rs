@@ -2,6 +2,7 @@
 //! each request into its data, and a check that each scan carries its own request's.
 
 pub(crate) mod endless_port;
+pub(crate) mod hooked;
 pub(crate) mod instant_sensor;
 pub(crate) mod limit;
 pub(crate) mod logs;

@@ -1,18 +1,16 @@
 //! Rows O: ports and the operating system.
 
 use std::io;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Call, Emulator, Fault, Faults, FaultyLink, Link, LinkFailure};
-use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
 use super::rig::{instant_sensor, open, scans, wrong_scans};
+use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};
 
 const WINDOW: Window = Window::DETECTION;
@@ -25,68 +23,39 @@ struct LinkCounts {
     reads_after_end: AtomicU64,
 }
 
-/// A link that counts how it is used.
-struct CountedLink {
-    link: Link,
+/// Counts how a port is used.
+struct Count {
     counts: Arc<LinkCounts>,
     ended: bool,
 }
 
-impl CountedLink {
-    fn new(link: Link, counts: &Arc<LinkCounts>) -> Self {
+impl Count {
+    fn new(counts: &Arc<LinkCounts>) -> Self {
         counts.open.fetch_add(1, Relaxed);
-        Self { link, counts: Arc::clone(counts), ended: false }
+        Self { counts: Arc::clone(counts), ended: false }
     }
 }
 
-impl Drop for CountedLink {
+impl Drop for Count {
     fn drop(&mut self) {
         self.counts.open.fetch_sub(1, Relaxed);
     }
 }
 
-impl AsyncRead for CountedLink {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
+impl Hooks for Count {
+    fn before_read(&mut self) {
         self.counts.reads_after_end.fetch_add(u64::from(self.ended), Relaxed);
-        let before = buffer.filled().len();
-        let outcome = Pin::new(&mut self.link).poll_read(cx, buffer);
-        self.ended |= outcome.is_ready() && buffer.filled().len() == before;
-        outcome
-    }
-}
-
-impl AsyncWrite for CountedLink {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.link).poll_write(cx, bytes)
     }
 
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+    fn after_read(&mut self, count: usize) {
+        self.ended |= count == 0;
+    }
+
+    fn on_flush(&mut self) {
         panic!("flush called: it waits for the port to drain and blocks the runtime")
     }
 
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        panic!("shutdown called: it flushes")
-    }
-}
-
-impl Port for CountedLink {
-    fn baud_rate(&self) -> Option<BaudRate> {
-        self.link.baud_rate()
-    }
-
-    fn set_baud_rate(&mut self, speed: BaudRate) -> io::Result<()> {
-        self.link.set_baud_rate(speed)
-    }
-
-    fn discard_output(&mut self) {
+    fn on_discard(&mut self) {
         self.counts.discarded.fetch_add(1, Relaxed);
     }
 }
@@ -104,7 +73,7 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
         if opened == 2 {
             return Err(Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() });
         }
-        Ok(CountedLink::new(inner.link(), &links))
+        Ok(Hooked { port: inner.link(), hooks: Count::new(&links) })
     });
     let sensor = builder().ring_depth(16).connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();

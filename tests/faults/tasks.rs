@@ -1,20 +1,18 @@
 //! Rows A: tasks, handles, runtimes and processes.
 
-use std::io;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
-use std::task::{Context, Poll};
 use std::time::Duration;
 
 use futures::FutureExt;
-use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt, ReadBuf};
+use tokio::io::AsyncWriteExt;
 use tokio::runtime::Builder;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{BaudRate, Error, Port, Rate, Sensor, State, Window};
 
 use super::rig::{instant_sensor, open, scans, wrong_scans};
 use crate::common::endless_port::EndlessPort;
+use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
@@ -79,40 +77,15 @@ fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
     assert!(working > 30, "{working}");
 }
 
-/// A port that panics, as a defect would, at its n-th read.
-struct Panicking<P>(P, u64);
+/// Panics, as a defect would, when this many reads are done.
+struct PanicAfter(u64);
 
-impl<P: Port> AsyncRead for Panicking<P> {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        assert!(self.1 > 0, "injected");
-        self.1 -= 1;
-        Pin::new(&mut self.0).poll_read(cx, buffer)
+impl Hooks for PanicAfter {
+    fn before_read(&mut self) {
+        assert!(self.0 > 0, "injected");
+        self.0 -= 1;
     }
 }
-
-impl<P: Port> AsyncWrite for Panicking<P> {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.0).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl<P: Port> Port for Panicking<P> {}
 
 #[tokio::test(start_paused = true)]
 async fn a06_a_driver_that_panics_ends_every_pending_call() {
@@ -120,8 +93,9 @@ async fn a06_a_driver_that_panics_ends_every_pending_call() {
     let mut ended_in_work = 0;
     for reads in 0..60 {
         let emulator = instant_sensor().build();
-        let (sensor, driver) =
-            builder().build(ConnectFn(move || Ok(Panicking(emulator.link(), reads))));
+        let (sensor, driver) = builder().build(ConnectFn(move || {
+            Ok(Hooked { port: emulator.link(), hooks: PanicAfter(reads) })
+        }));
         let driver = tokio::spawn(driver);
         let work = async {
             sensor.opened().await?;

@@ -1,18 +1,15 @@
 //! Rows T: late, lost, doubled and slow replies.
 
-use std::io;
-use std::pin::Pin;
-use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::Instant;
 use tokio_scip::emulator::{
     Call, EmptyCommand, Fault, Faults, FaultyLink, LinkFailure, Pace, Verdict,
 };
-use tokio_scip::{BaudRate, Error, Port, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
 use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
+use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
 use crate::simulation::truth::Truth;
 
@@ -150,40 +147,12 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     assert!(sensor.stats().malformed.echo >= 3, "{:?}", sensor.stats());
 }
 
-/// A port that claims a baud rate but delivers bytes at once.
-struct Claiming<P>(P);
+/// Claims a baud rate for a port that delivers bytes at once.
+struct ClaimBaudRate;
 
-impl<P: Port> Port for Claiming<P> {
-    fn baud_rate(&self) -> Option<BaudRate> {
+impl Hooks for ClaimBaudRate {
+    fn baud_rate(&self, _of_port: Option<BaudRate>) -> Option<BaudRate> {
         Some(BaudRate::B19200)
-    }
-}
-
-impl<P: AsyncRead + Unpin> AsyncRead for Claiming<P> {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_read(cx, buffer)
-    }
-}
-
-impl<P: AsyncWrite + Unpin> AsyncWrite for Claiming<P> {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.0).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_flush(cx)
-    }
-
-    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.0).poll_shutdown(cx)
     }
 }
 
@@ -194,7 +163,10 @@ async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
     sensor.scan(WINDOW).await.unwrap();
     assert!(!sensor.stats().baud_rate_outrun);
     let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
-    let sensor = builder().connect(ConnectFn(move || Ok(Claiming(fast.link())))).await.unwrap();
+    let sensor = builder()
+        .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
+        .await
+        .unwrap();
     let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
     scans(&mut stream, 20).await;
     let stats = sensor.stats();
