@@ -13,9 +13,10 @@ use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::port::missing;
 use crate::port::name::{PortArg, PortName};
+use crate::port::named::NamedPort;
 use crate::publish::{
-    EngineName, EngineSettings, Mode, NamedPort, NodeNames, NodeSpec, ParameterValue, Qos,
-    RunningEngine, Source,
+    EngineName, EngineSettings, Mode, NodeNames, NodeSpec, ParameterValue, Qos, RunningEngine,
+    Source,
 };
 
 /// The engine by default: the one that most of ROS 2 uses, where it is built in.

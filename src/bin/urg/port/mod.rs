@@ -1,6 +1,9 @@
-//! The PORT argument, and the sensor behind it: `name` parses it, `open` opens
-//! it, `missing` is the hint for a command line without one.
+//! The PORT argument, and the sensor behind it: `name` parses it, `named` one with
+//! a name before it; `open` opens it, `missing` is the hint for a command line
+//! without one.
 
 pub(crate) mod missing;
 pub(crate) mod name;
+#[cfg(any(feature = "ros2", feature = "zenoh"))]
+pub(crate) mod named;
 pub(crate) mod open;

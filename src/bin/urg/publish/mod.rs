@@ -17,6 +17,6 @@ mod source;
 mod zenoh;
 
 pub(crate) use self::engine::{EngineName, EngineSettings, Mode, NodeSpec, ParameterValue, Qos};
-pub(crate) use self::names::{NamedPort, NodeNames};
+pub(crate) use self::names::NodeNames;
 pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;

@@ -2,32 +2,9 @@
 //! ROS's rules, one set for each sensor.
 
 use std::collections::BTreeSet;
-use std::str::FromStr;
 
 use crate::failure::Failure;
-use crate::port::name::PortName;
-
-/// A `PORT` or `NAME=PORT` argument.
-#[derive(Debug, Clone)]
-pub(crate) struct NamedPort {
-    pub(crate) name: Option<String>,
-    pub(crate) port: PortName,
-}
-
-impl FromStr for NamedPort {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (name, port) = match text.split_once('=') {
-            // An `=` further on belongs to the port, as in `tcp://host:1?baud=19200`.
-            Some((name, port)) if !name.contains(['/', ':', '.', '?']) => {
-                (Some(token(name)?.to_owned()), port)
-            }
-            _ => (None, text),
-        };
-        Ok(Self { name, port: port.parse()? })
-    }
-}
+use crate::port::named::{NamedPort, token};
 
 /// The names of one sensor's node.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -105,18 +82,6 @@ fn path(text: &str) -> Result<Vec<&str>, String> {
     inner.split('/').map(token).collect()
 }
 
-/// Checks one part of a name.
-fn token(text: &str) -> Result<&str, String> {
-    let valid = text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
-        && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
-        && !text.contains("__");
-    valid.then_some(text).ok_or_else(|| {
-        format!(
-            "invalid name `{text}`: expected letters, digits and single `_`, and no digit first"
-        )
-    })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,19 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn an_equals_sign_in_a_port_names_nothing() {
-        for text in ["tcp://host:1?baud=19200", "/dev/a=b", "./a=b"] {
-            let named: NamedPort = text.parse().unwrap();
-            assert_eq!(named.name, None, "{text}");
-        }
-    }
-
-    #[test]
     fn a_name_against_the_rules_of_ros_is_refused() {
-        for text in ["1st=emulated", "=emulated", "a-b=emulated", "a__b=emulated"] {
-            let refused = text.parse::<NamedPort>().unwrap_err();
-            assert!(refused.contains("invalid name"), "{text}: {refused}");
-        }
         let one = sensors(&["emulated"]);
         for (namespace, node, topic, frame, option) in [
             ("/a//b", "n", "/scan", "f", "--namespace"),
