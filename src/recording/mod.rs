@@ -87,6 +87,7 @@ mod parts;
 mod polls;
 mod progress;
 mod queue;
+mod range;
 mod reader;
 mod record;
 mod recorder;

@@ -1,15 +1,17 @@
 //! [`Recording`]: reads a file record by record, from its beginning to wherever
-//! it ends. Only the records that a recording needs are parsed.
+//! it ends, or a part of it. Only the records that a recording needs are parsed.
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
+use std::ops::RangeBounds;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use super::mcap::{Fields, MessageHeader, Records, kind, parse_metadata};
+use super::range::{RecordPlace, TimeRange};
 use super::record::{Entry, Record, Reply, parse_command};
 use super::topics::Topic;
 use super::{Event, METADATA, RecordingError};
@@ -49,6 +51,8 @@ pub struct Recording {
     metadata: BTreeMap<String, String>,
     /// Records read in advance.
     ahead: VecDeque<Result<Record, RecordingError>>,
+    /// The part that is read; all of it without one.
+    range: Option<TimeRange>,
     is_over: bool,
 }
 
@@ -83,6 +87,7 @@ impl Recording {
             channels: HashMap::new(),
             metadata: BTreeMap::new(),
             ahead: VecDeque::new(),
+            range: None,
             is_over: false,
         };
         while recording.metadata.is_empty() && recording.ahead.len() < METADATA_SEARCH_RECORDS {
@@ -96,6 +101,25 @@ impl Recording {
             }
         }
         Ok(recording)
+    }
+
+    /// Restricts the recording to a part: to the records whose time since the first
+    /// scan is in `range`, and the replies to `V`. Nothing behind the part is read.
+    ///
+    /// ```no_run
+    /// use std::time::Duration;
+    /// use tokio_scip::recording::Recording;
+    ///
+    /// let (from, to) = (Duration::from_secs(90), Duration::from_secs(120));
+    /// for scan in Recording::open("run.mcap")?.range(from..to).scans() {
+    ///     println!("{:?}", scan?.stamp());
+    /// }
+    /// # Ok::<(), tokio_scip::recording::RecordingError>(())
+    /// ```
+    #[must_use]
+    pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
+        self.range = Some(TimeRange::new(&range));
+        self
     }
 
     /// Returns what [`Recorder::describe`](super::Recorder::describe) recorded of
@@ -172,7 +196,19 @@ impl Iterator for Recording {
     type Item = Result<Record, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        self.ahead.pop_front().or_else(|| self.advance().transpose())
+        loop {
+            let item = self.ahead.pop_front().or_else(|| self.advance().transpose())?;
+            let (Some(range), Ok(record)) = (&mut self.range, &item) else { return Some(item) };
+            match range.place(record) {
+                RecordPlace::Inside => return Some(item),
+                RecordPlace::Outside => {}
+                RecordPlace::Behind => {
+                    self.is_over = true;
+                    self.ahead.clear();
+                    return None;
+                }
+            }
+        }
     }
 }
 

@@ -4,8 +4,8 @@ use std::io::Cursor;
 use std::time::Duration;
 
 use tokio_scip::emulator::{Fault, Faults};
-use tokio_scip::recording::{Recorder, RecordingError};
-use tokio_scip::{Scan, Sensor, Window};
+use tokio_scip::recording::{Recorder, RecordingError, ReplayPace};
+use tokio_scip::{Rate, Scan, Sensor, Window};
 
 use super::sink::{Sink, record, sensor, window};
 
@@ -76,4 +76,30 @@ async fn a_damaged_chunk_is_an_item_between_the_scans() {
     assert!(matches!(items[at], Err(RecordingError::Damaged { .. })));
     assert!(at > 0 && items.len() > at + 100, "{at} of {}", items.len());
     assert_eq!(items.iter().filter(|item| item.is_err()).count(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 50).await;
+    let all: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+    let (from, to) = (Duration::from_secs(1), Duration::from_secs(3));
+    let is_inside =
+        |scan: &&Scan| (from..to).contains(&(scan.received_at() - all[0].received_at()));
+    let expected: Vec<_> = all.iter().filter(is_inside).map(|scan| scan.values()).collect();
+    assert!((15..=25).contains(&expected.len()), "{}", expected.len());
+    let part: Vec<Scan> = sink.open().range(from..to).scans().collect::<Result<_, _>>().unwrap();
+    assert_eq!(part.iter().map(Scan::values).collect::<Vec<_>>(), expected);
+
+    let replay = sink.open().range(from..to).replay(ReplayPace::Recorded).unwrap();
+    let sensor = Sensor::builder().reconnect(false).ring_depth(64).connect(replay).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut replayed = Vec::new();
+    while let Some(Ok(scan)) = scans.next().await {
+        replayed.push(scan.values().to_vec());
+    }
+    assert_eq!(replayed, expected);
+    // A part without a scan.
+    let mut none = sink.open().range(Duration::from_secs(99)..).scans();
+    assert!(matches!(none.next(), Some(Err(RecordingError::NoReplies))));
 }

@@ -16,11 +16,20 @@ pub(crate) struct Client<'a> {
 impl Client<'_> {
     /// Sends a request, and reads the head of the response.
     pub(crate) fn get(&self, path: &str) -> Response {
+        self.ask("GET", path, "")
+    }
+
+    /// Posts nothing but the path, with a header such as `Origin: null\r\n`.
+    pub(crate) fn post(&self, path: &str, header: &str) -> Response {
+        self.ask("POST", path, header)
+    }
+
+    fn ask(&self, method: &str, path: &str, header: &str) -> Response {
         let stream = TcpStream::connect(self.address).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
         write!(
             &stream,
-            "GET {path} HTTP/1.1\r\nHost: {}\r\nAccept: {}\r\nConnection: close\r\n\r\n",
+            "{method} {path} HTTP/1.1\r\nHost: {}\r\nAccept: {}\r\n{header}Connection: close\r\n\r\n",
             self.host, self.accept
         )
         .unwrap();
@@ -36,7 +45,7 @@ impl Client<'_> {
             .collect();
         let mut response = Response { status, headers, stream, chunked: false, left: 0 };
         response.chunked = response.has("transfer-encoding");
-        if !response.chunked {
+        if !response.chunked && status != 204 {
             response.left = response.header("content-length").parse().unwrap();
         }
         response

@@ -8,6 +8,8 @@ mod formats;
 mod http;
 mod packaging;
 mod picture;
+#[cfg(all(feature = "mcap", feature = "web"))]
+mod playback;
 mod program;
 #[cfg(feature = "mcap")]
 mod recorded;
@@ -15,6 +17,8 @@ mod recorded;
 mod repaired;
 mod screen;
 mod served;
+#[cfg(feature = "web")]
+mod several;
 mod usage;
 #[cfg(feature = "web")]
 mod web;

@@ -131,16 +131,26 @@ async fn every_command_that_reads_a_sensor_reads_a_recording() {
     assert!(check.stdout.ends_with("all is well\n"), "{}", check.stdout);
 }
 
-#[cfg(feature = "web")]
 #[tokio::test(start_paused = true)]
-async fn a_page_shows_a_recording_until_it_ends() {
-    let file = scratch("served");
-    recording(file.path(), Window::DETECTION, 10).await;
-    let mut serve = Running::start(&format!("serve {} --listen 127.0.0.1:0", file.path()));
-    assert!(serve.notice().contains("live page on "));
-    assert!(serve.notice().ends_with("the recording has ended"));
-    let (status, notices) = serve.end();
-    assert_eq!((status.code(), notices), (Some(0), vec![]));
+async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
+    let (file, part) = (scratch("whole"), scratch("part"));
+    let recorded = recording(file.path(), Window::DETECTION, 50).await;
+    let output = run(&format!("stream {} --range 1s..0:03 --rate max", file.path()), 0);
+    let streamed: Vec<_> = scans(&output.stdout).iter().map(values).collect();
+    assert!((19..=21).contains(&streamed.len()), "{}", streamed.len());
+    let first = recorded.iter().position(|scan| *scan == streamed[0]).unwrap();
+    assert!((9..=11).contains(&first) && recorded[first..].starts_with(&streamed), "{first}");
+    run(&format!("record {} {} --range 1s..0:03 --rate max", file.path(), part.path()), 0);
+    let output = run(&format!("stream {} --rate max", part.path()), 0);
+    assert_eq!(scans(&output.stdout).iter().map(values).collect::<Vec<_>>(), streamed);
+
+    let line = run(&format!("stream {} --range 99s..", file.path()), 1).stderr;
+    assert!(line.contains("no scan in --range 99s.."), "{line}");
+    let line = run("stream emulated --range 1s..2s", 2).stderr;
+    assert!(line.contains("emulated is a sensor"), "{line}");
+    for command in ["view emulated --speed 2", "view run.mcap --rate 5 --speed 0"] {
+        run(command, 2);
+    }
 }
 
 /// Many more scans than streams keep, and than a recorder's queue holds.

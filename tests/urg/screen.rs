@@ -179,12 +179,18 @@ async fn a_stopped_terminal_delays_no_notice() {
 
 #[cfg(feature = "mcap")]
 #[tokio::test]
-async fn the_radar_of_a_recording_ends_with_it_and_reports_that() {
+async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
     let file = super::program::Scratch::with_extension("radar", ".mcap");
     super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
-    let arguments = format!("view {}", file.path());
-    let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
-    terminal.until(&["URG-04LX", "\x1b[?1049l", "the recording has ended"]).await;
+    let mut terminal = Terminal::start(&format!("view {}", file.path())).await;
+    terminal.until(&["URG-04LX", "playing", "END", "at its end"]).await;
+    terminal.user.write_all(b",").await.unwrap();
+    terminal.until(&["PAUSED", "paused"]).await;
+    terminal.user.write_all(b"l").await.unwrap();
+    terminal.until(&["recording"]).await;
+    terminal.user.write_all(b" ").await.unwrap();
+    terminal.until(&["playing"]).await;
+    terminal.user.write_all(b"q").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 }
 

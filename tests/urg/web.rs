@@ -13,34 +13,43 @@ use super::http::{Client, Response};
 use super::program::{Emulated, PATIENCE, Running, Scratch, failure};
 
 /// A running `urg serve`, and its address.
-struct Served {
-    running: Running,
-    address: String,
+pub(super) struct Served {
+    pub(super) running: Running,
+    pub(super) address: String,
 }
 
 impl Served {
-    fn start(arguments: &str) -> Self {
+    pub(super) fn start(arguments: &str) -> Self {
         let mut running = Running::start(&format!("serve {arguments} --listen 0"));
         let notice = running.notice();
+        Self::announced(running, &notice)
+    }
+
+    pub(super) fn announced(running: Running, notice: &str) -> Self {
         let address = notice.split('/').nth(2).unwrap_or_else(|| panic!("{notice}")).to_owned();
         assert!(address.starts_with("127.0.0.1:"), "{notice}");
         Self { running, address }
     }
 
-    fn client(&self) -> Client<'_> {
+    pub(super) fn client(&self) -> Client<'_> {
         Client { address: &self.address, host: &self.address, accept: "*/*" }
     }
 
-    fn get(&self, path: &str) -> Response {
+    pub(super) fn get(&self, path: &str) -> Response {
         self.client().get(path)
     }
 
-    fn json(&self, path: &str) -> Value {
+    pub(super) fn json(&self, path: &str) -> Value {
         serde_json::from_str(&self.get(path).text()).unwrap()
     }
 
+    /// The state of the first sensor.
+    pub(super) fn state(&self) -> Value {
+        self.json("/state")["sensors"][0].take()
+    }
+
     /// Requests `/health` until it has this status.
-    fn health(&self, status: u16) -> Value {
+    pub(super) fn health(&self, status: u16) -> Value {
         let patience = Instant::now() + PATIENCE;
         loop {
             let response = self.get("/health");
@@ -139,7 +148,7 @@ fn two_viewers_get_the_same_scans_and_cost_one() {
     for sequence in both {
         assert_eq!(one[sequence], other[sequence], "scan {sequence} differs between the two");
     }
-    let stats = &served.json("/state")["stats"];
+    let stats = &served.json("/state")["sensors"][0]["stats"];
     assert_eq!(stats["schedules"].as_array().unwrap().len(), 1, "{stats}");
     let (polls, scans) = (stats["polls"].as_u64().unwrap(), stats["scans"].as_u64().unwrap());
     assert!(polls <= scans + 1, "{stats}");
@@ -152,14 +161,14 @@ fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
     let served = Served::start(link.path());
     let mut scans = served.get("/scans");
     scan(&scans.line().unwrap());
-    assert_eq!(served.health(200), serde_json::json!({ "status": "ok" }));
-    assert_eq!(served.json("/state")["sensor"]["serial_number"], "H0713090");
+    assert_eq!(served.health(200)["status"], "ok");
+    assert_eq!(served.state()["sensor"]["serial_number"], "H0713090");
 
     drop(sensor);
     let health = served.health(503);
     assert_eq!(health["status"], "failing");
-    assert!(health["why"].as_str().unwrap().contains("lost"), "{health}");
-    assert_eq!(served.json("/state")["link"], "disconnected");
+    assert!(health["sensors"][0]["why"].as_str().unwrap().contains("lost"), "{health}");
+    assert_eq!(served.state()["link"], "disconnected");
     let mut event = |event: &str| {
         loop {
             let line: Value = serde_json::from_str(&scans.line().unwrap()).unwrap();
@@ -174,7 +183,7 @@ fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
     let _sensor = Emulated::start(&format!("--link {}", link.path()));
     event("reconnected");
     served.health(200);
-    assert_eq!(served.json("/state")["link"], "connected");
+    assert_eq!(served.state()["link"], "connected");
 }
 
 /// Serves an emulated sensor on TCP, in threads of this runtime, and returns its PORT.
@@ -200,13 +209,14 @@ fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() 
     // One byte of each scan is lost. Fences are shorter, and are answered.
     emulator.set_faults(Faults::none().rate(1.0, Fault::Drop(700..701)));
     let health = served.health(503);
-    let why = health["why"].as_str().unwrap();
+    let sensor = &health["sensors"][0];
+    let why = sensor["why"].as_str().unwrap();
     assert!(why.starts_with("no scan for ") && why.contains("malformed"), "{health}");
     assert_eq!(
-        (&health["link"], &served.json("/state")["link"]),
+        (&sensor["link"], &served.state()["link"]),
         (&"connected".into(), &"connected".into())
     );
-    assert_eq!(served.json("/state")["stats"]["disconnects"], 0);
+    assert_eq!(served.state()["stats"]["disconnects"], 0);
 
     emulator.set_faults(Faults::none());
     served.health(200);
@@ -217,11 +227,11 @@ fn a_page_that_waits_for_its_sensor_is_there_before_it() {
     let link = Scratch::new("serve-waits");
     let served = Served::start(&format!("{} --wait", link.path()));
     let health = served.health(503);
-    assert_eq!(health["link"], "waiting", "{health}");
+    assert_eq!(health["sensors"][0]["link"], "waiting", "{health}");
     // The reason is there after the first attempt.
-    let why = || served.health(503)["why"].as_str().unwrap().to_owned();
+    let why = || served.health(503)["sensors"][0]["why"].as_str().unwrap().to_owned();
     while !why().contains("no port") {}
-    assert_eq!(served.json("/state")["sensor"], Value::Null);
+    assert_eq!(served.state()["sensor"], Value::Null);
     let mut scans = served.get("/scans?max=1");
     let _sensor = Emulated::start(&format!("--link {}", link.path()));
     scan(&scans.line().unwrap());

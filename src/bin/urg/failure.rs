@@ -32,7 +32,6 @@ impl Failure {
     }
 
     /// Returns the line for the user; none where nothing has failed.
-    #[cfg(any(feature = "ros2", feature = "zenoh"))]
     pub(crate) fn line(&self) -> &str {
         match self {
             Self::Usage(line) | Self::Failed(line) => line,

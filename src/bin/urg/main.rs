@@ -9,6 +9,7 @@ mod failure;
 mod format;
 mod interrupt;
 mod output;
+mod playback;
 mod plot;
 mod port;
 #[cfg(any(feature = "ros2", feature = "zenoh"))]

@@ -8,6 +8,7 @@ use tokio::time::Instant;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 
 use super::step::{Step, Verdict};
+use crate::stream::jitter::Jitter;
 use crate::stream::rate_watch::{ENOUGH, sufficient_baud_rate};
 use crate::stream::wire_speed;
 
@@ -172,16 +173,12 @@ impl Measured {
 
     /// Returns the spread of the intervals between scans.
     fn jitter(&self) -> String {
-        let times = self.scans.iter().map(|seen| seen.received_at);
-        let intervals = times.clone().zip(times.skip(1)).map(|(one, next)| next - one);
-        let millis = intervals.map(|interval| interval.as_secs_f64() * 1000.0);
-        let count = self.scans.len().saturating_sub(1).max(1) as f64;
-        let mean = millis.clone().sum::<f64>() / count;
-        let variance = millis.clone().map(|one| (one - mean).powi(2)).sum::<f64>() / count;
-        let least = millis.clone().fold(f64::INFINITY, f64::min);
-        let most = millis.fold(0.0, f64::max);
-        let deviation = variance.sqrt();
-        format!("one every {least:.0} to {most:.0} ms, standard deviation {deviation:.1} ms")
+        let Some(jitter) = Jitter::of(self.scans.iter().map(|seen| seen.received_at)) else {
+            return "one scan".to_owned();
+        };
+        let [min, max, deviation] =
+            [jitter.min, jitter.max, jitter.deviation].map(|seconds| seconds * 1000.0);
+        format!("one every {min:.0} to {max:.0} ms, standard deviation {deviation:.1} ms")
     }
 
     fn latency(&self) -> Step {

@@ -11,15 +11,16 @@ use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
+use crate::format::time::clock;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::port::missing;
 use crate::port::name::{PortArg, PortName};
 use crate::port::open::open_with;
-use crate::recording::contents::clock;
 use crate::recording::file::{Existing, RecorderFile};
 use crate::recording::progress::Progress;
 use crate::recording::recorded::Recorded;
+use crate::recording::span::RangeArgs;
 use crate::recording::split::SplitLimit;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
@@ -41,7 +42,8 @@ Examples:
   urg record /dev/ttyACM0 run.mcap
   urg record serial:H0713090 night.mcap --wait --duration 8h
   urg view run.mcap                      replay at the recorded pace
-  urg stream run.mcap --rate max         replay as fast as possible"
+  urg stream run.mcap --rate max         replay as fast as possible
+  urg record run.mcap part.mcap --range 1:30..2:00 --rate max    cut a part out"
 )]
 pub(crate) struct Record {
     #[command(flatten)]
@@ -65,6 +67,8 @@ pub(crate) struct Record {
     #[command(flatten)]
     pace: PaceArgs,
     #[command(flatten)]
+    range: RangeArgs,
+    #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
     link: LinkArgs,
@@ -73,7 +77,8 @@ pub(crate) struct Record {
 impl Record {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Err(self.without_file().await) };
-        let (port, rate) = self.port.polled_at(self.pace.rate).await?;
+        let (mut port, rate) = self.port.polled_at(self.pace.rate).await?;
+        port.restrict(self.range.range)?;
         let window = self.window.window(port.default_window())?;
         let mut file = tokio::select! {
             file = self.file(&port, file) => file?,

@@ -1,16 +1,26 @@
 //! `urg serve`: a live page for any browser, and scans over HTTP.
 
+use std::collections::BTreeSet;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::Arc;
 
+use futures::StreamExt;
+use futures::future::join_all;
+use futures::stream::FuturesUnordered;
 use tokio::net::{TcpListener, TcpSocket};
+use tokio_scip::Rate;
 
 use crate::args::{LinkArgs, WindowArgs, default_to_loopback};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::port::name::PortArg;
-use crate::web::{self, Hub};
+use crate::playback::PlaybackArgs;
+use crate::port::missing;
+use crate::port::name::{PortArg, PortName};
+use crate::port::placed::PlacedPort;
+use crate::recording;
+use crate::web::{self, Hub, Source};
 
 /// The system's send buffer for each client, some ten scans: a slow client gets
 /// those of the past that are in it.
@@ -18,13 +28,14 @@ const SEND_BUFFER_BYTES: u32 = 64 * 1024;
 
 /// Show a live page to any browser, and scans to programs
 ///
-/// Runs until Ctrl-C, also while the sensor is unplugged and when it comes back.
-/// Any number of viewers costs the sensor no more than one.
+/// Runs until Ctrl-C, also while a sensor is unplugged and when it comes back. Any
+/// number of viewers costs a sensor no more than one. The page plays a recording
+/// with pause, step, seek, speed and loop.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {
-    #[command(flatten)]
-    port: PortArg,
+    #[arg(value_name = "PORT", help = help())]
+    sensors: Vec<PlacedPort>,
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
     /// `0.0.0.0:8080` and `[::]:8080` let everybody on the network look, without a
@@ -32,14 +43,24 @@ pub(crate) struct Serve {
     /// host: no page of another site can look by resolving its own name to here.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: String,
-    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
-    /// recording: its own pace]
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
     #[arg(long, value_name = "HZ")]
-    rate: Option<tokio_scip::Rate>,
+    rate: Option<Rate>,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
+    playback: PlaybackArgs,
+    #[command(flatten)]
     link: LinkArgs,
+}
+
+fn help() -> String {
+    let recording = if recording::AVAILABLE { "FILE.mcap, " } else { "" };
+    format!(
+        "Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, {recording}or \
+         emulated (see `urg help`); for several sensors in one picture NAME=PORT@X,Y,YAW, one \
+         after the other"
+    )
 }
 
 const HELP: &str = "\
@@ -51,10 +72,18 @@ Addresses:
   /state   the sensor and the state of its stream, one JSON object
   /health  200 while scans flow, else 503 with the reason
   /metrics the figures of both for Prometheus
+  /playback of a recording: POST /playback?pause, ?play, ?step=1, ?seek=12.5,
+           ?speed=2, ?loop=true
+
+Several sensors are named, and placed in one frame: front=PORT@0.2,0,180 is 0.2 m
+ahead of the origin and looks back (X ahead and Y to the left in metres, YAW
+counter-clockwise in degrees). Each line of /scans then names its sensor, and the
+trouble of one is that of no other.
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/
   urg serve serial:H0713090 --wait --listen 0.0.0.0:8080
+  urg serve front=/dev/ttyACM0@0.2,0,0 rear=serial:H0713091@-0.2,0,180
   curl -s http://127.0.0.1:8080/scans?max=1 | jq .ranges[341]";
 
 impl Serve {
@@ -67,14 +96,16 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let (port, rate) = self.port.polled_at(self.rate).await?;
-        let window = self.window.window(port.default_window())?;
+        let polled = self.ports().await?;
         let address = default_to_loopback(&self.listen);
         let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
         let listener = listen(&address).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
-        let hub = Hub::new(port, window, rate);
+        let sources: Arc<[Source]> = tokio::select! {
+            sources = self.sources(polled) => sources?.into(),
+            _ = interrupt.requested() => return Ok(()),
+        };
         let loopback = bound.ip().to_canonical().is_loopback();
         let announce = || {
             notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
@@ -82,18 +113,98 @@ impl Serve {
                 notice("anybody who can reach this address can look: there is no password");
             }
         };
-        if self.link.wait {
-            announce();
-        } else {
-            tokio::select! {
-                opened = hub.open(&self.link) => opened?,
+        let mut going = Going { sources: sources.len() };
+        let mut hubs: Vec<_> = sources.iter().filter_map(Source::hub).map(Arc::clone).collect();
+        if !self.link.wait {
+            let opening = join_all(hubs.iter().map(|hub| hub.open(&self.link)));
+            let opened = tokio::select! {
+                opened = opening => opened,
                 _ = interrupt.requested() => return Ok(()),
+            };
+            let mut found = Vec::new();
+            for (hub, outcome) in hubs.into_iter().zip(opened) {
+                match outcome {
+                    Ok(()) => found.push(hub),
+                    failed => going.ended(failed)?,
+                }
             }
-            announce();
+            hubs = found;
         }
+        announce();
         tokio::select! {
-            outcome = hub.run(&self.link) => outcome,
-            () = web::serve(listener, &hub, loopback, interrupt) => Ok(()),
+            outcome = going.follow(&hubs, &self.link) => outcome,
+            () = web::serve(listener, sources, loopback, interrupt) => Ok(()),
+        }
+    }
+
+    /// Returns the ports, each with its rate.
+    async fn ports(&self) -> Result<Vec<(PortName, Rate)>, Failure> {
+        if self.sensors.is_empty() {
+            return Err(missing::failure().await);
+        }
+        let names: Vec<_> = self.sensors.iter().map(|sensor| &sensor.named.name).collect();
+        let unique: BTreeSet<_> = names.iter().copied().flatten().collect();
+        if names.len() > 1 && unique.len() < names.len() {
+            let text = "several sensors need a name each, such as \
+                        `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        let mut polled = Vec::new();
+        for sensor in &self.sensors {
+            let port = PortArg { name: Some(sensor.named.port.clone()) };
+            polled.push(port.polled_at(self.rate).await?);
+        }
+        let ports = polled.iter_mut().map(|(port, _)| port);
+        self.playback.apply(ports, self.rate.is_some())?;
+        Ok(polled)
+    }
+
+    async fn sources(&self, polled: Vec<(PortName, Rate)>) -> Result<Vec<Source>, Failure> {
+        let mut sources = Vec::new();
+        for (PlacedPort { named, pose }, (port, rate)) in self.sensors.iter().zip(polled) {
+            let (name, pose) = (named.name.as_deref(), *pose);
+            let window = self.window.window(port.default_window())?;
+            sources.push(match port.recorded() {
+                Some(recorded) => {
+                    let settings = self.playback;
+                    Source::of_recording(name, pose, &port, recorded, window, settings).await?
+                }
+                None => Source::of_sensor(name, pose, Hub::new(port, window, rate)),
+            });
+        }
+        Ok(sources)
+    }
+}
+
+/// The number of sources that have not ended. The playback of a recording never does.
+struct Going {
+    sources: usize,
+}
+
+impl Going {
+    /// Follows the sensors until no source is left.
+    async fn follow(&mut self, hubs: &[Arc<Hub>], link: &LinkArgs) -> Result<(), Failure> {
+        let runs = hubs.iter().map(|hub| hub.run(link));
+        let mut runs: FuturesUnordered<_> = runs.collect();
+        while let Some(outcome) = runs.next().await {
+            self.ended(outcome)?;
+        }
+        match self.sources {
+            0 => Ok(()),
+            _ => std::future::pending().await,
+        }
+    }
+
+    /// Takes note of a sensor that has ended. Its failure is reported while others go
+    /// on; that of the last one is the program's.
+    fn ended(&mut self, outcome: Result<(), Failure>) -> Result<(), Failure> {
+        self.sources = self.sources.saturating_sub(1);
+        match outcome {
+            Err(failure) if self.sources > 0 => {
+                notice(format_args!("{}; the others go on", failure.line()));
+                Ok(())
+            }
+            outcome => outcome,
         }
     }
 }

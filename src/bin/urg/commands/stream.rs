@@ -16,6 +16,7 @@ use crate::output::notice::notice;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
 use crate::port::open::open;
+use crate::recording::span::RangeArgs;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
 use crate::stream::rate_watch::RateWatch;
@@ -39,6 +40,8 @@ pub(crate) struct Stream {
     format: Option<StreamFormat>,
     #[command(flatten)]
     pace: PaceArgs,
+    #[command(flatten)]
+    range: RangeArgs,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -105,7 +108,8 @@ impl Stream {
     }
 
     async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let (port, rate) = self.port.polled_at(self.pace.rate).await?;
+        let (mut port, rate) = self.port.polled_at(self.pace.rate).await?;
+        port.restrict(self.range.range)?;
         let window = self.window.window(port.default_window())?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
@@ -148,7 +152,7 @@ impl StreamRun {
         self.reporter.report(update);
         match (self.format.columns(), update) {
             (None, update) if self.format == StreamFormat::Ndjson => {
-                self.output.write(&update.line()?).await?;
+                self.output.write(&update.line(None)?).await?;
             }
             (Some(columns), Update::Scan(scan)) => {
                 self.output.write(&csv::rows(scan, columns)).await?;

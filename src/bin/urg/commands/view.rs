@@ -6,6 +6,7 @@ use crate::args::{LinkArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
+use crate::playback::PlaybackArgs;
 use crate::port::name::PortArg;
 use crate::port::open::open;
 use crate::recording;
@@ -14,26 +15,27 @@ use crate::view::{Screen, Viewer};
 
 /// Show a live radar in the terminal
 ///
-/// Continues by itself when an unplugged sensor comes back; a recording runs to
-/// its end. `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
+/// Continues by itself when an unplugged sensor comes back. A recording can be
+/// paused, stepped and searched, and stays on its last scan. `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = examples())]
 pub(crate) struct View {
     #[command(flatten)]
     port: PortArg,
-    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
-    /// recording: its own pace]
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
     #[arg(long, value_name = "HZ")]
     rate: Option<Rate>,
     #[command(flatten)]
     window: WindowArgs,
+    #[command(flatten)]
+    playback: PlaybackArgs,
     #[command(flatten)]
     link: LinkArgs,
 }
 
 fn examples() -> String {
     let recording = match recording::AVAILABLE {
-        true => "\n  urg view run.mcap                     a recording",
+        true => "\n  urg view run.mcap --range 1:30..2:00 --loop   a part of a recording",
         false => "",
     };
     format!(
@@ -47,12 +49,16 @@ Examples:
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let (port, rate) = self.port.polled_at(self.rate).await?;
+        let (mut port, rate) = self.port.polled_at(self.rate).await?;
+        self.playback.apply([&mut port].into_iter(), self.rate.is_some())?;
         let window = self.window.window(port.default_window())?;
         Screen::require_terminal()?;
         let opening = async {
+            if let Some(recorded) = port.recorded() {
+                return Viewer::of_recording(&port, recorded, window, self.playback).await;
+            }
             let sensor = open(&port, &self.link, Delivery::Newest).await?;
-            Viewer::new(&port, sensor, window, rate).await
+            Viewer::of_sensor(&port, sensor, window, rate).await
         };
         // An error is reported before the terminal is taken over.
         let mut viewer = tokio::select! {

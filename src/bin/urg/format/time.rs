@@ -1,4 +1,5 @@
-//! Points in time as text, in UTC: the same for every reader, wherever they are.
+//! Times as text. Points in time are in UTC: the same for every reader, wherever
+//! they are.
 
 use std::time::SystemTime;
 
@@ -12,6 +13,16 @@ pub(crate) fn utc(time: SystemTime) -> String {
 /// Returns `2026-01-31T235959Z`, which any file system takes as part of a name.
 pub(crate) fn file_name(time: SystemTime) -> String {
     timestamp(time).strftime("%Y-%m-%dT%H%M%SZ").to_string()
+}
+
+/// Returns `1:02:03`, or `2:03` below an hour.
+pub(crate) fn clock(seconds: f64) -> String {
+    let seconds = seconds as u64;
+    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
+    match hours {
+        0 => format!("{minutes}:{seconds:02}"),
+        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
+    }
 }
 
 /// Converts `time`; 1970 if the system's clock is at a year that no calendar has.

@@ -9,6 +9,7 @@ use tokio_scip::{Endpoint, Error, Rate, Window};
 
 use super::missing;
 use crate::failure::Failure;
+use crate::recording::span::TimeSpan;
 use crate::recording::{self, recorded::Recorded};
 
 /// The rate of polls by default: one for each revolution of the motor.
@@ -81,6 +82,20 @@ impl PortName {
         match self {
             Self::Recording(recorded) => Some(recorded),
             Self::Endpoint(_) | Self::Emulated => None,
+        }
+    }
+
+    /// Restricts a recording to a part of it. Fails for a sensor.
+    pub(crate) fn restrict(&mut self, range: Option<TimeSpan>) -> Result<(), Failure> {
+        let Some(range) = range else { return Ok(()) };
+        match self {
+            Self::Recording(recorded) => {
+                recorded.restrict(range);
+                Ok(())
+            }
+            Self::Endpoint(_) | Self::Emulated => Err(Failure::Usage(format!(
+                "--range is for a recording, FILE.mcap: {self} is a sensor, and --duration ends it"
+            ))),
         }
     }
 

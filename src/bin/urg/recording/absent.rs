@@ -1,11 +1,14 @@
 //! The recordings of a build without the feature `mcap`: there are none. Its
-//! `Recorded` has the methods of the real one, and no value.
+//! `Recorded` and `Reel` have the methods of the real ones, and no value.
 
 use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
 
 use serde_json::Value;
-use tokio_scip::{Rate, Sensor, SensorBuilder, Window};
+use tokio_scip::{Rate, Scan, Sensor, SensorBuilder, Version, Window};
 
+use super::span::TimeSpan;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 
@@ -25,6 +28,10 @@ impl Recorded {
         match *self {}
     }
 
+    pub(crate) fn restrict(&mut self, _: TimeSpan) {
+        match *self {}
+    }
+
     pub(crate) fn window(&self) -> Option<Window> {
         match *self {}
     }
@@ -41,7 +48,29 @@ impl Recorded {
         match *self {}
     }
 
+    pub(crate) async fn version(&self) -> Result<Version, Failure> {
+        match *self {}
+    }
+
     pub(crate) fn record_taken(&self) {
+        match *self {}
+    }
+}
+
+/// The scans of a recording, of which none can exist.
+#[derive(Debug)]
+pub(crate) enum Reel {}
+
+impl Reel {
+    pub(crate) fn open(recorded: Recorded) -> Result<Self, Failure> {
+        match recorded {}
+    }
+
+    pub(crate) fn times(&self) -> Arc<[Duration]> {
+        match *self {}
+    }
+
+    pub(crate) fn scan(&mut self, _: usize) -> Result<Scan, Failure> {
         match *self {}
     }
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, SystemTime};
 use serde_json::{Value, json};
 use tokio_scip::recording::{Recording, RecordingError};
 
-use crate::format::time;
+use crate::format::time::{self, clock};
 
 /// A property of a recording: its name, and its value as data and as text.
 pub(crate) type Row = (&'static str, Value, String);
@@ -109,16 +109,6 @@ fn listed(gaps: &[Gap]) -> String {
         text = format!("{}, the first of them {text}", gaps.len());
     }
     text
-}
-
-/// Returns `1:02:03`, or `2:03` below an hour.
-pub(crate) fn clock(seconds: f64) -> String {
-    let seconds = seconds as u64;
-    let (hours, minutes, seconds) = (seconds / 3600, seconds / 60 % 60, seconds % 60);
-    match hours {
-        0 => format!("{minutes}:{seconds:02}"),
-        _ => format!("{hours}:{minutes:02}:{seconds:02}"),
-    }
 }
 
 #[cfg(test)]

@@ -13,10 +13,13 @@ pub(crate) mod progress;
 #[cfg(feature = "mcap")]
 pub(crate) mod recorded;
 #[cfg(feature = "mcap")]
+pub(crate) mod reel;
+pub(crate) mod span;
+#[cfg(feature = "mcap")]
 pub(crate) mod split;
 
 #[cfg(not(feature = "mcap"))]
-pub(crate) use self::absent as recorded;
+pub(crate) use self::{absent as recorded, absent as reel};
 
 /// Set if this build reads and writes recordings.
 pub(crate) const AVAILABLE: bool = cfg!(feature = "mcap");

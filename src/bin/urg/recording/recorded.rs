@@ -8,10 +8,11 @@ use std::sync::Arc;
 use std::task::Poll;
 
 use tokio::sync::watch;
-use tokio_scip::recording::{Recording, ReplayPace};
-use tokio_scip::{Driver, Rate, Sensor, SensorBuilder, Window};
+use tokio_scip::recording::{Recording, RecordingError, ReplayPace};
+use tokio_scip::{Driver, Rate, Sensor, SensorBuilder, Version, Window};
 
 use super::contents::{self, Row};
+use super::span::TimeSpan;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 
@@ -25,6 +26,8 @@ pub(crate) struct Recorded {
     window: Option<Window>,
     rate: Option<Rate>,
     pace: ReplayPace,
+    /// The part that is read; all of it without one.
+    range: Option<TimeSpan>,
     /// The number of scans that were taken from feeds.
     taken: Arc<watch::Sender<u64>>,
 }
@@ -38,6 +41,7 @@ impl Recorded {
             window: None,
             rate: None,
             pace: ReplayPace::Recorded,
+            range: None,
             taken: Arc::default(),
         }))
     }
@@ -52,6 +56,11 @@ impl Recorded {
         let recording = self.open()?;
         (self.window, self.rate) = (recording.window(), recording.rate());
         Ok(())
+    }
+
+    /// Restricts it to a part.
+    pub(crate) fn restrict(&mut self, range: TimeSpan) {
+        self.range = Some(range);
     }
 
     /// Returns the recorded window, if the file has it.
@@ -89,7 +98,7 @@ impl Recorded {
         builder: SensorBuilder,
         delivery: Delivery,
     ) -> Result<Sensor, Failure> {
-        let emulator = self.open()?.replay(self.pace).map_err(|error| self.failure(&error))?;
+        let emulator = self.open()?.replay(self.pace).map_err(|error| self.no_scans(&error))?;
         let (sensor, driver) = builder.build(emulator);
         match delivery {
             Delivery::All => {
@@ -102,16 +111,36 @@ impl Recorded {
         Ok(sensor)
     }
 
+    /// Returns the recorded sensor's version.
+    pub(crate) async fn version(&self) -> Result<Version, Failure> {
+        let sensor = self.start(Sensor::builder(), Delivery::Newest)?;
+        sensor.version().await.map_err(|error| self.failure(&error))
+    }
+
     /// Counts a scan that was taken from a feed.
     pub(crate) fn record_taken(&self) {
         self.taken.send_modify(|taken| *taken += 1);
     }
 
-    fn open(&self) -> Result<Recording, Failure> {
-        Recording::open(&self.path).map_err(|error| self.failure(&error))
+    pub(super) fn open(&self) -> Result<Recording, Failure> {
+        let recording = Recording::open(&self.path).map_err(|error| self.failure(&error))?;
+        Ok(match self.range {
+            Some(range) => recording.range(range.bounds()),
+            None => recording,
+        })
     }
 
-    fn failure(&self, error: &dyn std::error::Error) -> Failure {
+    /// Describes an error of reading the first scan: the part may have none.
+    pub(super) fn no_scans(&self, error: &RecordingError) -> Failure {
+        match (self.range, error) {
+            (Some(range), RecordingError::NoReplies) => Failure::Failed(format!(
+                "{self}: no scan in --range {range}: `urg info {self}` shows how long it is"
+            )),
+            _ => self.failure(error),
+        }
+    }
+
+    pub(super) fn failure(&self, error: &dyn std::error::Error) -> Failure {
         Failure::at(&self.to_string(), error)
     }
 }

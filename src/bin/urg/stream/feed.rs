@@ -20,6 +20,18 @@ pub(crate) enum Update {
     Missed(u64),
 }
 
+/// A line of NDJSON, with the name of its sensor if there is one.
+#[derive(Debug, Serialize)]
+pub(crate) struct NamedLine<'a, T> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) sensor: Option<&'a str>,
+    /// Seconds since the first scan of a recording that is played.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) position: Option<f64>,
+    #[serde(flatten)]
+    pub(crate) data: T,
+}
+
 /// The form of an event in NDJSON.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
@@ -31,17 +43,20 @@ enum EventLine {
 }
 
 impl Update {
-    /// Returns a line of NDJSON.
-    pub(crate) fn line(&self) -> Result<String, Failure> {
-        json::line(&match self {
-            Self::Scan(scan) => return json::line(scan),
+    /// Returns a line of NDJSON. It names the sensor if that has a name.
+    pub(crate) fn line(&self, sensor: Option<&str>) -> Result<String, Failure> {
+        let event = match self {
+            Self::Scan(scan) => {
+                return json::line(&NamedLine { sensor, position: None, data: scan });
+            }
             Self::Error(error @ Error::Disconnected { .. }) => {
                 EventLine::Disconnected { error: chain(error) }
             }
             Self::Error(error) => EventLine::Error { error: chain(error) },
             Self::Reconnected => EventLine::Reconnected,
             Self::Missed(scans) => EventLine::Missed { scans: *scans },
-        })
+        };
+        json::line(&NamedLine { sensor, position: None, data: event })
     }
 }
 

@@ -3,6 +3,7 @@
 
 pub(crate) mod feed;
 pub(crate) mod follow;
+pub(crate) mod jitter;
 pub(crate) mod link;
 pub(crate) mod rate_watch;
 pub(crate) mod reporter;

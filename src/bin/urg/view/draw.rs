@@ -47,9 +47,9 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
         radar::draw(frame, body, model, palette);
     }
     message(frame, news, model, palette);
-    frame.render_widget(help::key_line(keys.width), keys);
+    frame.render_widget(help::key_line(keys.width, model.playback.is_some()), keys);
     if let Some(scroll) = model.help {
-        draw_help(frame, body, scroll);
+        draw_help(frame, body, scroll, &help::text(model.playback.is_some()));
     }
 }
 
@@ -59,10 +59,14 @@ fn title_line(model: &Model) -> String {
 
 /// Draws the most urgent message; a long one covers a part of the plot.
 fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
-    let (text, style) = if let Some(trouble) = panel::trouble(&model.state) {
+    let trouble = panel::trouble(&model.state).filter(|_| model.playback.is_none());
+    let (text, style) = if let Some(trouble) = trouble {
         (trouble, palette.bad().add_modifier(Modifier::BOLD))
     } else if let Some(message) = model.message() {
         (message.to_owned(), palette.poor())
+    } else if let Some(status) = model.playback {
+        frame.render_widget(Line::raw(panel::progress(status, area.width)), area);
+        return;
     } else if !model.laser {
         ("the laser is off: no scans until l switches it on".to_owned(), palette.poor())
     } else if area.width < WITH_PANEL {
@@ -97,10 +101,10 @@ fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
     lines.into_iter().map(|line| Line::raw(format!(" {line}"))).collect()
 }
 
-fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16) {
+fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
     let block = Block::bordered().title(help::TITLE).border_style(Palette::quiet());
-    let rows = help::TEXT.lines().count() as u16;
-    let columns = help::TEXT.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0);
+    let rows = text.lines().count() as u16;
+    let columns = text.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0);
     let height = (rows + 2).min(area.height);
     let width = (columns as u16 + 4).min(area.width);
     let area = Rect {
@@ -111,5 +115,5 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16) {
     };
     let scroll = scroll.min((rows + 2).saturating_sub(height));
     frame.render_widget(Clear, area);
-    frame.render_widget(Paragraph::new(help::TEXT).scroll((scroll, 0)).block(block), area);
+    frame.render_widget(Paragraph::new(text).scroll((scroll, 0)).block(block), area);
 }

@@ -1,5 +1,5 @@
-//! The live radar: the loop over scans, keys and time, which draws a frame after
-//! each change.
+//! The radar: the loop over scans, keys and time, which draws a frame after each
+//! change. Scans come from a sensor or from the playback of a recording.
 
 mod draw;
 mod help;
@@ -9,6 +9,7 @@ mod panel;
 mod radar;
 mod save;
 mod screen;
+mod source;
 #[cfg(test)]
 mod tests;
 
@@ -17,6 +18,7 @@ use tokio::time::Instant;
 
 use crossterm::event::{Event, EventStream};
 use futures::StreamExt;
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
@@ -25,8 +27,11 @@ pub(crate) use self::screen::Screen;
 
 use self::model::{Action, Model};
 use self::palette::Palette;
+use self::source::{Arrival, Live, Playback, Source};
 use crate::failure::{Failure, chain};
+use crate::playback::{PlaybackArgs, Shown};
 use crate::port::name::PortName;
+use crate::recording::recorded::Recorded;
 use crate::stream::follow::Ended;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::end;
@@ -36,14 +41,12 @@ const FRAME_INTERVAL: Duration = Duration::from_millis(50);
 /// The refresh interval of everything that is shown in seconds.
 const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A sensor and its radar.
+/// A source of scans and its radar.
 pub(crate) struct Viewer {
     port: PortName,
-    sensor: Sensor,
-    scans: ScanStream,
+    source: Source,
     /// The requests of keys that are not done yet.
     jobs: JoinSet<Outcome>,
-    pace: RateWatch,
     model: Model,
     palette: Palette,
 }
@@ -58,7 +61,7 @@ enum Outcome {
 
 impl Viewer {
     /// Begins to poll.
-    pub(crate) async fn new(
+    pub(crate) async fn of_sensor(
         port: &PortName,
         sensor: Sensor,
         window: Window,
@@ -66,22 +69,38 @@ impl Viewer {
     ) -> Result<Self, Failure> {
         let failed = |error| Failure::at(&port.to_string(), &error);
         let version = sensor.version().await.map_err(failed)?;
-        let scans = sensor.scans(window, rate).await.map_err(failed)?;
-        Ok(Self {
-            pace: RateWatch::new(port, window, rate),
-            model: Model::new(port.to_string(), version, window, rate),
+        let live = Live::start(port, sensor, window, rate).await?;
+        let model = Model::new(port.to_string(), version, window, rate);
+        Ok(Self::new(port, Source::Sensor(Box::new(live)), model))
+    }
+
+    /// Begins to play.
+    pub(crate) async fn of_recording(
+        port: &PortName,
+        recorded: &Recorded,
+        window: Window,
+        settings: PlaybackArgs,
+    ) -> Result<Self, Failure> {
+        let (playback, version) = Playback::start(recorded, settings).await?;
+        let mut model = Model::new(port.to_string(), version, window, Rate::MAX);
+        model.playback = Some(playback.player.status());
+        Ok(Self::new(port, Source::Playback(playback), model))
+    }
+
+    fn new(port: &PortName, source: Source, model: Model) -> Self {
+        Self {
             port: port.clone(),
-            sensor,
-            scans,
+            source,
             jobs: JoinSet::new(),
+            model,
             palette: Palette::of(|name| std::env::var_os(name)),
-        })
+        }
     }
 
     /// Shows it until the user has seen enough, or the sensor is lost for good.
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<Ended, Failure> {
         let mut keys = EventStream::new();
-        let mut state = self.sensor.state();
+        let mut state = self.sensor().map(Sensor::state);
         let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
@@ -110,17 +129,18 @@ impl Viewer {
                     Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
                     None => return Ok(Ended::Interrupted),
                 },
-                item = self.scans.next() => match item {
-                    Some(Ok(scan)) => self.scanned(scan),
-                    Some(Err(error)) => self.trouble(&error),
-                    None => return Ok(Ended::ByItself),
+                arrival = self.source.next() => match arrival {
+                    Arrival::Scan(scan) => self.scanned(scan),
+                    Arrival::Trouble(error) => self.trouble(&error),
+                    Arrival::Moved(scan, status) => self.model.moved(&scan, status),
+                    Arrival::End => return Ok(Ended::ByItself),
                 },
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
                         self.done(done);
                     }
                 }
-                _ = state.changed() => {}
+                () = changed_state(state.as_mut()) => {}
                 _ = tick.tick() => {}
             }
             changed = true;
@@ -130,7 +150,10 @@ impl Viewer {
     /// Maps the end of the stream to that of the program. It writes a notice, so
     /// the terminal must be restored before.
     pub(crate) fn end(&self) -> Result<(), Failure> {
-        end(&self.port, &self.sensor)
+        match self.sensor() {
+            Some(sensor) => end(&self.port, sensor),
+            None => Ok(()),
+        }
     }
 
     /// Waits a limited time for the last requests, so that no picture is cut off.
@@ -142,15 +165,26 @@ impl Viewer {
     /// Updates the model with the current state and figures.
     fn refresh(&mut self) {
         self.model.now = Instant::now();
-        self.model.state = self.sensor.state().borrow().clone();
-        self.model.stats = self.sensor.stats();
+        if let Some(sensor) = self.sensor() {
+            let (state, stats) = (sensor.state().borrow().clone(), sensor.stats());
+            (self.model.state, self.model.stats) = (state, stats);
+        }
+    }
+
+    fn sensor(&self) -> Option<&Sensor> {
+        match &self.source {
+            Source::Sensor(live) => Some(&live.sensor),
+            Source::Playback(_) => None,
+        }
     }
 
     fn scanned(&mut self, scan: Scan) {
+        let Source::Sensor(live) = &mut self.source else { return };
+        let Live { sensor, pace, .. } = &mut **live;
         if !matches!(self.model.state, State::Connected { .. }) {
-            self.pace.restart();
+            pace.restart();
         }
-        let notice = self.pace.scanned(&scan, &self.sensor);
+        let notice = pace.scanned(&scan, sensor);
         self.model.scanned(scan);
         if let Some(text) = notice {
             self.show(text);
@@ -171,47 +205,50 @@ impl Viewer {
 
     /// Starts what a key requests.
     fn act(&mut self, action: Option<Action>) {
-        let sensor = self.sensor.clone();
-        match action {
-            Some(Action::Watch(window)) => {
-                let rate = self.model.rate;
+        match (action, &self.source) {
+            (Some(Action::Watch(window)), Source::Sensor(live)) => {
+                let (sensor, rate) = (live.sensor.clone(), self.model.rate);
                 self.jobs.spawn(async move {
                     Outcome::Watching(window, sensor.scans(window, rate).await)
                 });
             }
-            Some(Action::Laser(on)) => {
+            (Some(Action::Watch(_)), Source::Playback(playback)) => {
+                let Shown { scan, status } = playback.player.shown().borrow().clone();
+                self.model.moved(&scan, status);
+            }
+            (Some(Action::Laser(on)), Source::Sensor(live)) => {
+                let sensor = live.sensor.clone();
                 self.jobs.spawn(async move {
                     let switched =
                         if on { sensor.laser_on().await } else { sensor.laser_off().await };
                     Outcome::Laser(on, switched)
                 });
             }
-            Some(Action::Save) => match self.model.scan.clone() {
+            (Some(Action::Laser(_)), Source::Playback(_)) => {
+                self.show("a recording has no laser to switch");
+            }
+            (Some(Action::Playback(command)), Source::Playback(playback)) => {
+                playback.player.send(command);
+            }
+            (Some(Action::Save), _) => match self.model.scan.clone() {
                 Some(scan) => {
                     let version = self.model.version.clone();
                     self.jobs.spawn_blocking(move || Outcome::Saved(save::save(&scan, &version)));
                 }
                 None => self.show("no scan to save yet"),
             },
-            Some(Action::Quit) | None => {}
+            (Some(Action::Playback(_)), Source::Sensor(_)) | (Some(Action::Quit) | None, _) => {}
         }
     }
 
     fn done(&mut self, done: Outcome) {
         match done {
-            // The window may have been changed again meanwhile.
-            Outcome::Watching(window, Ok(scans)) if window == self.model.window => {
-                self.scans = scans;
-                self.pace = RateWatch::new(&self.port, window, self.model.rate);
-            }
-            Outcome::Watching(window, Err(error)) if window == self.model.window => {
-                self.model.window = self.scans.window();
-                self.show(format!("the window stays as it was: {}", chain(&error)));
-            }
-            Outcome::Watching(..) => {}
+            Outcome::Watching(window, outcome) => self.watching(window, outcome),
             Outcome::Laser(on, Ok(())) => {
                 self.model.laser = on;
-                self.pace.restart();
+                if let Source::Sensor(live) = &mut self.source {
+                    live.pace.restart();
+                }
                 self.show(if on {
                     "the laser is on"
                 } else {
@@ -224,5 +261,36 @@ impl Viewer {
             Outcome::Saved(Ok(path)) => self.show(format!("saved as {path}")),
             Outcome::Saved(Err(error)) => self.show(error),
         }
+    }
+
+    /// Takes the scans of another window.
+    fn watching(&mut self, window: Window, outcome: Result<ScanStream, Error>) {
+        let Source::Sensor(live) = &mut self.source else { return };
+        // The window may have been changed again meanwhile.
+        if window != self.model.window {
+            return;
+        }
+        match outcome {
+            Ok(scans) => {
+                live.scans = scans;
+                live.pace = RateWatch::new(&self.port, window, self.model.rate);
+            }
+            Err(error) => {
+                self.model.window = live.scans.window();
+                self.show(format!("the window stays as it was: {}", chain(&error)));
+            }
+        }
+    }
+}
+
+/// Waits for a change of the sensor's state, if there is a sensor. Cancel-safe.
+async fn changed_state(state: Option<&mut watch::Receiver<State>>) {
+    let is_changed = match state {
+        Some(state) => state.changed().await.is_ok(),
+        None => false,
+    };
+    // A driver that has ended changes no more.
+    if !is_changed {
+        std::future::pending().await
     }
 }

@@ -8,6 +8,7 @@ use tokio::time::Instant;
 use crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use tokio_scip::{Rate, Scan, ScheduleStats, State, Stats, Version, Window};
 
+use crate::playback::{PlaybackCommand, PlaybackStatus, seen_through};
 use crate::plot::REACH;
 
 /// The range of the radar at each zoom, in metres.
@@ -20,8 +21,10 @@ const ARROW_STEPS: i32 = 43;
 const MIN_STEPS: i32 = 86;
 /// The trail has no more scans than this.
 const MAX_TRAIL_SCANS: usize = 10;
+/// A trail of a playback has no gap of more scans than this.
+const MAX_JUMP: u64 = 100;
 /// The help does not scroll farther than its last lines on the smallest screen.
-const MAX_HELP_SCROLL: u16 = 12;
+const MAX_HELP_SCROLL: u16 = 16;
 /// A message is shown for this time.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
@@ -45,6 +48,8 @@ pub(crate) struct Model {
     pub(crate) laser: bool,
     pub(crate) state: State,
     pub(crate) stats: Stats,
+    /// The place in the recording; `None` for a sensor.
+    pub(crate) playback: Option<PlaybackStatus>,
     /// The current time, for everything that is shown in seconds.
     pub(crate) now: Instant,
     message: Option<(Instant, String)>,
@@ -57,6 +62,7 @@ pub(crate) enum Action {
     Quit,
     Watch(Window),
     Laser(bool),
+    Playback(PlaybackCommand),
     Save,
 }
 
@@ -76,6 +82,7 @@ impl Model {
             laser: true,
             state: State::Closed { error: None },
             stats: Stats::default(),
+            playback: None,
             now: Instant::now(),
             message: None,
             zoom: 0,
@@ -88,6 +95,12 @@ impl Model {
             return None;
         }
         let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        if let Some(command) = self.command(key.code, key.modifiers)
+            && self.help.is_none()
+            && !control
+        {
+            return Some(Action::Playback(command));
+        }
         match key.code {
             KeyCode::Char('c') if control => return Some(Action::Quit),
             KeyCode::Char(_) if control => {}
@@ -111,6 +124,26 @@ impl Model {
             _ => {}
         }
         None
+    }
+
+    /// Returns what a key asks of the playback, if there is one.
+    fn command(&self, key: KeyCode, modifiers: KeyModifiers) -> Option<PlaybackCommand> {
+        use PlaybackCommand::{Loop, Seek, SeekBy, Speed, Step, Toggle};
+        let status = self.playback?;
+        let far = if modifiers.contains(KeyModifiers::SHIFT) { 60.0 } else { 5.0 };
+        Some(match key {
+            KeyCode::Char(' ' | 'p') => Toggle,
+            KeyCode::Char('.' | '>') => Step(1),
+            KeyCode::Char(',' | '<') => Step(-1),
+            KeyCode::Right => SeekBy(far),
+            KeyCode::Left => SeekBy(-far),
+            KeyCode::Home => Seek(0.0),
+            KeyCode::End => Seek(status.length),
+            KeyCode::Char(']') => Speed(status.speed * 2.0),
+            KeyCode::Char('[') => Speed(status.speed / 2.0),
+            KeyCode::Char('o') => Loop(!status.is_looping),
+            _ => return None,
+        })
     }
 
     fn watch(&mut self, window: Window) -> Option<Action> {
@@ -137,6 +170,24 @@ impl Model {
         }
     }
 
+    /// Shows the place of the playback, and its scan through the current window.
+    pub(crate) fn moved(&mut self, scan: &Scan, status: PlaybackStatus) {
+        self.playback = Some(status);
+        let scan = seen_through(scan, self.window);
+        let before = self.scan.as_ref().map(|before| (before.sequence(), before.window()));
+        if before == Some((scan.sequence(), scan.window())) {
+            return;
+        }
+        // After a jump they would be no trail.
+        let near = scan.sequence().saturating_sub(MAX_JUMP)..scan.sequence();
+        let shown = self.trail.iter().chain(&self.scan);
+        if !shown.into_iter().all(|older| near.contains(&older.sequence())) {
+            self.trail.clear();
+            self.scan = None;
+        }
+        self.scanned(scan);
+    }
+
     /// Shows a message for some seconds.
     pub(crate) fn show(&mut self, text: impl Into<String>) {
         self.message = Some((self.now, text.into()));
@@ -158,9 +209,11 @@ impl Model {
         self.stats.schedules.iter().find(|schedule| schedule.window == self.window)
     }
 
-    /// Returns whether the picture shows the present.
+    /// Returns whether the picture shows what it is to show: the present, or a place
+    /// in a recording.
     pub(crate) fn is_live(&self) -> bool {
-        matches!(self.state, State::Connected { .. }) && self.laser && !self.paused
+        let is_connected = matches!(self.state, State::Connected { .. });
+        self.playback.is_some() || (is_connected && self.laser && !self.paused)
     }
 }
 

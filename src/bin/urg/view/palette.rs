@@ -69,9 +69,7 @@ impl Palette {
             (Self::Sixteen, MissingKind::Far) => Color::LightBlue,
             (Self::Sixteen, MissingKind::Weak) => Color::Yellow,
             (Self::Sixteen, MissingKind::Nothing) => Color::Gray,
-            (Self::Many, MissingKind::Far) => Color::Indexed(69),
-            (Self::Many, MissingKind::Weak) => Color::Indexed(178),
-            (Self::Many, MissingKind::Nothing) => Color::Indexed(245),
+            (Self::Many, kind) => Color::Indexed(kind.colours().indexed),
         }
     }
 

@@ -7,6 +7,8 @@ use tokio_scip::{Scan, State};
 use super::model::Model;
 use super::palette::{BAND, Palette};
 use super::radar::mark;
+use crate::format::time::{self, clock};
+use crate::playback::PlaybackStatus;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 use crate::stream::link;
@@ -15,7 +17,14 @@ use crate::stream::rate_watch::ENOUGH;
 /// Returns the whole panel, in at most `rows` lines if possible.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
     let panel = Panel { model, palette };
-    let mut lines = panel.link();
+    let mut lines = match model.playback {
+        Some(status) => panel.playback(status),
+        None => panel.link(),
+    };
+    lines.extend(panel.window());
+    if model.playback.is_none() {
+        lines.extend(panel.pace());
+    }
     lines.push(Line::default());
     lines.extend(panel.scan());
     lines.push(Line::default());
@@ -63,24 +72,46 @@ impl Panel<'_> {
         } else {
             self.styled("laser", "OFF", palette.poor())
         };
-        let window = model.window;
+        vec![self.styled("link", link, style), self.row("line", speed), laser]
+    }
+
+    /// Returns the place in the recording.
+    fn playback(&self, status: PlaybackStatus) -> Vec<Line<'static>> {
+        let (state, style) = match status {
+            _ if status.paused => ("paused", self.palette.poor()),
+            _ if status.ended => ("at its end", self.palette.poor()),
+            _ => ("playing", self.palette.good()),
+        };
+        let mut lines = vec![
+            self.styled("file", state, style),
+            self.row("time", format!("{} of {}", clock(status.position), clock(status.length))),
+            self.row("scan", format!("{} of {}", status.scan + 1, status.scans)),
+            self.row("speed", speed(status)),
+        ];
+        if let Some(scan) = &self.model.scan {
+            // In two lines: one is too long for the panel.
+            let stamp = time::utc(scan.stamp());
+            let (date, time) = stamp.split_once(' ').unwrap_or_default();
+            lines.push(self.row("stamp", date));
+            lines.push(self.row("", time));
+        }
+        lines
+    }
+
+    fn window(&self) -> Vec<Line<'static>> {
+        let window = self.model.window;
         let cluster = match window.cluster_count() {
             1 => String::new(),
             count => format!(" by {count}"),
         };
         let steps = format!("{} to {}{cluster}", window.start(), window.end());
         let angles = format!("{:.1}° to {:.1}°", window.start().degrees(), window.end().degrees());
-        vec![
-            self.styled("link", link, style),
-            self.row("line", speed),
-            laser,
-            self.row("steps", steps),
-            self.row("", angles),
-            self.rate(),
-            self.latency(),
-            self.row("scans", model.stats.scans.to_string()),
-            self.losses(),
-        ]
+        vec![self.row("steps", steps), self.row("", angles)]
+    }
+
+    fn pace(&self) -> Vec<Line<'static>> {
+        let scans = self.model.stats.scans.to_string();
+        vec![self.rate(), self.latency(), self.row("scans", scans), self.losses()]
     }
 
     fn rate(&self) -> Line<'static> {
@@ -172,6 +203,27 @@ impl Panel<'_> {
     }
 }
 
+fn speed(status: PlaybackStatus) -> String {
+    let again = if status.is_looping { ", looping" } else { "" };
+    format!("{}x{again}", (status.speed * 100.0).round() / 100.0)
+}
+
+/// Returns the place in a recording as a line of `width` columns, with a bar.
+pub(crate) fn progress(status: PlaybackStatus, width: u16) -> String {
+    let mark = if status.paused || status.ended { "❚❚" } else { "▶" };
+    let before = format!("{mark:<2} {} ", clock(status.position));
+    let after = format!(" {} {}", clock(status.length), speed(status));
+    let columns = before.chars().count() + after.chars().count() + 2;
+    let columns = usize::from(width).saturating_sub(columns);
+    let part = if status.length > 0.0 { status.position / status.length } else { 1.0 };
+    let done = ((part * columns as f64) as usize).min(columns.saturating_sub(1));
+    let bar = match columns {
+        0 => String::new(),
+        columns => format!("{}●{}", "━".repeat(done), "─".repeat(columns - 1 - done)),
+    };
+    format!(" {before}{bar}{after}")
+}
+
 /// Returns the most important figures, for a screen without a panel.
 pub(crate) fn brief(model: &Model) -> String {
     let points = match &model.scan {
@@ -200,8 +252,15 @@ pub(crate) fn who(model: &Model) -> String {
     format!("{}  {} {}", model.port, model.version.product, model.version.serial_number)
 }
 
-/// Returns a note for the title while the picture is paused.
+/// Returns a note for the title while the picture is paused or at its end.
 pub(crate) fn held(model: &Model) -> Option<String> {
+    if let Some(status) = model.playback {
+        return match status {
+            _ if status.paused => Some(format!(" PAUSED at {} ", clock(status.position))),
+            _ if status.ended => Some(" END ".to_owned()),
+            _ => None,
+        };
+    }
     let number = model.scan.as_ref().map(Scan::sequence)?;
     model.paused.then(|| format!(" PAUSED at scan {number} "))
 }

@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use super::hub::Hub;
+use super::source::Source;
 use super::viewers::Viewers;
 use crate::interrupt::Interrupt;
 
 /// The shared state.
 #[derive(Debug, Clone)]
 pub(super) struct App {
-    pub(super) hub: Arc<Hub>,
+    pub(super) sources: Arc<[Source]>,
     pub(super) viewers: Arc<Viewers>,
     pub(super) interrupt: Interrupt,
 }

@@ -32,8 +32,8 @@ pub(super) async fn guard(State(loopback): State<bool>, request: Request, next: 
     // A browser always names it.
     let stranger = host.is_some_and(|host| !host.to_str().is_ok_and(is_this_machine));
     let mut response = if loopback && stranger {
-        let text = "only this machine may ask, as localhost or 127.0.0.1: \
-                    `urg serve --listen ADDR` lets others in\n";
+        let text = "this page is for the machine that serves it: ask there for localhost or \
+                    127.0.0.1\n";
         (StatusCode::MISDIRECTED_REQUEST, text).into_response()
     } else {
         next.run(request).await

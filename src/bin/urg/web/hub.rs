@@ -1,7 +1,7 @@
-//! The one stream of scans that all viewers share, and its health.
+//! One sensor and the one stream of it that all viewers share, and its health.
 
 use std::fmt::Write;
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::watch;
@@ -15,6 +15,7 @@ use crate::port::name::PortName;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::Ended;
+use crate::stream::jitter::{Jitter, RecentTimes};
 use crate::stream::link::trouble;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
@@ -32,6 +33,8 @@ pub(crate) struct Hub {
     sensor: OnceLock<Sensor>,
     /// `None` until the sensor is found.
     live: watch::Sender<Option<Live>>,
+    /// The times of the latest scans.
+    times: Mutex<RecentTimes>,
 }
 
 /// The stream as of its latest update.
@@ -53,7 +56,8 @@ pub(super) struct Health {
 impl Hub {
     pub(crate) fn new(port: PortName, window: Window, rate: Rate) -> Arc<Self> {
         let (sensor, live) = (OnceLock::new(), watch::Sender::new(None));
-        Arc::new(Self { port, window, rate, sensor, live })
+        let times = Mutex::default();
+        Arc::new(Self { port, window, rate, sensor, live, times })
     }
 
     /// Finds the sensor and starts its stream, unless that is done.
@@ -73,7 +77,8 @@ impl Hub {
         Ok(())
     }
 
-    /// Follows the stream until it ends for good.
+    /// Opens the sensor unless that is done, and follows the stream until it ends
+    /// for good.
     pub(crate) async fn run(&self, link: &LinkArgs) -> Result<(), Failure> {
         self.open(link).await?;
         let Some(mut live) = self.live.borrow().clone() else { return Ok(()) };
@@ -81,8 +86,15 @@ impl Hub {
         let mut pace = RateWatch::new(&self.port, self.window, self.rate);
         while let Some(update) = live.feed.next().await {
             reporter.report(&update);
-            if let Update::Scan(scan) = &update {
-                pace.scanned(scan, &live.sensor).into_iter().for_each(notice);
+            match &update {
+                Update::Scan(scan) => {
+                    self.times().push(scan.received_at());
+                    if let Some(text) = pace.scanned(scan, &live.sensor) {
+                        notice(format_args!("{}: {text}", self.port));
+                    }
+                }
+                Update::Reconnected => self.times().clear(),
+                Update::Error(_) | Update::Missed(_) => {}
             }
             self.live.send_replace(Some(live.clone()));
         }
@@ -96,7 +108,17 @@ impl Hub {
         live.as_ref().map(|live| live.feed.clone())
     }
 
-    pub(super) fn port(&self) -> &PortName {
+    fn times(&self) -> MutexGuard<'_, RecentTimes> {
+        // Nothing panics while it is held.
+        self.times.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns how evenly scans came lately.
+    pub(super) fn jitter(&self) -> Option<Jitter> {
+        self.times().jitter()
+    }
+
+    pub(crate) fn port(&self) -> &PortName {
         &self.port
     }
 

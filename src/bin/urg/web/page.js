@@ -1,101 +1,91 @@
-// The page around the radar: where scans come from, how it goes, and what
-// keys, mouse and fingers do. Text from the sensor is set as text only.
+// The page around the radar: where scans come from, how it goes, and what keys,
+// mouse and fingers do.
 
-const by = (id) => document.getElementById(id);
 const radar = new Radar(by("radar"));
-
-function say(id, text) {
-  const element = by(id);
-  if (element.textContent !== text) element.textContent = text;
-}
+const deck = new Deck();
 
 // ---- how it goes -------------------------------------------------------
 
-let report = null; // the latest /state, or null while the server is away
-let scanned = 0; // when the latest scan came, or was first asked for, on this page's clock
-let refused = false; // whether the server has no place for another viewer
+let sensors = []; // in the server's order
+let answered = null; // when the server answered last, on this page's clock
+let away = false; // whether it does not answer now
+let refused = false; // whether it has no place for another viewer
 let paused = false;
-let newest = null; // the latest scan, also while the picture is paused
 
-// Whether scans should have come in here by now.
-const overdue = () => performance.now() - scanned > 3000 / (report?.asked ?? 1) + 3000;
-
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
-
-// One word for the pill, and what to say on the radar, if anything.
+// The pill of the whole page, and what the banner says.
 function condition() {
-  if (!report) return ["bad", "Server away", "The server does not answer. Trying again…"];
-  if (report.link === "waiting") return ["wait", "No sensor yet", `${sentence(report.why)}…`];
-  if (report.link === "recovering") return ["bad", "Sensor silent", "The sensor is silent. Looking for it…"];
-  if (report.why && report.link !== "connected") return ["bad", "Sensor away", `${sentence(report.why)}. Waiting for it…`];
-  if (report.why) return ["bad", "No scans", sentence(report.why)];
+  if (away) {
+    const since = answered ? ` since ${time(answered)}` : "";
+    return ["bad", "Server away", `The server does not answer${since}. Trying again…`];
+  }
+  if (!sensors.length) return ["wait", "Connecting", ""];
+  const states = sensors.map((sensor) => [sensor, ...sensor.condition()]);
+  const bad = states.filter(([, , , text]) => text);
+  const text = bad.map(([sensor, , , text]) => sensor.name === null ? text : `${sensor.name}: ${text}`).join("\n");
+  if (bad.length) {
+    const [, level, word] = bad[0];
+    return [level, sensors.length > 1 ? `${bad.length} of ${sensors.length} away` : word, text];
+  }
   if (refused) return ["wait", "No place", "Too many viewers are watching. Trying again…"];
-  if (overdue()) return ["wait", "No scans", "No scans come in here. Trying again…"];
-  return paused ? ["wait", "Paused", ""] : ["good", "Live", ""];
+  if (paused) return ["wait", "Paused", ""];
+  const [, level, word] = states[0];
+  return [level, word, ""];
 }
 
 function show() {
   const [level, word, text] = condition();
-  say("status", word);
+  say(by("status"), word);
   by("status").dataset.level = level;
-  say("banner", text);
+  say(by("banner"), text);
   by("banner").hidden = !text;
-  const stale = Boolean(text);
-  if (radar.stale !== stale) { radar.stale = stale; radar.ask(); }
-}
-
-// A number with what it is measured against, small.
-function figure(id, number, rest) {
-  const small = document.createElement("small");
-  small.textContent = ` ${rest}`;
-  by(id).replaceChildren(number, small);
-}
-
-function rows(list) {
-  by("details").replaceChildren(...list.filter(([, value]) => value !== null && value !== undefined).flatMap(([name, value]) => {
-    const [dt, dd] = [document.createElement("dt"), document.createElement("dd")];
-    dt.textContent = name; dd.textContent = value;
-    return [dt, dd];
-  }));
-}
-
-function tell() {
-  const { stats, sensor, latency } = report;
-  if (sensor) {
-    say("product", sensor.product);
-    document.title = `${sensor.product} – urg`;
+  for (const sensor of sensors) {
+    const [level, word, trouble] = sensor.condition();
+    const state = sensor.of("state");
+    say(state, away ? "" : word);
+    state.dataset.level = level;
+    sensor.aged(away || Boolean(trouble));
   }
-  say("identity", [sensor?.serial_number, report.port, report.baud_rate ? `${report.baud_rate} baud` : null].filter(Boolean).join(" · "));
-  figure("rate", report.reached && !report.why ? report.reached.toFixed(1) : "–", report.asked ? `of ${Number(report.asked.toFixed(2))} Hz` : "Hz, as fast as it goes");
-  if (latency) figure("latency", (latency.last * 1000).toFixed(0), "ms");
-  const damaged = Object.values(stats.malformed).reduce((sum, count) => sum + count, 0);
-  const lost = damaged + stats.timeouts + stats.refused;
-  figure("lost", String(lost), lost === 1 ? "reply" : "replies");
-  rows([
-    ["Link", report.link],
-    ["Line", report.baud_rate ? `${report.baud_rate} baud` : report.link === "connected" ? "no baud rate (USB)" : null],
-    ["Window", `steps ${report.window.start} to ${report.window.end}` + (report.window.cluster > 1 ? `, by ${report.window.cluster}` : "")],
-    ["Scans", stats.scans],
-    ["Not answered", stats.timeouts],
-    ["Damaged", damaged],
-    ["Refused", stats.refused],
-    ["Polls skipped", stats.polls_skipped],
-    ["Link lost", `${stats.disconnects}×`],
-    ["Latency, mean", latency ? `${(latency.mean * 1000).toFixed(0)} ms` : null],
-    ["Latency, longest", latency ? `${(latency.max * 1000).toFixed(0)} ms` : null],
-    ["Viewers", report.viewers],
-    ["Vendor", sensor?.vendor], ["Firmware", sensor?.firmware], ["Protocol", sensor?.protocol], ["Status", sensor?.status],
-    ["urg", report.urg],
-  ]);
+  radar.ask();
+}
+
+// Takes a report of the server.
+function take(report) {
+  const names = (list) => JSON.stringify(list.map(({ name }) => name));
+  if (names(sensors) !== names(report.sensors)) {
+    const several = report.sensors.length > 1;
+    sensors = report.sensors.map((report, number) => new Sensor(report, number, several));
+    by("cards").replaceChildren(...sensors.map((sensor) => sensor.card));
+    document.body.classList.toggle("several", several);
+    radar.layers = sensors;
+  }
+  sensors.forEach((sensor, number) => {
+    sensor.report = report.sensors[number];
+    sensor.window = sensor.report.window;
+    sensor.tell();
+  });
+  const [first] = report.sensors;
+  if (sensors.length > 1) {
+    say(by("product"), sensors.map(({ name }) => name).join(", "));
+    document.title = `${sensors.length} sensors – urg`;
+  } else if (first.sensor) {
+    say(by("product"), first.sensor.product);
+    document.title = `${first.sensor.product} – urg`;
+  }
+  const viewers = `${report.viewers} ${report.viewers === 1 ? "viewer" : "viewers"}`;
+  const one = [first.sensor?.serial_number, first.port, first.baud_rate ? `${first.baud_rate} baud` : null];
+  say(by("identity"), (sensors.length > 1 ? [`${sensors.length} sensors`] : one).filter(Boolean).join(" · "));
+  say(by("about"), `${viewers} · urg ${report.urg}`);
+  deck.take(report.sensors.find(({ playback }) => playback)?.playback ?? null);
 }
 
 async function ask() {
   try {
     const response = await fetch("/state", { signal: AbortSignal.timeout(3000) });
-    report = await response.json();
-    tell();
+    take(await response.json());
+    answered = Date.now();
+    away = false;
   } catch {
-    report = null;
+    away = true;
   }
   show();
 }
@@ -107,14 +97,20 @@ let source = null;
 function listen() {
   source?.close();
   source = new EventSource("/scans");
-  scanned = performance.now();
+  for (const sensor of sensors) { sensor.started = performance.now(); sensor.came &&= { ...sensor.came, at: sensor.started }; }
   source.onopen = () => { refused = false; ask(); };
   source.onmessage = (message) => {
     const data = JSON.parse(message.data);
+    const sensor = sensors.find(({ name }) => name === (data.sensor ?? null));
+    if (!sensor) return;
+    if (data.playback) { sensor.report.playback = data.playback; deck.take(data.playback); show(); return; }
     if (data.event) { ask(); return; }
-    scanned = performance.now();
-    newest = data;
-    if (!paused) take(data);
+    sensor.take(data);
+    if (data.position !== undefined) deck.at(data.sequence, data.position);
+    if (paused) return;
+    sensor.advance();
+    describe();
+    show();
   };
   source.onerror = () => {
     // Closed by itself: the server refused. Else the server is away.
@@ -125,51 +121,35 @@ function listen() {
   };
 }
 
-function take(scan) {
-  radar.scan = scan;
-  radar.ask();
-  const counts = { far: 0, weak: 0, none: 0 };
-  let [near, at] = [Infinity, 0];
-  scan.values.forEach((value, index) => {
-    const { kind, distance } = meaning(value);
-    if (kind !== "distance") counts[kind]++;
-    else if (distance < near) [near, at] = [distance, index];
-  });
-  for (const kind in counts) say(kind, String(counts[kind]));
-  if (near < Infinity) figure("nearest", near.toFixed(2), `m at ${direction(radar.angle(at), 0)}`);
-  else say("nearest", "–");
-  describe();
-  show();
-}
-
-const direction = (radians, digits = 1) => `${degrees(radians).toFixed(digits)}°`.replace("-", "−");
-
 // The point that is pointed at, if one is.
 function describe() {
-  const index = radar.indexOf(radar.chosen);
-  if (index === null) return say("point", "");
-  const { start, cluster, values } = radar.scan;
-  say("point", `${direction(radar.angle(index))} · ${meaning(values[index]).text} · step ${start + index * cluster}`);
+  const { layer, angle } = radar.chosen ?? {};
+  const index = indexOf(layer?.scan, angle ?? null);
+  if (index === null) return say(by("point"), "");
+  const { start, cluster, values } = layer.scan;
+  const name = layer.name === null ? "" : `${layer.name} · `;
+  say(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(values[index]).text} · step ${start + index * cluster}`);
 }
 
 // A hidden page takes no scans, and one that lost its stream gets another.
 function tend() {
   if (document.hidden) { source?.close(); source = null; return; }
   // A network that went away does not always say so.
-  if (!source || (report && !report.why && overdue())) listen();
+  const silent = sensors.length && sensors.every((sensor) => !sensor.report.why && sensor.overdue());
+  if (!source || silent) listen();
   ask();
 }
 document.addEventListener("visibilitychange", tend);
 setInterval(tend, 1000);
-tend();
+ask().then(tend);
 
 // ---- hands -------------------------------------------------------------
 
 const canvas = by("radar");
 const fingers = new Map();
 
-function choose(angle) {
-  radar.chosen = angle;
+function choose(point) {
+  radar.chosen = point;
   describe();
   radar.ask();
 }
@@ -177,8 +157,14 @@ function choose(angle) {
 function pause() {
   paused = !paused;
   by("pause").setAttribute("aria-pressed", String(paused));
-  if (!paused && newest) take(newest);
+  if (!paused) sensors.forEach((sensor) => sensor.advance());
   show();
+}
+
+function trail() {
+  radar.trail = !radar.trail;
+  by("trail").setAttribute("aria-pressed", String(radar.trail));
+  radar.ask();
 }
 
 function spot(event) {
@@ -222,27 +208,33 @@ canvas.addEventListener("dblclick", () => radar.fit());
 canvas.addEventListener("pointerleave", (event) => { if (event.pointerType === "mouse") choose(null); });
 
 function step(count) {
-  if (!radar.scan) return;
-  const last = radar.scan.values.length - 1;
-  const index = radar.indexOf(radar.chosen) ?? Math.round(last / 2) - count;
-  choose(radar.angle(Math.min(Math.max(index + count, 0), last)));
-  say("spoken", by("point").textContent);
+  const layer = radar.chosen?.layer ?? sensors[0];
+  if (!layer?.scan) return;
+  const last = layer.scan.values.length - 1;
+  const index = indexOf(layer.scan, radar.chosen?.angle ?? null) ?? Math.round(last / 2) - count;
+  choose({ layer, angle: angleOf(layer.scan, Math.min(Math.max(index + count, 0), last)) });
+  say(by("spoken"), by("point").textContent);
 }
 
-canvas.addEventListener("keydown", (event) => {
+// Wherever the focus is, but for what uses keys itself.
+document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.target.closest?.("input, select")) return;
+  if (event.target.closest?.("button, summary") && (event.key === " " || event.key === "Enter")) return;
   const far = event.shiftKey ? 10 : 1;
   const keys = {
     "+": () => radar.zoom(1.4), "=": () => radar.zoom(1.4), "-": () => radar.zoom(1 / 1.4), "0": () => radar.fit(),
-    ArrowLeft: () => step(far), ArrowRight: () => step(-far), Escape: () => choose(null), " ": pause,
+    ArrowLeft: () => step(far), ArrowRight: () => step(-far), Escape: () => choose(null), " ": pause, t: trail,
   };
-  if (!keys[event.key]) return;
+  const action = deck.key(event.key, event.target === canvas) ?? keys[event.key];
+  if (!action) return;
   event.preventDefault();
-  keys[event.key]();
+  action();
 });
 by("in").onclick = () => radar.zoom(1.4);
 by("out").onclick = () => radar.zoom(1 / 1.4);
 by("fit").onclick = () => radar.fit();
+by("trail").onclick = trail;
 by("pause").onclick = pause;
 
 // The legend of distances.

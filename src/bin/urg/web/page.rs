@@ -5,13 +5,20 @@ use std::hash::BuildHasher;
 
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
-use serde_json::json;
-use tokio_scip::ErrorCode;
+use serde_json::{Value, json};
+use tokio_scip::{ErrorCode, Measurement};
+
+use crate::plot::missing::{KindColours, MissingKind};
 
 const HTML: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
 /// Put together into one script.
-const SCRIPTS: [&str; 2] = [include_str!("radar.js"), include_str!("page.js")];
+const SCRIPTS: [&str; 4] = [
+    include_str!("radar.js"),
+    include_str!("sensor.js"),
+    include_str!("deck.js"),
+    include_str!("page.js"),
+];
 
 pub(super) async fn page() -> Response {
     let nonce = nonce();
@@ -22,9 +29,17 @@ pub(super) async fn page() -> Response {
          connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; \
          frame-ancestors 'none'; require-trusted-types-for 'script'"
     );
-    let script = format!("\"use strict\";\nconst CODES = {};\n{}", codes(), SCRIPTS.concat());
+    let script = format!(
+        "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n{}",
+        codes(),
+        kinds(),
+        SCRIPTS.concat()
+    );
+    let style = STYLE
+        .replace("{dark}", &colours(|colours| colours.on_dark))
+        .replace("{light}", &colours(|colours| colours.on_light));
     let page =
-        HTML.replace("{nonce}", &nonce).replace("{style}", STYLE).replace("{script}", &script);
+        HTML.replace("{nonce}", &nonce).replace("{style}", &style).replace("{script}", &script);
     let headers = [
         (header::CONTENT_TYPE, "text/html; charset=utf-8".to_owned()),
         (header::CONTENT_SECURITY_POLICY, policy),
@@ -33,16 +48,23 @@ pub(super) async fn page() -> Response {
 }
 
 /// Returns the meaning and the kind of each error code.
-fn codes() -> serde_json::Value {
+fn codes() -> Value {
     let codes = ErrorCode::all().map(|code| {
-        let kind = match code {
-            _ if code.is_beyond_range() => "far",
-            _ if code.is_low_intensity() => "weak",
-            _ => "none",
-        };
+        let kind = MissingKind::of(Measurement::Error(code)).map(MissingKind::name);
         json!({ "kind": kind, "meaning": code.meaning() })
     });
     codes.collect()
+}
+
+/// Returns the two texts of each kind of missing distance.
+fn kinds() -> Value {
+    json!(MissingKind::ALL.map(|kind| [kind.name(), kind.meaning()]))
+}
+
+/// Returns their colours as variables for the style sheet.
+fn colours(of: impl Fn(KindColours) -> &'static str) -> String {
+    let kinds = MissingKind::ALL.map(|kind| format!("--{}: {};", kind.name(), of(kind.colours())));
+    kinds.join(" ")
 }
 
 /// Returns 128 bits that nobody can guess: the keys of the standard library's hashes
@@ -50,4 +72,19 @@ fn codes() -> serde_json::Value {
 fn nonce() -> String {
     let random = || RandomState::new().hash_one(());
     format!("{:016x}{:016x}", random(), random())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_of_missing_distance_has_a_word_and_a_colour_on_the_page() {
+        for place in ["{dark}", "{light}"] {
+            assert_eq!(STYLE.matches(place).count(), 1, "{place}");
+        }
+        assert_eq!(kinds()[1], json!(["weak", MissingKind::Weak.meaning()]));
+        let dark = colours(|colours| colours.on_dark);
+        assert!(dark.starts_with("--far: #6ea8ff; --weak: "), "{dark}");
+    }
 }

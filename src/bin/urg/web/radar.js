@@ -1,11 +1,15 @@
-// The radar: how a scan is drawn, and where things are on it. Knows nothing of
-// where scans come from. The front is up, and angles count to the left.
+// The radar: how scans are drawn, and where things are on it. Knows nothing of
+// where scans come from. The front is up, and angles count to the left. Each layer
+// is a sensor: its scan, its trail, its place in the common frame (metres, radians),
+// and its colour if there are several.
 
-// How far the radar goes, in metres, and where directions without a distance
-// are marked.
+// How far a sensor's sector goes, in metres.
 const REACH = 4;
-const MARKS = { none: 4.16, weak: 4.26, far: 4.36 };
-const LABELS = 4.62;
+// Directions without a distance are marked outside of it, a track of so many pixels
+// for each kind.
+const TRACK = 6;
+const TRACKS = { none: 3, weak: 10, far: 17 };
+const LABELS = 36;
 const COLOURS = 64;
 
 const degrees = (radians) => radians * 180 / Math.PI;
@@ -18,13 +22,21 @@ function meaning(value) {
   return { kind: code.kind, text: `no distance, code ${value}: ${code.meaning}` };
 }
 
+// The direction of a point of a scan, as the sensor counts, and back.
+const angleOf = (scan, index) => scan.angle_min + index * scan.angle_increment;
+function indexOf(scan, angle) {
+  if (!scan || angle === null) return null;
+  const index = Math.round((angle - scan.angle_min) / scan.angle_increment);
+  return index >= 0 && index < scan.values.length ? index : null;
+}
+
 class Radar {
   constructor(canvas) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
-    this.scan = null;
-    this.chosen = null; // an angle, in radians
-    this.stale = false;
+    this.layers = [];
+    this.chosen = null; // { layer, angle in radians }
+    this.trail = false;
     this.view = null; // null: fitted
     this.themed();
     new ResizeObserver(() => this.resized()).observe(canvas);
@@ -35,7 +47,8 @@ class Radar {
     const style = getComputedStyle(document.documentElement);
     const value = (name) => style.getPropertyValue(`--${name}`).trim();
     this.theme = Object.fromEntries(
-      ["ground", "sector", "ring", "text", "soft", "focus", "far", "weak", "none"].map((name) => [name, value(name)]));
+      ["ground", "sector", "ring", "text", "soft", "focus", "far", "weak", "none", "s0", "s1", "s2", "s3", "s4", "s5"]
+        .map((name) => [name, value(name)]));
     this.palette = Array.from({ length: COLOURS }, (_, n) =>
       `oklch(${value("light")} ${value("chroma")} ${45 + 250 * n / (COLOURS - 1)})`);
   }
@@ -43,6 +56,8 @@ class Radar {
   colour(metres) {
     return this.palette[Math.min(COLOURS - 1, Math.floor(metres / REACH * COLOURS))];
   }
+
+  get several() { return this.layers.length > 1; }
 
   resized() {
     const { clientWidth, clientHeight } = this.canvas;
@@ -57,25 +72,29 @@ class Radar {
     this.asked ??= requestAnimationFrame(() => { this.asked = null; this.draw(); });
   }
 
-  // The directions that are measured, in radians.
-  sector() {
+  // The directions that a layer measures, in radians, as its sensor counts.
+  sector({ scan, window }) {
     const step = 2 * Math.PI / 1024;
-    const { start, end } = this.scan ?? { start: 44, end: 725 };
+    const { start, end } = scan ?? window ?? { start: 44, end: 725 };
     return { from: (start - 384) * step, to: (end - 384) * step };
   }
 
-  // Pixels a metre and the sensor's place that show the whole sector.
+  // Pixels a metre and the origin's place that show all sectors and their rims.
   fitted() {
-    const { from, to } = this.sector();
     let [left, right, top, bottom] = [-0.3, 0.3, 0.3, -0.3];
-    for (let n = 0; n <= 60; n++) {
-      const angle = from + (to - from) * n / 60;
-      const [x, y] = [-Math.sin(angle) * LABELS, Math.cos(angle) * LABELS];
-      [left, right] = [Math.min(left, x), Math.max(right, x)];
-      [top, bottom] = [Math.max(top, y), Math.min(bottom, y)];
+    const layers = this.layers.length ? this.layers : [{ pose: { x: 0, y: 0, yaw: 0 } }];
+    for (const layer of layers) {
+      const { from, to } = this.sector(layer);
+      for (let n = -1; n <= 60; n++) {
+        const [range, angle] = n < 0 ? [0, 0] : [REACH, from + (to - from) * n / 60 + layer.pose.yaw];
+        const x = layer.pose.x + Math.cos(angle) * range;
+        const y = layer.pose.y + Math.sin(angle) * range;
+        [left, right] = [Math.min(left, -y), Math.max(right, -y)];
+        [top, bottom] = [Math.max(top, x), Math.min(bottom, x)];
+      }
     }
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const [across, down] = [Math.max(width - 52, 50), Math.max(height - 36, 50)];
+    const [across, down] = [Math.max(width - 2 * LABELS - 40, 50), Math.max(height - 2 * LABELS - 16, 50)];
     const scale = Math.min(across / (right - left), down / (top - bottom));
     return { scale, x: width / 2 - scale * (left + right) / 2, y: height / 2 + scale * (top + bottom) / 2 };
   }
@@ -100,131 +119,215 @@ class Radar {
 
   fit() { this.view = null; this.ask(); }
 
-  place(angle, metres, view = this.current()) {
-    return [view.x - Math.sin(angle) * metres * view.scale, view.y - Math.cos(angle) * metres * view.scale];
+  // Where on the canvas a direction and a range of a sensor are.
+  place({ pose }, angle, metres, view = this.current()) {
+    const ahead = pose.x + Math.cos(angle + pose.yaw) * metres;
+    const left = pose.y + Math.sin(angle + pose.yaw) * metres;
+    return [view.x - left * view.scale, view.y - ahead * view.scale];
   }
 
-  angle(index) { return this.scan.angle_min + index * this.scan.angle_increment; }
-
-  // Which point is meant by a place on the canvas: the nearest one close by,
-  // else the one in that direction. An angle, or null outside of the sector.
+  // Which point is meant by a place on the canvas: the nearest one close by, else
+  // the one in that direction of the only sensor.
   pick(x, y) {
-    if (!this.scan) return null;
     const view = this.current();
     let [best, closest] = [null, 14];
-    this.scan.values.forEach((value, index) => {
-      if (value < 20 || value >= 4095) return;
-      const [px, py] = this.place(this.angle(index), value / 1000, view);
-      const away = Math.hypot(px - x, py - y);
-      if (away < closest) [best, closest] = [index, away];
-    });
-    if (best !== null) return this.angle(best);
-    const index = this.indexOf(Math.atan2(view.x - x, view.y - y));
-    return index === null ? null : this.angle(index);
-  }
-
-  indexOf(angle) {
-    if (!this.scan || angle === null) return null;
-    const index = Math.round((angle - this.scan.angle_min) / this.scan.angle_increment);
-    return index >= 0 && index < this.scan.values.length ? index : null;
+    for (const layer of this.layers.filter((layer) => layer.scan)) {
+      layer.scan.values.forEach((value, index) => {
+        if (value < 20 || value >= 4095) return;
+        const angle = angleOf(layer.scan, index);
+        const [px, py] = this.place(layer, angle, value / 1000, view);
+        const away = Math.hypot(px - x, py - y);
+        if (away < closest) [best, closest] = [{ layer, angle }, away];
+      });
+    }
+    if (best || this.several) return best;
+    const [layer] = this.layers;
+    if (!layer?.scan) return null;
+    const [ox, oy] = this.place(layer, 0, 0, view);
+    const angle = Math.atan2(ox - x, oy - y) - layer.pose.yaw;
+    const index = indexOf(layer.scan, Math.atan2(Math.sin(angle), Math.cos(angle)));
+    return index === null ? null : { layer, angle: angleOf(layer.scan, index) };
   }
 
   draw() {
-    const { context, canvas, theme } = this;
+    const { context, canvas } = this;
     const ratio = canvas.width / (canvas.clientWidth || 1);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
     const view = this.current();
     this.grid(view);
-    if (this.scan) {
-      context.globalAlpha = this.stale ? 0.35 : 1;
-      this.points(view);
-      context.globalAlpha = 1;
-      this.choice(view);
+    for (const layer of this.layers) {
+      if (!layer.scan) continue;
+      const alpha = layer.stale ? 0.35 : 1;
+      if (this.trail) layer.trail.forEach((scan, n) => {
+        this.points(view, layer, scan, alpha * 0.4 * (n + 1) / layer.trail.length, 0.7);
+      });
+      this.points(view, layer, layer.scan, alpha, 1);
+      this.marks(view, layer, alpha);
+      this.nearest(view, layer, alpha);
     }
-    const [x, y] = [view.x, view.y];
-    context.fillStyle = theme.text;
-    context.beginPath();
-    context.moveTo(x, y - 7); context.lineTo(x + 5, y + 5); context.lineTo(x - 5, y + 5);
-    context.fill();
+    context.globalAlpha = 1;
+    this.choice(view);
+    for (const layer of this.layers) this.sensor(view, layer);
   }
 
-  // An arc of the sector, for lines along one distance.
-  arc(view, metres, from, to) {
-    this.context.arc(view.x, view.y, metres * view.scale, -Math.PI / 2 - to, -Math.PI / 2 - from);
+  arc(view, { pose }, metres, from, to, pixels = 0) {
+    const [x, y] = this.place({ pose }, 0, 0, view);
+    const turn = -Math.PI / 2 - pose.yaw;
+    this.context.arc(x, y, metres * view.scale + pixels, turn - to, turn - from);
   }
 
   grid(view) {
     const { context, theme } = this;
-    const { from, to } = this.sector();
-    context.fillStyle = theme.sector;
-    context.beginPath(); context.moveTo(view.x, view.y); this.arc(view, REACH, from, to); context.fill();
+    for (const layer of this.layers) {
+      const { from, to } = this.sector(layer);
+      context.fillStyle = theme.sector;
+      context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
+      this.arc(view, layer, REACH, from, to); context.fill();
+    }
+    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 36) ?? 4;
+    if (this.several) return this.commonGrid(view, step);
+    const layer = this.layers[0] ?? { pose: { x: 0, y: 0, yaw: 0 } };
+    const { from, to } = this.sector(layer);
     context.strokeStyle = theme.ring;
     context.lineWidth = 1;
     context.beginPath();
-    for (const angle of [from, to]) { context.moveTo(view.x, view.y); context.lineTo(...this.place(angle, REACH, view)); }
+    const origin = this.place(layer, 0, 0, view);
+    for (const angle of [from, to]) { context.moveTo(...origin); context.lineTo(...this.place(layer, angle, REACH, view)); }
     const marks = [];
     for (let d = -120; d <= 120; d += 30) if (d >= degrees(from) - 1 && d <= degrees(to) + 1) marks.push(d);
     for (const d of marks) {
       const angle = d * Math.PI / 180;
       if (Math.abs(d) === 120) continue;
-      context.moveTo(...this.place(angle, 0.15, view)); context.lineTo(...this.place(angle, REACH, view));
+      context.moveTo(...this.place(layer, angle, 0.15, view)); context.lineTo(...this.place(layer, angle, REACH, view));
     }
     context.stroke();
-    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 36) ?? 4;
     const rings = Array.from({ length: Math.round(REACH / step) }, (_, n) => (n + 1) * step);
-    for (const ring of rings) { context.beginPath(); this.arc(view, ring, from, to); context.stroke(); }
+    for (const ring of rings) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
 
-    context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = "center"; context.textBaseline = "middle";
-    for (const d of marks) this.label(`${d > 0 ? "+" : ""}${d}°`.replace("-", "−"), ...this.place(d * Math.PI / 180, LABELS, view));
+    const rim = REACH + LABELS / view.scale;
+    for (const d of marks) this.label(`${d > 0 ? "+" : ""}${d}°`.replace("-", "−"), ...this.place(layer, d * Math.PI / 180, rim, view));
     const along = Math.min(Math.max(0, from), to);
-    for (const ring of rings) {
-      const [x, y] = this.place(along, ring, view);
-      this.label(`${Number(ring.toFixed(2))} m`, x, y);
+    for (const ring of rings) this.label(`${Number(ring.toFixed(2))} m`, ...this.place(layer, along, ring, view));
+  }
+
+  // Rings around the common origin, and the outline of each sensor's sector.
+  commonGrid(view, step) {
+    const { context, theme } = this;
+    const far = Math.max(...this.layers.map(({ pose }) => Math.hypot(pose.x, pose.y))) + REACH;
+    const origin = { pose: { x: 0, y: 0, yaw: 0 } };
+    context.strokeStyle = theme.ring; context.lineWidth = 1;
+    const rings = Array.from({ length: Math.floor(far / step) }, (_, n) => (n + 1) * step);
+    for (const ring of rings) { context.beginPath(); this.arc(view, origin, ring, -Math.PI, Math.PI); context.stroke(); }
+    context.beginPath();
+    for (const [angle, metres] of [[0, far], [Math.PI / 2, far], [Math.PI, far], [-Math.PI / 2, far]]) {
+      context.moveTo(view.x, view.y); context.lineTo(...this.place(origin, angle, metres, view));
     }
+    context.stroke();
+    for (const layer of this.layers) {
+      const { from, to } = this.sector(layer);
+      context.strokeStyle = theme[layer.colour]; context.globalAlpha = 0.5;
+      context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
+      this.arc(view, layer, REACH, from, to); context.closePath(); context.stroke();
+      context.globalAlpha = 1;
+    }
+    for (const ring of rings) this.label(`${Number(ring.toFixed(2))} m`, ...this.place(origin, 0, ring, view));
   }
 
   // Text that stays readable on lines.
-  label(text, x, y) {
+  label(text, x, y, colour = this.theme.soft, align = "center") {
     const { context, theme } = this;
+    context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
+    context.textAlign = align; context.textBaseline = "middle";
     context.lineWidth = 4; context.lineJoin = "round";
     context.strokeStyle = theme.ground; context.strokeText(text, x, y);
-    context.fillStyle = theme.soft; context.fillText(text, x, y);
+    context.fillStyle = colour; context.fillText(text, x, y);
     context.lineWidth = 1; context.strokeStyle = theme.ring;
   }
 
-  points(view) {
-    const { context, scan } = this;
-    const size = Math.min(Math.max(view.scale / 28, 1.6), 4);
-    const half = scan.angle_increment / 2;
+  points(view, layer, scan, alpha, part) {
+    const { context } = this;
+    const size = Math.min(Math.max(view.scale / 28, 1.6), 4) * part;
+    context.globalAlpha = alpha;
+    if (layer.colour) context.fillStyle = this.theme[layer.colour];
     scan.values.forEach((value, index) => {
-      const angle = this.angle(index);
       const { kind, distance } = meaning(value);
-      if (kind === "distance") {
-        const [x, y] = this.place(angle, distance, view);
-        context.fillStyle = this.colour(distance);
-        context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
-        return;
-      }
-      context.strokeStyle = this.theme[kind];
-      context.lineWidth = { far: 4, weak: 6, none: 2 }[kind];
-      const width = kind === "weak" ? half / 2 : half * 1.1;
-      context.beginPath(); this.arc(view, MARKS[kind], angle - width, angle + width); context.stroke();
+      if (kind !== "distance") return;
+      const [x, y] = this.place(layer, angleOf(scan, index), distance, view);
+      if (!layer.colour) context.fillStyle = this.colour(distance);
+      context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
     });
   }
 
+  // Directions without a distance, on the track of their kind, each at least as wide
+  // as the track is high; none is two thin lines.
+  marks(view, layer, alpha) {
+    const { context, theme } = this;
+    const { scan } = layer;
+    const half = Math.max(scan.angle_increment / 2, TRACK / 2 / (REACH * view.scale));
+    context.globalAlpha = alpha;
+    const draw = (kind, offset, width) => {
+      context.strokeStyle = theme[kind]; context.lineWidth = width;
+      context.beginPath();
+      scan.values.forEach((value, index) => {
+        if (meaning(value).kind !== kind) return;
+        const angle = angleOf(scan, index);
+        const turn = -Math.PI / 2 - layer.pose.yaw;
+        const [x, y] = this.place(layer, 0, 0, view);
+        const radius = REACH * view.scale + TRACKS[kind] + offset;
+        const first = turn - angle - half;
+        context.moveTo(x + Math.cos(first) * radius, y + Math.sin(first) * radius);
+        context.arc(x, y, radius, first, turn - angle + half);
+      });
+      context.stroke();
+    };
+    draw("far", TRACK / 2, TRACK);
+    draw("weak", TRACK / 2, TRACK);
+    draw("none", 1, 2); draw("none", TRACK - 1, 2);
+  }
+
+  // A ring around the nearest point, with its distance.
+  nearest(view, layer, alpha) {
+    const { context, theme } = this;
+    const near = layer.nearest;
+    if (!near) return;
+    context.globalAlpha = alpha;
+    const [x, y] = this.place(layer, near.angle, near.distance, view);
+    context.strokeStyle = theme.text; context.lineWidth = 1.5;
+    context.beginPath(); context.arc(x, y, 8, 0, 2 * Math.PI); context.stroke();
+    const [ox] = this.place(layer, 0, 0, view);
+    const aside = x < ox ? -12 : 12;
+    this.label(`${near.distance.toFixed(2)} m`, x + aside, y, theme.text, x < ox ? "right" : "left");
+  }
+
   choice(view) {
-    const index = this.indexOf(this.chosen);
+    if (!this.chosen) return;
+    const { layer, angle: chosen } = this.chosen;
+    const index = indexOf(layer.scan, chosen);
     if (index === null) return;
     const { context, theme } = this;
-    const angle = this.angle(index);
-    const { kind, distance } = meaning(this.scan.values[index]);
+    const angle = angleOf(layer.scan, index);
+    const { kind, distance } = meaning(layer.scan.values[index]);
+    const range = distance ?? REACH + (TRACKS[kind] + TRACK / 2) / view.scale;
     context.strokeStyle = theme.focus; context.lineWidth = 1.5;
     context.setLineDash([4, 4]);
-    context.beginPath(); context.moveTo(view.x, view.y);
-    context.lineTo(...this.place(angle, distance ?? MARKS[kind], view)); context.stroke();
+    context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
+    context.lineTo(...this.place(layer, angle, range, view)); context.stroke();
     context.setLineDash([]);
-    context.beginPath(); context.arc(...this.place(angle, distance ?? MARKS[kind], view), 7, 0, 2 * Math.PI); context.stroke();
+    context.beginPath(); context.arc(...this.place(layer, angle, range, view), 7, 0, 2 * Math.PI); context.stroke();
+  }
+
+  sensor(view, layer) {
+    const { context, theme } = this;
+    const [x, y] = this.place(layer, 0, 0, view);
+    context.save();
+    context.translate(x, y); context.rotate(-layer.pose.yaw);
+    context.fillStyle = layer.colour ? theme[layer.colour] : theme.text;
+    context.beginPath();
+    context.moveTo(0, -8); context.lineTo(6, 6); context.lineTo(-6, 6);
+    context.fill();
+    context.restore();
+    const [ahead, left] = [Math.cos(layer.pose.yaw) * 20, Math.sin(layer.pose.yaw) * 26];
+    if (layer.colour) this.label(layer.name, x - left, y - ahead, theme[layer.colour]);
   }
 }

@@ -8,13 +8,15 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use futures::stream;
+use futures::StreamExt;
+use futures::stream::{self, BoxStream, SelectAll};
 
 use super::app::App;
 use super::server::Connection;
+use super::source::{Source, SourceLine};
 use super::viewers::Seat;
 use crate::failure::Failure;
-use crate::stream::feed::{Feed, Update};
+use crate::interrupt::Interrupt;
 
 /// A stream of events without data sends a comment after this time, so that
 /// proxies keep it open.
@@ -36,7 +38,8 @@ pub(super) async fn scans(
             .into_response();
     };
     let format = ScansFormat::accepted(&headers);
-    let viewer = Viewer { app, feed: None, left, format, seat };
+    let lines = stream::select_all(app.sources.iter().map(Source::lines));
+    let viewer = Viewer { interrupt: app.interrupt, lines, left, format, seat };
     // A client that is slow is not polled for: the newest scan comes next.
     let lines = stream::unfold(viewer, async |mut viewer| {
         let text = viewer.next().await?;
@@ -88,9 +91,9 @@ impl ScansFormat {
 
 /// A client that takes scans.
 struct Viewer {
-    app: App,
-    /// `None` until the sensor is found.
-    feed: Option<Feed>,
+    interrupt: Interrupt,
+    /// Those of all sources, in turn where several have one.
+    lines: SelectAll<BoxStream<'static, Result<SourceLine, Failure>>>,
     /// The number of scans that are still wanted.
     left: u64,
     format: ScansFormat,
@@ -100,7 +103,7 @@ struct Viewer {
 impl Viewer {
     /// Returns the next piece of text; `None` after the end.
     async fn next(&mut self) -> Option<Result<String, Failure>> {
-        let (interrupt, format) = (self.app.interrupt.clone(), self.format);
+        let (interrupt, format) = (self.interrupt.clone(), self.format);
         self.seat.waits();
         let text = tokio::select! {
             biased;
@@ -118,12 +121,9 @@ impl Viewer {
         if self.left == 0 {
             return None;
         }
-        if self.feed.is_none() {
-            self.feed = Some(self.app.hub.feed().await?);
-        }
-        let update = self.feed.as_mut()?.next().await?;
-        self.left -= u64::from(matches!(update, Update::Scan(_)));
-        Some(update.line())
+        let line = self.lines.next().await?;
+        self.left -= line.as_ref().map_or(0, |line| line.is_scan.into());
+        Some(line.map(|line| line.text))
     }
 }
 

@@ -1,0 +1,52 @@
+//! [`seen_through`]: a recorded scan in another window than the recorded one.
+
+use std::time::Duration;
+
+use tokio_scip::{Scan, Window};
+
+/// Returns the scan as a sensor that is asked for `window` would have sent it: the
+/// smallest value of each cluster, and error code 19 where nothing was recorded.
+pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
+    const NOT_RECORDED: u16 = 19;
+    let recorded = scan.window();
+    if recorded == window {
+        return scan.clone();
+    }
+    let mut steps = vec![NOT_RECORDED; Window::FULL.steps()];
+    let first = usize::from(recorded.start().number());
+    let seen = steps.get_mut(first..first + recorded.steps()).unwrap_or_default();
+    let clusters = seen.chunks_mut(recorded.cluster_count().into());
+    clusters.zip(scan.values()).for_each(|(cluster, value)| cluster.fill(*value));
+    let first = usize::from(window.start().number());
+    let seen = steps.get(first..first + window.steps()).unwrap_or_default();
+    let clusters = seen.chunks(window.cluster_count().into());
+    let values: Vec<u16> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
+    let built = Scan::builder(window, values)
+        .sequence(scan.sequence())
+        .received_at(scan.received_at())
+        .stamp(scan.stamp())
+        .repeat(scan.is_repeat())
+        .scan_time(Duration::try_from_secs_f32(scan.scan_time()).unwrap_or_default())
+        .build();
+    // It has as many values as the window has points.
+    built.unwrap_or_else(|_| scan.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recorded_scan_can_be_seen_through_any_window() {
+        let window =
+            |from, to, count| Window::new(from..=to).unwrap().with_cluster_count(count).unwrap();
+        let scan = Scan::builder(window(100, 105, 2), vec![30, 40, 50]).sequence(7);
+        let scan = scan.build().unwrap();
+        let seen = |window| seen_through(&scan, window).values().to_vec();
+        assert_eq!(seen(window(100, 105, 2)), [30, 40, 50]);
+        assert_eq!(seen(window(101, 104, 1)), [30, 40, 40, 50]);
+        assert_eq!(seen(window(98, 101, 1)), [19, 19, 30, 30]);
+        assert_eq!(seen(window(101, 106, 3)), [30, 19]);
+        assert_eq!(seen_through(&scan, Window::FULL).sequence(), 7);
+    }
+}

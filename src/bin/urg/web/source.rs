@@ -1,0 +1,175 @@
+//! What is shown: a sensor or the playback of a recording, with its name and its
+//! place. No source knows of another one.
+
+use std::sync::Arc;
+
+use futures::StreamExt;
+use futures::stream::{self, BoxStream};
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio_scip::{Version, Window};
+
+use super::hub::{Health, Hub};
+use crate::failure::Failure;
+use crate::format::json;
+use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown, seen_through};
+use crate::port::name::PortName;
+use crate::port::placed::Pose;
+use crate::recording::recorded::Recorded;
+use crate::stream::feed::{NamedLine, Update};
+
+/// A source of scans.
+#[derive(Debug)]
+pub(crate) struct Source {
+    pub(super) name: Option<Arc<str>>,
+    pub(super) pose: Pose,
+    pub(super) kind: SourceKind,
+}
+
+#[derive(Debug)]
+pub(super) enum SourceKind {
+    Sensor(Arc<Hub>),
+    Recording(Box<Playback>),
+}
+
+/// A recording that is played, for everybody.
+#[derive(Debug)]
+pub(super) struct Playback {
+    pub(super) port: PortName,
+    pub(super) window: Window,
+    pub(super) version: Version,
+    pub(super) player: Player,
+}
+
+/// A line for a viewer.
+#[derive(Debug)]
+pub(super) struct SourceLine {
+    pub(super) text: String,
+    pub(super) is_scan: bool,
+}
+
+/// The form of an event of a playback.
+#[derive(Debug, Serialize)]
+#[serde(tag = "event", rename = "playback")]
+struct PlaybackEvent {
+    playback: PlaybackStatus,
+}
+
+impl Source {
+    pub(crate) fn of_sensor(name: Option<&str>, pose: Pose, hub: Arc<Hub>) -> Self {
+        Self { name: name.map(Arc::from), pose, kind: SourceKind::Sensor(hub) }
+    }
+
+    /// Begins to play a recording.
+    pub(crate) async fn of_recording(
+        name: Option<&str>,
+        pose: Pose,
+        port: &PortName,
+        recorded: &Recorded,
+        window: Window,
+        settings: PlaybackArgs,
+    ) -> Result<Self, Failure> {
+        let version = recorded.version().await?;
+        let player = Player::start(recorded, settings).await?;
+        let playback = Playback { port: port.clone(), window, version, player };
+        Ok(Self {
+            name: name.map(Arc::from),
+            pose,
+            kind: SourceKind::Recording(Box::new(playback)),
+        })
+    }
+
+    /// Returns the sensor, unless it is a recording.
+    pub(crate) fn hub(&self) -> Option<&Arc<Hub>> {
+        match &self.kind {
+            SourceKind::Sensor(hub) => Some(hub),
+            SourceKind::Recording(_) => None,
+        }
+    }
+
+    pub(super) fn port(&self) -> &PortName {
+        match &self.kind {
+            SourceKind::Sensor(hub) => hub.port(),
+            SourceKind::Recording(playback) => &playback.port,
+        }
+    }
+
+    pub(super) fn window(&self) -> Window {
+        match &self.kind {
+            SourceKind::Sensor(hub) => hub.window(),
+            SourceKind::Recording(playback) => playback.window,
+        }
+    }
+
+    pub(super) fn health(&self) -> Health {
+        match &self.kind {
+            SourceKind::Sensor(hub) => hub.health(),
+            SourceKind::Recording(_) => Health { link: "recording", why: None },
+        }
+    }
+
+    /// Returns the lines for a viewer from now on.
+    pub(super) fn lines(&self) -> BoxStream<'static, Result<SourceLine, Failure>> {
+        let name = self.name.clone();
+        match &self.kind {
+            SourceKind::Sensor(hub) => {
+                let hub = Arc::clone(hub);
+                stream::unfold(None, move |feed| {
+                    let (hub, name) = (Arc::clone(&hub), name.clone());
+                    async move {
+                        let mut feed = match feed {
+                            Some(feed) => feed,
+                            None => hub.feed().await?,
+                        };
+                        let update = feed.next().await?;
+                        let is_scan = matches!(update, Update::Scan(_));
+                        let text = update.line(name.as_deref());
+                        Some((text.map(|text| SourceLine { text, is_scan }), Some(feed)))
+                    }
+                })
+                .boxed()
+            }
+            SourceKind::Recording(playback) => {
+                let (shown, window) = (playback.player.shown(), playback.window);
+                let lines = PlaybackLines { shown, window, name, scan: None, settings: None };
+                stream::unfold(lines, async |mut lines| Some((lines.next().await?, lines))).boxed()
+            }
+        }
+    }
+}
+
+/// The lines of a playback: each scan that is shown, and each change of pause, speed
+/// and loop.
+struct PlaybackLines {
+    shown: watch::Receiver<Shown>,
+    window: Window,
+    name: Option<Arc<str>>,
+    /// What the viewer has.
+    scan: Option<usize>,
+    settings: Option<(bool, bool, u64, bool)>,
+}
+
+impl PlaybackLines {
+    async fn next(&mut self) -> Option<Result<SourceLine, Failure>> {
+        loop {
+            let Shown { scan, status } = self.shown.borrow_and_update().clone();
+            let speed = status.speed.to_bits();
+            let settings = (status.paused, status.ended, speed, status.is_looping);
+            if self.settings.replace(settings) != Some(settings) {
+                return Some(event(self.name.as_deref(), status));
+            }
+            if self.scan.replace(status.scan) != Some(status.scan) {
+                let scan = seen_through(&scan, self.window);
+                let (sensor, position) = (self.name.as_deref(), Some(status.position));
+                let text = json::line(&NamedLine { sensor, position, data: scan });
+                return Some(text.map(|text| SourceLine { text, is_scan: true }));
+            }
+            self.shown.changed().await.ok()?;
+        }
+    }
+}
+
+fn event(sensor: Option<&str>, playback: PlaybackStatus) -> Result<SourceLine, Failure> {
+    let line = NamedLine { sensor, position: None, data: PlaybackEvent { playback } };
+    json::line(&line).map(|text| SourceLine { text, is_scan: false })
+}
