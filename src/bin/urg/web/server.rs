@@ -16,8 +16,8 @@ use tokio::task::JoinSet;
 
 use crate::interrupt::Interrupt;
 
-/// So many connections may be open at a time. A new one takes the place of the
-/// oldest that serves no stream of scans.
+/// So many connections may be open at a time. A new one takes the place of one that
+/// serves no stream of scans.
 const MAX_CONNECTIONS: usize = 128;
 /// The longest time for the head of a request, and between two requests.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
@@ -94,24 +94,39 @@ struct Connections {
 }
 
 impl Connections {
-    /// Closes the oldest connection without a viewer if there are too many: a
-    /// client that sends its request at once has its response by then, and one
-    /// that does not is no loss. Returns whether there is room now; viewers alone
-    /// never take all of it.
+    /// Closes a connection without a viewer if there are too many. Returns whether
+    /// there is room now; viewers alone never take all of it.
     fn make_room(&mut self) -> bool {
         self.open.retain(|connection| connection.strong_count() > 0);
         if self.open.len() < MAX_CONNECTIONS {
             return true;
         }
-        let is_idle = |connection: &Weak<Connection>| {
-            connection.upgrade().is_none_or(|connection| !connection.is_viewer())
+        let idle = |connection: &Weak<Connection>| {
+            connection.upgrade().filter(|open| !open.is_viewer()).map(|open| open.address)
         };
-        let Some(oldest) = self.open.iter().position(is_idle) else { return false };
-        if let Some(connection) = self.open.remove(oldest).upgrade() {
+        let idle: Vec<_> = self.open.iter().map(idle).collect();
+        let Some(place) = to_close(&idle) else { return false };
+        if let Some(connection) = self.open.remove(place).upgrade() {
             connection.close();
         }
         true
     }
+}
+
+/// Returns the place of the connection that makes room: of the address with the most
+/// connections that serve no viewer, the oldest. A client that sends its request at
+/// once has its response by then, and one that does not is no loss. In a burst of
+/// connections from one address no request is served at once, and another address must
+/// not pay for that. `idle` has the address of each connection, or `None` for one that
+/// serves a viewer, in the order in which they were opened.
+fn to_close(idle: &[Option<IpAddr>]) -> Option<usize> {
+    let of_same_address = |place: &usize| {
+        let address = idle.get(*place);
+        idle.iter().filter(|other| Some(*other) == address).count()
+    };
+    let places = (0..idle.len()).filter(|place| idle.get(*place).is_some_and(Option::is_some));
+    // The last one of those with the greatest count, so reversed.
+    places.rev().max_by_key(of_same_address)
 }
 
 async fn run(stream: TcpStream, router: Router, connection: Arc<Connection>, interrupt: Interrupt) {
@@ -134,5 +149,23 @@ async fn run(stream: TcpStream, router: Router, connection: Arc<Connection>, int
     };
     if let Err(error) = outcome {
         tracing::debug!(%error, "a connection ended early");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn address(last: u8) -> Option<IpAddr> {
+        Some(IpAddr::from([192, 168, 0, last]))
+    }
+
+    #[test]
+    fn the_oldest_of_the_address_with_the_most_idle_connections_makes_room() {
+        let [a, b] = [address(1), address(2)];
+        assert_eq!(to_close(&[a, a, a]), Some(0));
+        assert_eq!(to_close(&[b, a, b, a, a]), Some(1), "b is older, and has fewer");
+        assert_eq!(to_close(&[None, None, None, b, a]), Some(3), "as many: the oldest");
+        assert_eq!(to_close(&[None, None]), None, "viewers stay");
     }
 }
