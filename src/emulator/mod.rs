@@ -49,7 +49,8 @@
 //! The first five are known from drivers that ran on real sensors. The other three
 //! are this emulator's choice, since the text only demands "an error status". It
 //! plays a sensor that knows SCIP 1.1 only: a client that tries SCIP 2 first sees
-//! its commands refused and falls back. A cluster count of `00` works as `01`.
+//! its commands refused and falls back, as the URG driver of Player does, which reads
+//! all of its scans then. A cluster count of `00` works as `01`.
 //! Lines of more than 64 bytes are cut and refused.
 
 mod builder;

@@ -37,8 +37,8 @@ const KEEPALIVE_PROBES: u32 = 3;
 /// disappears without a word (power cut, cable pulled) does not. While scans are
 /// polled, the driver notices it by a missed deadline. On an idle connection the
 /// system probes the server after 10 s without traffic and resets the connection
-/// after three probes without an answer, 25 s in all (`SO_KEEPALIVE`). The cost is
-/// six small packets a minute in each direction. The driver's own probe
+/// after three probes without an answer, at most 25 s in all (`SO_KEEPALIVE`). The
+/// cost is six packets of 66 bytes a minute in each direction. The driver's own probe
 /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a
 /// server that lives while its sensor does not answer. On other systems than Android,
 /// FreeBSD, Linux, macOS and Windows the number and the interval of the probes are the
