@@ -43,6 +43,11 @@ stop() {
 
 sensor() { start sensor "on USB" "$urg" emulate --link "$work/urg"; }
 server() { start server "live page" "$urg" serve "$work/urg" --listen "$1"; }
+# served ARGUMENTS...: starts another server, and opens its page.
+served() {
+    start other "live page" "$urg" serve "$@" --listen 0
+    open "$(grep -o 'http://[0-9.:]*/' "$work/other")"
+}
 
 # post PATH JSON: asks the browser's driver.
 post() { curl -sS --max-time 30 -H 'Content-Type: application/json' -d "$2" "$session$1"; }
@@ -65,6 +70,27 @@ becomes() {
     done
     fail "$1 is $value and not $2"
 }
+
+# element ID: the script that finds it.
+element() { echo "document.getElementById('$1')"; }
+
+# key KEY: presses it, wherever the focus is.
+key() {
+    post /actions "{\"actions\": [{\"type\": \"key\", \"id\": \"keys\", \"actions\": [
+        {\"type\": \"keyDown\", \"value\": \"$1\"}, {\"type\": \"keyUp\", \"value\": \"$1\"}]}]}" >"$work/answer"
+}
+
+open() { post /url "{\"url\": \"$1\"}" >"$work/answer"; }
+
+# quiet: fails if the page has logged anything.
+quiet() {
+    local log
+    log=$(post /se/log '{"type": "browser"}')
+    [ "$log" = '{"value":[]}' ] || fail "the page complains: $log"
+}
+
+theme() { post /goog/cdp/execute "{\"cmd\": \"Emulation.setEmulatedMedia\", \"params\":
+    {\"features\": [{\"name\": \"prefers-color-scheme\", \"value\": \"$1\"}]}}" >"$work/answer"; }
 
 status() { becomes "return document.getElementById('status').textContent" "\"$1\""; }
 
@@ -89,30 +115,98 @@ session=$driver/session/$(curl -sS -d "{\"capabilities\": {\"alwaysMatch\": {
     tee "$work/answer" | grep -o '"sessionId":"[^"]*' | cut -d'"' -f4) || fail "$(cat "$work/answer")"
 
 size 1280 800 1 false
-post /url "{\"url\": \"$url\"}" >"$work/answer"
+theme dark
+open "$url"
 status Live
-becomes "return parseFloat(document.getElementById('rate').textContent) > 5" true
-js "window.before = document.getElementById('radar').toDataURL()" >"$work/answer"
-becomes "return document.getElementById('radar').toDataURL() !== window.before" true
+becomes "return parseFloat(document.querySelector('[data-of=rate]').textContent) > 5" true
+becomes "return /^[0-9.]+ ms/.test(document.querySelector('[data-of=jitter]').textContent)" true
+js "window.before = $(element radar).toDataURL()" >"$work/answer"
+becomes "return $(element radar).toDataURL() !== window.before" true
 becomes "return performance.getEntriesByType('resource').every(e => e.name.startsWith('$url') || e.name.startsWith('data:'))" true
-log=$(post /se/log '{"type": "browser"}')
-[ "$log" = '{"value":[]}' ] || fail "the page complains: $log"
-picture desktop
+picture live-dark
+# Keys work without a click.
+key t
+becomes "return $(element trail).getAttribute('aria-pressed')" '"true"'
+key " "
+status Paused
+key " "
+status Live
+key "\\uE012"
+becomes "return /step [0-9]+/.test($(element point).textContent)" true
+quiet
+theme light
+picture live-light
 
 stop sensor
 status "Sensor away"
+becomes "return document.querySelectorAll('.stale').length" 1
+becomes "return /as of/.test(document.querySelector('[data-of=since]').textContent)" true
+becomes "return document.body.textContent.includes('urg list')" false
 picture away
 sensor
 status Live
+becomes "return document.querySelectorAll('.stale').length" 0
 
 stop server
 status "Server away"
+becomes "return / since [0-9]/.test($(element banner).textContent)" true
+becomes "return document.querySelectorAll('.stale').length" 1
+picture server-away
+for width in 390 320; do
+    size "$width" 844 2 true
+    becomes "return document.documentElement.scrollWidth" "$width"
+    # The banner is above the radar and covers nothing.
+    becomes "return $(element banner).getBoundingClientRect().bottom <= $(element radar).getBoundingClientRect().top" true
+    picture "phone-$width-server-away"
+done
 server "$(cut -d: -f3 <<<"$url" | tr -d /)"
 status Live
-
 size 390 844 2 true
 becomes "return document.documentElement.scrollWidth" 390
 picture phone
 stop server
+
+# Two sensors, of which one goes away.
+size 1280 800 1 false
+theme dark
+served "front=emulated@0.3,0,0" "rear=$work/urg@-0.3,0,180"
+status Live
+becomes "return [...document.querySelectorAll('[data-of=state]')].map(e => e.textContent).join()" '"Live,Live"'
+picture two
 stop sensor
-echo "browser: the page lives, says who is away, and comes back"
+status "1 of 2 away"
+becomes "return [...document.querySelectorAll('.card')].map(e => e.classList.contains('stale')).join()" '"false,true"'
+picture two-one-away
+size 320 640 2 true
+becomes "return document.documentElement.scrollWidth" 320
+picture two-narrow
+stop other
+
+# A recording.
+if "$urg" record emulated "$work/run.mcap" --duration 3s 2>"$work/record"; then
+    size 1280 800 1 false
+    served "$work/run.mcap"
+    status "At the end"
+    picture recording
+    key ","
+    status Paused
+    clock=$(js "return $(element clock).textContent")
+    key ","
+    becomes "return $(element clock).textContent !== ${clock//\"/\'}" true
+    js "$(element seek).value = 0; $(element seek).oninput()" >"$work/answer"
+    becomes "return $(element clock).textContent.startsWith('0:00.0')" true
+    key o
+    becomes "return $(element loop).getAttribute('aria-pressed')" '"true"'
+    key " "
+    status Playing
+    for width in 390 320; do
+        size "$width" 844 2 true
+        becomes "return document.documentElement.scrollWidth" "$width"
+        picture "recording-$width"
+    done
+    stop other
+else
+    grep -q 'feature `mcap`' "$work/record" || fail "$(cat "$work/record")"
+    echo "skipped: recordings, which this urg lacks"
+fi
+echo "browser: the page lives, says who is away, comes back, and plays recordings"

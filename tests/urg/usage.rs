@@ -205,3 +205,25 @@ fn a_second_emulator_does_not_take_the_link_of_one_that_runs() {
     let second = Emulated::start(&format!("--link {}", link.path()));
     run(&format!("info {}", second.port), 0);
 }
+
+#[test]
+fn bytes_that_are_no_reply_are_shown_as_a_sample() {
+    use std::io::{Read, Write};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // A receiver of satellites, which answers whatever it is asked with its place.
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            let mut client = client.unwrap();
+            let mut command = [0; 64];
+            while client.read(&mut command).is_ok_and(|count| count > 0)
+                && client.write_all(b"$GPGGA,123519,4807\r\n").is_ok()
+            {}
+        }
+    });
+    for command in ["info", "check"] {
+        let output = run(&format!("{command} tcp://{address} --timeout 1s"), 1);
+        let text = output.stdout + &output.stderr;
+        assert!(text.contains(r#"the first bytes: "$GPGGA,123519,4807\r\n$GPGGA"#), "{text}");
+    }
+}

@@ -2,6 +2,7 @@
 
 /// A command to a playback.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(not(feature = "web"), allow(dead_code, reason = "some come over HTTP only"))]
 pub(crate) enum PlaybackCommand {
     Play,
     Pause,

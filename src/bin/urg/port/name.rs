@@ -8,6 +8,7 @@ use std::time::Duration;
 use tokio_scip::{Endpoint, Error, Rate, Window};
 
 use super::missing;
+use super::sampled::ByteSample;
 use crate::failure::Failure;
 use crate::recording::span::TimeSpan;
 use crate::recording::{self, recorded::Recorded};
@@ -33,8 +34,8 @@ fn help() -> String {
 /// The place of a sensor.
 #[derive(Debug, Clone)]
 pub(crate) enum PortName {
-    /// A real port.
-    Endpoint(Endpoint),
+    /// A real port, and a sample of what came from it.
+    Endpoint(Endpoint, ByteSample),
     /// A sensor in software, inside this program. Only the program knows the
     /// name, so that no service takes scans of nothing for real ones.
     Emulated,
@@ -53,11 +54,14 @@ impl FromStr for PortName {
             "emulated" => Ok(Self::Emulated),
             "on" | "off" => Err(format!("expected a port, and {text} after it")),
             _ if is_nearly(text, "emulated") => Err("did you mean `emulated`?".to_owned()),
-            _ => text.parse().map(Self::Endpoint).map_err(|error| match error {
-                // clap has shown the text already.
-                Error::InvalidEndpoint { reason, .. } => reason.to_owned(),
-                error => error.to_string(),
-            }),
+            _ => text
+                .parse()
+                .map(|endpoint| Self::Endpoint(endpoint, ByteSample::default()))
+                .map_err(|error| match error {
+                    // clap has shown the text already.
+                    Error::InvalidEndpoint { reason, .. } => reason.to_owned(),
+                    error => error.to_string(),
+                }),
         }
     }
 }
@@ -70,7 +74,7 @@ fn is_nearly(text: &str, word: &str) -> bool {
 impl fmt::Display for PortName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Endpoint(endpoint) => endpoint.fmt(f),
+            Self::Endpoint(endpoint, _) => endpoint.fmt(f),
             Self::Emulated => f.write_str("emulated"),
             Self::Recording(recorded) => recorded.fmt(f),
         }
@@ -81,7 +85,7 @@ impl PortName {
     pub(crate) fn recorded(&self) -> Option<&Recorded> {
         match self {
             Self::Recording(recorded) => Some(recorded),
-            Self::Endpoint(_) | Self::Emulated => None,
+            Self::Endpoint(..) | Self::Emulated => None,
         }
     }
 
@@ -93,7 +97,7 @@ impl PortName {
                 recorded.restrict(range);
                 Ok(())
             }
-            Self::Endpoint(_) | Self::Emulated => Err(Failure::Usage(format!(
+            Self::Endpoint(..) | Self::Emulated => Err(Failure::Usage(format!(
                 "--range is for a recording, FILE.mcap: {self} is a sensor, and --duration ends it"
             ))),
         }
@@ -123,7 +127,7 @@ impl PortArg {
         let mut port = self.required().await?;
         let recorded = match &mut port {
             PortName::Recording(recorded) => recorded.set_pace(rate),
-            PortName::Endpoint(_) | PortName::Emulated => None,
+            PortName::Endpoint(..) | PortName::Emulated => None,
         };
         Ok((port, rate.or(recorded).unwrap_or(DEFAULT_RATE)))
     }

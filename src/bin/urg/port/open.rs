@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use tokio_scip::emulator::Emulator;
-use tokio_scip::{BaudRate, Connect, Sensor, SensorBuilder, State};
+use tokio_scip::{BaudRate, Connect, Error, Sensor, SensorBuilder, State};
 
 use super::name::PortName;
+use super::sampled::SampledConnect;
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
@@ -57,7 +58,10 @@ pub(crate) fn begin(
         return Err(Failure::Usage(text));
     }
     Ok(match port {
-        PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
+        PortName::Endpoint(endpoint, sample) => {
+            let connect = endpoint.clone().into_connector();
+            spawn(builder, SampledConnect { connect, sample: sample.clone() })
+        }
         PortName::Emulated => {
             let emulator = Emulator::builder();
             let emulator = match link.firmware {
@@ -101,5 +105,18 @@ pub(crate) async fn opened(
             sensor.opened().await
         }
     };
-    opened.map_err(|error| Failure::at(&port.to_string(), &error))
+    opened.map_err(|error| {
+        let failure = Failure::at(&port.to_string(), &error);
+        match (failure, port, &error) {
+            (
+                Failure::Failed(line),
+                PortName::Endpoint(_, sample),
+                Error::NoAnswer { .. } | Error::Malformed { .. } | Error::Disconnected { .. },
+            ) => Failure::Failed(match sample.text() {
+                Some(sample) => format!("{line}; the first bytes: {sample}"),
+                None => line,
+            }),
+            (failure, ..) => failure,
+        }
+    })
 }

@@ -78,7 +78,7 @@ impl Counters {
 
 impl RateWatch {
     pub(crate) fn new(port: &PortName, window: Window, rate: Rate) -> Self {
-        let is_settable = !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. }));
+        let is_settable = !matches!(port, PortName::Endpoint(Endpoint::Tcp { .. }, _));
         // A recording is as fast as it was recorded.
         let period = rate.period().filter(|_| port.recorded().is_none());
         Self {

@@ -103,10 +103,11 @@ fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
 
 fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
     let block = Block::bordered().title(help::TITLE).border_style(Palette::quiet());
-    let rows = text.lines().count() as u16;
-    let columns = text.lines().map(|line| Line::raw(line).width()).max().unwrap_or(0);
-    let height = (rows + 2).min(area.height);
+    let columns = text.lines().map(|line| line.chars().count()).max().unwrap_or(0);
     let width = (columns as u16 + 4).min(area.width);
+    let lines = help::folded(text, width.saturating_sub(2).into());
+    let rows = lines.len() as u16;
+    let height = (rows + 2).min(area.height);
     let area = Rect {
         x: area.x + (area.width - width) / 2,
         y: area.y + (area.height - height) / 2,
@@ -114,6 +115,7 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
         height,
     };
     let scroll = scroll.min((rows + 2).saturating_sub(height));
+    let lines: Vec<_> = lines.into_iter().map(Line::raw).collect();
     frame.render_widget(Clear, area);
-    frame.render_widget(Paragraph::new(text).scroll((scroll, 0)).block(block), area);
+    frame.render_widget(Paragraph::new(lines).scroll((scroll, 0)).block(block), area);
 }

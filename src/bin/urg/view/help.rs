@@ -29,6 +29,9 @@ const PLAYBACK_KEYS: [(&str, &str); 7] = [
     ("q", "quit"),
 ];
 
+/// The column in which the meaning of a key begins.
+const INDENT: usize = 9;
+
 pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
 
 const ON_SENSORS: &str = "\
@@ -70,6 +73,39 @@ pub(super) fn text(is_playback: bool) -> String {
     text
 }
 
+/// Folds lines that are longer than `width` between words. What follows is indented
+/// as far as the meaning of a key.
+pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
+    let mut lines: Vec<String> = Vec::new();
+    for line in text.lines() {
+        if line.chars().count() <= width {
+            lines.push(line.to_owned());
+            continue;
+        }
+        let (key, meaning) = match line.char_indices().nth(INDENT) {
+            Some((at, _)) if line.get(..at).is_some_and(|key| key.ends_with(' ')) => {
+                line.split_at(at)
+            }
+            _ => ("", line),
+        };
+        let indent = " ".repeat(key.chars().count());
+        let (mut current, mut is_empty) = (key.to_owned(), true);
+        for word in meaning.split(' ') {
+            let columns = current.chars().count() + usize::from(!is_empty) + word.chars().count();
+            if columns > width && !is_empty {
+                lines.push(std::mem::replace(&mut current, indent.clone()));
+                is_empty = true;
+            }
+            if !std::mem::replace(&mut is_empty, false) {
+                current.push(' ');
+            }
+            current.push_str(word);
+        }
+        lines.push(current);
+    }
+    lines
+}
+
 /// Returns as many keys as fit into a line of `width` columns.
 pub(super) fn key_line(width: u16, is_playback: bool) -> Line<'static> {
     let keys = if is_playback { PLAYBACK_KEYS } else { SENSOR_KEYS };
@@ -91,4 +127,28 @@ pub(super) fn key_line(width: u16, is_playback: bool) -> Line<'static> {
         line.push_span(Span::styled(format!(" {what}{gap}"), Palette::quiet()));
     }
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_line_is_folded_under_its_meaning() {
+        let text = "+ -      zoom in and out; 0 shows all\nPoints are coloured by distance.";
+        let folded = folded(text, 24);
+        let expected = [
+            "+ -      zoom in and",
+            "         out; 0 shows",
+            "         all",
+            "Points are coloured by",
+            "distance.",
+        ];
+        assert_eq!(folded, expected);
+        for is_playback in [false, true] {
+            let text = self::text(is_playback);
+            let lines = super::folded(&text, 36);
+            assert!(lines.iter().all(|line| line.chars().count() <= 36), "{lines:?}");
+        }
+    }
 }

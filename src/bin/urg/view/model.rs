@@ -24,7 +24,7 @@ const MAX_TRAIL_SCANS: usize = 10;
 /// A trail of a playback has no gap of more scans than this.
 const MAX_JUMP: u64 = 100;
 /// The help does not scroll farther than its last lines on the smallest screen.
-const MAX_HELP_SCROLL: u16 = 16;
+const MAX_HELP_SCROLL: u16 = 24;
 /// A message is shown for this time.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 

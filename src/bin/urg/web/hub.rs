@@ -7,6 +7,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio_scip::{Freshness, Rate, Sensor, State, Window};
 
+use super::recent_times::RecentTimes;
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
@@ -15,7 +16,7 @@ use crate::port::name::PortName;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::Ended;
-use crate::stream::jitter::{Jitter, RecentTimes};
+use crate::stream::jitter::Jitter;
 use crate::stream::link::trouble;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;

@@ -7,6 +7,7 @@ mod hub;
 mod metrics;
 mod page;
 mod playback;
+mod recent_times;
 mod scans;
 mod server;
 mod source;
