@@ -18,17 +18,17 @@ pub(crate) struct LinkArgs {
     /// Baud rate to run at; without it the sensor keeps the one it has
     ///
     /// One of 19200, 57600, 115200, 250000, 500000 and 750000. The sensor is
-    /// found at any of them, and moved to this one. A sensor on USB has no baud
+    /// detected at any of them, and set to this one. A sensor on USB has no baud
     /// rate.
     #[arg(long, value_name = "RATE")]
     pub(crate) baud: Option<BaudRate>,
     /// Wait for the sensor to appear, however long that takes
     #[arg(long)]
     pub(crate) wait: bool,
-    /// Give up if the sensor is not found within this time [default: 5s]
+    /// Fail if the sensor is not found within this time [default: 5s]
     #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "wait")]
     pub(crate) timeout: Option<Duration>,
-    /// Dialect of the sensor that PORT `emulated` stands for [default: v3]
+    /// Firmware dialect of the sensor at PORT `emulated` [default: v3]
     #[arg(long, value_enum)]
     pub(crate) firmware: Option<FirmwareArg>,
 }

@@ -71,7 +71,7 @@ enum Command {
 fn help() -> String {
     let (recording, record) = match recording::AVAILABLE {
         true => (
-            "\n  FILE.mcap               a recording: the sensor as it was",
+            "\n  FILE.mcap               a recording, replayed as a sensor",
             "\n  urg record /dev/ttyACM0 run.mcap          record, then replay: urg view run.mcap",
         ),
         false => ("", ""),

@@ -174,7 +174,10 @@ impl AsyncRead for Line {
 
 /// Returns the error for a line that sends far more than any sensor does.
 pub(super) fn flood() -> io::Error {
-    io::Error::new(io::ErrorKind::InvalidData, "far more comes than any sensor sends")
+    io::Error::new(
+        io::ErrorKind::InvalidData,
+        "expected at most 64 KiB and 64 replies after a command, found more: check that the port leads to a sensor",
+    )
 }
 
 /// Asks for another poll after a call that a signal interrupted, or that a port

@@ -10,10 +10,10 @@ use crate::port::name::PortArg;
 use crate::port::open::open_with;
 use crate::stream::wire_speed::{self, FastestReply};
 
-/// Move the sensor to another baud rate
+/// Set the baud rate of the sensor
 ///
-/// The sensor keeps it when the program has ended, until its next power-up: then
-/// it is at 19200 baud again. Programs of this crate find it at any baud rate.
+/// The sensor keeps the baud rate after the program has ended. At its next power-up it
+/// is at 19200 baud again. Programs of this crate detect it at any baud rate.
 #[derive(Debug, clap::Args)]
 #[command(allow_missing_positional = true, after_help = "Example:\n  urg baud /dev/ttyUSB0 115200")]
 pub(crate) struct Baud {

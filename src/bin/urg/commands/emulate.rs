@@ -19,9 +19,9 @@ use crate::output::notice::notice;
 
 /// Emulate a sensor for other programs, until Ctrl-C
 ///
-/// The sensor sees a room in which people walk about. By default it is a URG-04LX
-/// on USB, on a pseudo-terminal that programs open as they would a serial port.
-/// With the same seed it sends the same scans at the same times.
+/// The sensor measures a room in which people walk. By default it is a URG-04LX on
+/// USB, on a pseudo-terminal that programs open like a serial port. With the same
+/// seed it sends the same scans at the same times.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -54,10 +54,10 @@ pub(crate) struct Emulate {
     /// Duration of one revolution of the motor, and so of one scan
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
     revolution: Duration,
-    /// Room that the sensor stands in
+    /// Room around the sensor
     #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
     room: RoomKind,
-    /// Status of the answer to L if the laser is in that state already: real sensors
+    /// Status of the reply to `L` when the laser is already in that state; real sensors
     /// differ
     #[arg(long, value_enum, value_name = "STATUS", default_value_t = LaserStatus::Two)]
     repeated_laser: LaserStatus,

@@ -30,10 +30,10 @@ use crate::stream::reporter::Reporter;
 /// Record scans, and every reply of the sensor, into a file
 ///
 /// Runs until Ctrl-C, --count or --duration, also while the sensor is unplugged
-/// and when it comes back. Whatever is older than a second is in the file, also
-/// after a kill or on a full disk. The file is MCAP as ROS 2 writes it: `ros2 bag
-/// play`, Foxglove, PlotJuggler and others open it. As PORT it replaces the sensor.
-/// A recording without a single scan is a failure.
+/// and when it comes back. After a kill or on a full disk, the file has
+/// everything that is older than a second. It is MCAP as ROS 2 writes it: `ros2 bag
+/// play`, Foxglove, PlotJuggler and others open it. Other commands read it in place
+/// of a sensor: use it as PORT. A recording without a single scan is a failure.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg record [OPTIONS] <PORT> <FILE>",

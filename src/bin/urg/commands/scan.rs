@@ -14,7 +14,7 @@ use crate::port::open::open;
 
 /// Take one scan
 ///
-/// Switches a laser on that is off.
+/// Switches the laser on if it is off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the formats", after_long_help = format!("{EXAMPLES}\n\n{}", csv::COLUMNS))]
 pub(crate) struct ScanOnce {

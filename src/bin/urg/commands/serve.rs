@@ -28,9 +28,9 @@ const SEND_BUFFER_BYTES: u32 = 64 * 1024;
 
 /// Show a live page to any browser, and scans to programs
 ///
-/// Runs until Ctrl-C, also while a sensor is unplugged and when it comes back. Any
-/// number of viewers costs a sensor no more than one. The page plays a recording
-/// with pause, step, seek, speed and loop.
+/// Runs until Ctrl-C, also while a sensor is unplugged and when it comes back. A sensor
+/// is polled once a period for all viewers together. The page plays a recording with
+/// pause, step, seek, speed and loop.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {
@@ -38,9 +38,10 @@ pub(crate) struct Serve {
     sensors: Vec<PlacedPort>,
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
-    /// `0.0.0.0:8080` and `[::]:8080` let everybody on the network look, without a
-    /// password. An address of this machine only refuses requests that name another
-    /// host: no page of another site can look by resolving its own name to here.
+    /// With `0.0.0.0:8080` or `[::]:8080` everybody on the network can read the scans:
+    /// there is no password. On a loopback address a request is refused if its Host
+    /// header names another host, so that no other web site can read the scans through
+    /// the user's browser (DNS rebinding).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: String,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
@@ -70,15 +71,15 @@ Addresses:
            server-sent events if requested (Accept: text/event-stream);
            /scans?max=N ends after N scans
   /state   the sensor and the state of its stream, one JSON object
-  /health  200 while scans flow, else 503 with the reason
-  /metrics the figures of both for Prometheus
+  /health  200 while scans arrive, else 503 with the reason
+  /metrics state and counters as metrics for Prometheus
   /playback of a recording: POST /playback?pause, ?play, ?step=1, ?seek=12.5,
            ?speed=2, ?loop=true
 
 Several sensors are named, and placed in one frame: front=PORT@0.2,0,180 is 0.2 m
 ahead of the origin and looks back (X ahead and Y to the left in metres, YAW
-counter-clockwise in degrees). Each line of /scans then names its sensor, and the
-trouble of one is that of no other.
+counter-clockwise in degrees). Each line of /scans then names its sensor. A sensor that
+fails does not affect the others.
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/

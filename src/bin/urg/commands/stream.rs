@@ -55,19 +55,19 @@ Examples:
   urg stream emulated --count 20 --format csv";
 
 const NDJSON: &str = "\
-NDJSON has one object a line. One with \"event\" is no scan but an event:
-disconnected, reconnected, error, missed. All others are scans:
+NDJSON has one object a line. An object with the field \"event\" is an event
+(disconnected, reconnected, error or missed); every other object is a scan:
   sequence         number of the scan; a gap means that scans were missed
   stamp            seconds since 1970, when the reply began to arrive
   start,end        the first and the last step
-  cluster          how many steps make a point
+  cluster          number of steps of a point
   angle_min        direction of the first point in radians, counter-clockwise
                    from the front
   angle_increment  from one point to the next
   scan_time        seconds of a revolution of the motor
-  repeat           true if all values are those of the scan before
-  reconnects       how often the sensor had been found again; a number that
-                   differs from the one before marks the first scan after it
+  repeat           true if all values equal those of the scan before
+  reconnects       number of reconnects before this scan; it rises at the first
+                   scan after each
   values           as the sensor sent them: below 20 an error code, else mm
   ranges           metres; null where there is no distance";
 

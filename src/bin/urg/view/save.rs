@@ -31,7 +31,7 @@ fn save_in(directory: &Path, scan: &Scan, version: &Version) -> Result<String, S
             Err(error) => return Err(cannot(&name, &error)),
         }
     }
-    Err(format!("cannot save urg-{stamp}.svg: there are too many of that second"))
+    Err(format!("cannot save urg-{stamp}.svg: all names for this second are taken"))
 }
 
 fn cannot(name: &str, error: &io::Error) -> String {

@@ -50,7 +50,7 @@ pub(super) struct Live {
 #[derive(Debug)]
 pub(super) struct Health {
     pub(super) link: &'static str,
-    /// `None` while scans flow.
+    /// `None` while scans arrive.
     pub(super) why: Option<String>,
 }
 

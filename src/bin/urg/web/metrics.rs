@@ -95,7 +95,7 @@ impl Metrics {
 
     fn sensors(&mut self, sensors: &[SensorFigures]) {
         type Count = fn(&Stats) -> u64;
-        self.each(("urg_up", "gauge", "1 while scans flow, else 0"), sensors, |sensor| {
+        self.each(("urg_up", "gauge", "1 while scans arrive, else 0"), sensors, |sensor| {
             Some(u8::from(sensor.is_up))
         });
         self.each(("urg_scan_age_seconds", "gauge", "Age of the latest scan"), sensors, |sensor| {
