@@ -60,7 +60,7 @@ impl Repair {
                         "{damaged_parts} damaged parts left out, the first at byte {first}"
                     ));
                 }
-                notice(format_args!("{out}: complete; of {file} {}", found.join("; ")));
+                notice(format_args!("{out}: complete ({file}: {})", found.join("; ")));
             }
         }
         Ok(())
