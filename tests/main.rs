@@ -10,6 +10,7 @@ mod cancel;
 mod codec;
 mod common;
 mod emulator;
+mod exhaustive;
 mod faults;
 mod flood;
 mod fresh;

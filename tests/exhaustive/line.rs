@@ -1,0 +1,357 @@
+//! The line of the model: what becomes of each command and each reply is a choice. It
+//! keeps the order of replies, as every line does.
+
+use std::collections::VecDeque;
+use std::fmt::Write;
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::sync::watch;
+use tokio::time::{Instant, Sleep, sleep_until};
+use tokio_scip::{BaudRate, Connect, Error, Port};
+
+use super::chooser::Chooser;
+use super::fate::Fate;
+use super::sensor::Sensor;
+
+/// The time from a command to its reply.
+const TURNAROUND: Duration = Duration::from_millis(20);
+/// A delayed reply comes so long after a later command: behind the bytes of that, and
+/// before its reply.
+const LAG: Duration = Duration::from_millis(6);
+/// A copy comes so long after a reply, before the next poll of a grid.
+const SOON: Duration = Duration::from_millis(3);
+
+/// Bytes on their way to the host.
+struct Packet {
+    bytes: Vec<u8>,
+    due: Due,
+    /// The baud rate at which the sensor sent them.
+    baud_rate: Option<BaudRate>,
+}
+
+/// The time at which a packet comes; behind those before it in any case.
+#[derive(Clone, Copy)]
+enum Due {
+    At(Instant),
+    /// After the command of this number.
+    Command(u64),
+}
+
+/// How many exchanges have a choice, and how many of them may be other than on time.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Depth {
+    pub(crate) exchanges: usize,
+    pub(crate) faults: usize,
+}
+
+/// The sensor, the line to it, and the choices.
+pub(crate) struct State {
+    pub(crate) chooser: Chooser,
+    pub(crate) sensor: Sensor,
+    fates: &'static [Fate],
+    /// What is left of the depth; none before the choices begin.
+    left: Depth,
+    queue: VecDeque<Packet>,
+    /// The half of a command that was written.
+    input: Vec<u8>,
+    /// The number of commands so far.
+    commands: u64,
+    /// The number of the open link.
+    link: u64,
+    /// The number of places so far: each command and each packet is one.
+    places: watch::Sender<usize>,
+    /// The place at which the link is hung up, and whether packets survive that.
+    hang_up: Option<(usize, bool)>,
+    reader: Option<Waker>,
+    started_at: Instant,
+    /// What happened, if somebody wants to see it.
+    pub(crate) drawing: Option<String>,
+}
+
+/// A handle to the line, which opens links to it.
+#[derive(Clone)]
+pub(crate) struct Line(Arc<Mutex<State>>);
+
+impl Line {
+    pub(crate) fn new(
+        chooser: Chooser,
+        baud_rate: Option<BaudRate>,
+        fates: &'static [Fate],
+        draws: bool,
+    ) -> Self {
+        Self(Arc::new(Mutex::new(State {
+            chooser,
+            sensor: Sensor::new(baud_rate),
+            fates,
+            left: Depth { exchanges: 0, faults: 0 },
+            queue: VecDeque::new(),
+            input: Vec::new(),
+            commands: 0,
+            link: 0,
+            places: watch::Sender::new(0),
+            hang_up: None,
+            reader: None,
+            started_at: Instant::now(),
+            drawing: draws.then(String::new),
+        })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap()
+    }
+
+    /// Begins to choose.
+    pub(crate) fn begin(&self, depth: Depth, hang_up: Option<(usize, bool)>) {
+        let mut state = self.lock();
+        state.places.send_replace(0);
+        (state.left, state.hang_up) = (depth, hang_up);
+    }
+
+    /// Returns true once all choices were made and the link was hung up if it was to be.
+    pub(crate) fn is_done(&self) -> bool {
+        let state = self.lock();
+        state.left.exchanges == 0 && state.hang_up.is_none()
+    }
+
+    /// Waits for a place.
+    pub(crate) async fn reached(&self, place: usize) {
+        let mut places = self.lock().places.subscribe();
+        places.wait_for(|now| *now >= place).await.unwrap();
+    }
+
+    pub(crate) fn draw(&self, text: &str) {
+        self.lock().draw(text);
+    }
+}
+
+impl State {
+    fn draw(&mut self, text: &str) {
+        let at = self.started_at.elapsed().as_millis();
+        if let Some(drawing) = &mut self.drawing {
+            writeln!(drawing, "{at:>7} ms  {text}").unwrap();
+        }
+    }
+
+    /// Draws an arrow with the bytes on it.
+    fn draw_bytes(&mut self, arrow: [&str; 2], bytes: &[u8], comment: &str) {
+        if self.drawing.is_some() {
+            let (text, [tail, head]) = (bytes.escape_ascii().to_string(), arrow);
+            let text: String = text.chars().take(40).collect();
+            self.draw(&format!("host {tail} {text:<40} {head} sensor  {comment}"));
+        }
+    }
+
+    fn choose_fate(&mut self) -> Fate {
+        if self.left.exchanges == 0 {
+            return Fate::OnTime;
+        }
+        self.left.exchanges -= 1;
+        if self.left.faults == 0 {
+            return Fate::OnTime;
+        }
+        let choice = self.chooser.choose(self.fates.len());
+        self.left.faults -= usize::from(choice > 0);
+        self.fates[choice]
+    }
+
+    /// Counts a place, and hangs the link up if this is the one.
+    fn pass_place(&mut self) {
+        let mut place = 0;
+        self.places.send_modify(|now| {
+            *now += 1;
+            place = *now;
+        });
+        let Some((at, keeps)) = self.hang_up else { return };
+        if place >= at {
+            self.hang_up = None;
+            self.link += 1;
+            self.input.clear();
+            if !keeps {
+                self.queue.clear();
+            }
+            self.draw(if keeps { "the link is hung up" } else { "the cable is pulled" });
+        }
+    }
+
+    /// Receives a command line, and sends its reply on its way.
+    fn receive(&mut self, line: &[u8], host: Option<BaudRate>) {
+        self.sensor.update();
+        self.commands += 1;
+        let (now, number) = (Instant::now(), self.commands);
+        for packet in &mut self.queue {
+            if matches!(packet.due, Due::Command(due) if due <= number) {
+                packet.due = Due::At(now + LAG);
+            }
+        }
+        let baud_rate = self.sensor.baud_rate;
+        if host != baud_rate {
+            self.draw_bytes(["~~", "~>"], line, "another baud rate");
+            return;
+        }
+        let fate = self.choose_fate();
+        self.draw_bytes(["--", "->"], line, if fate == Fate::OnTime { "" } else { fate.name() });
+        if fate == Fate::CommandLost {
+            return;
+        }
+        let Some(mut reply) = self.sensor.answer(line) else { return };
+        let wire = |bytes| baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes));
+        let on_the_wire = wire(line.len() + 1 + reply.len());
+        let on_time = Due::At(now + TURNAROUND + on_the_wire);
+        let latency = if line[0] == b'G' { 500 } else { 1000 };
+        let deadline = Due::At(now + Duration::from_millis(latency) + on_the_wire);
+        let mut copy = None;
+        let due = match fate {
+            Fate::OnTime => on_time,
+            Fate::AtDeadline => deadline,
+            Fate::AfterNext => Due::Command(number + 1),
+            Fate::AfterSecond => Due::Command(number + 2),
+            Fate::Lost | Fate::CommandLost => return,
+            Fate::Cut => {
+                reply.truncate(reply.len() / 2);
+                on_time
+            }
+            Fate::Damaged => {
+                let place = reply.len() - 3;
+                reply[place] = 0x7f;
+                on_time
+            }
+            Fate::Merged => {
+                reply.pop();
+                on_time
+            }
+            Fate::Doubled => {
+                reply = reply.repeat(2);
+                on_time
+            }
+            Fate::DoubledSoon => {
+                copy = Some(Due::At(now + TURNAROUND + on_the_wire + SOON));
+                on_time
+            }
+            Fate::DoubledAfterNext => {
+                copy = Some(Due::Command(number + 1));
+                on_time
+            }
+        };
+        let copy = copy.map(|due| Packet { bytes: reply.clone(), due, baud_rate });
+        self.queue.extend([Packet { bytes: reply, due, baud_rate }].into_iter().chain(copy));
+    }
+
+    /// Reads what has come, or returns the time at which more comes if that is known.
+    fn read(
+        &mut self,
+        host: Option<BaudRate>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Result<(), Option<Instant>> {
+        let packet = self.queue.front_mut().ok_or(None)?;
+        let Due::At(at) = packet.due else { return Err(None) };
+        if at > Instant::now() {
+            return Err(Some(at));
+        }
+        if host != packet.baud_rate {
+            packet.bytes.fill(0xff);
+        }
+        let read: Vec<u8> =
+            packet.bytes.drain(..buffer.remaining().min(packet.bytes.len())).collect();
+        buffer.put_slice(&read);
+        if packet.bytes.is_empty() {
+            self.queue.pop_front();
+            self.draw_bytes(["<-", "--"], &read, "");
+            self.pass_place();
+        }
+        Ok(())
+    }
+}
+
+/// The host's end of a link.
+pub(crate) struct Link {
+    line: Line,
+    number: u64,
+    baud_rate: Option<BaudRate>,
+    timer: Option<Pin<Box<Sleep>>>,
+}
+
+impl Connect for Line {
+    type Port = Link;
+
+    async fn connect(&mut self) -> Result<Link, Error> {
+        let mut state = self.lock();
+        state.link += 1;
+        state.draw("the port is opened");
+        let baud_rate = state.sensor.baud_rate.map(|_| BaudRate::B19200);
+        Ok(Link { line: self.clone(), number: state.link, baud_rate, timer: None })
+    }
+}
+
+impl Port for Link {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.baud_rate
+    }
+
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.baud_rate = self.baud_rate.map(|_| baud_rate);
+        Ok(())
+    }
+}
+
+impl AsyncRead for Link {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        loop {
+            let mut state = self.line.lock();
+            if state.link != self.number {
+                return Poll::Ready(Ok(()));
+            }
+            let Err(next) = state.read(self.baud_rate, buffer) else { return Poll::Ready(Ok(())) };
+            state.reader = Some(cx.waker().clone());
+            drop(state);
+            let Some(next) = next else { return Poll::Pending };
+            let timer = self.timer.get_or_insert_with(|| Box::pin(sleep_until(next)));
+            timer.as_mut().reset(next);
+            if timer.as_mut().poll(cx).is_pending() {
+                return Poll::Pending;
+            }
+        }
+    }
+}
+
+impl AsyncWrite for Link {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let mut state = self.line.lock();
+        if state.link != self.number {
+            return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
+        }
+        for byte in bytes {
+            if *byte != b'\n' {
+                state.input.push(*byte);
+            } else if !state.input.is_empty() {
+                let line = std::mem::take(&mut state.input);
+                state.receive(&line, self.baud_rate);
+                state.pass_place();
+            }
+        }
+        let reader = state.reader.take();
+        drop(state);
+        reader.into_iter().for_each(Waker::wake);
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}

@@ -1,0 +1,135 @@
+//! Every sequence, not a sample of them: the driver on the paused clock, against a
+//! sensor and a line whose every choice is enumerated. README.md has the figures.
+
+mod chooser;
+mod fate;
+mod line;
+mod scenario;
+mod sensor;
+
+use std::time::Duration;
+
+use tokio_scip::{BaudRate, Rate, Window};
+
+use self::fate::{FATES, Fate};
+use self::line::Depth;
+use self::scenario::{Deed, Scenario};
+
+/// Everything that may happen besides.
+const DEEDS: &[Deed] =
+    &[Deed::Scan, Deed::CancelledScan, Deed::Laser, Deed::BaudRate, Deed::Unplug, Deed::HangUp];
+
+/// The number of exchanges with a choice.
+fn exchanges() -> usize {
+    std::env::var("SCIP_EXHAUSTIVE").map_or(2, |text| text.parse().unwrap())
+}
+
+fn explore(scenario: &Scenario) {
+    let exchanges = exchanges();
+    let depth = Depth { exchanges, faults: exchanges };
+    let mut total = scenario.explore(depth, None);
+    // With something more in each place, fewer faults.
+    let depth = Depth { exchanges, faults: exchanges.saturating_sub(2).max(1) };
+    for deed in scenario.deeds {
+        for place in 1..=2 * exchanges {
+            total.add(&scenario.explore(depth, Some((*deed, place))));
+        }
+    }
+    println!("{}: {total}", scenario.name);
+    assert!(total.slowest < Duration::from_secs(60));
+}
+
+fn window(start: u16, end: u16, cluster_count: u8) -> Window {
+    Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
+}
+
+fn can_differ() -> Window {
+    window(300, 303, 1)
+}
+
+/// No room for another group on either side.
+fn cannot_differ() -> Window {
+    window(44, 725, 45)
+}
+
+/// All fates but those that no driver survives where polls cannot differ: a copy that
+/// comes behind the next poll is equal to the reply to it.
+fn without_later_copies() -> &'static [Fate] {
+    let (others, copies) = FATES.split_at(FATES.len() - 2);
+    assert_eq!(copies, [Fate::DoubledSoon, Fate::DoubledAfterNext]);
+    others
+}
+
+fn on_a_grid(name: &'static str, windows: &[Window]) -> Scenario {
+    Scenario {
+        name,
+        windows: windows.to_vec(),
+        rate: Rate::hz(10.0),
+        baud_rate: None,
+        fates: FATES,
+        deeds: &[],
+        chooses_while_opening: false,
+    }
+}
+
+#[test]
+fn opening() {
+    let scenario = on_a_grid("opening", &[can_differ()]);
+    explore(&Scenario { chooses_while_opening: true, ..scenario });
+}
+
+#[test]
+fn opening_on_a_serial_line() {
+    let scenario = on_a_grid("opening on a serial line", &[can_differ()]);
+    let baud_rate = Some(BaudRate::B19200);
+    explore(&Scenario { chooses_while_opening: true, baud_rate, ..scenario });
+}
+
+#[test]
+fn windows_that_can_differ() {
+    let scenario = on_a_grid("windows that can differ", &[can_differ()]);
+    explore(&Scenario { deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn windows_that_can_differ_as_fast_as_possible() {
+    let scenario = on_a_grid("windows that can differ, Rate::MAX", &[can_differ()]);
+    explore(&Scenario { rate: Rate::MAX, ..scenario });
+}
+
+#[test]
+fn windows_that_cannot_differ() {
+    let scenario = on_a_grid("windows that cannot differ", &[cannot_differ()]);
+    explore(&Scenario { fates: without_later_copies(), deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn windows_that_cannot_differ_as_fast_as_possible() {
+    let scenario = on_a_grid("windows that cannot differ, Rate::MAX", &[cannot_differ()]);
+    explore(&Scenario { rate: Rate::MAX, fates: without_later_copies(), ..scenario });
+}
+
+/// On a serial line a fence stands between two polls that follow each other at once.
+#[test]
+fn windows_that_cannot_differ_on_a_serial_line() {
+    let scenario =
+        on_a_grid("windows that cannot differ, 19,200 baud, Rate::MAX", &[cannot_differ()]);
+    explore(&Scenario { rate: Rate::MAX, baud_rate: Some(BaudRate::B19200), ..scenario });
+}
+
+#[test]
+fn windows_on_a_serial_line() {
+    let scenario = on_a_grid("windows that can differ, 19,200 baud", &[can_differ()]);
+    explore(&Scenario { baud_rate: Some(BaudRate::B19200), deeds: DEEDS, ..scenario });
+}
+
+#[test]
+fn single_steps() {
+    explore(&on_a_grid("a single step", &[window(0, 0, 1)]));
+}
+
+#[test]
+fn two_schedules() {
+    let scenario = on_a_grid("two schedules", &[can_differ(), cannot_differ()]);
+    explore(&Scenario { deeds: &[Deed::CancelledScan, Deed::Laser, Deed::Unplug], ..scenario });
+}

@@ -1,0 +1,254 @@
+//! A service, a sensor and a line, run once for each sequence of choices.
+
+use std::cell::Cell;
+use std::fmt;
+use std::time::Duration;
+
+use tokio::runtime::Runtime;
+use tokio::time::{Instant, timeout};
+use tokio_scip::{BaudRate, Error, Rate, ScanStream, Sensor, Window};
+
+use super::chooser::Chooser;
+use super::fate::Fate;
+use super::line::{Depth, Line};
+
+/// A run that takes longer hangs.
+const LIMIT: Duration = Duration::from_secs(120);
+/// Scans that each stream has to bring after the last choice.
+const SCANS_AFTER: usize = 2;
+const OTHER_WINDOW: std::ops::RangeInclusive<u16> = 500..=501;
+const OTHER_BAUD_RATE: BaudRate = BaudRate::B115200;
+
+/// What is enumerated.
+pub(crate) struct Scenario {
+    pub(crate) name: &'static str,
+    pub(crate) windows: Vec<Window>,
+    pub(crate) rate: Rate,
+    /// `None` on USB.
+    pub(crate) baud_rate: Option<BaudRate>,
+    pub(crate) fates: &'static [Fate],
+    /// What happens besides, in each place.
+    pub(crate) deeds: &'static [Deed],
+    /// Whether the choices begin with opening, or with the streams.
+    pub(crate) chooses_while_opening: bool,
+}
+
+/// What a user does once, or somebody with the cable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Deed {
+    Scan,
+    /// A scan whose future is dropped at the next place.
+    CancelledScan,
+    /// The laser is switched off and on.
+    Laser,
+    BaudRate,
+    /// The cable is pulled and put back; what was on it is lost.
+    Unplug,
+    /// The port is hung up, and the system keeps what comes for the next link.
+    HangUp,
+}
+
+/// The figures of an enumeration.
+#[derive(Debug, Default)]
+pub(crate) struct Figures {
+    runs: u64,
+    scans: u64,
+    pub(crate) slowest: Duration,
+}
+
+impl Figures {
+    pub(crate) fn add(&mut self, other: &Self) {
+        self.runs += other.runs;
+        self.scans += other.scans;
+        self.slowest = self.slowest.max(other.slowest);
+    }
+}
+
+impl fmt::Display for Figures {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { runs, scans, slowest } = self;
+        write!(f, "{runs} sequences, {scans} scans, the longest run {slowest:?}")
+    }
+}
+
+impl Scenario {
+    /// Runs every sequence of choices. Panics with a drawing of the first one that breaks
+    /// a promise.
+    pub(crate) fn explore(&self, depth: Depth, deed: Option<(Deed, usize)>) -> Figures {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let runtime = builder.enable_time().start_paused(true).build().unwrap();
+        let (mut figures, mut chooser) = (Figures::default(), Chooser::default());
+        loop {
+            let (ran, outcome, _) = self.run(&runtime, chooser, depth, deed, false);
+            chooser = ran;
+            match outcome {
+                Ok(run) => figures.add(&run),
+                Err(reason) => self.fail(&runtime, &chooser.choices(), depth, deed, &reason),
+            }
+            if !chooser.advance() {
+                return figures;
+            }
+        }
+    }
+
+    /// Runs a sequence again to draw it.
+    fn fail(
+        &self,
+        runtime: &Runtime,
+        choices: &[usize],
+        depth: Depth,
+        deed: Option<(Deed, usize)>,
+        reason: &str,
+    ) -> ! {
+        let chooser = Chooser::starting_with(choices);
+        let (_, _, drawing) = self.run(runtime, chooser, depth, deed, true);
+        panic!("{}, {deed:?}, choices {choices:?}: {reason}\n\n{drawing}\n", self.name);
+    }
+
+    /// Runs one sequence. Returns the chooser, the outcome, and a drawing if one is wanted.
+    fn run(
+        &self,
+        runtime: &Runtime,
+        chooser: Chooser,
+        depth: Depth,
+        deed: Option<(Deed, usize)>,
+        draws: bool,
+    ) -> (Chooser, Result<Figures, String>, String) {
+        runtime.block_on(async {
+            let line = Line::new(chooser, self.baud_rate, self.fates, draws);
+            let begun = Instant::now();
+            let run = Run { scenario: self, line: &line, depth, deed, done: Cell::new(false) };
+            let outcome = timeout(LIMIT, run.run()).await;
+            let outcome = outcome.unwrap_or_else(|_| Err(format!("it hangs for {LIMIT:?}")));
+            let slowest = begun.elapsed();
+            let mut state = line.lock();
+            let outcome = outcome.map(|scans| Figures { runs: 1, scans, slowest });
+            (std::mem::take(&mut state.chooser), outcome, state.drawing.take().unwrap_or_default())
+        })
+    }
+}
+
+/// One run of a scenario.
+struct Run<'a> {
+    scenario: &'a Scenario,
+    line: &'a Line,
+    depth: Depth,
+    deed: Option<(Deed, usize)>,
+    /// Set once the deed is done.
+    done: Cell<bool>,
+}
+
+impl Run<'_> {
+    /// Returns the number of scans that came, or the promise that was broken.
+    async fn run(&self) -> Result<u64, String> {
+        let scenario = self.scenario;
+        let builder = Sensor::builder().jitter_seed(1).wait_for_sensor().ring_depth(256);
+        let (sensor, driver) = builder.build(self.line.clone());
+        let driver = tokio::spawn(driver);
+        if scenario.chooses_while_opening {
+            self.begin();
+        }
+        sensor.opened().await.map_err(|error| format!("not opened: {error}"))?;
+        let mut streams = Vec::new();
+        for window in &scenario.windows {
+            let stream = sensor.scans(*window, scenario.rate).await;
+            streams.push(stream.map_err(|error| format!("no stream: {error}"))?);
+        }
+        if !scenario.chooses_while_opening {
+            self.begin();
+        }
+        let (scans, ()) = tokio::try_join!(self.read(streams), self.act(&sensor))?;
+        sensor.close().await;
+        match driver.await {
+            Ok(Ok(())) => Ok(scans),
+            ended => Err(format!("the driver has ended with {ended:?}")),
+        }
+    }
+
+    fn begin(&self) {
+        let hang_up = match self.deed {
+            Some((Deed::Unplug, place)) => Some((place, false)),
+            Some((Deed::HangUp, place)) => Some((place, true)),
+            _ => None,
+        };
+        self.line.begin(self.depth, hang_up);
+    }
+
+    /// Checks all scans, until each stream has brought some after the last choice.
+    async fn read(&self, mut streams: Vec<ScanStream>) -> Result<u64, String> {
+        let mut scans = 0;
+        for stream in &mut streams {
+            let mut after = 0;
+            while after < SCANS_AFTER {
+                match stream.next().await {
+                    Some(Ok(scan)) => {
+                        let text = format!("scan {} of {}", scan.sequence(), scan.window());
+                        self.line.draw(&text);
+                        self.line.lock().sensor.check(&scan)?;
+                        after += usize::from(self.done.get() && self.line.is_done());
+                        scans += 1;
+                    }
+                    Some(Err(error)) => self.line.draw(&format!("error: {error}")),
+                    None => return Err("the stream has ended".to_owned()),
+                }
+            }
+            if stream.missed() > 0 {
+                return Err("a scan was missed".to_owned());
+            }
+        }
+        Ok(scans)
+    }
+
+    /// Does the deed of the user in its place. A call may fail, but not lie.
+    async fn act(&self, sensor: &Sensor) -> Result<(), String> {
+        let Some((deed, place)) = self.deed else {
+            self.done.set(true);
+            return Ok(());
+        };
+        self.line.reached(place).await;
+        self.line.draw(&format!("the user: {deed:?}"));
+        let other_window = Window::new(OTHER_WINDOW).unwrap();
+        match deed {
+            Deed::Unplug | Deed::HangUp => {}
+            Deed::Scan => self.check_scan(sensor.scan(other_window).await)?,
+            Deed::CancelledScan => tokio::select! {
+                biased;
+                () = self.line.reached(place + 1) => self.line.draw("the user drops the scan"),
+                scan = sensor.scan(other_window) => self.check_scan(scan)?,
+            },
+            Deed::Laser => {
+                let off = sensor.laser_off().await;
+                self.line.draw(&format!("laser_off: {off:?}"));
+                if off.is_ok() && self.line.lock().sensor.is_laser_on {
+                    return Err("the laser is on after laser_off".to_owned());
+                }
+                while let Err(error) = sensor.laser_on().await {
+                    self.line.draw(&format!("laser_on: {error}"));
+                }
+                if !self.line.lock().sensor.is_laser_on {
+                    return Err("the laser is off after laser_on".to_owned());
+                }
+            }
+            Deed::BaudRate => {
+                let changed = sensor.set_baud_rate(OTHER_BAUD_RATE).await;
+                self.line.draw(&format!("set_baud_rate: {changed:?}"));
+                let baud_rate = self.line.lock().sensor.baud_rate;
+                if changed.is_ok() && baud_rate.is_some_and(|now| now != OTHER_BAUD_RATE) {
+                    return Err(format!("{baud_rate:?} after set_baud_rate"));
+                }
+            }
+        }
+        self.done.set(true);
+        Ok(())
+    }
+
+    fn check_scan(&self, scan: Result<tokio_scip::Scan, Error>) -> Result<(), String> {
+        match scan {
+            Ok(scan) => self.line.lock().sensor.check(&scan),
+            Err(error) => {
+                self.line.draw(&format!("scan: {error}"));
+                Ok(())
+            }
+        }
+    }
+}
