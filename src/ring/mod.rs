@@ -2,12 +2,19 @@
 //! streams, each of which reads at a place and to a depth of its own.
 
 mod cursor;
+#[cfg(all(test, ring_model))]
+mod model;
 #[cfg(test)]
 mod tests;
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, PoisonError};
+#[cfg(not(all(test, ring_model)))]
+use std::sync::{Mutex, MutexGuard};
 use std::task::Waker;
+
+#[cfg(all(test, ring_model))]
+use loom::sync::{Mutex, MutexGuard};
 
 pub(crate) use self::cursor::Cursor;
 use crate::state::Audience;

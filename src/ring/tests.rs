@@ -8,7 +8,7 @@ use super::*;
 use crate::Window;
 use crate::scan::ScanMeta;
 
-fn scan(sequence: u64) -> Scan {
+pub(super) fn scan(sequence: u64) -> Scan {
     let now = Instant::now();
     let meta = ScanMeta {
         sequence,
