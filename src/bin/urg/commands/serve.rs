@@ -66,20 +66,20 @@ fn help() -> String {
 
 const HELP: &str = "\
 Addresses:
-  /        the page
-  /scans   scans and events as they come: NDJSON as `urg stream` writes it, or
-           server-sent events if requested (Accept: text/event-stream);
-           /scans?max=N ends after N scans
-  /state   the sensor and the state of its stream, one JSON object
-  /health  200 while scans arrive, else 503 with the reason
-  /metrics state and counters as metrics for Prometheus
-  /playback of a recording: POST /playback?pause, ?play, ?step=1, ?seek=12.5,
-           ?speed=2, ?loop=true
+  /          the page
+  /scans     scans and events as they come: NDJSON as `urg stream` writes it, or
+             server-sent events if requested (Accept: text/event-stream);
+             /scans?max=N ends after N scans
+  /state     the sensors and the states of their streams, one JSON object
+  /health    200 while the scans of all sensors arrive, else 503 with the reasons
+  /metrics   the figures of all sensors for Prometheus
+  /playback  control of a recording: POST /playback?pause, ?play, ?step=1,
+             ?seek=12.5, ?speed=2, ?loop=true
 
-Several sensors are named, and placed in one frame: front=PORT@0.2,0,180 is 0.2 m
-ahead of the origin and looks back (X ahead and Y to the left in metres, YAW
-counter-clockwise in degrees). Each line of /scans then names its sensor. A sensor that
-fails does not affect the others.
+Several sensors in one picture: NAME=PORT@X,Y,YAW, such as front=PORT@0.2,0,180. X
+is in metres ahead of the common origin, Y to its left, and YAW in degrees
+counter-clockwise. The lines of /scans then name their sensor. A sensor that fails
+does not affect the others.
 
 Examples:
   urg serve /dev/ttyACM0                    then open http://127.0.0.1:8080/
