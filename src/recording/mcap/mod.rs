@@ -9,14 +9,16 @@
 //! there are; here a file ends at 65,536. The tests read with that crate what is
 //! written here.
 
+mod form;
 mod index;
 mod read;
 mod records;
 mod write;
 
+pub(super) use self::form::{is_well_formed, parse_metadata, split_record};
 pub(super) use self::index::MAX_INDEX_ENTRIES;
 pub(super) use self::read::{FileError, Section, Sections};
-pub(super) use self::records::{Records, is_well_formed, parse_metadata, split_record};
+pub(super) use self::records::Records;
 pub(super) use self::write::{McapWriter, header};
 
 /// Starts and ends every file.

@@ -7,7 +7,7 @@
 use std::io::{self, Read};
 use std::ops::Range;
 
-use super::records::{fields_length, record_head};
+use super::form::{fields_length, record_head};
 use super::{Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind};
 
 /// A chunk's head, behind the record's, up to the name of its compression: start,

@@ -1,70 +1,13 @@
-//! [`Records`]: the records of a file one by one, those in chunks included, and the
-//! form that a record of each kind must have.
+//! [`Records`]: the records of a file one by one, those in chunks included.
 
 use std::io::Read;
 use std::ops::Range;
 
+use super::form::{is_well_formed, split_record};
 use super::read::{FileError, Section, Sections};
-use super::{Fields, MessageHeader, RECORD_HEAD, kind};
 
 /// The reason of damage that no checksum covers.
 const MALFORMED: &str = "a record is not of its form";
-
-/// The kind of a record and the length of its content.
-pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
-    let (&kind, rest) = bytes.split_first()?;
-    Some((kind, Fields(rest).u64()?))
-}
-
-/// Returns how long the fields of a record are, or `None` if they are longer than
-/// `content`. Without such a check a damaged length skips the chunks behind.
-pub(super) fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
-    let (numbers, texts) = match kind {
-        kind::HEADER | kind::METADATA => (0, 2),
-        kind::SCHEMA => (1, 3),
-        kind::CHANNEL => (2, 3),
-        // Messages are as long as they are; the others are not read.
-        _ => return Some(content.len()),
-    };
-    let mut fields = Fields(content);
-    for _ in 0..numbers {
-        fields.u16()?;
-    }
-    for _ in 0..texts {
-        fields.bytes()?;
-    }
-    Some(content.len() - fields.0.len())
-}
-
-/// Checks that a record has the fields of its kind, and nothing behind them. A
-/// repaired file has no others, and the reader returns no others, so that both have
-/// the same.
-pub(in super::super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
-    match kind {
-        kind::MESSAGE => MessageHeader::parse(content).is_some(),
-        kind::METADATA => parse_metadata(content).is_some(),
-        _ => fields_length(kind, content) == Some(content.len()),
-    }
-}
-
-/// Splits metadata into its name and its pairs.
-pub(in super::super) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
-    let mut fields = Fields(content);
-    let (name, mut rest) = (fields.string()?, Fields(fields.bytes()?));
-    let mut pairs = Vec::new();
-    while !rest.0.is_empty() {
-        pairs.push((rest.string()?, rest.string()?));
-    }
-    fields.0.is_empty().then_some((name, pairs))
-}
-
-/// Splits off the first record of a chunk: its kind, its content, and the rest.
-pub(in super::super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
-    let (kind, length) = record_head(records)?;
-    let rest = records.get(RECORD_HEAD..)?;
-    let (content, rest) = rest.split_at_checked(usize::try_from(length).ok()?)?;
-    Some((kind, content, rest))
-}
 
 /// Reads the records of a file, those in chunks included.
 pub(in super::super) struct Records {
