@@ -119,8 +119,8 @@
 //! are [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes,
 //! and [`Point`].
 //!
-//! The types of `tokio`, `tokio-util`, `futures`, `bytes` and
-//! `serde` in the API are part of it.
+//! The types of `tokio`, `tokio-util`, `futures-core`, `bytes` and `serde` in the API
+//! are part of it.
 //!
 //! The minimum Rust is 1.88. A new minimum is at least half a year old when it is
 //! raised. Raising it raises the second number before 1.0, and the minor one after.

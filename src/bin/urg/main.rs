@@ -24,7 +24,9 @@ use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::commands::{
     baud, check as self_test, completions, emulate, info, laser, list, man, publish as publishing,
@@ -160,19 +162,20 @@ async fn run_command(command: Command) -> Result<(), Failure> {
 /// Logs to standard error as `RUST_LOG` asks for, and not at all without it:
 /// whatever a user has to know is a notice.
 fn start_log(command: &Command) {
-    if std::env::var_os(EnvFilter::DEFAULT_ENV).is_none() {
-        return;
-    }
+    let Some(wanted) = std::env::var_os("RUST_LOG") else { return };
     if matches!(command, Command::View(_)) && io::stderr().is_terminal() {
         notice("no log: its lines would cover the radar; add `2> urg.log` to log to a file");
         return;
     }
-    match EnvFilter::try_from_default_env() {
-        Ok(filter) => tracing_subscriber::fmt()
-            .with_env_filter(filter)
-            .with_writer(|| stderr::LogWriter)
-            .with_ansi(io::stderr().is_terminal())
-            .init(),
+    // Targets and levels. `EnvFilter`, which also matches the fields of spans, needs an
+    // engine for regular expressions.
+    match wanted.to_string_lossy().parse::<Targets>() {
+        Ok(targets) => {
+            let lines = tracing_subscriber::fmt::layer()
+                .with_writer(|| stderr::LogWriter)
+                .with_ansi(io::stderr().is_terminal());
+            tracing_subscriber::registry().with(lines).with(targets).init();
+        }
         Err(error) => notice(format_args!("no log: RUST_LOG is invalid: {error}")),
     }
 }

@@ -8,12 +8,15 @@
 mod deadline;
 mod line;
 
+use std::future::poll_fn;
 use std::io;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use bytes::{BufMut, BytesMut};
-use futures::{SinkExt, StreamExt};
+use futures_core::Stream;
+use futures_sink::Sink;
 use tokio::io::AsyncReadExt;
 use tokio::time::Instant;
 use tokio_util::codec::Framed;
@@ -280,7 +283,13 @@ impl Transport {
         self.framed.get_mut().begin_command();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        match self.deadline_timer.run(deadline, self.framed.send(command)).await {
+        let sent = async {
+            let mut framed = Pin::new(&mut self.framed);
+            poll_fn(|cx| framed.as_mut().poll_ready(cx)).await?;
+            framed.as_mut().start_send(command)?;
+            poll_fn(|cx| framed.as_mut().poll_flush(cx)).await
+        };
+        match self.deadline_timer.run(deadline, sent).await {
             Some(outcome) => outcome.map_err(|error| self.lost(Some(error)))?,
             None => {
                 self.framed.write_buffer_mut().clear();
@@ -295,7 +304,8 @@ impl Transport {
     /// Returns the next frame, or `None` at the deadline. A frame that is there
     /// at the deadline wins.
     async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, ExchangeError> {
-        match self.deadline_timer.run(deadline, self.framed.next()).await {
+        let next = poll_fn(|cx| Pin::new(&mut self.framed).poll_next(cx));
+        match self.deadline_timer.run(deadline, next).await {
             Some(Some(frame)) => frame.map(Some).map_err(|error| self.lost(Some(error))),
             Some(None) => Err(self.lost(None)),
             None => {

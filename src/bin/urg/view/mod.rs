@@ -13,11 +13,14 @@ mod source;
 #[cfg(test)]
 mod tests;
 
+use std::future::poll_fn;
+use std::io;
+use std::pin::Pin;
 use std::time::Duration;
 use tokio::time::Instant;
 
 use crossterm::event::{Event, EventStream};
-use futures::StreamExt;
+use futures_core::Stream;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
@@ -119,7 +122,7 @@ impl Viewer {
                     screen.draw(|frame| draw::draw(frame, &self.model, self.palette))?;
                     continue;
                 }
-                event = keys.next() => match event {
+                event = next_event(&mut keys) => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {
                         Some(Action::Quit) => return Ok(Ended::Interrupted),
                         action => self.act(action),
@@ -293,4 +296,10 @@ async fn changed_state(state: Option<&mut watch::Receiver<State>>) {
     if !is_changed {
         std::future::pending().await
     }
+}
+
+/// Returns the next key, or change of the terminal's size; `None` once its input has
+/// ended.
+async fn next_event(events: &mut EventStream) -> Option<io::Result<Event>> {
+    poll_fn(|cx| Pin::new(&mut *events).poll_next(cx)).await
 }

@@ -8,8 +8,8 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use futures::StreamExt;
-use futures::stream::{self, BoxStream, SelectAll};
+use futures_util::StreamExt;
+use futures_util::stream::{self, BoxStream, SelectAll};
 
 use super::app::App;
 use super::server::Connection;

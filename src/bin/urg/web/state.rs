@@ -4,7 +4,7 @@
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use futures::FutureExt;
+use futures_util::FutureExt;
 use serde::Serialize;
 use tokio_scip::{Stats, Version, Window};
 
