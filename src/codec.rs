@@ -104,6 +104,13 @@ impl ScipCodec {
         *self = Self { expected: self.expected, ..Self::default() };
     }
 
+    /// Returns the number of bytes that are missing in `buffer`, if it begins with a reply
+    /// of success to the last command, and that was a `G`.
+    pub(crate) fn missing(&self, buffer: &[u8]) -> Option<usize> {
+        let scan = self.expected.filter(|scan| buffer.first_chunk() == Some(&scan.head))?;
+        scan.length.checked_sub(buffer.len()).filter(|missing| *missing > 0)
+    }
+
     /// Returns the length of the first frame in `buffer`, its terminator not
     /// counted, if all of it is there.
     fn find_end(&self, buffer: &[u8]) -> Option<usize> {

@@ -21,6 +21,7 @@ mod memory;
 mod nth_failure;
 mod observer;
 mod opening;
+mod pauses;
 mod polling;
 mod ports;
 #[cfg(all(unix, feature = "serial"))]

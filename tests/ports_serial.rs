@@ -2,12 +2,16 @@
 //! without sleeping: each wait is for bytes.
 
 use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::task::{Context, Wake, Waker};
 use std::time::Duration;
 
 use crate::common::limit::limit;
 use futures::FutureExt;
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt, ReadBuf};
 use tokio_scip::port::SerialPort;
 use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
 use tokio_serial::SerialPort as _;
@@ -337,4 +341,56 @@ async fn a_serial_number_that_no_port_has_is_an_error() {
         }
     }
     assert!(!connector.has_more());
+}
+
+/// Counts how often it is woken.
+#[derive(Default)]
+struct Woken(AtomicU64);
+
+impl Wake for Woken {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Relaxed);
+    }
+}
+
+#[tokio::test]
+async fn a_port_with_suspended_wake_ups_wakes_nobody_and_reads_what_came_meanwhile() {
+    let Line { mut far, near, path } = line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    let woken = Arc::new(Woken::default());
+    let waker = Waker::from(Arc::clone(&woken));
+    let mut bytes = [0; 8];
+    for wakes in [false, true] {
+        woken.0.store(0, Relaxed);
+        let mut buffer = ReadBuf::new(&mut bytes);
+        let mut cx = Context::from_waker(&waker);
+        assert!(Pin::new(&mut port).poll_read(&mut cx, &mut buffer).is_pending());
+        assert!(wakes || port.suspend_wakeups());
+        far.write_all(b"abc").await.unwrap();
+        while near.bytes_to_read().unwrap() < 3 {
+            tokio::task::yield_now().await;
+        }
+        // The runtime asks the system for events each time.
+        for _ in 0..3 {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(woken.0.load(Relaxed) > 0, wakes);
+        let mut cx = Context::from_waker(&waker);
+        assert!(Pin::new(&mut port).poll_read(&mut cx, &mut buffer).is_ready());
+        assert_eq!(buffer.filled(), b"abc");
+    }
+    // After a read the port wakes its reader again.
+    let (written, read) = tokio::join!(far.write_all(b"d"), port.read(&mut bytes));
+    assert!(written.is_ok() && read.unwrap() == 1 && bytes[0] == b'd');
+}
+
+#[tokio::test]
+async fn a_line_that_hangs_up_while_wake_ups_are_suspended_is_noticed_by_the_next_read() {
+    let Line { far, near: _near, path } = line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    assert!(port.read(&mut [0; 8]).now_or_never().is_none());
+    assert!(port.suspend_wakeups());
+    drop(far);
+    let read = port.read(&mut [0; 8]).await;
+    assert!(matches!(read, Ok(0) | Err(_)), "{read:?}");
 }

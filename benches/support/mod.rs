@@ -40,3 +40,18 @@ pub(crate) fn median(figures: impl IntoIterator<Item = f64>) -> f64 {
 pub(crate) fn us(time: Duration) -> f64 {
     time.as_secs_f64() * 1e6
 }
+
+/// Returns how often the threads of this process that still run have waited, so far
+/// (Linux).
+pub(crate) fn wake_ups() -> u64 {
+    let tasks = std::fs::read_dir("/proc/self/task").expect("a Linux /proc");
+    let counts = tasks.map(|task| {
+        let path = task.expect("a thread").path().join("status");
+        // A thread may have ended since the directory was read.
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        let mut lines = text.lines();
+        let count = lines.find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+        count.and_then(|count| count.trim().parse::<u64>().ok()).unwrap_or(0)
+    });
+    counts.sum()
+}

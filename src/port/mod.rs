@@ -86,6 +86,17 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
         None
     }
 
+    /// Stops waking the driver for bytes that arrive, until the next `poll_read`. That
+    /// one must first read what the system has by then, and wake the driver for later
+    /// bytes again. Returns whether the port can do this; `false` is the default.
+    ///
+    /// The driver calls it, after a `poll_read` that returned `Pending`, while the rest
+    /// of a reply still takes some milliseconds. A serial line delivers a scan in 20 to
+    /// 100 pieces, each of which would wake the driver.
+    fn suspend_wakeups(&mut self) -> bool {
+        false
+    }
+
     /// Returns true if the link can be lost without a failing read or write, as a TCP
     /// connection or an RS-232 line. The driver then probes the sensor while it is idle
     /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)). `false` is the
@@ -122,6 +133,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         (**self).try_read(buffer)
+    }
+
+    fn suspend_wakeups(&mut self) -> bool {
+        (**self).suspend_wakeups()
     }
 
     fn can_die_silently(&self) -> bool {

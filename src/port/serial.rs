@@ -149,6 +149,12 @@ impl Port for SerialPort {
         Some(self.inner.try_read(buffer))
     }
 
+    #[cfg(unix)]
+    fn suspend_wakeups(&mut self) -> bool {
+        self.inner.suspend_wakeups();
+        true
+    }
+
     fn discard_output(&mut self) {
         // Fails only if the port is gone, and with it its output.
         let _ = self.inner.clear(ClearBuffer::Output);

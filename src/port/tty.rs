@@ -2,6 +2,7 @@
 
 use std::future::Future;
 use std::io::{self, Read as _, Write as _};
+use std::os::fd::{AsRawFd as _, RawFd};
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
@@ -9,6 +10,7 @@ use std::time::Duration;
 use mio_serial::SerialStream;
 use tokio::io::unix::AsyncFd;
 use tokio::io::{Interest, ReadBuf};
+use tokio::runtime::Handle;
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
@@ -28,9 +30,18 @@ const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 /// to write after each write, and again when the line has sent it: two needless
 /// wake-ups for each command. A port's buffer practically always has room for a command;
 /// if it has not, the write is retried by a timer.
+///
+/// While wake-ups are suspended it is not registered at all: with edge-triggered epoll
+/// each piece of a reply wakes the runtime, even if no task waits for it. That costs two
+/// calls of `epoll_ctl`, less than one wake-up.
 #[derive(Debug)]
 pub(super) struct Tty {
-    fd: AsyncFd<SerialStream>,
+    /// The registration with the runtime, `None` while wake-ups are suspended. Declared
+    /// before the port, so dropped while the file is still open.
+    readiness: Option<AsyncFd<RawFd>>,
+    port: SerialStream,
+    /// The runtime that the port was opened in.
+    runtime: Handle,
     /// Runs after a write that found the port's buffer full.
     retry: Option<Pin<Box<Sleep>>>,
 }
@@ -38,39 +49,71 @@ pub(super) struct Tty {
 impl Tty {
     pub(super) fn open(builder: &SerialPortBuilder) -> tokio_serial::Result<Self> {
         let port = SerialStream::open(builder)?;
+        let mut tty = Self { readiness: None, port, runtime: Handle::current(), retry: None };
+        tty.register()?;
+        Ok(tty)
+    }
+
+    fn register(&mut self) -> io::Result<()> {
+        let _context = self.runtime.enter();
         #[allow(deprecated, reason = "deprecated for types that may close their file early")]
-        let fd = AsyncFd::with_interest(port, Interest::READABLE)?;
-        Ok(Self { fd, retry: None })
+        let readiness = AsyncFd::with_interest(self.port.as_raw_fd(), Interest::READABLE)?;
+        self.readiness = Some(readiness);
+        Ok(())
+    }
+
+    /// Stops waking the task for bytes that arrive, until the next
+    /// [`poll_read`](Self::poll_read).
+    pub(super) fn suspend_wakeups(&mut self) {
+        self.readiness = None;
     }
 
     pub(super) fn baud_rate(&self) -> tokio_serial::Result<u32> {
-        self.fd.get_ref().baud_rate()
+        self.port.baud_rate()
     }
 
     pub(super) fn set_baud_rate(&mut self, baud_rate: u32) -> tokio_serial::Result<()> {
-        self.fd.get_mut().set_baud_rate(baud_rate)
+        self.port.set_baud_rate(baud_rate)
     }
 
     pub(super) fn clear(&self, buffer: ClearBuffer) -> tokio_serial::Result<()> {
-        self.fd.get_ref().clear(buffer)
+        self.port.clear(buffer)
     }
 
     /// Reads the bytes that the system has, without the runtime's I/O driver.
     pub(super) fn try_read(&self, bytes: &mut [u8]) -> io::Result<usize> {
-        self.fd.get_ref().read(bytes)
+        (&self.port).read(bytes)
     }
 
-    /// Reads as [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read).
+    /// Reads as [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read). If wake-ups are
+    /// suspended, reads first and registers then: bytes that are there at registration
+    /// would be reported although they are read already.
     pub(super) fn poll_read(
-        self: Pin<&mut Self>,
+        mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
         let room = buffer.remaining().min(MAX_READ_BYTES);
         loop {
-            let mut guard = ready!(self.fd.poll_read_ready(cx))?;
-            let read = guard.try_io(|fd| fd.get_ref().read(buffer.initialize_unfilled_to(room)));
-            match read {
+            let Self { readiness: Some(readiness), port, .. } = &*self else {
+                let read = self.try_read(buffer.initialize_unfilled_to(room));
+                let is_all = match &read {
+                    Ok(read) => SHORT_READ_IS_ALL && (1..room).contains(read),
+                    Err(error) => error.kind() == io::ErrorKind::WouldBlock,
+                };
+                if is_all {
+                    self.register()?;
+                }
+                match read {
+                    Ok(read) => buffer.advance(read),
+                    Err(_) if is_all => continue,
+                    Err(error) => return Poll::Ready(Err(error)),
+                }
+                return Poll::Ready(Ok(()));
+            };
+            let mut guard = ready!(readiness.poll_read_ready(cx))?;
+            let mut port = port;
+            match guard.try_io(|_| port.read(buffer.initialize_unfilled_to(room))) {
                 Ok(Ok(read)) => {
                     buffer.advance(read);
                     if SHORT_READ_IS_ALL && (1..room).contains(&read) {
@@ -95,7 +138,7 @@ impl Tty {
                 ready!(retry.as_mut().poll(cx));
                 self.retry = None;
             }
-            match self.fd.get_ref().write(bytes) {
+            match (&self.port).write(bytes) {
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     self.retry = Some(Box::pin(sleep(RETRY_INTERVAL)));
                 }

@@ -139,6 +139,12 @@ impl Line {
         self.port.baud_rate()
     }
 
+    /// Stops waking the driver for bytes that arrive, until the next read. Returns whether
+    /// the port can do this.
+    pub(super) fn suspend_wakeups(&mut self) -> bool {
+        self.port.suspend_wakeups()
+    }
+
     pub(super) fn can_die_silently(&self) -> bool {
         self.port.can_die_silently()
     }

@@ -7,11 +7,13 @@
 
 mod deadline;
 mod line;
+mod pause;
 
-use std::future::poll_fn;
+use std::future::{pending, poll_fn};
 use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
 use bytes::{BufMut, BytesMut};
@@ -23,6 +25,7 @@ use tokio_util::codec::Framed;
 
 use self::deadline::DeadlineTimer;
 use self::line::{Line, SCRATCH_BYTES, flood};
+use self::pause::Pauses;
 use super::exchange::ExchangeError;
 use crate::codec::{Frame, ScipCodec};
 use crate::port::Port;
@@ -56,6 +59,9 @@ pub(crate) struct Timing {
 pub(crate) struct Transport {
     framed: Framed<Line, ScipCodec>,
     deadline_timer: DeadlineTimer,
+    /// Ends pauses. A timer of its own: that of the deadline keeps its place.
+    pause_timer: DeadlineTimer,
+    pauses: Pauses,
     /// The time that a sensor may take to begin its answer, where it was set.
     latency: Option<Duration>,
     /// Something older than the next command may be on its way.
@@ -85,6 +91,8 @@ impl Transport {
         Self {
             framed,
             deadline_timer: DeadlineTimer::default(),
+            pause_timer: DeadlineTimer::default(),
+            pauses: Pauses::default(),
             latency,
             // Whatever the last user of the port left behind.
             dirty: true,
@@ -110,6 +118,7 @@ impl Transport {
         self.interrupted = true;
         self.drop_input();
         self.outrun = false;
+        self.pauses = Pauses::default();
         let outcome = self.framed.get_mut().set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
@@ -261,6 +270,7 @@ impl Transport {
             let Some(frame) = self.receive(deadline).await? else { return timeout };
             let received = Instant::now();
             self.latest = Some(received);
+            self.pauses.end_reply(received, &frame);
             let line = self.framed.get_ref();
             let (began, stamp) = (line.first_byte().unwrap_or(received), line.stamp());
             let timing = Timing { requested, began, received, stamp };
@@ -268,7 +278,7 @@ impl Transport {
                 return verdict;
             }
             self.dirty = true;
-            self.framed.get_mut().begin_reply();
+            self.begin_reply();
             self.telemetry.stats().bytes_skipped += wire_len(&frame);
         }
         Err(self.lost(Some(flood())))
@@ -281,6 +291,7 @@ impl Transport {
             self.framed.write_buffer_mut().put_u8(b'\n');
         }
         self.framed.get_mut().begin_command();
+        self.pauses.begin_reply();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
         let sent = async {
@@ -302,17 +313,43 @@ impl Transport {
     }
 
     /// Returns the next frame, or `None` at the deadline. A frame that is there
-    /// at the deadline wins.
+    /// at the deadline wins. Pauses while the rest of a reply takes its time.
     async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, ExchangeError> {
-        let next = poll_fn(|cx| Pin::new(&mut self.framed).poll_next(cx));
-        match self.deadline_timer.run(deadline, next).await {
-            Some(Some(frame)) => frame.map(Some).map_err(|error| self.lost(Some(error))),
-            Some(None) => Err(self.lost(None)),
-            None => {
-                self.dirty = true;
-                Ok(None)
+        loop {
+            let Self { framed, deadline_timer, pause_timer, pauses, .. } = self;
+            let frame_or_pause = poll_fn(|cx| match Pin::new(&mut *framed).poll_next(cx) {
+                Poll::Ready(frame) => Poll::Ready(Received::Frame(frame)),
+                Poll::Pending => {
+                    let present = framed.read_buffer();
+                    let missing = framed.codec().missing(present);
+                    match missing.and_then(|missing| pauses.next(present.len(), missing, deadline))
+                    {
+                        Some(until) if framed.get_mut().suspend_wakeups() => {
+                            Poll::Ready(Received::Pause(until))
+                        }
+                        _ => Poll::Pending,
+                    }
+                }
+            });
+            match deadline_timer.run(deadline, frame_or_pause).await {
+                Some(Received::Pause(until)) => {
+                    pause_timer.run(until, pending::<()>()).await;
+                }
+                Some(Received::Frame(Some(frame))) => {
+                    return frame.map(Some).map_err(|error| self.lost(Some(error)));
+                }
+                Some(Received::Frame(None)) => return Err(self.lost(None)),
+                None => {
+                    self.dirty = true;
+                    return Ok(None);
+                }
             }
         }
+    }
+
+    fn begin_reply(&mut self) {
+        self.framed.get_mut().begin_reply();
+        self.pauses.begin_reply();
     }
 
     fn drop_input(&mut self) {
@@ -329,6 +366,13 @@ impl Transport {
             (true, error) => ExchangeError::Ended(Error::disconnected(error)),
         }
     }
+}
+
+/// What [`Transport::receive`] waits for.
+enum Received {
+    Frame(Option<io::Result<Frame>>),
+    /// The rest of the reply comes at this time at the earliest.
+    Pause(Instant),
 }
 
 /// Returns how many bytes a frame had on the wire, its terminator included.

@@ -1,0 +1,332 @@
+//! Wake-ups, CPU time and latency of scans that arrive in pieces, as over a serial line,
+//! at the rate of a real sensor: on a pseudo-terminal, with the sensor in another
+//! process. Beside the driver the same without pauses, and a floor, which only writes a
+//! command and reads, blocking, until the reply has ended.
+//!
+//! `cargo bench --bench pieces` prints a table. With the arguments of one poller (`floor`,
+//! `driver` or `unpaused`), one pattern (the first column) and a number of
+//! scans it runs only these, for `strace` and `.ci/system_calls`.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::pin::Pin;
+use std::process::{Child, Command, Stdio};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use support::{cpu_time, median, percentile, terminal, us, wake_ups};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::runtime::Builder;
+use tokio_scip::port::{Connect, Port, SerialPort};
+use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
+
+#[path = "../tests/common/prompt.rs"]
+mod prompt;
+#[path = "support/mod.rs"]
+mod support;
+
+const ROUNDS: usize = 5;
+const SCANS: usize = 30;
+/// Scans before the measured ones: the driver measures the first ones itself.
+const FIRST_SCANS: usize = 5;
+/// The bytes of the last two points and the end of a scan.
+const END_BYTES: usize = 6;
+const POLLERS: [&str; 3] = ["floor", "driver", "unpaused"];
+
+/// The way in which the bytes of a reply arrive.
+struct Pattern {
+    name: &'static str,
+    /// The time from the command to the reply.
+    latency: Duration,
+    /// Bytes a piece.
+    piece: usize,
+    /// The time from piece to piece.
+    interval: Duration,
+    /// Scans a second.
+    rate: u32,
+}
+
+const PATTERNS: [Pattern; 5] = [
+    // 115,200 baud: 11,520 bytes a second.
+    Pattern::new("rs232", 0, 14, 1_215_278, 5),
+    Pattern::new("adapter", 0, 62, 5_381_944, 5),
+    // 375 kB a second: the sensor answers at once, and in phase with its motor.
+    Pattern::new("usb", 0, 64, 170_667, 10),
+    Pattern::new("usb-phase", 90, 64, 170_667, 10),
+    Pattern::new("whole", 0, 4096, 170_667, 10),
+];
+
+impl Pattern {
+    const fn new(name: &'static str, latency: u64, piece: usize, interval: u64, rate: u32) -> Self {
+        let (latency, interval) = (Duration::from_millis(latency), Duration::from_nanos(interval));
+        Self { name, latency, piece, interval, rate }
+    }
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let pattern = |name| PATTERNS.iter().find(|pattern| pattern.name == name).unwrap();
+    match arguments[..] {
+        ["serve", name] => serve(pattern(name)),
+        [poller, name, scans] => {
+            let server = Server::start(name);
+            println!("{:?}", poll(poller, &server.path, pattern(name), scans.parse().unwrap()));
+        }
+        _ => table(),
+    }
+}
+
+fn table() {
+    println!("pattern  poller    wake-ups/scan  CPU us/scan  of floor  latency us: median    99 %");
+    for pattern in &PATTERNS {
+        let server = Server::start(pattern.name);
+        // Side by side in each round: a load that disturbs one disturbs all.
+        let rounds: Vec<[Cost; 3]> = (0..ROUNDS)
+            .map(|_| POLLERS.map(|poller| poll(poller, &server.path, pattern, SCANS)))
+            .collect();
+        for (index, poller) in POLLERS.into_iter().enumerate() {
+            let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
+            let to_floor = median(rounds.iter().map(|r| r[index].cpu() / r[0].cpu()));
+            let mut latencies: Vec<Duration> =
+                rounds.iter().flat_map(|round| round[index].latencies.clone()).collect();
+            println!(
+                "{:8} {poller:8}  {:13.1}  {:11.0}  {to_floor:8.2}  {:18.0}  {:6.0}",
+                pattern.name,
+                of(Cost::wake_ups),
+                of(Cost::cpu),
+                us(percentile(&mut latencies, 0.5)),
+                us(percentile(&mut latencies, 0.99)),
+            );
+        }
+    }
+}
+
+/// The cost of a number of scans.
+#[derive(Debug)]
+struct Cost {
+    wake_ups: u64,
+    cpu: Duration,
+    /// The time from just before the last piece was written until the scan was held.
+    latencies: Vec<Duration>,
+}
+
+impl Cost {
+    fn wake_ups(&self) -> f64 {
+        self.wake_ups as f64 / self.latencies.len() as f64
+    }
+
+    /// Returns microseconds of CPU time a scan.
+    fn cpu(&self) -> f64 {
+        us(self.cpu) / self.latencies.len() as f64
+    }
+}
+
+fn poll(poller: &str, path: &Path, pattern: &Pattern, scans: usize) -> Cost {
+    match poller {
+        "floor" => floor(path, pattern, scans),
+        "driver" => driver(false, path, pattern, scans),
+        "unpaused" => driver(true, path, pattern, scans),
+        _ => panic!("{poller}: use floor, driver or unpaused"),
+    }
+}
+
+/// Polls with one write and as few reads as possible, without decoding.
+fn floor(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
+    let mut port = terminal::open(path);
+    let mut buffer = [0; 4096];
+    let mut due = Instant::now();
+    let mut scan = || {
+        due += Duration::from_secs(1) / pattern.rate;
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        port.write_all(b"G04472501\n").unwrap();
+        let mut length = 0;
+        while !buffer[..length].ends_with(b"\n\n") {
+            length += port.read(&mut buffer[length..]).unwrap();
+        }
+        assert_eq!(length, 1399);
+        let [.., a, b, c, d, b'\n', b'\n'] = buffer[..length] else { panic!("no scan") };
+        since(Stamp([a, b, c, d].map(|byte| u32::from(byte - b'0'))))
+    };
+    for _ in 0..FIRST_SCANS {
+        scan();
+    }
+    let (cpu, woken) = (cpu_time(), wake_ups());
+    let latencies = (0..scans).map(|_| scan()).collect();
+    Cost { wake_ups: wake_ups() - woken, cpu: cpu_time() - cpu, latencies }
+}
+
+/// Polls through the driver, with the consumer in a task of its own.
+fn driver(unpaused: bool, path: &Path, pattern: &Pattern, scans: usize) -> Cost {
+    let path = path.to_str().unwrap().to_owned();
+    let rate = Rate::hz(f64::from(pattern.rate));
+    let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+    let polling = runtime.spawn(async move {
+        let sensor = match unpaused {
+            true => Sensor::builder().connect(Unpaused::At(path)).await.unwrap(),
+            false => Sensor::open(path).await.unwrap(),
+        };
+        let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        let mut next = async || {
+            let scan = stream.next().await.unwrap().unwrap();
+            let [.., first, second] = *scan.values() else { panic!("no scan") };
+            let sextets = [first >> 6, first & 63, second >> 6, second & 63];
+            since(Stamp(sextets.map(u32::from)))
+        };
+        for _ in 0..FIRST_SCANS {
+            next().await;
+        }
+        let (cpu, woken) = (cpu_time(), wake_ups());
+        let mut latencies = Vec::with_capacity(scans);
+        for _ in 0..scans {
+            latencies.push(next().await);
+        }
+        let cost = Cost { wake_ups: wake_ups() - woken, cpu: cpu_time() - cpu, latencies };
+        sensor.close().await;
+        cost
+    });
+    runtime.block_on(polling).unwrap()
+}
+
+/// A time of day in microseconds, 24 bits of it, in the last two points of a scan.
+struct Stamp([u32; 4]);
+
+impl Stamp {
+    fn now() -> Self {
+        let micros = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros() as u32;
+        Self([18, 12, 6, 0].map(|shift| micros >> shift & 63))
+    }
+
+    fn micros(&self) -> u32 {
+        self.0.iter().fold(0, |sum, sextet| sum << 6 | sextet)
+    }
+}
+
+/// Returns the time that has gone by since `stamp`, 16 s at most.
+fn since(stamp: Stamp) -> Duration {
+    let micros = Stamp::now().micros().wrapping_sub(stamp.micros()) & 0xff_ffff;
+    Duration::from_micros(micros.into())
+}
+
+/// A serial port of which the driver is not told that it can suspend wake-ups.
+enum Unpaused {
+    At(String),
+    Open(SerialPort),
+}
+
+impl Connect for Unpaused {
+    type Port = Self;
+
+    async fn connect(&mut self) -> Result<Self, Error> {
+        let Self::At(path) = self else { panic!("connected once") };
+        Ok(Self::Open(SerialPort::open(path).await?))
+    }
+}
+
+impl Unpaused {
+    fn port(&mut self) -> &mut SerialPort {
+        let Self::Open(port) = self else { panic!("not open") };
+        port
+    }
+}
+
+impl Port for Unpaused {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        let Self::Open(port) = self else { panic!("not open") };
+        port.baud_rate()
+    }
+
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.port().set_baud_rate(baud_rate)
+    }
+
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
+        self.port().try_read(buffer)
+    }
+}
+
+impl AsyncRead for Unpaused {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(self.port()).poll_read(cx, buffer)
+    }
+}
+
+impl AsyncWrite for Unpaused {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(self.port()).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(self.port()).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(self.port()).poll_shutdown(cx)
+    }
+}
+
+/// A sensor in another process.
+struct Server {
+    process: Child,
+    path: PathBuf,
+}
+
+impl Server {
+    fn start(pattern: &str) -> Self {
+        let mut process = Command::new(std::env::current_exe().unwrap())
+            .args(["serve", pattern])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        Self { process, path: line.trim().into() }
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+    }
+}
+
+/// Plays the sensor, and prints the path of its pseudo-terminal. Each piece is written at
+/// the time when its last byte has come.
+fn serve(pattern: &Pattern) {
+    let mut terminal = terminal::Terminal::open();
+    println!("{}", terminal.path.display());
+    let (mut command, mut reply) = (Vec::new(), Vec::new());
+    while terminal::read_command(&mut terminal.master, &mut command).is_some() {
+        reply.clear();
+        prompt::reply(&command, &mut reply);
+        let is_scan = reply.len() > 1000;
+        let (mut due, mut rest) = (Instant::now() + pattern.latency, &mut reply[..]);
+        while !rest.is_empty() {
+            // The last piece has room for the stamp.
+            let is_last = rest.len() < pattern.piece + END_BYTES;
+            let length = if is_last { rest.len() } else { pattern.piece };
+            let (piece, after) = rest.split_at_mut(length);
+            rest = after;
+            due += pattern.interval.mul_f64(length as f64 / pattern.piece as f64);
+            std::thread::sleep(due.saturating_duration_since(Instant::now()));
+            if is_scan && is_last {
+                let stamp = Stamp::now().0.map(|sextet| sextet as u8 + b'0');
+                piece[length - END_BYTES..][..4].copy_from_slice(&stamp);
+            }
+            if terminal.master.write_all(piece).is_err() {
+                return;
+            }
+        }
+    }
+}
