@@ -22,8 +22,8 @@ use tokio::runtime::Builder;
 use tokio_scip::port::{Connect, Port, SerialPort};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
 
-#[path = "../tests/common/prompt.rs"]
-mod prompt;
+#[path = "../tests/common/instant_sensor.rs"]
+mod instant_sensor;
 #[path = "support/mod.rs"]
 mod support;
 
@@ -309,7 +309,7 @@ fn serve(pattern: &Pattern) {
     let (mut command, mut reply) = (Vec::new(), Vec::new());
     while terminal::read_command(&mut terminal.master, &mut command).is_some() {
         reply.clear();
-        prompt::reply(&command, &mut reply);
+        instant_sensor::reply(&command, &mut reply);
         let is_scan = reply.len() > 1000;
         let (mut due, mut rest) = (Instant::now() + pattern.latency, &mut reply[..]);
         while !rest.is_empty() {

@@ -15,8 +15,8 @@ use tokio::time::{Instant, Sleep, sleep_until, timeout};
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{Error, Port, Rate, ScanStream, Sensor, State, Window};
 
-use crate::common::prompt::reply;
-use crate::common::{Rigged, builder, ms};
+use crate::common::instant_sensor::reply;
+use crate::common::{ConnectFn, builder, ms};
 
 /// The way in which the next scans arrive.
 #[derive(Clone, Copy)]
@@ -84,7 +84,7 @@ async fn rig(pieces: Pieces, can_suspend: bool) -> Rig {
         let (command, coming) = (Vec::new(), VecDeque::new());
         Ok(Trickle { shared, command, coming, wake: None })
     };
-    let sensor = builder().reconnect(false).connect(Rigged(connect)).await.unwrap();
+    let sensor = builder().reconnect(false).connect(ConnectFn(connect)).await.unwrap();
     let stream = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await.unwrap();
     Rig { shared, sensor, stream }
 }

@@ -2,7 +2,7 @@
 //! trickles in.
 //!
 //! A serial line delivers a scan in 20 to 100 pieces. To be woken for each costs more than
-//! all other work on the scan (`benches/README.md`, item 9). Once a scan has begun, the rest
+//! all other work on the scan (`benches/README.md`, item 12). Once a scan has begun, the rest
 //! takes at least as long as that of the fastest scan lately, so the driver sleeps until
 //! shortly before its end. The time is measured, not computed from the baud rate: that of
 //! a pseudo-terminal or of USB means nothing. The port must be able to stop its wake-ups.
