@@ -75,9 +75,10 @@ def ok(name):
 class Urg:
     """A running `urg`; the end of the block stops it as Ctrl-C does."""
 
-    def __init__(self, *arguments):
+    def __init__(self, *arguments, enter=()):
+        """`enter` is a command that runs the program elsewhere."""
         self.process = subprocess.Popen(
-            [PROGRAM, *map(str, arguments)],
+            [*enter, PROGRAM, *map(str, arguments)],
             stderr=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),

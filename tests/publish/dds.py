@@ -4,6 +4,7 @@ dds.py PROGRAM RECORDING
 """
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -80,6 +81,20 @@ def values_are_the_same():
         # A reliable reader of a best-effort publisher gets nothing, as ROS has it.
         assert (len(other.got) > 0) == (qos == "reliable"), f"{qos}: {len(other.got)}"
         reader.close(), other.close()
+
+
+def the_recipe_without_a_build():
+    guide = Path(__file__).resolve().parents[2] / "src" / "guide" / "recipes.md"
+    (recipe,) = re.findall(r"^```python\n(.*?)^```", guide.read_text(), re.M | re.S)
+    reader = Reader(LaserScan, "/scan")
+    stream = subprocess.Popen([PROGRAM, "stream", str(RECORDING)], stdout=subprocess.PIPE)
+    publisher = subprocess.Popen([sys.executable, "-c", recipe], stdin=stream.stdout)
+    until("the recipe ends", lambda: publisher.poll() is not None, 60)
+    for _ in range(10):
+        spin()
+    stream.wait()
+    compare("the recipe in Python", reader.scans())
+    reader.close()
 
 
 def the_graph_and_the_parameters():
@@ -181,6 +196,7 @@ def diagnostics_and_an_unplugged_sensor():
 
 
 values_are_the_same()
+the_recipe_without_a_build()
 the_graph_and_the_parameters()
 readers_come_late_die_and_hang()
 diagnostics_and_an_unplugged_sensor()

@@ -186,6 +186,11 @@ impl Publish {
             Some(domain) => domain,
             None => domain_of_environment()?,
         };
+        if let (EngineName::Dds, Some(IpAddr::V6(address))) = (self.engine, self.interface) {
+            return Err(Failure::Usage(format!(
+                "--interface {address}: expected an IPv4 address, DDS uses no other here"
+            )));
+        }
         Ok(EngineSettings {
             domain,
             qos: self.qos,

@@ -1,12 +1,15 @@
 //! DDS by `ros2-client`: one participant, and a node of its own for each sensor.
 
+use std::thread::JoinHandle;
+
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 use ros2_client::dds::{Context, Node, Publisher};
 use ros2_client::qos::{Durability, History, WhenFull};
-use ros2_client::{MessageTypeName, Name, NodeName, NodeOptions, ParameterValue, QosProfile};
+use ros2_client::{
+    MessageTypeName, Name, NodeName, NodeOptions, ParameterValue, QosProfile, Spinner,
+};
 use serde::ser::{Serialize, SerializeTuple, Serializer};
-use tokio::runtime::Handle;
-use tokio::task::JoinHandle;
+use tokio::task::JoinSet;
 
 use super::engine::{
     DIAGNOSTICS_TOPIC, Engine, EngineSettings, NodePublishers, NodeSpec,
@@ -19,12 +22,17 @@ const CDR_HEADER: usize = 4;
 /// Diagnostics that are kept for a reader that missed them.
 const DIAGNOSTICS_DEPTH: usize = 10;
 
+/// With more nodes than this, none has parameters. Those of one node need 14 readers
+/// and writers, and one of the readers gets the list of all nodes with each change of
+/// it, so that the work grows with the cube of the nodes.
+const MAX_NODES_WITH_PARAMETERS: usize = 16;
+
 /// A participant with its nodes.
 pub(super) struct Dds {
     nodes: Vec<Node>,
-    /// Each answers for one node's parameters, until the node is dropped.
-    spinners: Vec<JoinHandle<()>>,
-    runtime: Handle,
+    parameters: Option<ParameterServer>,
+    /// Whether it could only join multicast groups of this machine.
+    is_local: bool,
     /// Dropped last: it says goodbye to the other participants.
     _context: Context,
 }
@@ -33,89 +41,123 @@ impl Engine for Dds {
     fn open(
         settings: &EngineSettings,
         specs: &[NodeSpec],
-        runtime: &Handle,
     ) -> Result<(Self, Vec<NodePublishers>), String> {
         let mut builder = DomainParticipantBuilder::new(settings.domain);
         if let Some(interface) = settings.interface {
             builder =
                 builder.with_only_networks([interface]).same_host_loopback(interface.is_loopback());
         }
+        let is_local = settings.interface.is_none() && !is_in_network();
         let participant = builder.build().map_err(|error| failed("open DDS", &error))?;
         let context = Context::from_domain_participant(participant)
             .map_err(|error| failed("open DDS", &error))?;
-        let mut dds = Self {
-            nodes: Vec::new(),
-            spinners: Vec::new(),
-            runtime: runtime.clone(),
-            _context: context.clone(),
-        };
-        let publishers = specs
-            .iter()
-            .map(|spec| dds.add_node(&context, spec, settings))
-            .collect::<Result<_, _>>();
-        Ok((dds, publishers?))
+        let mut nodes = Vec::new();
+        let mut publishers = Vec::new();
+        for spec in specs {
+            let (node, its_publishers) = add_node(&context, spec, settings)?;
+            nodes.push(node);
+            publishers.push(its_publishers);
+        }
+        let parameters = (nodes.len() <= MAX_NODES_WITH_PARAMETERS)
+            .then(|| ParameterServer::start(&mut nodes))
+            .transpose()?;
+        Ok((Self { nodes, parameters, is_local, _context: context }, publishers))
     }
 
-    /// There is always somebody who could come: DDS has no centre to lose.
+    /// DDS has no centre to lose. Readers on this machine need no network.
     fn unreachable(&self) -> Option<String> {
-        None
+        self.is_local.then(|| {
+            "this machine is in no network: until it is, only readers on it get scans".to_owned()
+        })
+    }
+
+    /// The engine joins multicast groups only when it is opened.
+    fn is_outdated(&self) -> bool {
+        self.is_local && is_in_network()
     }
 
     fn close(self) {
-        let Self { nodes, spinners, runtime, _context } = self;
+        let Self { nodes, parameters, is_local: _, _context } = self;
         drop(nodes);
-        for spinner in spinners {
-            // It holds the participant open.
-            let _ = runtime.block_on(spinner);
+        if let Some(server) = parameters {
+            // It holds the participant open. It panics only where the engine does.
+            let _ = server.thread.join();
         }
     }
 }
 
-impl Dds {
-    fn add_node(
-        &mut self,
-        context: &Context,
-        spec: &NodeSpec,
-        settings: &EngineSettings,
-    ) -> Result<NodePublishers, String> {
-        let cannot = |what: &str, error: &dyn std::fmt::Display| {
-            format!("cannot {what} of the node `{}`: {error}", spec.name)
+/// Returns true if an interface has an address that is not the loopback's. DDS uses
+/// IPv4 only.
+fn is_in_network() -> bool {
+    let mut addresses = netdev::get_interfaces().into_iter().flat_map(|each| each.ipv4);
+    addresses.any(|network| !network.addr().is_loopback())
+}
+
+/// Answers for the parameters of all nodes, until they are dropped. On a thread of its
+/// own: the engine works here each time that a participant comes or goes, and the
+/// sensors must not wait for that.
+struct ParameterServer {
+    thread: JoinHandle<()>,
+}
+
+impl ParameterServer {
+    fn start(nodes: &mut [Node]) -> Result<Self, String> {
+        let spinners = nodes.iter_mut().map(Node::spinner).collect::<Result<Vec<Spinner>, _>>();
+        let spinners = spinners.map_err(|error| failed("create the services of a node", &error))?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .build()
+            .map_err(|error| failed("serve parameters", &error))?;
+        let serve = async move {
+            let mut tasks = JoinSet::new();
+            for spinner in spinners {
+                // It fails if the participant does, and then publishing does, too.
+                tasks.spawn(async move { drop(spinner.spin().await) });
+            }
+            while tasks.join_next().await.is_some() {}
         };
-        let name = NodeName::new(&spec.namespace, &spec.name)
-            .map_err(|error| cannot("take the name", &error))?;
-        let mut node = context
-            .new_node(name, options(spec))
-            .map_err(|error| cannot("create the node", &error))?;
-        let spinner = node.spinner().map_err(|error| cannot("create the services", &error))?;
-        self.spinners.push(self.runtime.spawn(async move {
-            // It fails if the participant does, and then publishing does, too.
-            let _ = spinner.spin().await;
-        }));
-        let mut publisher = |topic: &str, package, message, qos: QosProfile| {
-            let name = Name::parse(topic).map_err(|error| cannot("take the topic", &error))?;
-            let topic = node
-                .create_topic(&name, MessageTypeName::new(package, message), &qos)
-                .map_err(|error| cannot("create a topic", &error))?;
-            let publisher = node
-                .create_publisher::<Encoded>(&topic, Some(qos))
-                .map_err(|error| cannot("create a publisher", &error))?;
-            Ok::<Box<dyn Publish>, String>(Box::new(publisher))
-        };
-        let scans = publisher(
-            &spec.scan_topic,
-            "sensor_msgs",
-            "LaserScan",
-            qos_profile(settings.qos, settings.depth),
-        )?;
-        let diagnostics = publisher(
-            DIAGNOSTICS_TOPIC,
-            "diagnostic_msgs",
-            "DiagnosticArray",
-            qos_profile(Qos::Reliable, DIAGNOSTICS_DEPTH),
-        )?;
-        self.nodes.push(node);
-        Ok(NodePublishers { scans, diagnostics })
+        let thread = std::thread::Builder::new()
+            .name("parameters".to_owned())
+            .spawn(move || runtime.block_on(serve))
+            .map_err(|error| failed("serve parameters", &error))?;
+        Ok(Self { thread })
     }
+}
+
+fn add_node(
+    context: &Context,
+    spec: &NodeSpec,
+    settings: &EngineSettings,
+) -> Result<(Node, NodePublishers), String> {
+    let cannot = |what: &str, error: &dyn std::fmt::Display| {
+        format!("cannot {what} of the node `{}`: {error}", spec.name)
+    };
+    let name = NodeName::new(&spec.namespace, &spec.name)
+        .map_err(|error| cannot("take the name", &error))?;
+    let mut node =
+        context.new_node(name, options(spec)).map_err(|error| cannot("create the node", &error))?;
+    let mut publisher = |topic: &str, package, message, qos: QosProfile| {
+        let name = Name::parse(topic).map_err(|error| cannot("take the topic", &error))?;
+        let topic = node
+            .create_topic(&name, MessageTypeName::new(package, message), &qos)
+            .map_err(|error| cannot("create a topic", &error))?;
+        let publisher = node
+            .create_publisher::<Encoded>(&topic, Some(qos))
+            .map_err(|error| cannot("create a publisher", &error))?;
+        Ok::<Box<dyn Publish>, String>(Box::new(publisher))
+    };
+    let scans = publisher(
+        &spec.scan_topic,
+        "sensor_msgs",
+        "LaserScan",
+        qos_profile(settings.qos, settings.depth),
+    )?;
+    let diagnostics = publisher(
+        DIAGNOSTICS_TOPIC,
+        "diagnostic_msgs",
+        "DiagnosticArray",
+        qos_profile(Qos::Reliable, DIAGNOSTICS_DEPTH),
+    )?;
+    Ok((node, NodePublishers { scans, diagnostics }))
 }
 
 fn failed(what: &str, error: &dyn std::fmt::Display) -> String {

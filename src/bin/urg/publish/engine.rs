@@ -7,7 +7,6 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use clap::ValueEnum;
-use tokio::runtime::Handle;
 
 /// The engines that this program knows, built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -81,11 +80,17 @@ pub(super) trait Engine: Sized {
     fn open(
         settings: &EngineSettings,
         nodes: &[NodeSpec],
-        runtime: &Handle,
     ) -> Result<(Self, Vec<NodePublishers>), String>;
 
-    /// Returns why nobody can be reached, if that is so.
+    /// Returns a line for the user if some readers cannot be reached: why, and what
+    /// becomes of the scans.
     fn unreachable(&self) -> Option<String>;
+
+    /// Returns true if the network has changed so that the engine uses it only after it
+    /// was opened again.
+    fn is_outdated(&self) -> bool {
+        false
+    }
 
     /// Takes the nodes out of the graph, and ends. Blocks. The publishers are gone
     /// by then.

@@ -4,11 +4,11 @@
 //! A thread, because opening and closing block, and because zenoh refuses both in
 //! a tokio runtime of one thread.
 
+use std::net::{IpAddr, UdpSocket};
 use std::sync::PoisonError;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::Duration;
 
-use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
 #[cfg(feature = "ros2")]
@@ -77,23 +77,22 @@ fn start<E: Engine>(
     let outlets = (0..nodes.len()).map(|node| Outlet::new(node, &publishers)).collect();
     let (stop, stopped) = mpsc::channel();
     let (end, ended) = oneshot::channel();
-    let runtime = Handle::current();
     std::thread::Builder::new()
         .name("engine".to_owned())
         .spawn(move || {
-            run::<E>(&settings, &nodes, &publishers, &runtime, &stopped);
+            run::<E>(&settings, &nodes, &publishers, &stopped);
             let _ = end.send(());
         })
         .map_err(|error| Failure::of("cannot start the engine's thread", &error))?;
     Ok((RunningEngine { stop, ended }, outlets))
 }
 
-/// Runs an engine until it is stopped.
+/// Runs an engine until it is stopped. One that needs another look at the network is
+/// closed and opened again.
 fn run<E: Engine>(
     settings: &EngineSettings,
     nodes: &[NodeSpec],
     shared: &Shared,
-    runtime: &Handle,
     stop: &mpsc::Receiver<()>,
 ) {
     let stopped = |wait| !matches!(stop.recv_timeout(wait), Err(RecvTimeoutError::Timeout));
@@ -101,24 +100,45 @@ fn run<E: Engine>(
         *shared.write().unwrap_or_else(PoisonError::into_inner) = publishers;
     };
     let mut network = Network::default();
-    let (engine, publishers) = loop {
-        match E::open(settings, nodes, runtime) {
-            Ok(opened) => break opened,
-            Err(why) => network.report(Some(why)),
-        }
-        if stopped(RETRY_INTERVAL) {
+    loop {
+        let (engine, publishers) = loop {
+            let opened = match missing_address(settings.interface) {
+                Some(why) => Err(why),
+                None => E::open(settings, nodes),
+            };
+            match opened {
+                Ok(opened) => break opened,
+                Err(why) => network
+                    .report(Some(format!("{why}; waiting for it, scans are dropped until then"))),
+            }
+            if stopped(RETRY_INTERVAL) {
+                return;
+            }
+        };
+        set(Some(publishers));
+        let is_stopped = loop {
+            network.report(engine.unreachable());
+            if stopped(WATCH_INTERVAL) {
+                break true;
+            }
+            if engine.is_outdated() || missing_address(settings.interface).is_some() {
+                break false;
+            }
+        };
+        set(None);
+        engine.close();
+        if is_stopped {
             return;
         }
-    };
-    set(Some(publishers));
-    loop {
-        network.report(engine.unreachable());
-        if stopped(WATCH_INTERVAL) {
-            break;
-        }
     }
-    set(None);
-    engine.close();
+}
+
+/// Returns why the only address that may be used cannot be: no interface has it (yet).
+fn missing_address(address: Option<IpAddr>) -> Option<String> {
+    let address = address?;
+    // The system checks the address when a socket is bound to it.
+    let error = UdpSocket::bind((address, 0)).err()?;
+    Some(format!("cannot use the address {address} of --interface: {error}"))
 }
 
 /// Reports the loss of the network once, and its return.
@@ -131,12 +151,24 @@ impl Network {
     fn report(&mut self, unreachable: Option<String>) {
         let away = unreachable.is_some();
         match (self.away, unreachable) {
-            (false, Some(why)) => {
-                notice(format_args!("{why}; waiting for it, scans are dropped until then"));
-            }
+            (false, Some(why)) => notice(why),
             (true, None) => notice("the network is back: scans are published"),
             (true, Some(_)) | (false, None) => {}
         }
         self.away = away;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_that_no_interface_has_is_waited_for() {
+        assert_eq!(missing_address(None), None);
+        assert_eq!(missing_address(Some("127.0.0.1".parse().unwrap())), None);
+        // For documentation only (RFC 5737): no interface has it.
+        let missing = missing_address(Some("192.0.2.1".parse().unwrap())).unwrap();
+        assert!(missing.contains("192.0.2.1") && missing.contains("--interface"), "{missing}");
     }
 }

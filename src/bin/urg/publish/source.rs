@@ -59,6 +59,9 @@ impl Source {
     }
 
     async fn publish_scans(&self, condition: &Mutex<Condition>) -> Result<(), Failure> {
+        // An emulated sensor's motor starts here, and answers once in a revolution: those
+        // of several must not be in phase any more than real ones are.
+        tokio::time::sleep_until(self.next_turn(Instant::now())).await;
         let sensor = begin(&self.port, &self.link, Delivery::Newest, Sensor::builder())?;
         lock(condition).sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
@@ -148,6 +151,78 @@ fn lock(condition: &Mutex<Condition>) -> MutexGuard<'_, Condition> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::publish::engine::{NodePublishers, Publish, Shared};
+    use crate::publish::names::NamedPort;
+
+    /// Keeps the instants at which messages were published.
+    #[derive(Clone, Default)]
+    struct Instants(Arc<Mutex<Vec<Instant>>>);
+
+    impl Publish for Instants {
+        fn publish(&self, _: Vec<u8>) -> bool {
+            self.0.lock().unwrap().push(Instant::now());
+            true
+        }
+    }
+
+    fn source(place: u32, count: u32, epoch: Instant, rate: Rate, shared: &Shared) -> Source {
+        let named: NamedPort = format!("s{place}=emulated").parse().unwrap();
+        let names = NodeNames::resolve(&[named.clone()], "/", "urg_node", "/scan", "laser");
+        Source {
+            port: named.port,
+            link: LinkArgs::default(),
+            window: Window::DETECTION,
+            rate,
+            names: names.unwrap().remove(0),
+            time_offset: 0.0,
+            outlet: Outlet::new(place as usize, shared),
+            epoch,
+            turn: f64::from(place) / f64::from(count),
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {
+        const COUNT: u32 = 10;
+        let (scans, diagnostics) = (Instants::default(), Instants::default());
+        let publishers = || NodePublishers {
+            scans: Box::new(scans.clone()),
+            diagnostics: Box::new(diagnostics.clone()),
+        };
+        let shared = Shared::default();
+        *shared.write().unwrap() = Some((0..COUNT).map(|_| publishers()).collect());
+        let epoch = Instant::now();
+        for place in 0..COUNT {
+            let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
+            tokio::spawn(source.run(|_| ()));
+        }
+        tokio::time::sleep(Duration::from_secs(5)).await;
+
+        for (period, published) in [(0.1, scans), (1.0, diagnostics)] {
+            let mut instants = published.0.lock().unwrap().clone();
+            instants.retain(|at| *at - epoch > Duration::from_secs(2));
+            assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
+            let (even, slack) = (period / f64::from(COUNT), 0.003);
+            for pair in instants.windows(2) {
+                let gap = (pair[1] - pair[0]).as_secs_f64();
+                assert!((gap - even).abs() < slack, "{gap} s between two of {COUNT} sensors");
+            }
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_turn_is_on_the_grid_of_the_sensors_place_and_not_in_the_past() {
+        let epoch = Instant::now();
+        let source = source(3, 4, epoch, Rate::hz(10.0), &Shared::default());
+        let turn = |after_ms: u64| {
+            let turn = source.next_turn(epoch + Duration::from_millis(after_ms));
+            (turn - epoch).as_millis()
+        };
+        assert_eq!([turn(0), turn(75), turn(76), turn(1_000)], [75, 75, 175, 1_075]);
+        let now = epoch + Duration::from_millis(5);
+        let fastest = self::source(3, 4, epoch, Rate::MAX, &Shared::default());
+        assert_eq!(fastest.next_turn(now), now);
+    }
 
     #[test]
     fn a_stamp_can_be_moved_both_ways() {

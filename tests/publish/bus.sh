@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Runs the guide's recipes for NATS and MQTT against nats-server and mosquitto, on an
+# emulated sensor: tests/publish/bus.sh PROGRAM. The programs are those in
+# src/guide/recipes.md, word for word. In a network namespace of its own.
+set -euo pipefail
+crate=$(cd "$(dirname "$0")/../.." && pwd)
+program=$(realpath "$1")
+
+for tool in nats-server mosquitto python3; do
+    PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null || { echo "skipped: $tool"; exit 0; }
+done
+unshare -rn true 2>/dev/null || { echo "skipped: network namespaces"; exit 0; }
+
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+mkdir -p "$work/bus/src/bin"
+cat >"$work/bus/Cargo.toml" <<END
+[package]
+name = "bus"
+version = "0.0.0"
+edition = "2024"
+[dependencies]
+async-nats = { version = "=0.51.0", default-features = false, features = ["ring"] }
+rumqttc = { version = "=0.25.1", default-features = false }
+serde_json = "1"
+tokio = { version = "1", features = ["rt-multi-thread", "macros"] }
+tokio-scip = { path = "$crate", features = ["ros", "serde"] }
+END
+cp "$crate/Cargo.lock" "$work/bus/"
+# Each program is the block of Rust that names its client.
+awk -v work="$work/bus/src/bin/" '
+    /^```rust,ignore$/ { inside = 1; text = ""; next }
+    /^```$/ && inside {
+        inside = 0
+        if (text ~ /async_nats/) printf "%s", text >(work "nats.rs")
+        if (text ~ /rumqttc/) printf "%s", text >(work "mqtt.rs")
+    }
+    inside { text = text $0 "\n" }' "$crate/src/guide/recipes.md"
+(cd "$work/bus" && cargo build --quiet)
+PATH=$PATH:/usr/sbin unshare -rn timeout 100 python3 "$crate/tests/publish/bus.py" \
+    "$program" "$work/bus/target/debug" "$work"

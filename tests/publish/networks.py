@@ -1,0 +1,304 @@
+"""Publishes where networks come, go and are several: which addresses are used, what two
+publishers of one name do, and what a reader costs that hangs.
+
+networks.py PROGRAM RECORDING. Beside the namespace of `urg` there is another, `far`, with
+the readers and the router: a0 (10.1.0.1) leads to it, and a1 (10.2.0.1).
+"""
+
+import os
+import re
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from common import Urg, ok, wait
+
+ROS_READER = """
+import sys, rclpy
+from sensor_msgs.msg import LaserScan
+rclpy.init()
+node = rclpy.create_node("reader")
+print("ready", flush=True)
+got = lambda _: print(node.count_publishers("/scan"), flush=True)
+node.create_subscription(LaserScan, "/scan", got, 100, raw=True)
+rclpy.spin(node)
+"""
+
+ZENOH = """
+import json, os, signal, struct, sys, time, zenoh
+def session(mode, **settings):
+    config = zenoh.Config()
+    settings |= {"mode": mode, "scouting/multicast/enabled": False}
+    for key, value in settings.items():
+        config.insert_json5(key.replace("_", "/"), json.dumps(value))
+    return zenoh.open(config)
+"""
+
+ROUTER = ZENOH + """
+router = session("router", listen_endpoints=["tcp/0.0.0.0:7447"])
+print("ready", flush=True)
+time.sleep(3600)
+"""
+
+# Prints the publisher and the number of each scan. Hangs after so many.
+ZENOH_READER = ZENOH + """
+left = int(sys.argv[2])
+def take(sample):
+    global left
+    number, _, _, gid = struct.unpack("<qqB16s", bytes(sample.attachment))
+    print(gid.hex(), number, flush=True)
+    left -= 1
+    if left == 0:
+        os.kill(os.getpid(), signal.SIGSTOP)
+listen = ["tcp/0.0.0.0:0"] if sys.argv[1] == "peer" else []
+reader = session(sys.argv[1], connect_endpoints=["tcp/10.1.0.2:7447"], listen_endpoints=listen)
+subscriber = reader.declare_subscriber("*/**/sensor_msgs::msg::dds_::LaserScan_/*", take)
+print("ready", flush=True)
+time.sleep(3600)
+"""
+
+
+def ip(command, inside=()):
+    subprocess.run([*inside, "ip", *command.split()], check=True)
+
+
+class Namespace:
+    """Another network namespace, for as long as its process lives."""
+
+    def __init__(self):
+        self.process = subprocess.Popen(["unshare", "-n", "sleep", "600"])
+        own = os.readlink("/proc/self/ns/net")
+        theirs = f"/proc/{self.process.pid}/ns/net"
+        wait("a namespace", lambda: os.readlink(theirs) != own)
+        self.enter = ("nsenter", "-t", str(self.process.pid), "-n")
+        ip("link set lo up", self.enter)
+
+    def link(self, name, address):
+        """Adds a link to it: its end here and its end there have no address yet."""
+        ip(f"link add {name} type veth peer name {name} netns {self.process.pid}")
+        use(name, address, self.enter)
+
+
+def use(name, address, inside=()):
+    ip(f"link set {name} up", inside)
+    ip(f"addr add {address}/24 dev {name}", inside)
+
+
+class Lines:
+    """A program of Python in a namespace, and the lines that it has printed."""
+
+    def __init__(self, program, *arguments, namespace=None):
+        enter = namespace.enter if namespace else ()
+        command = [*enter, sys.executable, "-c", program, *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout.readline() == "ready\n"
+        self.lines = []
+        threading.Thread(target=self.collect, daemon=True).start()
+
+    def collect(self):
+        for line in self.process.stdout:
+            self.lines.append(line.split())
+
+    def more(self, count=20, seconds=20):
+        """Waits for so many more lines."""
+        wanted = len(self.lines) + count
+        wait(f"{count} lines", lambda: len(self.lines) >= wanted, seconds)
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
+
+
+class Sniffer:
+    """What is sent on an interface: IPv4 packets that leave."""
+
+    def __init__(self, interface):
+        self.socket = socket.socket(socket.AF_PACKET, socket.SOCK_DGRAM, socket.htons(0x0800))
+        self.socket.bind((interface, 0x0800))
+        self.socket.setblocking(False)
+
+    def sent(self):
+        packets = []
+        try:
+            while True:
+                data, (_, _, kind, *_) = self.socket.recvfrom(65536)
+                if kind == socket.PACKET_OUTGOING:
+                    packets.append(data)
+        except BlockingIOError:
+            # Those of IGMP are the system's own.
+            return [packet for packet in packets if packet[9] != 2]
+
+
+def groups(interface):
+    """Returns the number of multicast groups that were joined on it."""
+    text = Path("/proc/net/igmp").read_text()
+    block = re.search(rf"^\d+\t{interface}\s.*\n((?:\t.*\n)*)", text, re.M)
+    # 224.0.0.1 is joined on each.
+    return len([line for line in block[1].splitlines() if "010000E0" not in line]) if block else 0
+
+
+def sockets(process, kind):
+    """Returns local address and state of its sockets of a kind, as /proc/net has them."""
+    own = set()
+    for fd in Path(f"/proc/{process.pid}/fd").iterdir():
+        try:
+            own.add(os.readlink(fd))
+        except FileNotFoundError:
+            pass
+    rows = [line.split() for line in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]]
+    return [
+        (socket.inet_ntoa(bytes.fromhex(row[1][:8])[::-1]), row[3])
+        for row in rows
+        if f"socket:[{row[9]}]" in own
+    ]
+
+
+LISTEN = "0A"
+
+
+def dds_uses_one_interface(far):
+    other, loopback = Sniffer("a1"), Sniffer("lo")
+    reader = Lines(ROS_READER, namespace=far)
+    with Urg("publish", "emulated", "--interface", "10.1.0.1") as urg:
+        reader.more()
+        assert other.sent() == [] and loopback.sent() == [], "something was sent elsewhere"
+        assert groups("a0") > 0 and groups("a1") == 0 and groups("lo") == 0
+        assert sockets(urg.process, "tcp") == []
+    reader.kill()
+    ok("DDS sends on one interface, and is in the groups of no other")
+
+
+def zenoh_uses_one_address(far):
+    reader = Lines(ZENOH_READER, "client", "0", namespace=far)
+    options = ["--engine", "zenoh", "--router", "tcp/10.1.0.2:7447", "--interface", "10.1.0.1"]
+    for mode, listens in (("client", []), ("peer", ["10.1.0.1"])):
+        other, loopback = Sniffer("a1"), Sniffer("lo")
+        with Urg("publish", "emulated", *options, "--mode", mode) as urg:
+            reader.more()
+            assert other.sent() == [] and loopback.sent() == [], "something was sent elsewhere"
+            tcp = sockets(urg.process, "tcp")
+            assert {address for address, _ in tcp} == {"10.1.0.1"}, tcp
+            assert [address for address, state in tcp if state == LISTEN] == listens, tcp
+            assert sockets(urg.process, "udp") == []
+    reader.kill()
+    ok("zenoh uses one address; a client listens nowhere, a peer on that one")
+
+
+def an_address_that_is_not_there_yet(far):
+    for engine, reader in (
+        ("dds", Lines(ROS_READER, namespace=far)),
+        ("zenoh", Lines(ZENOH_READER, "client", "0", namespace=far)),
+    ):
+        options = ["--engine", engine, "--router", "tcp/10.1.0.2:7447", "--interface", "10.1.0.7"]
+        with Urg("publish", "emulated", *options) as urg:
+            urg.wait_for("cannot use the address 10.1.0.7 of --interface")
+            ip("addr add 10.1.0.7/24 dev a0")
+            reader.more()
+            ip("addr del 10.1.0.7/24 dev a0")
+            wait("the loss", lambda: urg.read().count("cannot use the address") == 2)
+            ip("addr add 10.1.0.7/24 dev a0")
+            reader.more()
+            said = urg.stop()
+            assert said.count("network is back") == 2 and len(said.splitlines()) == 4, said
+        ip("addr del 10.1.0.7/24 dev a0")
+        reader.kill()
+    ok("an address that no interface has is waited for, at the start and later")
+
+
+def dds_without_a_network_at_the_start():
+    near, far = Namespace(), Namespace()
+    ip(f"link add late type veth peer name late netns {near.process.pid}", far.enter)
+    use("late", "10.3.0.2", far.enter)
+    # Fast DDS looks for links only when it starts.
+    ip("link set late up", near.enter)
+    ip("route add 224.0.0.0/4 dev late", far.enter)
+    reader = Lines(ROS_READER, namespace=far)
+    with Urg("publish", "emulated", enter=near.enter) as urg:
+        urg.wait_for("only readers on it get scans")
+        ip("addr add 10.3.0.1/24 dev late", near.enter)
+        reader.more(seconds=40)
+        ip("link set late down", near.enter)
+        time.sleep(3)
+        ip("link set late up", near.enter)
+        reader.more()
+        said = urg.stop()
+        assert len(said.splitlines()) == 2 and "network is back" in said, said
+    for each in (reader, near, far):
+        each.process.kill()
+    ok("DDS uses a network that comes after it, and one that was down for 3 s")
+
+
+def two_publishers_of_one_name(far):
+    reader = Lines(ROS_READER, namespace=far)
+    with Urg("publish", "emulated", "--interface", "10.1.0.1") as first:
+        with Urg("publish", "emulated", "--interface", "10.1.0.1") as second:
+            wait("both", lambda: reader.lines and reader.lines[-1] == ["2"])
+            begin = time.monotonic()
+            reader.more(60)
+            took = time.monotonic() - begin
+            assert took < 5, f"60 scans of two sensors took {took:.1f} s"
+            second.stop()
+        reader.more()
+    reader.kill()
+    reader = Lines(ZENOH_READER, "client", "0", namespace=far)
+    options = ["emulated", "--engine", "zenoh", "--router", "tcp/10.1.0.2:7447"]
+    with Urg("publish", *options) as first, Urg("publish", *options) as second:
+        reader.more(60)
+        publishers = {gid for gid, _ in reader.lines[-20:]}
+        assert len(publishers) == 2, publishers
+        second.stop()
+        reader.more()
+        assert len({gid for gid, _ in reader.lines[-10:]}) == 1
+    reader.kill()
+    ok("two publishers of one name both publish; readers can tell them apart")
+
+
+def resident(process):
+    """Returns the memory of a process in kB."""
+    return int(re.search(r"VmRSS:\s+(\d+)", Path(f"/proc/{process.pid}/status").read_text())[1])
+
+
+def a_zenoh_reader_that_hangs(far):
+    # So much that the buffers of the hung reader's connection, some MB, are soon full.
+    sensors = [f"s{number}=emulated" for number in range(40)]
+    for mode in ("client", "peer"):
+        options = ["--engine", "zenoh", "--router", "tcp/10.1.0.2:7447", "--mode", mode]
+        options += ["--interface", "10.1.0.1", "--start", "0", "--end", "768"]
+        with Urg("publish", *sensors, *options) as urg:
+            good = Lines(ZENOH_READER, mode, "0", namespace=far)
+            hung = Lines(ZENOH_READER, mode, "100", namespace=far)
+            good.more(400)
+            before, begin = resident(urg.process), len(good.lines)
+            good.more(4000, 60)
+            grown = resident(urg.process) - before
+            assert len(hung.lines) < 200, "it does not hang"
+            assert grown < 8_192, f"{mode}: the memory has grown by {grown} kB"
+            lost = 0
+            by_publisher = {}
+            for gid, number in good.lines[begin:]:
+                last = by_publisher.get(gid)
+                lost += int(number) - last - 1 if last else 0
+                by_publisher[gid] = int(number)
+            assert lost == 0, f"{mode}: the other reader lost {lost} scans"
+            good.kill(), hung.kill()
+    ok("a zenoh reader that hangs costs the others nothing, and no memory")
+
+
+far = Namespace()
+far.link("a0", "10.1.0.2")
+far.link("a1", "10.2.0.2")
+use("a0", "10.1.0.1")
+use("a1", "10.2.0.1")
+router = Lines(ROUTER, namespace=far)
+dds_without_a_network_at_the_start()
+dds_uses_one_interface(far)
+zenoh_uses_one_address(far)
+an_address_that_is_not_there_yet(far)
+two_publishers_of_one_name(far)
+a_zenoh_reader_that_hangs(far)
+router.kill()
+far.process.kill()
+os._exit(0)
