@@ -75,7 +75,7 @@ for name in bare service; do
 done
 
 echo "features     crates    build     CPU"
-for features in serial serial,serde serial,emulator serial,mcap cli cli,mcap web all; do
+for features in serial serial,serde serial,emulator serial,mcap cli cli,mcap web web,mcap ros2 zenoh all; do
     cd "$crate"
     with=(--no-default-features --features "$features")
     if [ "$features" = all ]; then with=(--all-features); fi

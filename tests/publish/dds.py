@@ -175,7 +175,9 @@ def diagnostics_and_an_unplugged_sensor():
             values = latest()
             assert values["State"] == "connected" and values["Serial number"] == level("bad").hardware_id
             assert values["Rate asked (Hz)"] == "10"
-            assert int(values["Scans published"]) > 5 and values["Scans dropped without a network"] == "0"
+            assert int(values["Scans published"]) > 5
+            # Some may have come before the engine was open.
+            dropped = values["Scans dropped without a network"]
             emulator.kill()
             gone = time.monotonic()
             until("an error", lambda: level("bad").level == b"\2", 10)
@@ -189,6 +191,7 @@ def diagnostics_and_an_unplugged_sensor():
             begin = len(scans.got)
             until("scans again", lambda: len(scans.got) > begin + 10)
             until("all is well again", lambda: level("bad").level == b"\0")
+            assert latest()["Scans dropped without a network"] == dropped
             ok(f"an unplugged sensor is an error after {took:.1f} s, and comes back")
         emulator.kill()
         for each in (reader, scans, good):
