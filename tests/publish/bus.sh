@@ -25,6 +25,8 @@ rumqttc = { version = "=0.25.1", default-features = false }
 serde_json = "1"
 tokio = { version = "1", features = ["rt-multi-thread", "macros"] }
 tokio-scip = { path = "$crate", features = ["ros", "serde"] }
+# Whatever is in a folder above.
+[workspace]
 END
 cp "$crate/Cargo.lock" "$work/bus/"
 # Each program is the block of Rust that names its client.

@@ -130,6 +130,29 @@ def the_graph_and_the_parameters():
         ok("Ctrl-C takes the nodes out of the graph, silently")
 
 
+def a_hundred_sensors_share_a_participant():
+    names = [f"s{number}" for number in range(100)]
+    counts = dict.fromkeys(names, 0)
+
+    def counter(name):
+        def count(_):
+            counts[name] += 1
+
+        return count
+
+    subscriptions = [
+        node.create_subscription(LaserScan, f"/{name}/scan", counter(name), qos_profile_sensor_data, raw=True)
+        for name in names
+    ]
+    with Urg("publish", *[f"{name}=emulated" for name in names], "--qos", "sensor"):
+        until("scans of each", lambda: min(counts.values()) >= 30, 60)
+        services = [name for name, _ in node.get_service_names_and_types() if "/s1/" in name]
+        assert services == [], services
+    for subscription in subscriptions:
+        node.destroy_subscription(subscription)
+    ok("a hundred sensors publish in one process")
+
+
 def readers_come_late_die_and_hang():
     with Urg("publish", "emulated"):
         reader = Reader(LaserScan, "/scan")
@@ -201,6 +224,7 @@ def diagnostics_and_an_unplugged_sensor():
 values_are_the_same()
 the_recipe_without_a_build()
 the_graph_and_the_parameters()
+a_hundred_sensors_share_a_participant()
 readers_come_late_die_and_hang()
 diagnostics_and_an_unplugged_sensor()
 os._exit(0)

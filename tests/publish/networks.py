@@ -14,7 +14,7 @@ import threading
 import time
 from pathlib import Path
 
-from common import Urg, ok, wait
+from common import PROGRAM, Urg, ok, wait
 
 ROS_READER = """
 import sys, rclpy
@@ -208,6 +208,12 @@ def an_address_that_is_not_there_yet(far):
     ok("an address that no interface has is waited for, at the start and later")
 
 
+def dds_has_no_ipv6():
+    command = [PROGRAM, "publish", "emulated", "--interface", "::1"]
+    refused = subprocess.run(command, stderr=subprocess.PIPE, text=True, timeout=20)
+    assert refused.returncode == 2 and "expected an IPv4 address" in refused.stderr, refused
+
+
 def dds_without_a_network_at_the_start():
     near, far = Namespace(), Namespace()
     ip(f"link add late type veth peer name late netns {near.process.pid}", far.enter)
@@ -293,6 +299,7 @@ far.link("a1", "10.2.0.2")
 use("a0", "10.1.0.1")
 use("a1", "10.2.0.1")
 router = Lines(ROUTER, namespace=far)
+dds_has_no_ipv6()
 dds_without_a_network_at_the_start()
 dds_uses_one_interface(far)
 zenoh_uses_one_address(far)

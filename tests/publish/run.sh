@@ -16,5 +16,5 @@ cd "$place"
 for reader in "jazzy dds" "kilted dds" "jazzy cyclone" "jazzy zenoh_peers" "jazzy networks"; do
     read -r venv script <<<"$reader"
     echo "$script ($venv)"
-    timeout 120 "$URG_PEERS/$venv/bin/python" "$here/$script.py" "$program" "$place/run.mcap"
+    timeout 240 "$URG_PEERS/$venv/bin/python" "$here/$script.py" "$program" "$place/run.mcap"
 done

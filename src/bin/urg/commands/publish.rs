@@ -27,11 +27,11 @@ const DEFAULT_ENGINE: EngineName =
 ///
 /// Goes on until Ctrl-C, also when a sensor is unplugged and comes back, and when
 /// the network does. Nothing is protected: whoever can reach the network reads the
-/// scans, and can publish others in their place (the guide, `ros2`, says what helps).
+/// scans, and can publish others in their place (see "Who can read and write" in the guide `ros2`).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains names and topics", after_long_help = HELP)]
 pub(crate) struct Publish {
-    /// Where the sensor is; for several sensors NAME=PORT, one after the other
+    /// Port of the sensor; NAME=PORT for each of several sensors
     #[arg(value_name = "PORT")]
     sensors: Vec<NamedPort>,
     /// Network to publish on
@@ -104,7 +104,7 @@ Examples:
   urg publish front=/dev/ttyACM0 rear=serial:H0713091 --qos sensor
   urg publish serial:H0713090 --wait --engine zenoh --router tcp/10.0.0.1:7447";
 
-/// How one sensor's scans ended.
+/// The end of one sensor's scans.
 struct Ended {
     name: String,
     outcome: Result<(), Failure>,
@@ -114,7 +114,7 @@ impl Publish {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         tokio::select! {
             outcome = self.publish(interrupt) => outcome,
-            // An engine whose network hangs may be slow to say goodbye.
+            // An engine whose network hangs may be slow to close.
             () = interrupt.overdue() => Ok(()),
         }
     }

@@ -31,9 +31,9 @@ const MAX_NODES_WITH_PARAMETERS: usize = 16;
 pub(super) struct Dds {
     nodes: Vec<Node>,
     parameters: Option<ParameterServer>,
-    /// Whether it could only join multicast groups of this machine.
+    /// True if it could only join multicast groups of this machine.
     is_local: bool,
-    /// Dropped last: it says goodbye to the other participants.
+    /// Dropped last: this takes the participant out of the graph.
     _context: Context,
 }
 

@@ -143,7 +143,7 @@ fn losses(stats: &Stats) -> [(&'static str, String); 9] {
 }
 
 fn hertz(period: Duration) -> String {
-    // No more digits than say something: 10, not 10.000000000000002.
+    // No more digits than mean something: 10, not 10.000000000000002.
     let rate = 1.0 / period.as_secs_f64();
     ((rate * 1000.0).round() / 1000.0).to_string()
 }

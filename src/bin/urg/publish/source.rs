@@ -151,8 +151,8 @@ fn lock(condition: &Mutex<Condition>) -> MutexGuard<'_, Condition> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::port::named::NamedPort;
     use crate::publish::engine::{NodePublishers, Publish, Shared};
-    use crate::publish::names::NamedPort;
 
     /// Keeps the instants at which messages were published.
     #[derive(Clone, Default)]
@@ -167,7 +167,8 @@ mod tests {
 
     fn source(place: u32, count: u32, epoch: Instant, rate: Rate, shared: &Shared) -> Source {
         let named: NamedPort = format!("s{place}=emulated").parse().unwrap();
-        let names = NodeNames::resolve(&[named.clone()], "/", "urg_node", "/scan", "laser");
+        let names =
+            NodeNames::resolve(std::slice::from_ref(&named), "/", "urg_node", "/scan", "laser");
         Source {
             port: named.port,
             link: LinkArgs::default(),

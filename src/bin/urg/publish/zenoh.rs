@@ -24,7 +24,7 @@ pub(super) struct Zenoh {
     session: Session,
     tokens: Vec<LivelinessToken>,
     router: String,
-    /// Whether messages can get out. A client without its router loses them.
+    /// True if messages can get out. A client without its router loses them.
     connected: Arc<AtomicBool>,
     mode: Mode,
 }
