@@ -10,7 +10,8 @@ use std::fmt;
 pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
 
 impl<'a> ErrorChain<'a> {
-    /// Wraps any error; [`Error::chain`] is the short way for those of this crate.
+    /// Wraps any error. [`Error::chain`](crate::Error::chain) does the same for the errors of
+    /// this crate.
     pub fn new(error: &'a (dyn std::error::Error + 'a)) -> Self {
         Self(error)
     }

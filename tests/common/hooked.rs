@@ -8,7 +8,7 @@ use std::task::{Context, Poll};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio_scip::{BaudRate, Port};
 
-/// What a test does at the calls on a port; by default nothing.
+/// Actions of a test at the calls on a port; by default none.
 pub(crate) trait Hooks: Send + Unpin + 'static {
     fn before_read(&mut self) {}
 

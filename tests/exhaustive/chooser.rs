@@ -51,7 +51,7 @@ impl Chooser {
 fn every_sequence_of_choices_is_made_once() {
     let (mut chooser, mut seen) = (Chooser::default(), Vec::new());
     loop {
-        // The second choice has as many alternatives as the first one says.
+        // The second choice has as many alternatives as the first one selects.
         let first = chooser.choose(3);
         let second = if first > 0 { chooser.choose(first + 1) } else { 9 };
         seen.push((first, second));

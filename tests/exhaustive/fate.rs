@@ -1,6 +1,6 @@
-//! [`Fate`]: what can become of a command and its reply.
+//! [`Fate`]: the possible outcomes of a command and its reply.
 
-/// What becomes of an exchange.
+/// The outcome of an exchange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fate {
     OnTime,

@@ -42,7 +42,7 @@ enum Due {
     Command(u64),
 }
 
-/// How many exchanges have a choice, and how many of them may be other than on time.
+/// The number of exchanges with a choice, and how many of them may have a fault.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Depth {
     pub(crate) exchanges: usize,
@@ -54,7 +54,7 @@ pub(crate) struct State {
     pub(crate) chooser: Chooser,
     pub(crate) sensor: Sensor,
     fates: &'static [Fate],
-    /// What is left of the depth; none before the choices begin.
+    /// The rest of the depth; 0 before the choices begin.
     left: Depth,
     queue: VecDeque<Packet>,
     /// The half of a command that was written.
@@ -65,11 +65,11 @@ pub(crate) struct State {
     link: u64,
     /// The number of places so far: each command and each packet is one.
     places: watch::Sender<usize>,
-    /// The place at which the link is hung up, and whether packets survive that.
+    /// The place at which the link is hung up, and true if packets are still delivered.
     hang_up: Option<(usize, bool)>,
     reader: Option<Waker>,
     started_at: Instant,
-    /// What happened, if somebody wants to see it.
+    /// A drawing of the sequence, if requested.
     pub(crate) drawing: Option<String>,
 }
 

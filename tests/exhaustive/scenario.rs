@@ -19,7 +19,7 @@ const SCANS_AFTER: usize = 2;
 const OTHER_WINDOW: std::ops::RangeInclusive<u16> = 500..=501;
 const OTHER_BAUD_RATE: BaudRate = BaudRate::B115200;
 
-/// What is enumerated.
+/// The fates, user actions and windows to enumerate.
 pub(crate) struct Scenario {
     pub(crate) name: &'static str,
     pub(crate) windows: Vec<Window>,
@@ -27,13 +27,13 @@ pub(crate) struct Scenario {
     /// `None` on USB.
     pub(crate) baud_rate: Option<BaudRate>,
     pub(crate) fates: &'static [Fate],
-    /// What happens besides, in each place.
+    /// The actions besides, each in every place.
     pub(crate) deeds: &'static [Deed],
-    /// Whether the choices begin with opening, or with the streams.
+    /// True if the choices begin with opening, false if they begin with the streams.
     pub(crate) chooses_while_opening: bool,
 }
 
-/// What a user does once, or somebody with the cable.
+/// An action of a user, or with the cable, done once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Deed {
     Scan,

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 
-use super::program::PATIENCE;
+use super::program::STEP_LIMIT;
 
 /// A client of an address, and the host that it names.
 #[derive(Clone, Copy)]
@@ -26,7 +26,7 @@ impl Client<'_> {
 
     fn ask(&self, method: &str, path: &str, header: &str) -> Response {
         let stream = TcpStream::connect(self.address).unwrap();
-        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_read_timeout(Some(STEP_LIMIT)).unwrap();
         write!(
             &stream,
             "{method} {path} HTTP/1.1\r\nHost: {}\r\nAccept: {}\r\n{header}Connection: close\r\n\r\n",

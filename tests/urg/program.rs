@@ -13,7 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use crate::common::limit::limit;
 
 /// More than any step here takes.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+pub(crate) const STEP_LIMIT: Duration = Duration::from_secs(60);
 
 /// The commands that `urg help` lists, without those of feature `web`.
 pub(crate) const COMMANDS: &[&str] = &[
@@ -69,7 +69,7 @@ pub(crate) fn shell(script: &str) -> Command {
 pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
     prepare();
     let mut command = assert_cmd::Command::new(URG);
-    command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(PATIENCE);
+    command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(STEP_LIMIT);
     command
 }
 
@@ -189,7 +189,7 @@ fn lines(stream: impl Read + Send + 'static) -> Receiver<String> {
 }
 
 fn next(lines: &Receiver<String>) -> String {
-    match lines.recv_timeout(PATIENCE) {
+    match lines.recv_timeout(STEP_LIMIT) {
         Ok(line) => line,
         Err(RecvTimeoutError::Timeout) => panic!("no line came"),
         Err(RecvTimeoutError::Disconnected) => panic!("the program ended"),
@@ -200,7 +200,7 @@ fn next(lines: &Receiver<String>) -> String {
 fn all(lines: &Receiver<String>) -> Vec<String> {
     let mut all = Vec::new();
     loop {
-        match lines.recv_timeout(PATIENCE) {
+        match lines.recv_timeout(STEP_LIMIT) {
             Ok(line) => all.push(line),
             Err(RecvTimeoutError::Disconnected) => return all,
             Err(RecvTimeoutError::Timeout) => panic!("the program does not end: {all:?}"),

@@ -12,7 +12,7 @@ use tokio_scip::recording::{Entry, Event, Recorder, Recording};
 use tokio_scip::{Rate, Sensor, Window};
 
 use super::formats::{check, scans, values};
-use super::program::{Emulated, PATIENCE, Running, Scratch, failure, run, shell};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, shell};
 use super::served::{FAST, SCANS, check_held, held};
 
 /// Returns a path for a recording.
@@ -254,7 +254,7 @@ fn into_pipe(pipe: &Scratch, record: &str) -> (Running, File) {
     let (sender, opened) = std::sync::mpsc::channel();
     let path = pipe.path().to_owned();
     std::thread::spawn(move || sender.send(File::open(path).unwrap()));
-    (running, opened.recv_timeout(PATIENCE).unwrap())
+    (running, opened.recv_timeout(STEP_LIMIT).unwrap())
 }
 
 /// Records into a pipe, and returns the bytes read once they are more than `enough`.
@@ -299,7 +299,7 @@ fn recording_into_a_pipe_that_nobody_reads_can_be_interrupted() {
         assert!(Command::new("kill").args(["-s", "INT", &id]).status().unwrap().success());
         match record.try_wait().unwrap() {
             Some(status) => break status.code(),
-            None if began.elapsed() < PATIENCE => {}
+            None if began.elapsed() < STEP_LIMIT => {}
             None => {
                 record.kill().unwrap();
                 break None;

@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 use tokio_serial::{SerialPort, SerialStream};
 
-use super::program::{PATIENCE, program};
+use super::program::{STEP_LIMIT, program};
 
 /// A terminal, and the program that draws on it.
 struct Terminal {
@@ -56,7 +56,7 @@ impl Terminal {
                 from += self.drawn[from..].find(text).unwrap() + text.len();
             }
         };
-        let waited = tokio::time::timeout(PATIENCE, read).await;
+        let waited = tokio::time::timeout(STEP_LIMIT, read).await;
         waited.unwrap_or_else(|_| panic!("{texts:?} not in {:?}", self.drawn));
     }
 
@@ -145,7 +145,7 @@ async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
         file.read_to_end(&mut bytes).await.unwrap();
         terminal.urg.wait().await.unwrap().code()
     };
-    let ended = tokio::time::timeout(PATIENCE, ended).await;
+    let ended = tokio::time::timeout(STEP_LIMIT, ended).await;
     assert_eq!(ended.expect("the program waits for the terminal"), Some(0));
     let mut recording =
         tokio_scip::recording::Recording::read(std::io::Cursor::new(bytes)).unwrap();
@@ -168,12 +168,12 @@ async fn a_stopped_terminal_delays_no_notice() {
     let info =
         Command::from(program(&format!("info {} --wait", link.path()))).kill_on_drop(true).output();
     let info =
-        tokio::time::timeout(PATIENCE, info).await.expect("the sensor is not there").unwrap();
+        tokio::time::timeout(STEP_LIMIT, info).await.expect("the sensor is not there").unwrap();
     assert!(info.status.success(), "{info:?}");
     let id = emulate.id().unwrap().to_string();
     assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
     let ended =
-        tokio::time::timeout(PATIENCE, emulate.wait()).await.expect("the emulator does not end");
+        tokio::time::timeout(STEP_LIMIT, emulate.wait()).await.expect("the emulator does not end");
     assert_eq!(ended.unwrap().code(), Some(0));
 }
 

@@ -10,7 +10,7 @@ use tokio_scip::emulator::{Emulator, Fault, Faults};
 
 use super::formats::{check, values};
 use super::http::{Client, Response};
-use super::program::{Emulated, PATIENCE, Running, Scratch, failure};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure};
 
 /// A running `urg serve`, and its address.
 pub(super) struct Served {
@@ -50,7 +50,7 @@ impl Served {
 
     /// Requests `/health` until it has this status.
     pub(super) fn health(&self, status: u16) -> Value {
-        let patience = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + STEP_LIMIT;
         loop {
             let response = self.get("/health");
             let seen = response.status;
@@ -58,7 +58,7 @@ impl Served {
             if seen == status {
                 return health;
             }
-            assert!(Instant::now() < patience, "no {status} but {seen}: {health}");
+            assert!(Instant::now() < deadline, "no {status} but {seen}: {health}");
         }
     }
 }
