@@ -49,10 +49,10 @@ served() {
     open "$(grep -o 'http://[0-9.:]*/' "$work/other")"
 }
 
-# post PATH JSON: asks the browser's driver.
+# post PATH JSON: commands the browser's driver.
 post() { curl -sS --max-time 30 -H 'Content-Type: application/json' -d "$2" "$session$1"; }
 
-# js SCRIPT: what the script gives in the page, as JSON.
+# js SCRIPT: runs the script in the page, and prints its result as JSON.
 js() {
     local answer
     answer=$(post /execute/sync "{\"script\": \"$1\", \"args\": []}")
@@ -209,4 +209,4 @@ else
     grep -q 'feature `mcap`' "$work/record" || fail "$(cat "$work/record")"
     echo "skipped: recordings, which this urg lacks"
 fi
-echo "browser: the page lives, says who is away, comes back, and plays recordings"
+echo "browser: the page shows live scans, reports what is away, recovers, and plays recordings"

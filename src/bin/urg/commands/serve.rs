@@ -38,8 +38,8 @@ pub(crate) struct Serve {
     sensors: Vec<PlacedPort>,
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
-    /// With `0.0.0.0:8080` or `[::]:8080` everybody on the network can read the scans:
-    /// there is no password. On a loopback address a request is refused if its Host
+    /// With `0.0.0.0:8080` or `[::]:8080` everybody on the network can read the scans
+    /// and control a recording's playback: there is no password. On a loopback address a request is refused if its Host
     /// header names another host, so that no other web site can read the scans through
     /// the user's browser (DNS rebinding).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]

@@ -19,6 +19,8 @@ const MAX_HEIGHT: f64 = 170.0;
 const LINE: f64 = 4.6;
 /// Between the tracks outside of the sector that show what has no distance.
 const TRACK: f64 = 1.7;
+/// As in the style `track`.
+const TRACK_WIDTH: f64 = 1.1;
 /// Longer texts of the sensor are cut.
 const MAX_TEXT_CHARS: usize = 90;
 
@@ -184,7 +186,9 @@ impl Paper {
     /// Draws a track outside of the sector for each kind of missing distance, so
     /// that they differ without colours too.
     fn missing(&self, out: &mut String, scan: &Scan) -> fmt::Result {
-        let half = plot::width(scan.window().cluster_count()) / 2.0;
+        // A single direction is marked as wide as its track is high.
+        let least = TRACK_WIDTH / 2.0 / (REACH * self.scale);
+        let half = (plot::width(scan.window().cluster_count()) / 2.0).max(least);
         for (track, kind) in (1..).zip(MissingKind::ALL.into_iter().rev()) {
             let radius = REACH + f64::from(track) * TRACK / self.scale;
             let mut arcs = String::new();
@@ -221,7 +225,7 @@ impl Paper {
         }
         row(out, r#"<circle class="points" cx="2" r="0.7"/>"#, &text)?;
         for (kind, track) in MissingKind::ALL.into_iter().zip(["outer", "middle", "inner"]) {
-            let mut text = format!("{} {}", summary.count(kind), kind.meaning());
+            let mut text = format!("{} {}: {}", summary.count(kind), kind.name(), kind.meaning());
             for (n, (measurement, points)) in summary.missing_of(kind).enumerate() {
                 let before = if n == 0 { " (" } else { ", " };
                 let _ = write!(text, "{before}code {}: {points}", measurement.value());

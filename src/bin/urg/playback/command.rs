@@ -1,4 +1,4 @@
-//! What a user asks of a playback, by a key or over HTTP.
+//! The commands of users to a playback, by a key or over HTTP.
 
 /// A command to a playback.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -1,5 +1,5 @@
-//! Which scan of a recording is shown when: the arithmetic of a playback, without
-//! a clock, a task or a file.
+//! The arithmetic of a playback: which scan is shown when, without a clock, a task
+//! or a file.
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -16,7 +16,7 @@ use crate::recording::reel::Reel;
 
 /// The position is reported at least so often, also in a gap of the recording.
 const REPORT_INTERVAL: Duration = Duration::from_millis(250);
-/// Reading the file may take so long before a notice says so.
+/// Reading the file may take so long before a notice reports it.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
 
 /// A recording that is played. All clones are one playback: the task ends with the
@@ -27,7 +27,7 @@ pub(crate) struct Player {
     shown: watch::Receiver<Shown>,
 }
 
-/// What a playback shows.
+/// The scan that a playback shows, and its place.
 #[derive(Debug, Clone)]
 pub(crate) struct Shown {
     pub(crate) scan: Scan,

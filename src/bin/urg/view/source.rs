@@ -1,4 +1,4 @@
-//! Where the radar's scans come from: a sensor, or the playback of a recording.
+//! The source of the radar's scans: a sensor, or the playback of a recording.
 
 use tokio::sync::watch;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
@@ -28,7 +28,7 @@ pub(super) struct Playback {
     shown: watch::Receiver<Shown>,
 }
 
-/// What comes from a source.
+/// A scan, an error or a change of a source.
 pub(super) enum Arrival {
     Scan(Scan),
     Trouble(Error),

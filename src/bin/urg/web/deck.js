@@ -23,13 +23,13 @@ class Deck {
     this.busy = true;
     try {
       await fetch(`/playback?${command}`, { method: "POST", signal: AbortSignal.timeout(3000) });
-    } catch { /* the banner says that the server is away */ }
+    } catch { /* the banner reports that the server is away */ }
     this.busy = false;
     if (this.wanted) this.send(this.wanted);
     this.wanted = null;
   }
 
-  take(status) {
+  update(status) {
     this.status = status;
     by("deck").hidden = by("deckkeys").hidden = !status;
     by("pause").hidden = Boolean(status);
@@ -41,14 +41,14 @@ class Deck {
       by("speed").append(new Option(`${status.speed}×`, status.speed));
     }
     by("speed").value = status.speed;
-    this.at(status.scan, status.position);
+    this.moveTo(status.scan, status.position);
   }
 
   // Shows the place, unless the user is moving it.
-  at(scan, position) {
+  moveTo(scan, position) {
     if (!this.status) return;
     if (!by("seek").matches(":active")) by("seek").value = scan;
-    say(by("clock"), `${this.clock(position)} of ${this.clock(this.status.length)}`);
+    setText(by("clock"), `${this.clock(position)} of ${this.clock(this.status.length)}`);
   }
 
   clock(seconds) {

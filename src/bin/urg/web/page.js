@@ -1,10 +1,10 @@
-// The page around the radar: where scans come from, how it goes, and what keys,
-// mouse and fingers do.
+// The page around the radar: fetches scans and the server's state, shows the state,
+// and handles keys, mouse and touch.
 
 const radar = new Radar(by("radar"));
 const deck = new Deck();
 
-// ---- how it goes -------------------------------------------------------
+// ---- state -------------------------------------------------------------
 
 let sensors = []; // in the server's order
 let answered = null; // when the server answered last, on this page's clock
@@ -34,22 +34,22 @@ function condition() {
 
 function show() {
   const [level, word, text] = condition();
-  say(by("status"), word);
+  setText(by("status"), word);
   by("status").dataset.level = level;
-  say(by("banner"), text);
+  setText(by("banner"), text);
   by("banner").hidden = !text;
   for (const sensor of sensors) {
     const [level, word, trouble] = sensor.condition();
     const state = sensor.of("state");
-    say(state, away ? "" : word);
+    setText(state, away ? "" : word);
     state.dataset.level = level;
-    sensor.aged(away || Boolean(trouble));
+    sensor.setStale(away || Boolean(trouble));
   }
-  radar.ask();
+  radar.requestDraw();
 }
 
 // Takes a report of the server.
-function take(report) {
+function applyReport(report) {
   const names = (list) => JSON.stringify(list.map(({ name }) => name));
   if (names(sensors) !== names(report.sensors)) {
     const several = report.sensors.length > 1;
@@ -61,27 +61,27 @@ function take(report) {
   sensors.forEach((sensor, number) => {
     sensor.report = report.sensors[number];
     sensor.window = sensor.report.window;
-    sensor.tell();
+    sensor.showReport();
   });
   const [first] = report.sensors;
   if (sensors.length > 1) {
-    say(by("product"), sensors.map(({ name }) => name).join(", "));
+    setText(by("product"), sensors.map(({ name }) => name).join(", "));
     document.title = `${sensors.length} sensors – urg`;
   } else if (first.sensor) {
-    say(by("product"), first.sensor.product);
+    setText(by("product"), first.sensor.product);
     document.title = `${first.sensor.product} – urg`;
   }
   const viewers = `${report.viewers} ${report.viewers === 1 ? "viewer" : "viewers"}`;
   const one = [first.sensor?.serial_number, first.port, first.baud_rate ? `${first.baud_rate} baud` : null];
-  say(by("identity"), (sensors.length > 1 ? [`${sensors.length} sensors`] : one).filter(Boolean).join(" · "));
-  say(by("about"), `${viewers} · urg ${report.urg}`);
-  deck.take(report.sensors.find(({ playback }) => playback)?.playback ?? null);
+  setText(by("identity"), (sensors.length > 1 ? [`${sensors.length} sensors`] : one).filter(Boolean).join(" · "));
+  setText(by("about"), `${viewers} · urg ${report.urg}`);
+  deck.update(report.sensors.find(({ playback }) => playback)?.playback ?? null);
 }
 
-async function ask() {
+async function fetchState() {
   try {
     const response = await fetch("/state", { signal: AbortSignal.timeout(3000) });
-    take(await response.json());
+    applyReport(await response.json());
     answered = Date.now();
     away = false;
   } catch {
@@ -98,15 +98,15 @@ function listen() {
   source?.close();
   source = new EventSource("/scans");
   for (const sensor of sensors) { sensor.started = performance.now(); sensor.came &&= { ...sensor.came, at: sensor.started }; }
-  source.onopen = () => { refused = false; ask(); };
+  source.onopen = () => { refused = false; fetchState(); };
   source.onmessage = (message) => {
     const data = JSON.parse(message.data);
     const sensor = sensors.find(({ name }) => name === (data.sensor ?? null));
     if (!sensor) return;
-    if (data.playback) { sensor.report.playback = data.playback; deck.take(data.playback); show(); return; }
-    if (data.event) { ask(); return; }
-    sensor.take(data);
-    if (data.position !== undefined) deck.at(data.sequence, data.position);
+    if (data.playback) { sensor.report.playback = data.playback; deck.update(data.playback); show(); return; }
+    if (data.event) { fetchState(); return; }
+    sensor.receive(data);
+    if (data.position !== undefined) deck.moveTo(data.sequence, data.position);
     if (paused) return;
     sensor.advance();
     describe();
@@ -117,7 +117,7 @@ function listen() {
     refused = source.readyState === EventSource.CLOSED;
     source.close();
     source = null;
-    ask();
+    fetchState();
   };
 }
 
@@ -125,25 +125,25 @@ function listen() {
 function describe() {
   const { layer, angle } = radar.chosen ?? {};
   const index = indexOf(layer?.scan, angle ?? null);
-  if (index === null) return say(by("point"), "");
+  if (index === null) return setText(by("point"), "");
   const { start, cluster, values } = layer.scan;
   const name = layer.name === null ? "" : `${layer.name} · `;
-  say(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(values[index]).text} · step ${start + index * cluster}`);
+  setText(by("point"), `${name}${direction(angleOf(layer.scan, index))} · ${meaning(values[index]).text} · step ${start + index * cluster}`);
 }
 
 // A hidden page takes no scans, and one that lost its stream gets another.
-function tend() {
+function keepAlive() {
   if (document.hidden) { source?.close(); source = null; return; }
   // A network that went away does not always say so.
   const silent = sensors.length && sensors.every((sensor) => !sensor.report.why && sensor.overdue());
   if (!source || silent) listen();
-  ask();
+  fetchState();
 }
-document.addEventListener("visibilitychange", tend);
-setInterval(tend, 1000);
-ask().then(tend);
+document.addEventListener("visibilitychange", keepAlive);
+setInterval(keepAlive, 1000);
+fetchState().then(keepAlive);
 
-// ---- hands -------------------------------------------------------------
+// ---- input -------------------------------------------------------------
 
 const canvas = by("radar");
 const fingers = new Map();
@@ -151,7 +151,7 @@ const fingers = new Map();
 function choose(point) {
   radar.chosen = point;
   describe();
-  radar.ask();
+  radar.requestDraw();
 }
 
 function pause() {
@@ -164,7 +164,7 @@ function pause() {
 function trail() {
   radar.trail = !radar.trail;
   by("trail").setAttribute("aria-pressed", String(radar.trail));
-  radar.ask();
+  radar.requestDraw();
 }
 
 function spot(event) {
@@ -213,7 +213,7 @@ function step(count) {
   const last = layer.scan.values.length - 1;
   const index = indexOf(layer.scan, radar.chosen?.angle ?? null) ?? Math.round(last / 2) - count;
   choose({ layer, angle: angleOf(layer.scan, Math.min(Math.max(index + count, 0), last)) });
-  say(by("spoken"), by("point").textContent);
+  setText(by("spoken"), by("point").textContent);
 }
 
 // Wherever the focus is, but for what uses keys itself.

@@ -40,7 +40,7 @@ class Radar {
     this.view = null; // null: fitted
     this.themed();
     new ResizeObserver(() => this.resized()).observe(canvas);
-    matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => { this.themed(); this.ask(); });
+    matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => { this.themed(); this.requestDraw(); });
   }
 
   themed() {
@@ -64,12 +64,12 @@ class Radar {
     const ratio = window.devicePixelRatio || 1;
     this.canvas.width = Math.round(clientWidth * ratio);
     this.canvas.height = Math.round(clientHeight * ratio);
-    this.ask();
+    this.requestDraw();
   }
 
-  // Draws once before the next frame, however often it is asked.
-  ask() {
-    this.asked ??= requestAnimationFrame(() => { this.asked = null; this.draw(); });
+  // Draws once before the next frame, however often it is called.
+  requestDraw() {
+    this.requested ??= requestAnimationFrame(() => { this.requested = null; this.draw(); });
   }
 
   // The directions that a layer measures, in radians, as its sensor counts.
@@ -108,16 +108,16 @@ class Radar {
     const scale = Math.min(Math.max(view.scale * factor, fit / 2), fit * 60);
     const by = scale / view.scale;
     this.view = { scale, x: x + (view.x - x) * by, y: y + (view.y - y) * by };
-    this.ask();
+    this.requestDraw();
   }
 
   pan(dx, dy) {
     const view = this.current();
     this.view = { ...view, x: view.x + dx, y: view.y + dy };
-    this.ask();
+    this.requestDraw();
   }
 
-  fit() { this.view = null; this.ask(); }
+  fit() { this.view = null; this.requestDraw(); }
 
   // Where on the canvas a direction and a range of a sensor are.
   place({ pose }, angle, metres, view = this.current()) {

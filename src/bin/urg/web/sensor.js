@@ -8,7 +8,7 @@ const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const direction = (radians, digits = 1) => `${degrees(radians).toFixed(digits)}°`.replace("-", "−");
 const time = (milliseconds) => new Date(milliseconds).toLocaleTimeString();
 
-function say(element, text) {
+function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
@@ -28,13 +28,13 @@ class Sensor {
     this.card = by("card").content.firstElementChild.cloneNode(true);
     this.card.classList.toggle("recorded", report.playback !== null);
     if (this.colour) this.card.style.setProperty("--own", `var(--${this.colour})`);
-    say(this.of("name"), this.name ?? "");
+    setText(this.of("name"), this.name ?? "");
     this.codes = {};
     for (const [kind, words] of KINDS) {
       const [item, mark, text, count] = ["li", "i", "span", "b"].map((name) => document.createElement(name));
       mark.dataset.kind = kind;
-      say(text, `${kind}: ${words}`);
-      say(count, "–");
+      setText(text, `${kind}: ${words}`);
+      setText(count, "–");
       item.append(mark, text, count);
       this.card.querySelector(".codes").append(item);
       this.codes[kind] = count;
@@ -65,7 +65,7 @@ class Sensor {
     return ["good", "Live", ""];
   }
 
-  take(data) {
+  receive(data) {
     this.came = { at: performance.now(), clock: Date.now() };
     this.newest = data;
   }
@@ -85,11 +85,11 @@ class Sensor {
       if (kind !== "distance") counts[kind]++;
       else if (!this.nearest || distance < this.nearest.distance) this.nearest = { distance, angle: angleOf(scan, index) };
     });
-    for (const kind in counts) say(this.codes[kind], String(counts[kind]));
+    for (const kind in counts) setText(this.codes[kind], String(counts[kind]));
     const missing = Object.values(counts).reduce((sum, count) => sum + count, 0);
     this.figure("points", String(scan.values.length - missing), `of ${scan.values.length}`);
     if (this.nearest) this.figure("nearest", this.nearest.distance.toFixed(2), `m at ${direction(this.nearest.angle, 0)}`);
-    else say(this.of("nearest"), "–");
+    else setText(this.of("nearest"), "–");
   }
 
   // A number with what it is measured against, small.
@@ -104,16 +104,16 @@ class Sensor {
   }
 
   // Shows whether the figures are those of now, and else of when they are.
-  aged(stale) {
+  setStale(stale) {
     this.stale = stale;
     this.card.classList.toggle("stale", stale);
     const since = this.of("since");
     since.hidden = !stale;
-    say(since, this.came ? `Figures as of ${time(this.came.clock)}` : "No scan yet");
+    setText(since, this.came ? `Figures as of ${time(this.came.clock)}` : "No scan yet");
   }
 
   // The figures of the server's report.
-  tell() {
+  showReport() {
     const { stats, sensor, latency, jitter, asked, reached, why, window, link, baud_rate: baud, playback } = this.report;
     if (stats && !why) {
       this.figure("rate", reached ? reached.toFixed(1) : "–", asked ? `of ${Number(asked.toFixed(2))} Hz` : "Hz");

@@ -1,5 +1,5 @@
-//! What is shown: a sensor or the playback of a recording, with its name and its
-//! place. No source knows of another one.
+//! A source of scans: a sensor or the playback of a recording, with its name and
+//! its place. No source knows of another one.
 
 use std::sync::Arc;
 
@@ -144,7 +144,7 @@ struct PlaybackLines {
     shown: watch::Receiver<Shown>,
     window: Window,
     name: Option<Arc<str>>,
-    /// What the viewer has.
+    /// The scan and the settings that the viewer has.
     scan: Option<usize>,
     settings: Option<(bool, bool, u64, bool)>,
 }
