@@ -87,8 +87,11 @@ def the_recipe_without_a_build():
     guide = Path(__file__).resolve().parents[2] / "src" / "guide" / "recipes.md"
     (recipe,) = re.findall(r"^```python\n(.*?)^```", guide.read_text(), re.M | re.S)
     reader = Reader(LaserScan, "/scan")
-    stream = subprocess.Popen([PROGRAM, "stream", str(RECORDING)], stdout=subprocess.PIPE)
-    publisher = subprocess.Popen([sys.executable, "-c", recipe], stdin=stream.stdout)
+    output, pipe = os.pipe()
+    publisher = subprocess.Popen([sys.executable, "-c", recipe], stdin=output)
+    until("the recipe's publisher", lambda: node.count_publishers("/scan") == 1)
+    stream = subprocess.Popen([PROGRAM, "stream", str(RECORDING)], stdout=pipe)
+    os.close(output), os.close(pipe)
     until("the recipe ends", lambda: publisher.poll() is not None, 60)
     for _ in range(10):
         spin()
