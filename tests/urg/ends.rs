@@ -49,6 +49,23 @@ fn a_stream_that_nobody_reads_can_be_interrupted() {
 }
 
 #[test]
+fn a_pipe_that_was_full_for_a_while_gets_every_scan_whole() {
+    let link = Scratch::new("full");
+    let sensor = Emulated::start(&format!("--revolution 10ms --link {}", link.path()));
+    let mut stream = Running::start(&format!("stream {} --rate max --count 60", sensor.port));
+    // When this one has ended, the other one's pipe has long been full.
+    let mut other = Running::start("stream emulated --count 20");
+    other.rest();
+    for (sequence, line) in stream.rest().iter().enumerate() {
+        let scan = serde_json::from_str::<serde_json::Value>(line).unwrap();
+        assert_eq!(scan["sequence"], sequence);
+        assert_eq!(scan["values"].as_array().unwrap().len(), 682);
+    }
+    let (status, notices) = stream.end();
+    assert_eq!((status.code(), notices), (Some(0), vec![]));
+}
+
+#[test]
 fn waiting_for_a_sensor_is_announced_and_can_be_interrupted() {
     let missing = Scratch::new("waiting");
     let mut info = Running::start(&format!("info {} --wait", missing.path()));
