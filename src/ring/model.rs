@@ -1,5 +1,5 @@
 //! A ring under every interleaving of its threads, within a bound, which loom makes one
-//! after the other. Built only with `--cfg ring_model`; CONTRIBUTING.md has the command.
+//! after the other. Built only with `--cfg ring_model`; tests/README.md has the command.
 
 use std::future::{Future, poll_fn};
 use std::pin::pin;
