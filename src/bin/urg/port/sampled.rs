@@ -62,12 +62,30 @@ pub(crate) struct SampledConnect<C> {
     pub(crate) sample: ByteSample,
 }
 
+// A method that is not passed on would change how the driver treats the port.
+#[deny(clippy::missing_trait_methods)]
 impl<C: Connect> Connect for SampledConnect<C> {
     type Port = SampledPort<C::Port>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let port = self.connect.connect().await?;
         Ok(SampledPort { port, sample: self.sample.clone(), is_enough: false })
+    }
+
+    fn name(&self) -> Option<&str> {
+        self.connect.name()
+    }
+
+    fn has_more(&self) -> bool {
+        self.connect.has_more()
+    }
+
+    fn found(&mut self) {
+        self.connect.found();
+    }
+
+    fn expected_serial_number(&self) -> Option<&str> {
+        self.connect.expected_serial_number()
     }
 }
 
@@ -118,6 +136,7 @@ impl<P: Port> AsyncWrite for SampledPort<P> {
     }
 }
 
+#[deny(clippy::missing_trait_methods)]
 impl<P: Port> Port for SampledPort<P> {
     fn baud_rate(&self) -> Option<BaudRate> {
         self.port.baud_rate()
@@ -140,6 +159,10 @@ impl<P: Port> Port for SampledPort<P> {
         read
     }
 
+    fn suspend_wakeups(&mut self) -> bool {
+        self.port.suspend_wakeups()
+    }
+
     fn can_die_silently(&self) -> bool {
         self.port.can_die_silently()
     }
@@ -156,6 +179,17 @@ impl<P: Port> Port for SampledPort<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_name_and_the_serial_number_are_those_of_the_port() {
+        let endpoint: tokio_scip::Endpoint = "serial:H0713090".parse().unwrap();
+        let connect = endpoint.into_connector();
+        let (name, number) = (connect.name().map(str::to_owned), connect.expected_serial_number());
+        assert_eq!(number, Some("H0713090"));
+        let sampled = SampledConnect { sample: ByteSample::default(), connect };
+        assert_eq!(sampled.name(), name.as_deref());
+        assert_eq!(sampled.expected_serial_number(), Some("H0713090"));
+    }
 
     #[test]
     fn the_sample_is_of_the_baud_rate_at_which_it_is_readable() {
