@@ -76,7 +76,7 @@ impl fmt::Debug for Driver {
 /// The handles' end of the queue. The driver runs while one is left.
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
-    sender: mpsc::Sender<QueuedRequest>,
+    sender: mpsc::Sender<Box<QueuedRequest>>,
     telemetry: Arc<Telemetry>,
     request_timeout: Duration,
     ring_depth: usize,
@@ -92,7 +92,7 @@ impl Client {
     ) -> Result<T, Error> {
         let (responder, answer) = oneshot::channel();
         let expires = Instant::now() + self.request_timeout;
-        let queued = QueuedRequest { request: request(responder), expires };
+        let queued = Box::new(QueuedRequest { request: request(responder), expires });
         if self.sender.send(queued).await.is_err() {
             return Err(self.telemetry.cause());
         }

@@ -51,7 +51,8 @@ impl Request {
     }
 }
 
-/// A request on its way to the driver.
+/// A request on its way to the driver. Boxed in the channel, which has room for 32 from
+/// the start.
 #[derive(Debug)]
 pub(crate) struct QueuedRequest {
     pub(crate) request: Request,
@@ -73,18 +74,21 @@ pub(crate) struct Abandoned;
 /// The driver's end of the queue, first come, first served.
 #[derive(Debug)]
 pub(crate) struct RequestQueue {
-    receiver: mpsc::Receiver<QueuedRequest>,
+    receiver: mpsc::Receiver<Box<QueuedRequest>>,
     /// The name of the sensor, for errors.
     name: Option<Arc<str>>,
     /// Requests that need a link, from the time when there was none; the first
     /// one expires first, since all wait equally long.
-    waiting: VecDeque<QueuedRequest>,
+    waiting: VecDeque<Box<QueuedRequest>>,
     /// The request after those, if it was taken out of the channel already.
-    next: Option<QueuedRequest>,
+    next: Option<Box<QueuedRequest>>,
 }
 
 impl RequestQueue {
-    pub(crate) fn new(receiver: mpsc::Receiver<QueuedRequest>, name: Option<Arc<str>>) -> Self {
+    pub(crate) fn new(
+        receiver: mpsc::Receiver<Box<QueuedRequest>>,
+        name: Option<Arc<str>>,
+    ) -> Self {
         Self { receiver, name, waiting: VecDeque::new(), next: None }
     }
 

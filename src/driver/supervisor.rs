@@ -84,7 +84,9 @@ impl<C: Connect> Supervisor<C> {
 
     /// Returns why the driver has to end.
     async fn supervise(&mut self) -> Stop {
-        let mut session = match self.open_first().await {
+        // Boxed are the futures that only opening and recovering need: they are larger
+        // than that of serving, which would keep their room for good.
+        let mut session = match Box::pin(self.open_first()).await {
             Ok(session) => session,
             Err(stop) => return stop,
         };
@@ -94,8 +96,8 @@ impl<C: Connect> Supervisor<C> {
             self.backoff.note_uptime(since.elapsed());
             let next = match stop {
                 Stop::Closed(_) | Stop::Abandoned | Stop::Ended(_) => return stop,
-                Stop::Silent(error) => self.recover(session, error).await,
-                Stop::Lost(error) => self.reconnect(session, error).await,
+                Stop::Silent(error) => Box::pin(self.recover(session, error)).await,
+                Stop::Lost(error) => Box::pin(self.reconnect(session, error)).await,
             };
             session = match next {
                 Ok(session) => session,

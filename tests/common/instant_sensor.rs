@@ -46,7 +46,7 @@ pub(crate) struct InstantSensor {
 
 impl InstantSensor {
     pub(crate) fn new() -> Self {
-        Self { line: Vec::with_capacity(64), reply: Vec::with_capacity(4096), ..Self::default() }
+        Self { line: Vec::with_capacity(64), reply: Vec::with_capacity(2048), ..Self::default() }
     }
 }
 

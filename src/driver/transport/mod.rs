@@ -37,9 +37,8 @@ use crate::{BaudRate, Error};
 const MAX_FRAMES: usize = 64;
 /// The time after a reply within which a faulty line may deliver a copy of it.
 const QUIET_TIME: Duration = Duration::from_millis(20);
-/// Room for any reply of a sensor; the buffer grows to twice that under
-/// garbage.
-const READ_BUFFER_BYTES: usize = 4096;
+/// Room for any reply of a sensor. Under garbage the buffer grows to 8 KiB.
+const READ_BUFFER_BYTES: usize = 2048;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
 
