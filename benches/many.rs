@@ -1,9 +1,10 @@
-//! Many sensors at 10 Hz on one current-thread runtime: share of a core, lateness of
-//! polls, heap for each sensor. Once with emulated sensors on in-memory links, whose
+//! Many sensors at 10 Hz in one process: share of a core, lateness of polls, heap for each
+//! sensor. Once with emulated sensors on in-memory links, whose
 //! work counts too, and once with a peer that answers from memory, so that little is
 //! measured but the driver.
 //!
-//! `cargo bench --bench many -- emulated 8000` measures one row.
+//! The runtime has one thread. `cargo bench --bench many -- emulated 8000` measures one
+//! row, `-- instant 10000 2` one with a runtime of two threads.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -29,21 +30,27 @@ const SPAN: Duration = Duration::from_secs(10);
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     println!("sensor   sensors  scans/s  core %  us/scan  late 50 %  late 99 %  heap KiB each");
-    if let [kind, sensors] = &arguments[..] {
-        return row(kind, sensors.parse().unwrap());
+    if let [kind, sensors, threads @ ..] = &arguments[..] {
+        let threads = threads.first().map_or(1, |threads| threads.parse().unwrap());
+        return row(kind, sensors.parse().unwrap(), threads);
     }
     for kind in ["emulated", "instant"] {
         for sensors in [10, 100, 1000, 5000] {
-            row(kind, sensors);
+            row(kind, sensors, 1);
         }
     }
+    row("instant", 10_000, 2);
 }
 
 /// The lateness of each poll, while it is recorded.
 type Lateness = Arc<Mutex<Option<Vec<Duration>>>>;
 
-fn row(kind: &str, sensors: usize) {
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+fn row(kind: &str, sensors: usize, threads: usize) {
+    let mut runtime = match threads {
+        1 => tokio::runtime::Builder::new_current_thread(),
+        _ => tokio::runtime::Builder::new_multi_thread(),
+    };
+    let runtime = runtime.worker_threads(threads).enable_all().build().unwrap();
     let late = Vec::with_capacity(sensors * 150);
     let lateness: Lateness = Arc::default();
     let mut time = (Duration::ZERO, Duration::ZERO);
@@ -59,14 +66,18 @@ fn row(kind: &str, sensors: usize) {
     let mut late = lateness.lock().unwrap().take().unwrap();
     let ((elapsed, cpu), scans) = (time, late.len());
     let ms = |time: Duration| time.as_secs_f64() * 1e3;
+    let heap = match threads {
+        1 => format!("{:.1}", counted.bytes_current as f64 / 1024.0 / sensors as f64),
+        // Counted is what the thread of this function allocates.
+        _ => "-".to_owned(),
+    };
     println!(
-        "{kind:8} {sensors:7} {:8.0} {:7.1} {:8.1} {:7.2} ms {:7.2} ms {:14.1}",
+        "{kind:8} {sensors:7} {:8.0} {:7.1} {:8.1} {:7.2} ms {:7.2} ms {heap:>14}",
         scans as f64 / elapsed.as_secs_f64(),
         100.0 * cpu.as_secs_f64() / elapsed.as_secs_f64(),
         1e6 * cpu.as_secs_f64() / scans as f64,
         ms(percentile(&mut late, 0.5)),
         ms(percentile(&mut late, 0.99)),
-        counted.bytes_current as f64 / 1024.0 / sensors as f64,
     );
 }
 
