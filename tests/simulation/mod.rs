@@ -35,7 +35,7 @@ fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
         println!("{:?}, {:?}\n{}", outcome.simulated, outcome.recovery, coverage.lock().unwrap());
         return;
     }
-    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(6);
+    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(3);
     let first = setting("SCIP_SIMULATION_FIRST").unwrap_or(0);
     let (mut simulated, mut longest) = (Duration::ZERO, [Duration::ZERO; 2]);
     let mut seeds = 0;
