@@ -31,7 +31,7 @@ END
 cp "$crate/Cargo.lock" "$work/bus/"
 # Each program is the block of Rust that names its client.
 awk -v work="$work/bus/src/bin/" '
-    /^```rust,ignore$/ { inside = 1; text = ""; next }
+    /^```rs$/ { inside = 1; text = ""; next }
     /^```$/ && inside {
         inside = 0
         if (text ~ /async_nats/) printf "%s", text >(work "nats.rs")
