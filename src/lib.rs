@@ -133,6 +133,7 @@ mod driver;
 #[cfg(feature = "emulator")]
 pub mod emulator;
 mod error;
+mod event;
 #[cfg(any(doc, doctest))]
 pub mod guide;
 mod observer;
@@ -151,6 +152,7 @@ mod stream;
 
 pub use driver::Driver;
 pub use error::{Error, ErrorChain};
+pub use event::{Event, Events, InvalidEvent};
 pub use observer::RawReply;
 pub use port::{Connect, Endpoint, Port};
 pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window, WindowError};

@@ -50,7 +50,7 @@
 //! |---|---|---|
 //! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
 //! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the bytes of a reply, as they came; the label of its dimension is the command, empty for fences and what nobody asked for |
-//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`] |
+//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`](crate::Event) |
 //!
 //! All are CDR with their definitions, and of types that every ROS 2 has. The
 //! log time runs steadily from the wall clock at the beginning of the recording;
@@ -81,7 +81,6 @@
 //! the runtime's thread.
 
 mod error;
-mod event;
 mod mcap;
 mod parts;
 mod polls;
@@ -98,7 +97,6 @@ mod topics;
 mod writer;
 
 pub use self::error::RecordingError;
-pub use self::event::{Event, InvalidEvent};
 pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, Reply};

@@ -60,7 +60,7 @@ impl TimeRange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::recording::Event;
+    use crate::Event;
 
     #[test]
     fn the_first_scan_is_at_zero_and_both_limits_are_kept() {

@@ -14,9 +14,9 @@ use super::mcap::{Fields, MessageHeader, Records, kind, parse_metadata};
 use super::range::{RecordPlace, TimeRange};
 use super::record::{Entry, Record, Reply, parse_command};
 use super::topics::Topic;
-use super::{Event, METADATA, RecordingError};
+use super::{METADATA, RecordingError};
 use crate::ros;
-use crate::{Rate, Window};
+use crate::{Event, Rate, Window};
 
 /// The metadata is searched in so many records: it stands near the beginning.
 const METADATA_SEARCH_RECORDS: usize = 256;

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::time::SystemTime;
 
-use super::Event;
+use crate::Event;
 use crate::protocol::Command;
 use crate::ros::LaserScan;
 use crate::{BaudRate, Window};

@@ -8,13 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use super::RecordingError;
 use super::parts::Limits;
 use super::progress::Progress;
 use super::queue::{Queue, WriteItem};
 use super::writer::Times;
-use super::{Event, RecordingError};
 use crate::observer::RawReply;
-use crate::{Error, Scan, ScanStream, Sensor};
+use crate::{Error, Event, Events, Scan, ScanStream, Sensor};
 
 /// Records the items of a [`ScanStream`] and the replies of a sensor into an
 /// MCAP file.
@@ -29,9 +29,7 @@ use crate::{Error, Scan, ScanStream, Sensor};
 #[derive(Debug)]
 pub struct Recorder {
     queue: Arc<Queue>,
-    /// The sequence number of the next scan, if none is missed.
-    expected: Option<u64>,
-    disconnected: bool,
+    events: Events,
 }
 
 /// The settings of a [`Recorder`]; made by [`Recorder::builder`].
@@ -118,33 +116,18 @@ impl Recorder {
     /// Fails with [`RecordingError::Write`] once writing has failed: the recording
     /// has ended. The stream goes on.
     pub fn record(&mut self, item: &Result<Scan, Error>) -> Result<(), RecordingError> {
-        match item {
-            Ok(scan) => {
-                let expected = self.expected.replace(scan.sequence() + 1);
-                let missed =
-                    expected.map_or(0, |expected| scan.sequence().saturating_sub(expected));
-                let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
-                if std::mem::take(&mut self.disconnected) {
-                    self.event(&Event::Reconnected, times);
-                }
-                if missed > 0 {
-                    self.event(&Event::Missed { scans: missed }, times);
-                }
-                self.queue.push(WriteItem::Scan(scan.clone()));
+        let times = match item {
+            Ok(scan) => Times { steady: scan.received_at().into_std(), wall: scan.stamp() },
+            Err(_) => {
+                let steady = tokio::time::Instant::now().into_std();
+                Times { steady, wall: SystemTime::now() }
             }
-            Err(error) => {
-                let times = Times {
-                    steady: tokio::time::Instant::now().into_std(),
-                    wall: SystemTime::now(),
-                };
-                let text = error.to_string();
-                let event = match error {
-                    Error::Disconnected { .. } => Event::Disconnected { error: text },
-                    _ => Event::Error { error: text },
-                };
-                self.disconnected |= matches!(error, Error::Disconnected { .. });
-                self.event(&event, times);
-            }
+        };
+        for event in self.events.of(item) {
+            self.event(&event, times);
+        }
+        if let Ok(scan) = item {
+            self.queue.push(WriteItem::Scan(scan.clone()));
         }
         self.queue.failure().map_or(Ok(()), Err)
     }
@@ -293,6 +276,6 @@ impl RecorderBuilder {
         path: Option<PathBuf>,
     ) -> Result<Recorder, RecordingError> {
         let queue = Queue::into_file(out, path, self.limits, self.frame_id)?;
-        Ok(Recorder { queue, expected: None, disconnected: false })
+        Ok(Recorder { queue, events: Events::new() })
     }
 }

@@ -11,9 +11,9 @@ use std::path::Path;
 use source::{code, read, words};
 
 /// The modules from the top down: each may use those behind it in this list.
-const ORDER: [&str; 13] = [
-    "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "ros", "scan",
-    "rate", "error", "protocol",
+const ORDER: [&str; 14] = [
+    "sensor", "stream", "driver", "ring", "state", "observer", "port", "codec", "ros", "event",
+    "scan", "rate", "error", "protocol",
 ];
 
 /// Modules that may use the whole crate; only the program and tests use them.

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
 use tokio_scip::recording::Recorder;
-use tokio_scip::recording::{Entry, Event, ReplayPace};
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::recording::{Entry, ReplayPace};
+use tokio_scip::{Error, Event, Rate, Sensor, Window};
 
 use super::sink::{Sink, events, sensor};
 

@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
-use tokio_scip::recording::{Entry, Event, Record, Recorder, Recording, Reply};
-use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
+use tokio_scip::{Error, Event, Rate, Scan, Sensor, Window};
 
 /// A file in memory. Clones are the same file.
 #[derive(Clone)]

@@ -8,8 +8,8 @@ use std::time::Instant;
 
 use serde_json::Value;
 use tokio_scip::emulator::Emulator;
-use tokio_scip::recording::{Entry, Event, Recorder, Recording};
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::recording::{Entry, Recorder, Recording};
+use tokio_scip::{Event, Rate, Sensor, Window};
 
 use super::formats::{check, scans, values};
 use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, shell};

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use tokio_scip::recording::{Recorder, RecordingError};
-use tokio_scip::{Rate, ScanStream, Sensor, State, Window};
+use tokio_scip::{Event, Rate, ScanStream, Sensor, State, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::delivery::Delivery;
@@ -183,12 +183,12 @@ impl RecordRun {
             let item = match update {
                 Update::Scan(scan) => Ok(scan),
                 Update::Error(error) => Err(error),
-                Update::Reconnected => {
-                    watch.restart();
-                    return Ok(());
-                }
-                Update::Missed(scans) => {
-                    *missed += scans;
+                Update::Event(event) => {
+                    match event {
+                        Event::Reconnected => watch.restart(),
+                        Event::Missed { scans } => *missed += scans,
+                        _ => {}
+                    }
                     return Ok(());
                 }
             };

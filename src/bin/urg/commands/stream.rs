@@ -4,7 +4,7 @@ use std::io::{self, IsTerminal};
 
 use clap::ValueEnum;
 
-use tokio_scip::Window;
+use tokio_scip::{Event, Window};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::delivery::Delivery;
@@ -173,8 +173,8 @@ impl StreamRun {
                     notice(text);
                 }
             }
-            Update::Reconnected => self.watch.restart(),
-            Update::Error(_) | Update::Missed(_) => {}
+            Update::Event(Event::Reconnected) => self.watch.restart(),
+            Update::Error(_) | Update::Event(_) => {}
         }
         Ok(())
     }

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use tokio::time::{Instant, MissedTickBehavior};
-use tokio_scip::{Rate, Scan, Sensor, Window, ros};
+use tokio_scip::{Event, Rate, Scan, Sensor, Window, ros};
 
 use super::diagnostics::Condition;
 use super::engine::Outlet;
@@ -82,11 +82,11 @@ impl Source {
                         notice(format_args!("{}: {text}", self.port));
                     }
                 }
-                Update::Reconnected => {
+                Update::Event(Event::Reconnected) => {
                     watch.restart();
                     self.identify(&sensor, condition).await;
                 }
-                Update::Error(_) | Update::Missed(_) => {}
+                Update::Error(_) | Update::Event(_) => {}
             }
         }
         reporter.finish(Ended::ByItself)

@@ -3,7 +3,7 @@
 
 use std::time::Instant;
 
-use tokio_scip::{Error, Sensor, State};
+use tokio_scip::{Error, Event, Sensor, State};
 
 use super::feed::Update;
 use super::follow::Ended;
@@ -34,10 +34,13 @@ impl Reporter {
     pub(crate) fn report(&mut self, update: &Update) {
         match update {
             Update::Scan(_) => self.scans += 1,
-            Update::Reconnected => notice(format_args!("{}: the sensor is back", self.port)),
-            Update::Missed(scans) => {
+            Update::Event(Event::Reconnected) => {
+                notice(format_args!("{}: the sensor is back", self.port));
+            }
+            Update::Event(Event::Missed { scans }) => {
                 notice(format_args!("{scans} scans missed: the reader of the output is too slow"));
             }
+            Update::Event(_) => {}
             Update::Error(error) => self.error(error),
         }
     }

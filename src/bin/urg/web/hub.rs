@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::watch;
-use tokio_scip::{Freshness, Rate, Sensor, State, Window};
+use tokio_scip::{Event, Freshness, Rate, Sensor, State, Window};
 
 use super::recent_times::RecentTimes;
 use crate::args::LinkArgs;
@@ -94,8 +94,8 @@ impl Hub {
                         notice(format_args!("{}: {text}", self.port));
                     }
                 }
-                Update::Reconnected => self.times().clear(),
-                Update::Error(_) | Update::Missed(_) => {}
+                Update::Event(Event::Reconnected) => self.times().clear(),
+                Update::Error(_) | Update::Event(_) => {}
             }
             self.live.send_replace(Some(live.clone()));
         }

@@ -1,15 +1,17 @@
-//! [`Event`]: what a recording holds besides scans and replies, and its form as
-//! JSON.
+//! [`Event`]: what happens to a stream besides its scans, and its form as JSON.
+//! [`Events`] derives the events from the items of a stream.
 
 use std::fmt::{self, Write};
 use std::str::FromStr;
 
-/// Something other than a scan. `Display` writes the JSON object that stands in
-/// the file, such as `{"event":"disconnected","error":"..."}`; `FromStr` parses
-/// it.
+use crate::{Error, Scan};
+
+/// Something that happened to a stream besides its scans. `Display` writes a JSON
+/// object, such as `{"event":"disconnected","error":"..."}`, which also stands in
+/// recordings; `FromStr` parses it.
 ///
 /// ```
-/// use tokio_scip::recording::Event;
+/// use tokio_scip::Event;
 ///
 /// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
 /// assert_eq!(event, Event::Missed { scans: 3 });
@@ -30,8 +32,8 @@ pub enum Event {
         /// The reason.
         error: String,
     },
-    /// Scans were overwritten before the recording's consumer read them. Their
-    /// replies are in the file.
+    /// Scans were overwritten before their consumer read them. A recording has their
+    /// replies.
     Missed {
         /// The number of scans.
         scans: u64,
@@ -50,6 +52,68 @@ pub enum Event {
     "not an event of a recording: expected a JSON object as `Event` writes it, such as {{\"event\":\"reconnected\"}}"
 )]
 pub struct InvalidEvent;
+
+/// Returns [`Event::Disconnected`] for a lost link, [`Event::Error`] for all else, with the
+/// error and its causes as one line.
+impl From<&Error> for Event {
+    fn from(error: &Error) -> Self {
+        let text = error.chain().to_string();
+        match error {
+            Error::Disconnected { .. } => Self::Disconnected { error: text },
+            _ => Self::Error { error: text },
+        }
+    }
+}
+
+/// The events of one stream, derived from its items.
+///
+/// ```no_run
+/// # async fn run(mut scans: tokio_scip::ScanStream) {
+/// use tokio_scip::Events;
+///
+/// let mut events = Events::new();
+/// while let Some(item) = scans.next().await {
+///     for event in events.of(&item) {
+///         println!("{event}"); // such as {"event":"missed","scans":3}
+///     }
+/// }
+/// # }
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct Events {
+    /// The number of the scan that comes next if none is missed.
+    expected: Option<u64>,
+    is_disconnected: bool,
+}
+
+impl Events {
+    /// Returns the events of a stream of which no item was read.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Returns the events that the next item of the stream stands for: an error is one
+    /// itself; before a scan, the sensor may have come [back](Event::Reconnected), and
+    /// scans may have been [missed](Event::Missed).
+    pub fn of(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
+        let events = match item {
+            Ok(scan) => {
+                let expected = self.expected.replace(scan.sequence().saturating_add(1));
+                let scans = expected.map_or(0, |expected| scan.sequence().saturating_sub(expected));
+                let is_back = std::mem::take(&mut self.is_disconnected);
+                [
+                    is_back.then_some(Event::Reconnected),
+                    (scans > 0).then_some(Event::Missed { scans }),
+                ]
+            }
+            Err(error) => {
+                self.is_disconnected |= matches!(error, Error::Disconnected { .. });
+                [Some(Event::from(error)), None]
+            }
+        };
+        events.into_iter().flatten()
+    }
+}
 
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -131,6 +195,27 @@ fn unquote(json: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Window;
+
+    #[test]
+    fn events_stand_before_the_scan_that_follows_them() {
+        let scan = |sequence| {
+            let values = vec![0; Window::DETECTION.points()];
+            Ok(Scan::builder(Window::DETECTION, values).sequence(sequence).build().unwrap())
+        };
+        let lost = || Error::Disconnected { sensor: None, source: None };
+        let mut events = Events::new();
+        let mut of = |item| events.of(&item).collect::<Vec<_>>();
+        assert_eq!(of(scan(7)), []); // a stream of which no scan was read misses none
+        assert_eq!(of(scan(8)), []);
+        assert_eq!(of(scan(11)), [Event::Missed { scans: 2 }]);
+        assert_eq!(of(Err(Error::Closed)), [Event::from(&Error::Closed)]);
+        assert_eq!(of(scan(12)), []);
+        assert_eq!(of(Err(lost())), [Event::Disconnected { error: lost().to_string() }]);
+        assert_eq!(of(Err(Error::Closed)), [Event::Error { error: Error::Closed.to_string() }]);
+        assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
+        assert_eq!(of(scan(15)), []);
+    }
 
     #[test]
     fn an_event_is_a_json_object_whatever_the_error_contains_and_parses_back() {
