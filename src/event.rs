@@ -15,7 +15,7 @@ use crate::{Error, Scan};
 ///
 /// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
 /// assert_eq!(event, Event::Missed { scans: 3 });
-/// # Ok::<(), tokio_scip::recording::InvalidEvent>(())
+/// # Ok::<(), tokio_scip::InvalidEvent>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
