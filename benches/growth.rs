@@ -1,4 +1,4 @@
-//! How the cost of scans grows: with the points of a window, the rate, the streams of one
+//! The growth of the cost of scans: with the points of a window, the rate, the streams of one
 //! sensor, the consumers of one stream, and the sensors. The peer answers at once from
 //! memory, so that little is measured but the driver. The clock is paused: each row does
 //! a known amount of work as fast as it can.
@@ -26,7 +26,7 @@ const ROUNDS: usize = 5;
 const SCANS: u64 = 20_000;
 const HZ: f64 = 10.0;
 
-/// What one row does.
+/// The load of one row.
 #[derive(Debug, Clone, Copy)]
 struct Load {
     sensors: u64,

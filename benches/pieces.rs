@@ -9,13 +9,13 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::io::{self, BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
+use std::io::{self, Read, Write};
+use std::path::Path;
 use std::pin::Pin;
-use std::process::{Child, Command, Stdio};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use support::server::Server;
 use support::{cpu_time, median, percentile, terminal, us, wake_ups};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::runtime::Builder;
@@ -210,7 +210,7 @@ fn since(stamp: Stamp) -> Duration {
     Duration::from_micros(micros.into())
 }
 
-/// A serial port of which the driver is not told that it can suspend wake-ups.
+/// A serial port that does not pass on its ability to suspend wake-ups.
 enum Unpaused {
     At(String),
     Open(SerialPort),
@@ -272,32 +272,6 @@ impl AsyncWrite for Unpaused {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(self.port()).poll_shutdown(cx)
-    }
-}
-
-/// A sensor in another process.
-struct Server {
-    process: Child,
-    path: PathBuf,
-}
-
-impl Server {
-    fn start(pattern: &str) -> Self {
-        let mut process = Command::new(std::env::current_exe().unwrap())
-            .args(["serve", pattern])
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { process, path: line.trim().into() }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
     }
 }
 

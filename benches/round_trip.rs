@@ -8,11 +8,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use support::server::Server;
 use support::{cpu_time, median, terminal, us};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::runtime::{Builder, Runtime};
@@ -164,32 +164,6 @@ fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
         cost
     });
     runtime.block_on(polling).unwrap()
-}
-
-/// A sensor in another process.
-struct Server {
-    process: Child,
-    path: std::path::PathBuf,
-}
-
-impl Server {
-    fn start(sensor: &str) -> Self {
-        let mut process = Command::new(std::env::current_exe().unwrap())
-            .args(["serve", sensor])
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { process, path: line.trim().into() }
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
-    }
 }
 
 /// Plays the sensor, and prints the path of its pseudo-terminal.

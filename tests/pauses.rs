@@ -38,7 +38,7 @@ const ADAPTER: Pieces =
 const USB: Pieces =
     Pieces { latency: Duration::ZERO, length: 64, interval: Duration::from_micros(171) };
 
-/// What the tests and the port share.
+/// The state that the tests and the port share.
 struct Shared {
     pieces: Pieces,
     /// Changes the bytes of the next scans.

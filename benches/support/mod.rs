@@ -5,6 +5,8 @@
 
 use std::time::Duration;
 
+#[path = "server.rs"]
+pub(crate) mod server;
 #[path = "terminal.rs"]
 pub(crate) mod terminal;
 

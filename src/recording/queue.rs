@@ -31,7 +31,7 @@ const ITEM_OVERHEAD_BYTES: usize = 128;
 #[derive(Debug)]
 pub(super) struct Queue {
     items: mpsc::Sender<WriteItem>,
-    /// How many bytes wait; `None` once the thread has ended.
+    /// The number of bytes that wait; `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
     scans: AtomicU64,
     replies: AtomicU64,

@@ -61,7 +61,7 @@ pub(super) struct Writer {
     /// The numbers of replies and events.
     numbers: [u32; 2],
     message: Vec<u8>,
-    /// When the chunk got its first message: log time, and the real time.
+    /// The time of the chunk's first message: its log time, and the real time.
     chunk_began: Option<(u64, Instant)>,
     part: Part,
     carried: Carried,

@@ -37,7 +37,7 @@ pub(crate) struct Cursor {
     place: Place,
 }
 
-/// How far a reader has got.
+/// The place of a reader in the sequence of scans.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     /// Its entry in `Inner::readers`.

@@ -35,7 +35,7 @@ fn cause() -> Error {
     Error::Loopback { sensor: None }
 }
 
-/// What a reader got until the end.
+/// The items that a reader returned before the end.
 #[derive(Debug, Default)]
 struct Seen {
     scans: Vec<u64>,

@@ -22,7 +22,7 @@ pub(super) fn scan(sequence: u64) -> Scan {
     Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
 }
 
-/// What the reader gets without waiting.
+/// Returns the item that is ready, `Some(None)` at the end, and `None` if there is nothing yet.
 fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
     let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
     Some(item.map(|item| item.map(|scan| scan.sequence()).map_err(|error| error.to_string())))
@@ -116,7 +116,7 @@ fn each_reader_has_a_depth_of_its_own() {
         assert_eq!(take(&mut all), Some(Some(Ok(sequence))));
     }
     assert_eq!((take(&mut all), newest.missed(), all.missed()), (None, 5, 2));
-    // With the deepest reader the ring gives up what nobody else wants.
+    // Once the deepest reader is gone, the ring drops the scans that only it could read.
     drop(all);
     assert_eq!(ring.lock().scans.len(), 1);
     (6..9).for_each(|sequence| ring.push(scan(sequence)));

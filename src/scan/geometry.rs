@@ -1,4 +1,4 @@
-//! Where the values of a [`Scan`] lie: directions, points, and parts of it.
+//! The geometry of a [`Scan`]: its directions, points, and parts.
 
 use std::sync::Arc;
 

@@ -367,7 +367,7 @@ impl Transport {
     }
 }
 
-/// What [`Transport::receive`] waits for.
+/// The next event of a link on which [`Transport::receive`] waits.
 enum Received {
     Frame(Option<io::Result<Frame>>),
     /// The rest of the reply comes at this time at the earliest.

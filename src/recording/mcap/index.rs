@@ -37,7 +37,7 @@ pub(super) struct Index {
     max_entries: usize,
 }
 
-/// Where a chunk is, and how long its parts are.
+/// The place of a chunk in the file, and the lengths of its parts.
 pub(super) struct ChunkPlace {
     pub(super) start: u64,
     /// The whole record.

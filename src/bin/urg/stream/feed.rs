@@ -16,7 +16,7 @@ pub(crate) enum Update {
     Scan(Scan),
     /// A poll without a scan, or the loss of the link.
     Error(Error),
-    /// What happened before the scan that comes next.
+    /// An event before the scan that comes next.
     Event(Event),
 }
 
