@@ -1,6 +1,5 @@
 //! `urg serve`: a live page for any browser, and scans over HTTP.
 
-use std::collections::BTreeSet;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -16,10 +15,8 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::playback::PlaybackArgs;
-use crate::port::missing;
-use crate::port::name::{PortArg, PortName};
-use crate::port::placed::PlacedPort;
-use crate::recording;
+use crate::port::named::NamedPort;
+use crate::port::placed::{PlacedPort, PlacedPorts};
 use crate::web::{self, Hub, Source};
 
 /// The system's send buffer for each client, some ten scans: a slow client gets
@@ -34,8 +31,8 @@ const SEND_BUFFER_BYTES: u32 = 64 * 1024;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {
-    #[arg(value_name = "PORT", help = help())]
-    sensors: Vec<PlacedPort>,
+    #[command(flatten)]
+    sensors: PlacedPorts,
     /// Address to listen on: a port number on this machine only, or ADDRESS:PORT
     ///
     /// With `0.0.0.0:8080` or `[::]:8080` everybody on the network can read the scans
@@ -53,15 +50,6 @@ pub(crate) struct Serve {
     playback: PlaybackArgs,
     #[command(flatten)]
     link: LinkArgs,
-}
-
-fn help() -> String {
-    let recording = if recording::AVAILABLE { "FILE.mcap, " } else { "" };
-    format!(
-        "Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, {recording}or \
-         emulated (see `urg help`); for several sensors in one picture NAME=PORT@X,Y,YAW, one \
-         after the other"
-    )
 }
 
 const HELP: &str = "\
@@ -97,7 +85,9 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let polled = self.ports().await?;
+        let mut polled = self.sensors.polled_at(self.rate).await?;
+        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
+        self.playback.apply(ports, self.rate.is_some())?;
         let address = default_to_loopback(&self.listen);
         let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
         let listener = listen(&address).await.map_err(failed)?;
@@ -138,32 +128,10 @@ impl Serve {
         }
     }
 
-    /// Returns the ports, each with its rate.
-    async fn ports(&self) -> Result<Vec<(PortName, Rate)>, Failure> {
-        if self.sensors.is_empty() {
-            return Err(missing::failure().await);
-        }
-        let names: Vec<_> = self.sensors.iter().map(|sensor| &sensor.named.name).collect();
-        let unique: BTreeSet<_> = names.iter().copied().flatten().collect();
-        if names.len() > 1 && unique.len() < names.len() {
-            let text = "several sensors need a name each, such as \
-                        `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";
-            return Err(Failure::Usage(text.to_owned()));
-        }
-        let mut polled = Vec::new();
-        for sensor in &self.sensors {
-            let port = PortArg { name: Some(sensor.named.port.clone()) };
-            polled.push(port.polled_at(self.rate).await?);
-        }
-        let ports = polled.iter_mut().map(|(port, _)| port);
-        self.playback.apply(ports, self.rate.is_some())?;
-        Ok(polled)
-    }
-
-    async fn sources(&self, polled: Vec<(PortName, Rate)>) -> Result<Vec<Source>, Failure> {
+    async fn sources(&self, polled: Vec<(PlacedPort, Rate)>) -> Result<Vec<Source>, Failure> {
         let mut sources = Vec::new();
-        for (PlacedPort { named, pose }, (port, rate)) in self.sensors.iter().zip(polled) {
-            let (name, pose) = (named.name.as_deref(), *pose);
+        for (PlacedPort { named: NamedPort { name, port }, pose }, rate) in polled {
+            let name = name.as_deref();
             let window = self.window.window(port.default_window())?;
             sources.push(match port.recorded() {
                 Some(recorded) => {

@@ -4,6 +4,8 @@
 
 use tokio_scip::Measurement;
 
+use super::colours::Colours;
+
 /// A reason for a missing distance. Far is blue, weak amber and none grey,
 /// everywhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -14,16 +16,6 @@ pub(crate) enum MissingKind {
     Weak,
     /// Anything else.
     Nothing,
-}
-
-/// The colours of a kind, one hue.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct KindColours {
-    /// For paper and light pages.
-    pub(crate) on_light: &'static str,
-    pub(crate) on_dark: &'static str,
-    /// Of a terminal's 256.
-    pub(crate) indexed: u8,
 }
 
 impl MissingKind {
@@ -50,13 +42,13 @@ impl MissingKind {
     }
 
     /// Returns its colours.
-    pub(crate) const fn colours(self) -> KindColours {
+    pub(crate) const fn colours(self) -> Colours {
         let (on_light, on_dark, indexed) = match self {
             Self::Far => ("#1f5fc4", "#6ea8ff", 69),
             Self::Weak => ("#9a6200", "#e8b34b", 178),
             Self::Nothing => ("#72808c", "#8a97a3", 245),
         };
-        KindColours { on_light, on_dark, indexed }
+        Colours { on_light, on_dark, indexed }
     }
 
     /// Returns a few words for it.
@@ -72,22 +64,6 @@ impl MissingKind {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_terminal_s_colours_are_those_of_the_page_as_near_as_it_has_them() {
-        for kind in MissingKind::ALL {
-            let KindColours { on_dark, indexed, .. } = kind.colours();
-            let page = |at: usize| i32::from_str_radix(&on_dark[at..at + 2], 16).unwrap();
-            let levels = [0, 95, 135, 175, 215, 255];
-            let terminal = match usize::from(indexed) {
-                grey @ 232.. => [8 + 10 * (grey as i32 - 232); 3],
-                cube => [(cube - 16) / 36, (cube - 16) / 6 % 6, (cube - 16) % 6].map(|n| levels[n]),
-            };
-            for (page, terminal) in [page(1), page(3), page(5)].into_iter().zip(terminal) {
-                assert!((page - terminal).abs() <= 80, "{kind:?}: {page} and {terminal}");
-            }
-        }
-    }
 
     #[test]
     fn every_value_is_a_distance_or_of_one_kind() {

@@ -2,7 +2,9 @@
 //! rings, and the place of a point. Plots look from above, with the
 //! sensor's front up.
 
+pub(crate) mod colours;
 pub(crate) mod missing;
+pub(crate) mod pose;
 pub(crate) mod summary;
 
 use std::f64::consts::{FRAC_PI_2, TAU};

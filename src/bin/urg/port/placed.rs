@@ -1,28 +1,67 @@
 //! `NAME=PORT@X,Y,YAW`: a named sensor and its place, for pictures of several
 //! sensors in one frame.
 
+use std::collections::BTreeSet;
 use std::str::FromStr;
 
-use serde::Serialize;
+use tokio_scip::Rate;
 
+use super::missing;
+use super::name::PortArg;
 use super::named::NamedPort;
+use crate::failure::Failure;
+use crate::plot::pose::Pose;
+use crate::recording;
+
+/// The sensors of one picture: a PORT, or several of NAME=PORT@X,Y,YAW.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct PlacedPorts {
+    #[arg(value_name = "PORT", help = help())]
+    ports: Vec<PlacedPort>,
+}
+
+fn help() -> String {
+    let recording = if recording::AVAILABLE { "FILE.mcap, " } else { "" };
+    format!(
+        "Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, {recording}or \
+         emulated (see `urg help`); for several sensors in one picture NAME=PORT@X,Y,YAW, one \
+         after the other"
+    )
+}
+
+impl PlacedPorts {
+    /// Returns the ports, each with its rate. Fails if there is none, and if one of
+    /// several has no name of its own.
+    pub(crate) async fn polled_at(
+        &self,
+        rate: Option<Rate>,
+    ) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
+        if self.ports.is_empty() {
+            return Err(missing::failure().await);
+        }
+        let names = self.ports.iter().filter_map(|port| port.named.name.as_deref());
+        let unique: BTreeSet<_> = names.collect();
+        if self.ports.len() > 1 && unique.len() < self.ports.len() {
+            let text = "several sensors need a name each, such as \
+                        `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        let mut polled = Vec::new();
+        for placed in &self.ports {
+            let arg = PortArg { name: Some(placed.named.port.clone()) };
+            let (port, rate) = arg.polled_at(rate).await?;
+            let named = NamedPort { port, ..placed.named.clone() };
+            polled.push((PlacedPort { named, pose: placed.pose }, rate));
+        }
+        Ok(polled)
+    }
+}
 
 /// A named sensor, and where it is.
 #[derive(Debug, Clone)]
 pub(crate) struct PlacedPort {
     pub(crate) named: NamedPort,
     pub(crate) pose: Pose,
-}
-
-/// A place and a direction in the common frame.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
-pub(crate) struct Pose {
-    /// Metres ahead of the origin.
-    pub(crate) x: f64,
-    /// Metres to its left.
-    pub(crate) y: f64,
-    /// Degrees counter-clockwise.
-    pub(crate) yaw: f64,
 }
 
 impl FromStr for PlacedPort {
@@ -42,23 +81,6 @@ impl FromStr for PlacedPort {
     }
 }
 
-impl FromStr for Pose {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Option<Vec<f64>> = text
-            .split(',')
-            .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
-            .collect();
-        match numbers.as_deref() {
-            Some(&[x, y, yaw]) => Ok(Self { x, y, yaw }),
-            _ => Err(format!(
-                "invalid place `{text}`: expected X,Y,YAW in metres and degrees, such as 0.2,0,90"
-            )),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -72,13 +94,5 @@ mod tests {
         assert_eq!((alone.named.name, alone.pose), (None, Pose::default()));
         let path: PlacedPort = "a=/dev/x@y".parse().unwrap();
         assert_eq!(path.named.port.to_string(), "/dev/x@y");
-    }
-
-    #[test]
-    fn a_place_is_three_numbers() {
-        for text in ["1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,,2"] {
-            let refused = format!("a=emulated@{text}").parse::<PlacedPort>().unwrap_err();
-            assert!(refused.contains("expected X,Y,YAW"), "{text}: {refused}");
-        }
     }
 }

@@ -8,7 +8,8 @@ use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 use tokio_scip::{ErrorCode, Measurement};
 
-use crate::plot::missing::{KindColours, MissingKind};
+use crate::plot::colours::{Colours, SENSORS};
+use crate::plot::missing::MissingKind;
 
 const HTML: &str = include_str!("page.html");
 const STYLE: &str = include_str!("page.css");
@@ -61,10 +62,13 @@ fn kinds() -> Value {
     json!(MissingKind::ALL.map(|kind| [kind.name(), kind.meaning()]))
 }
 
-/// Returns their colours as variables for the style sheet.
-fn colours(of: impl Fn(KindColours) -> &'static str) -> String {
-    let kinds = MissingKind::ALL.map(|kind| format!("--{}: {};", kind.name(), of(kind.colours())));
-    kinds.join(" ")
+/// Returns the colours of kinds and of sensors as variables for the style sheet.
+fn colours(of: impl Fn(Colours) -> &'static str) -> String {
+    let kinds = MissingKind::ALL.map(|kind| (kind.name().to_owned(), kind.colours()));
+    let sensors = SENSORS.iter().enumerate();
+    let sensors = sensors.map(|(number, colours)| (format!("s{number}"), *colours));
+    let all = kinds.into_iter().chain(sensors);
+    all.map(|(name, colours)| format!("--{name}: {}; ", of(colours))).collect()
 }
 
 /// Returns 128 bits that nobody can guess: the keys of the standard library's hashes
@@ -86,5 +90,6 @@ mod tests {
         assert_eq!(kinds()[1], json!(["weak", MissingKind::Weak.meaning()]));
         let dark = colours(|colours| colours.on_dark);
         assert!(dark.starts_with("--far: #6ea8ff; --weak: "), "{dark}");
+        assert!(dark.contains("--s0: #6cc5ff; --s1: #ffb057; "), "{dark}");
     }
 }

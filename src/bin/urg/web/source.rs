@@ -13,8 +13,8 @@ use super::hub::{Health, Hub};
 use crate::failure::Failure;
 use crate::format::json;
 use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown, seen_through};
+use crate::plot::pose::Pose;
 use crate::port::name::PortName;
-use crate::port::placed::Pose;
 use crate::recording::recorded::Recorded;
 use crate::stream::feed::{NamedLine, Update};
 

@@ -13,7 +13,7 @@ use super::hub::Hub;
 use super::source::{Playback, Source, SourceKind};
 use crate::format::json;
 use crate::playback::PlaybackStatus;
-use crate::port::placed::Pose;
+use crate::plot::pose::Pose;
 use crate::stream::jitter::Jitter;
 
 /// The state of all that is shown.
