@@ -91,6 +91,28 @@ async fn keys_work_and_the_terminal_is_restored_when_the_user_quits() {
 }
 
 #[tokio::test]
+async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such() {
+    let nobody = super::program::Scratch::new("not-on-screen");
+    let missing = format!("rear={}@-0.2,0,180", nobody.path());
+    let mut terminal = Terminal::start(&format!("view front=emulated@0.2,0,0 {missing}")).await;
+    terminal.until(&["front", "connected", "rear", "closed", "--wait"]).await;
+    terminal.user.write_all(b"\t").await.unwrap();
+    terminal.until(&["of", "rear:"]).await;
+    terminal.user.write_all(b"q").await.unwrap();
+    assert_eq!(terminal.end().await, Some(0));
+
+    // With --wait it comes when it comes.
+    let arguments = format!("view front=emulated@0.2,0,0 {missing} --wait");
+    let mut terminal = Terminal::start(&arguments).await;
+    terminal.until(&["front", "rear", "looking for it", "connected"]).await;
+    let _sensor = super::program::Emulated::start(&format!("--link {}", nobody.path()));
+    terminal.user.write_all(b"\t").await.unwrap();
+    terminal.until(&["rear", "URG-04LX"]).await;
+    terminal.user.write_all(b"q").await.unwrap();
+    assert_eq!(terminal.end().await, Some(0));
+}
+
+#[tokio::test]
 async fn the_terminal_is_restored_on_ctrl_c_and_on_a_signal() {
     let mut terminal = Terminal::start("view emulated --rate max").await;
     terminal.until(&["URG-04LX"]).await;
@@ -206,4 +228,13 @@ async fn a_stream_on_a_terminal_is_one_short_line_for_each_scan() {
     // With `--format` NDJSON, also on a terminal.
     let mut terminal = Terminal::start("stream emulated --count 1 --format ndjson").await;
     terminal.until(&["{\"sequence\":0", "\"ranges\":[", "}"]).await;
+}
+
+#[cfg(feature = "mcap")]
+#[test]
+fn a_recording_is_not_shown_beside_another_source() {
+    let file = super::program::Scratch::with_extension("alone", ".mcap");
+    super::program::run(&format!("record emulated {} --count 2", file.path()), 0);
+    let text = super::program::run(&format!("view a={} b=emulated", file.path()), 2).stderr;
+    assert!(text.contains("plays one recording") && text.contains("urg serve"), "{text}");
 }

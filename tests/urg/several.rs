@@ -78,5 +78,6 @@ fn several_sensors_need_a_name_each_and_a_place_is_three_numbers() {
         "",
     ] {
         run(&format!("serve {arguments}"), 2);
+        run(&format!("view {arguments}"), 2);
     }
 }

@@ -1,27 +1,31 @@
 //! `urg view`: a live radar in the terminal.
 
-use tokio_scip::Rate;
+use tokio_scip::{Rate, Sensor};
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
+use crate::output::notice::notice;
 use crate::playback::PlaybackArgs;
-use crate::port::name::PortArg;
-use crate::port::open::open;
+use crate::port::open::{begin, opened};
+use crate::port::placed::{PlacedPort, PlacedPorts};
 use crate::recording;
 use crate::stream::follow::Ended;
-use crate::view::{Screen, Viewer};
+use crate::view::{Screen, ViewedSensor, Viewer};
 
 /// Show a live radar in the terminal
 ///
-/// Continues by itself when an unplugged sensor comes back. A recording can be
-/// paused, stepped and searched, and stays on its last scan. `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
+/// Continues by itself when an unplugged sensor comes back. Several sensors are shown in
+/// one frame, each at its place: X is in metres ahead of the common origin, Y to its
+/// left, and YAW in degrees counter-clockwise. A sensor that fails does not affect the
+/// others. A recording can be paused, stepped and searched, and stays on its last scan.
+/// `?` shows the keys, `q` quits. NO_COLOR=1 switches colours off.
 #[derive(Debug, clap::Args)]
 #[command(after_help = examples())]
 pub(crate) struct View {
     #[command(flatten)]
-    port: PortArg,
+    sensors: PlacedPorts,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
     #[arg(long, value_name = "HZ")]
     rate: Option<Rate>,
@@ -43,23 +47,26 @@ fn examples() -> String {
 Examples:
   urg view /dev/ttyACM0
   urg view /dev/ttyUSB0 --baud 115200 --cluster 2
+  urg view front=/dev/ttyACM0@0.2,0,0 rear=serial:H0713091@-0.2,0,180
   urg view emulated --from -90deg --to 90deg{recording}"
     )
 }
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let (mut port, rate) = self.port.polled_at(self.rate).await?;
-        self.playback.apply([&mut port].into_iter(), self.rate.is_some())?;
-        let window = self.window.window(port.default_window())?;
+        let mut polled = self.sensors.polled_at(self.rate).await?;
+        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
+        self.playback.apply(ports, self.rate.is_some())?;
+        let recording = polled.iter().find(|(placed, _)| placed.named.port.recorded().is_some());
+        if let Some((placed, _)) = recording.filter(|_| polled.len() > 1) {
+            return Err(Failure::Usage(format!(
+                "{}: view plays one recording, and no other source beside it: leave out the other \
+                 PORTs, or show them all on a page with `urg serve`",
+                placed.named.port
+            )));
+        }
         Screen::require_terminal()?;
-        let opening = async {
-            if let Some(recorded) = port.recorded() {
-                return Viewer::of_recording(&port, recorded, window, self.playback).await;
-            }
-            let sensor = open(&port, &self.link, Delivery::Newest).await?;
-            Viewer::of_sensor(&port, sensor, window, rate).await
-        };
+        let opening = self.open(polled);
         // An error is reported before the terminal is taken over.
         let mut viewer = tokio::select! {
             opened = opening => opened?,
@@ -77,5 +84,42 @@ impl View {
         };
         viewer.finish().await;
         outcome
+    }
+
+    async fn open(&self, polled: Vec<(PlacedPort, Rate)>) -> Result<Viewer, Failure> {
+        let has_several = polled.len() > 1;
+        let mut sensors = Vec::new();
+        for (placed, rate) in polled {
+            let port = &placed.named.port;
+            let window = self.window.window(port.default_window())?;
+            if let Some(recorded) = port.recorded() {
+                return Viewer::of_recording(&placed, recorded, window, self.playback).await;
+            }
+            let sensor = begin(port, &self.link, Delivery::Newest, Sensor::builder())?;
+            sensors.push(ViewedSensor { placed, sensor, window, rate });
+        }
+        // With --wait several sensors are shown as they come.
+        if !has_several || !self.link.wait {
+            self.wait_for_any(&sensors).await?;
+        }
+        Ok(Viewer::of_sensors(sensors))
+    }
+
+    /// Waits until each sensor is open, or has failed. Fails if none could be opened.
+    async fn wait_for_any(&self, sensors: &[ViewedSensor]) -> Result<(), Failure> {
+        let mut failures = Vec::new();
+        // All of them are being opened already.
+        for ViewedSensor { placed, sensor, .. } in sensors {
+            if let Err(failure) = opened(&placed.named.port, &self.link, sensor).await {
+                failures.push(failure);
+            }
+        }
+        // The screen shows the failure of a sensor beside the others.
+        if failures.len() < sensors.len() {
+            return Ok(());
+        }
+        let last = failures.pop();
+        failures.iter().for_each(|failure| notice(failure.line()));
+        last.map_or(Ok(()), Err)
     }
 }

@@ -21,6 +21,12 @@ pub(crate) const SENSORS: [Colours; 6] = [
     Colours { on_light: "#6b6600", on_dark: "#e0db6c", indexed: 143 },
 ];
 
+/// Returns the item for the sensor of this number, counted from 0. They repeat if there
+/// are more sensors than items.
+pub(crate) fn of_sensor<T: Copy + Default>(items: [T; SENSORS.len()], number: usize) -> T {
+    items.get(number % SENSORS.len()).copied().unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::missing::MissingKind;
@@ -40,5 +46,11 @@ mod tests {
                 assert!((page - terminal).abs() <= 90, "{colours:?}: {page} and {terminal}");
             }
         }
+    }
+
+    #[test]
+    fn a_seventh_sensor_has_the_colour_of_the_first() {
+        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 6), 1);
+        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 11), 6);
     }
 }

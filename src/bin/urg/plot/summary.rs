@@ -1,6 +1,7 @@
 //! A scan in figures: its distances, the nearest and the farthest point, and the
 //! values that are no distance. Table, pictures and terminal all show these.
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use tokio_scip::{Measurement, Point, Scan};
@@ -25,11 +26,10 @@ impl ScanSummary {
         for measurement in scan.measurements().filter(|one| one.distance().is_none()) {
             *missing.entry(measurement.value()).or_default() += 1;
         }
-        let by_range = |a: &Point, b: &Point| a.range.total_cmp(&b.range);
         Self {
             points: scan.len(),
             distances: scan.len() - missing.values().sum::<usize>(),
-            nearest: scan.points().min_by(by_range),
+            nearest: nearest(scan),
             farthest: scan.points().max_by(by_range),
             missing,
         }
@@ -53,4 +53,13 @@ impl ScanSummary {
     pub(crate) fn count(&self, kind: MissingKind) -> usize {
         self.missing_of(kind).map(|(_, points)| points).sum()
     }
+}
+
+/// Returns the nearest point of a scan, if it has any.
+pub(crate) fn nearest(scan: &Scan) -> Option<Point> {
+    scan.points().min_by(by_range)
+}
+
+fn by_range(a: &Point, b: &Point) -> Ordering {
+    a.range.total_cmp(&b.range)
 }

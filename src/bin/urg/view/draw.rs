@@ -7,9 +7,11 @@ use ratatui::style::{Modifier, Style};
 use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
 
+use super::help::Subject;
+use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
-use super::{help, panel, radar};
+use super::{common_frame, help, panel, radar, several};
 
 /// A smaller terminal gets a message instead.
 const MIN_SIZE: (u16, u16) = (30, 10);
@@ -39,27 +41,45 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
         let wide = if body.width >= 120 { 36 } else { 28 };
         let columns = [Constraint::Min(0), Constraint::Length(wide)];
         let [plot, figures] = Layout::horizontal(columns).areas(body);
-        radar::draw(frame, plot, model, palette);
+        picture(frame, plot, model, palette);
         let figures = Rect { x: figures.x + 1, width: figures.width - 1, ..figures };
-        let lines = panel::lines(model, palette, figures.height);
+        let lines = match model.has_several() {
+            true => several::lines(model, palette, figures.height),
+            false => panel::lines(model, palette, figures.height),
+        };
         frame.render_widget(Paragraph::new(lines), figures);
     } else {
-        radar::draw(frame, body, model, palette);
+        picture(frame, body, model, palette);
     }
     message(frame, news, model, palette);
-    frame.render_widget(help::key_line(keys.width, model.playback.is_some()), keys);
+    let subject = Subject::of(model);
+    frame.render_widget(help::key_line(keys.width, subject), keys);
     if let Some(scroll) = model.help {
-        draw_help(frame, body, scroll, &help::text(model.playback.is_some()));
+        draw_help(frame, body, scroll, &help::text(subject));
+    }
+}
+
+fn picture(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
+    if model.is_common_frame() {
+        common_frame::draw(frame, area, model, palette);
+    } else {
+        radar::draw(frame, area, model, palette);
     }
 }
 
 fn title_line(model: &Model) -> String {
-    format!(" urg view  {}", panel::who(model))
+    let who = model.selected().map(panel::who).unwrap_or_default();
+    match model.has_several() {
+        true => format!(" urg view  {} {who}", several::sign(model.selected_number())),
+        false => format!(" urg view  {who}"),
+    }
 }
 
 /// Draws the most urgent message; a long one covers a part of the plot.
 fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
-    let trouble = panel::trouble(&model.state).filter(|_| model.playback.is_none());
+    let is_narrow = area.width < WITH_PANEL;
+    // A narrow screen has the state of several sensors in its last line.
+    let trouble = trouble(model).filter(|_| !(is_narrow && model.has_several()));
     let (text, style) = if let Some(trouble) = trouble {
         (trouble, palette.bad().add_modifier(Modifier::BOLD))
     } else if let Some(message) = model.message() {
@@ -67,12 +87,20 @@ fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
     } else if let Some(status) = model.playback {
         frame.render_widget(Line::raw(panel::progress(status, area.width)), area);
         return;
-    } else if !model.laser {
-        ("the laser is off: no scans until l switches it on".to_owned(), palette.poor())
-    } else if area.width < WITH_PANEL {
-        (panel::brief(model), Style::new())
-    } else {
+    } else if model.has_several() {
+        if is_narrow {
+            frame.render_widget(several::brief(model, palette, area.width), area);
+        }
         return;
+    } else {
+        let Some(layer) = model.selected() else { return };
+        if !layer.laser {
+            ("the laser is off: no scans until l switches it on".to_owned(), palette.poor())
+        } else if is_narrow {
+            (panel::brief(layer), Style::new())
+        } else {
+            return;
+        }
     };
     let lines = wrapped(&text, area.width.saturating_sub(2).into());
     // The title and the key line stay.
@@ -80,6 +108,22 @@ fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
     let area = Rect { y: area.y + 1 - rows, height: rows, ..area };
     frame.render_widget(Clear, area);
     frame.render_widget(Paragraph::new(lines).style(style), area);
+}
+
+/// Returns the trouble of the selected sensor, or else that of the first one that has
+/// any.
+fn trouble(model: &Model) -> Option<String> {
+    if model.playback.is_some() {
+        return None;
+    }
+    let of = |layer: &Layer| {
+        let trouble = panel::trouble(&layer.state)?;
+        Some(match model.has_several() {
+            true => format!("{}: {trouble}", layer.label()),
+            false => trouble,
+        })
+    };
+    model.selected().and_then(of).or_else(|| model.layers.iter().find_map(of))
 }
 
 /// Lines of at most so many characters, cut between words where there are any.

@@ -4,6 +4,7 @@ use std::fmt::Write;
 
 use ratatui::text::{Line, Span};
 
+use super::model::Model;
 use super::palette::Palette;
 use super::radar::mark;
 use crate::plot::missing::MissingKind;
@@ -17,6 +18,15 @@ const SENSOR_KEYS: [(&str, &str); 7] = [
     ("w", "window"),
     ("l", "laser"),
     ("s", "save"),
+    ("q", "quit"),
+];
+const SEVERAL_KEYS: [(&str, &str); 7] = [
+    ("?", "help"),
+    ("Tab", "select"),
+    ("+ -", "zoom"),
+    ("space", "pause"),
+    ("w", "window"),
+    ("l", "laser"),
     ("q", "quit"),
 ];
 const PLAYBACK_KEYS: [(&str, &str); 7] = [
@@ -34,13 +44,26 @@ const INDENT: usize = 9;
 
 pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
 
-const ON_SENSORS: &str = "\
-space    pause the picture; the sensor goes on
+const PICTURE: &str = "\
++ -      zoom in and out; 0 shows all
+t        show the last ten scans behind this one
+q        quit, as does Ctrl-C
+";
+
+const PAUSE: &str = "\
+space    pause; the sensor goes on measuring
+";
+
+const SENSOR: &str = "\
 ← →      turn the window by 15°
 l        switch the laser off and on; it stays so
 ";
 
-const ON_RECORDINGS: &str = "\
+const SELECTION: &str = "\
+Tab 1-9  select another sensor
+";
+
+const RECORDING: &str = "\
 space    pause and play; at the end play again
 ← →      5 s back and on, with Shift a minute
 , .      one scan back and on
@@ -49,23 +72,55 @@ Home End the first and the last scan
 o        begin again at the end, or not
 ";
 
-const ON_BOTH: &str = "\
-+ -      zoom in and out; 0 shows all
+const WINDOW: &str = "\
 w        next window: detection, ±90°, ±45°, full
 ↑ ↓      widen and narrow it by 15° on each side
 c        steps per point: 1, 2, 4, 8
-t        show the last ten scans behind this one
-s        save the picture as SVG, here
-q        quit, as does Ctrl-C
+s        save the scan as SVG, here
 ";
 
-/// Returns the help. The keys of a sensor and of a recording differ.
-pub(super) fn text(is_playback: bool) -> String {
-    let own = if is_playback { ON_RECORDINGS } else { ON_SENSORS };
-    let mut text = format!(
-        "{ON_BOTH}{own}\nPoints are coloured by distance. At the rim are\n\
-         the directions without one:"
-    );
+const COLOURS: &str = "\
+Points are coloured by distance; ○ is the nearest.
+";
+
+const OWN_COLOURS: &str = "\
+Points have their sensor's colour, or its number;
+○ is the selected sensor's nearest.
+";
+
+/// What is on the screen, which decides what keys do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Subject {
+    Sensor,
+    Several,
+    Recording,
+}
+
+impl Subject {
+    pub(super) fn of(model: &Model) -> Self {
+        match model.playback {
+            Some(_) => Self::Recording,
+            None if model.has_several() => Self::Several,
+            None => Self::Sensor,
+        }
+    }
+}
+
+/// Returns the help: the keys in groups by what they act on, and the marks.
+pub(super) fn text(subject: Subject) -> String {
+    let mut text = match subject {
+        Subject::Sensor => {
+            format!("The picture:\n{PICTURE}{PAUSE}The sensor:\n{WINDOW}{SENSOR}{COLOURS}")
+        }
+        Subject::Several => format!(
+            "The picture, of all sensors:\n{PICTURE}{PAUSE}\
+             The selected sensor:\n{SELECTION}{WINDOW}{SENSOR}{OWN_COLOURS}"
+        ),
+        Subject::Recording => {
+            format!("The picture:\n{PICTURE}{WINDOW}The recording:\n{RECORDING}{COLOURS}")
+        }
+    };
+    text.push_str("At the rim, directions without a distance:");
     for kind in MissingKind::ALL {
         // Writing to a string does not fail.
         let _ = write!(text, "\n{} {:<5}  {}", mark(kind), kind.name(), kind.meaning());
@@ -107,8 +162,12 @@ pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
 }
 
 /// Returns as many keys as fit into a line of `width` columns.
-pub(super) fn key_line(width: u16, is_playback: bool) -> Line<'static> {
-    let keys = if is_playback { PLAYBACK_KEYS } else { SENSOR_KEYS };
+pub(super) fn key_line(width: u16, subject: Subject) -> Line<'static> {
+    let keys = match subject {
+        Subject::Sensor => SENSOR_KEYS,
+        Subject::Several => SEVERAL_KEYS,
+        Subject::Recording => PLAYBACK_KEYS,
+    };
     let columns = |(key, what): &(&str, &str)| key.chars().count() + what.len() + 5;
     let [first, .., last] = &keys;
     let mut left = usize::from(width).saturating_sub(columns(first) + columns(last));
@@ -145,8 +204,8 @@ mod tests {
             "distance.",
         ];
         assert_eq!(folded, expected);
-        for is_playback in [false, true] {
-            let text = self::text(is_playback);
+        for subject in [Subject::Sensor, Subject::Several, Subject::Recording] {
+            let text = self::text(subject);
             let lines = super::folded(&text, 36);
             assert!(lines.iter().all(|line| line.chars().count() <= 36), "{lines:?}");
         }

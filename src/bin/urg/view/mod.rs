@@ -1,17 +1,23 @@
 //! The radar: the loop over scans, keys and time, which draws a frame after each
-//! change. Scans come from a sensor or from the playback of a recording.
+//! change. Scans come from sensors or from the playback of a recording. No sensor's
+//! trouble ends the picture of another one.
 
+mod chart;
+mod common_frame;
 mod draw;
 mod help;
+mod layer;
 mod model;
 mod palette;
 mod panel;
 mod radar;
 mod save;
 mod screen;
+mod several;
 mod source;
 #[cfg(test)]
 mod tests;
+mod window_keys;
 
 use std::future::poll_fn;
 use std::io;
@@ -21,19 +27,19 @@ use tokio::time::Instant;
 
 use crossterm::event::{Event, EventStream};
 use futures_core::Stream;
-use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
 
 pub(crate) use self::screen::Screen;
 
+use self::layer::Layer;
 use self::model::{Action, Model};
 use self::palette::Palette;
-use self::source::{Arrival, Live, Playback, Source};
+use self::source::{Arrival, Live, Playback, Source, change_of_any, next_of_any};
 use crate::failure::{Failure, chain};
 use crate::playback::{PlaybackArgs, Shown};
-use crate::port::name::PortName;
+use crate::port::placed::PlacedPort;
 use crate::recording::recorded::Recorded;
 use crate::stream::follow::Ended;
 use crate::stream::rate_watch::RateWatch;
@@ -44,66 +50,77 @@ const FRAME_INTERVAL: Duration = Duration::from_millis(50);
 /// The refresh interval of everything that is shown in seconds.
 const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A source of scans and its radar.
+/// Sources of scans and their radar.
 pub(crate) struct Viewer {
-    port: PortName,
-    source: Source,
-    /// The requests of keys that are not done yet.
+    /// One for each layer of the model.
+    sources: Vec<Source>,
+    /// The number of sources that have not ended.
+    going: usize,
+    /// The requests of keys that are not done yet, and sensors that are not open yet.
     jobs: JoinSet<Outcome>,
     model: Model,
     palette: Palette,
 }
 
-/// The outcome of a request of a key.
+/// A sensor to show. It may not be open yet, and may never be.
+pub(crate) struct ViewedSensor {
+    pub(crate) placed: PlacedPort,
+    pub(crate) sensor: Sensor,
+    pub(crate) window: Window,
+    pub(crate) rate: Rate,
+}
+
+/// The outcome of a request of a key or of opening a sensor. The numbers are those of
+/// sources.
 #[derive(Debug)]
 enum Outcome {
-    Watching(Window, Result<ScanStream, Error>),
-    Laser(bool, Result<(), Error>),
+    Started(usize, Result<(Version, ScanStream), Error>),
+    Watching(usize, Window, Result<ScanStream, Error>),
+    Laser(usize, bool, Result<(), Error>),
     Saved(Result<String, String>),
 }
 
 impl Viewer {
-    /// Begins to poll.
-    pub(crate) async fn of_sensor(
-        port: &PortName,
-        sensor: Sensor,
-        window: Window,
-        rate: Rate,
-    ) -> Result<Self, Failure> {
-        let failed = |error| Failure::at(&port.to_string(), &error);
-        let version = sensor.version().await.map_err(failed)?;
-        let live = Live::start(port, sensor, window, rate).await?;
-        let model = Model::new(port.to_string(), version, window, rate);
-        Ok(Self::new(port, Source::Sensor(Box::new(live)), model))
+    /// Begins to poll each sensor once it is open.
+    pub(crate) fn of_sensors(sensors: Vec<ViewedSensor>) -> Self {
+        let (mut sources, mut layers, mut jobs) = (Vec::new(), Vec::new(), JoinSet::new());
+        for (number, viewed) in sensors.into_iter().enumerate() {
+            let ViewedSensor { placed: PlacedPort { named, pose }, sensor, window, rate } = viewed;
+            let port = named.port;
+            let layer = Layer::new(named.name, pose, port.to_string(), window);
+            layers.push(Layer { rate, ..layer });
+            let started = source::start(sensor.clone(), window, rate);
+            jobs.spawn(async move { Outcome::Started(number, started.await) });
+            let pace = RateWatch::new(&port, window, rate);
+            sources.push(Source::Sensor(Box::new(Live { port, sensor, scans: None, pace })));
+        }
+        Self::new(sources, jobs, Model::new(layers))
     }
 
     /// Begins to play.
     pub(crate) async fn of_recording(
-        port: &PortName,
+        placed: &PlacedPort,
         recorded: &Recorded,
         window: Window,
         settings: PlaybackArgs,
     ) -> Result<Self, Failure> {
         let (playback, version) = Playback::start(recorded, settings).await?;
-        let mut model = Model::new(port.to_string(), version, window, Rate::MAX);
+        let (name, port) = (placed.named.name.clone(), placed.named.port.to_string());
+        let layer = Layer::new(name, placed.pose, port, window);
+        let mut model = Model::new(vec![Layer { version: Some(version), ..layer }]);
         model.playback = Some(playback.player.status());
-        Ok(Self::new(port, Source::Playback(playback), model))
+        Ok(Self::new(vec![Source::Playback(playback)], JoinSet::new(), model))
     }
 
-    fn new(port: &PortName, source: Source, model: Model) -> Self {
-        Self {
-            port: port.clone(),
-            source,
-            jobs: JoinSet::new(),
-            model,
-            palette: Palette::of(|name| std::env::var_os(name)),
-        }
+    fn new(sources: Vec<Source>, jobs: JoinSet<Outcome>, model: Model) -> Self {
+        let palette = Palette::of(|name| std::env::var_os(name));
+        Self { going: sources.len(), sources, jobs, model, palette }
     }
 
-    /// Shows it until the user has seen enough, or the sensor is lost for good.
+    /// Shows it until the user has seen enough, or all sensors are lost for good.
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<Ended, Failure> {
         let mut keys = EventStream::new();
-        let mut state = self.sensor().map(Sensor::state);
+        let mut states: Vec<_> = self.sensors().map(|(_, live)| live.sensor.state()).collect();
         let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
@@ -132,31 +149,32 @@ impl Viewer {
                     Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
                     None => return Ok(Ended::Interrupted),
                 },
-                arrival = self.source.next() => match arrival {
-                    Arrival::Scan(scan) => self.scanned(scan),
-                    Arrival::Trouble(error) => self.trouble(&error),
+                (number, arrival) = next_of_any(&mut self.sources) => match arrival {
+                    Arrival::Scan(scan) => self.scanned(number, scan),
+                    Arrival::Trouble(error) => self.trouble(number, &error),
                     Arrival::Moved(scan, status) => self.model.moved(&scan, status),
-                    Arrival::End => return Ok(Ended::ByItself),
+                    Arrival::End => self.going = self.going.saturating_sub(1),
                 },
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
-                        self.done(done);
+                        self.done(done)?;
                     }
                 }
-                () = changed_state(state.as_mut()) => {}
+                () = change_of_any(&mut states) => {}
                 _ = tick.tick() => {}
+            }
+            if self.going == 0 {
+                return Ok(Ended::ByItself);
             }
             changed = true;
         }
     }
 
-    /// Maps the end of the stream to that of the program. It writes a notice, so
-    /// the terminal must be restored before.
+    /// Maps the end of the streams to that of the program: the first sensor that has
+    /// failed is its failure. It writes notices, so the terminal must be restored
+    /// before.
     pub(crate) fn end(&self) -> Result<(), Failure> {
-        match self.sensor() {
-            Some(sensor) => end(&self.port, sensor),
-            None => Ok(()),
-        }
+        self.sensors().try_for_each(|(_, live)| end(&live.port, &live.sensor))
     }
 
     /// Waits a limited time for the last requests, so that no picture is cut off.
@@ -168,51 +186,71 @@ impl Viewer {
     /// Updates the model with the current state and figures.
     fn refresh(&mut self) {
         self.model.now = Instant::now();
-        if let Some(sensor) = self.sensor() {
-            let (state, stats) = (sensor.state().borrow().clone(), sensor.stats());
-            (self.model.state, self.model.stats) = (state, stats);
+        for (source, layer) in self.sources.iter().zip(&mut self.model.layers) {
+            if let Source::Sensor(live) = source {
+                layer.state = live.sensor.state().borrow().clone();
+                layer.stats = live.sensor.stats();
+            }
         }
     }
 
-    fn sensor(&self) -> Option<&Sensor> {
-        match &self.source {
-            Source::Sensor(live) => Some(&live.sensor),
+    /// Returns the sensors, each with its number.
+    fn sensors(&self) -> impl Iterator<Item = (usize, &Live)> {
+        self.sources.iter().enumerate().filter_map(|(number, source)| match source {
+            Source::Sensor(live) => Some((number, &**live)),
             Source::Playback(_) => None,
+        })
+    }
+
+    /// Returns a sensor and its layer.
+    fn sensor_mut(&mut self, number: usize) -> Option<(&mut Live, &mut Layer)> {
+        match (self.sources.get_mut(number)?, self.model.layers.get_mut(number)?) {
+            (Source::Sensor(live), layer) => Some((live, layer)),
+            (Source::Playback(_), _) => None,
         }
     }
 
-    fn scanned(&mut self, scan: Scan) {
-        let Source::Sensor(live) = &mut self.source else { return };
-        let Live { sensor, pace, .. } = &mut **live;
-        if !matches!(self.model.state, State::Connected { .. }) {
-            pace.restart();
+    fn scanned(&mut self, number: usize, scan: Scan) {
+        let Some((live, layer)) = self.sensor_mut(number) else { return };
+        if !layer.is_connected() {
+            live.pace.restart();
         }
-        let notice = pace.scanned(&scan, sensor);
-        self.model.scanned(scan);
+        let notice = live.pace.scanned(&scan, &live.sensor);
+        self.model.scanned(number, scan);
         if let Some(text) = notice {
-            self.show(text);
+            self.show(number, text);
         }
     }
 
-    fn trouble(&mut self, error: &Error) {
+    fn trouble(&mut self, number: usize, error: &Error) {
         // A lost link is shown as long as it lasts, by its state.
         if !matches!(error, Error::Disconnected { .. }) {
-            self.show(chain(error));
+            self.show(number, chain(error));
         }
     }
 
-    fn show(&mut self, text: impl Into<String>) {
+    /// Shows a message about a sensor, with its name if there are several.
+    fn show(&mut self, number: usize, text: impl Into<String>) {
         self.model.now = Instant::now();
-        self.model.show(text);
+        let text = text.into();
+        let name = self.model.layers.get(number).filter(|_| self.model.has_several());
+        self.model.show(match name {
+            Some(layer) => format!("{}: {text}", layer.label()),
+            None => text,
+        });
     }
 
-    /// Starts what a key requests.
+    /// Starts what a key requests of the selected sensor.
     fn act(&mut self, action: Option<Action>) {
-        match (action, &self.source) {
+        let number = self.model.selected_number();
+        let (Some(source), Some(layer)) = (self.sources.get(number), self.model.selected()) else {
+            return;
+        };
+        match (action, source) {
             (Some(Action::Watch(window)), Source::Sensor(live)) => {
-                let (sensor, rate) = (live.sensor.clone(), self.model.rate);
+                let (sensor, rate) = (live.sensor.clone(), layer.rate);
                 self.jobs.spawn(async move {
-                    Outcome::Watching(window, sensor.scans(window, rate).await)
+                    Outcome::Watching(number, window, sensor.scans(window, rate).await)
                 });
             }
             (Some(Action::Watch(_)), Source::Playback(playback)) => {
@@ -224,77 +262,94 @@ impl Viewer {
                 self.jobs.spawn(async move {
                     let switched =
                         if on { sensor.laser_on().await } else { sensor.laser_off().await };
-                    Outcome::Laser(on, switched)
+                    Outcome::Laser(number, on, switched)
                 });
             }
             (Some(Action::Laser(_)), Source::Playback(_)) => {
-                self.show("a recording has no laser to switch");
+                self.show(number, "a recording has no laser to switch");
             }
             (Some(Action::Playback(command)), Source::Playback(playback)) => {
                 playback.player.send(command);
             }
-            (Some(Action::Save), _) => match self.model.scan.clone() {
-                Some(scan) => {
-                    let version = self.model.version.clone();
+            (Some(Action::Save), _) => match (layer.scan.clone(), layer.version.clone()) {
+                (Some(scan), Some(version)) => {
                     self.jobs.spawn_blocking(move || Outcome::Saved(save::save(&scan, &version)));
                 }
-                None => self.show("no scan to save yet"),
+                _ => self.show(number, "no scan to save yet"),
             },
             (Some(Action::Playback(_)), Source::Sensor(_)) | (Some(Action::Quit) | None, _) => {}
         }
     }
 
-    fn done(&mut self, done: Outcome) {
+    /// Takes what a job has brought. Fails if it was the only sensor's start, and that
+    /// has failed.
+    fn done(&mut self, done: Outcome) -> Result<(), Failure> {
         match done {
-            Outcome::Watching(window, outcome) => self.watching(window, outcome),
-            Outcome::Laser(on, Ok(())) => {
-                self.model.laser = on;
-                if let Source::Sensor(live) = &mut self.source {
+            Outcome::Started(number, outcome) => return self.started(number, outcome),
+            Outcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
+            Outcome::Laser(number, on, Ok(())) => {
+                if let Some((live, layer)) = self.sensor_mut(number) {
+                    layer.laser = on;
                     live.pace.restart();
                 }
-                self.show(if on {
-                    "the laser is on"
-                } else {
-                    "the laser is off: l switches it on"
-                });
+                let text =
+                    if on { "the laser is on" } else { "the laser is off: l switches it on" };
+                self.show(number, text);
             }
-            Outcome::Laser(_, Err(error)) => {
-                self.show(format!("the laser was not switched: {}", chain(&error)));
+            Outcome::Laser(number, _, Err(error)) => {
+                self.show(number, format!("the laser was not switched: {}", chain(&error)));
             }
-            Outcome::Saved(Ok(path)) => self.show(format!("saved as {path}")),
-            Outcome::Saved(Err(error)) => self.show(error),
+            Outcome::Saved(Ok(path)) => {
+                self.show(self.model.selected_number(), format!("saved as {path}"))
+            }
+            Outcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
         }
+        Ok(())
+    }
+
+    /// Takes the first stream of a sensor. A sensor that cannot be polled ends.
+    fn started(
+        &mut self,
+        number: usize,
+        outcome: Result<(Version, ScanStream), Error>,
+    ) -> Result<(), Failure> {
+        let Some((live, layer)) = self.sensor_mut(number) else { return Ok(()) };
+        match outcome {
+            Ok((version, scans)) => {
+                (layer.version, live.scans) = (Some(version), Some(scans));
+                // The window may have been changed meanwhile.
+                layer.window = live.scans.as_ref().map_or(layer.window, ScanStream::window);
+                live.pace.restart();
+            }
+            Err(error) => {
+                let failure = Failure::at(&live.port.to_string(), &error);
+                self.going = self.going.saturating_sub(1);
+                if self.going == 0 {
+                    return Err(failure);
+                }
+                self.model.show(failure.line());
+            }
+        }
+        Ok(())
     }
 
     /// Takes the scans of another window.
-    fn watching(&mut self, window: Window, outcome: Result<ScanStream, Error>) {
-        let Source::Sensor(live) = &mut self.source else { return };
+    fn watching(&mut self, number: usize, window: Window, outcome: Result<ScanStream, Error>) {
+        let Some((live, layer)) = self.sensor_mut(number) else { return };
         // The window may have been changed again meanwhile.
-        if window != self.model.window {
+        if window != layer.window {
             return;
         }
         match outcome {
             Ok(scans) => {
-                live.scans = scans;
-                live.pace = RateWatch::new(&self.port, window, self.model.rate);
+                live.scans = Some(scans);
+                live.pace = RateWatch::new(&live.port, window, layer.rate);
             }
             Err(error) => {
-                self.model.window = live.scans.window();
-                self.show(format!("the window stays as it was: {}", chain(&error)));
+                layer.window = live.scans.as_ref().map_or(layer.window, ScanStream::window);
+                self.show(number, format!("the window stays as it was: {}", chain(&error)));
             }
         }
-    }
-}
-
-/// Waits for a change of the sensor's state, if there is a sensor. Cancel-safe.
-async fn changed_state(state: Option<&mut watch::Receiver<State>>) {
-    let is_changed = match state {
-        Some(state) => state.changed().await.is_ok(),
-        None => false,
-    };
-    // A driver that has ended changes no more.
-    if !is_changed {
-        std::future::pending().await
     }
 }
 

@@ -4,6 +4,7 @@ use std::ffi::OsString;
 
 use ratatui::style::{Color, Modifier, Style};
 
+use crate::plot::colours;
 use crate::plot::missing::MissingKind;
 
 /// Near to far, a colour each half metre, none of them too bright or too dark
@@ -20,6 +21,9 @@ const SIXTEEN: [Color; 9] = [
     Color::Cyan,
     Color::LightBlue,
 ];
+
+const SIXTEEN_SENSORS: [Color; 6] =
+    [Color::LightBlue, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::Cyan];
 
 /// Metres that share a colour.
 pub(crate) const BAND: f64 = 0.5;
@@ -61,6 +65,17 @@ impl Palette {
         let band = (metres / BAND) as usize;
         let colors = self.distances();
         colors.get(band).or(colors.last()).copied().unwrap_or_default()
+    }
+
+    /// Returns the colour of the sensor of this number, counted from 0, among several.
+    pub(crate) fn sensor(self, number: usize) -> Color {
+        match self {
+            Self::Plain => Color::Reset,
+            Self::Sixteen => colours::of_sensor(SIXTEEN_SENSORS, number),
+            Self::Many => {
+                colours::of_sensor(colours::SENSORS.map(|one| Color::Indexed(one.indexed)), number)
+            }
+        }
     }
 
     pub(crate) fn missing(self, kind: MissingKind) -> Color {

@@ -1,32 +1,37 @@
-//! The figures beside the radar.
+//! The figures of one sensor, beside its picture.
 
 use ratatui::style::Style;
 use ratatui::text::{Line, Span};
-use tokio_scip::{Scan, State};
+use tokio_scip::{Point, Scan, State};
 
+use super::layer::Layer;
 use super::model::Model;
 use super::palette::{BAND, Palette};
 use super::radar::mark;
 use crate::format::time::{self, clock};
 use crate::playback::PlaybackStatus;
+use crate::plot;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 use crate::stream::link;
 use crate::stream::rate_watch::ENOUGH;
 
-/// Returns the whole panel, in at most `rows` lines if possible.
+/// Returns the whole panel of the only sensor, in at most `rows` lines if possible.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
-    let panel = Panel { model, palette };
+    let Some(layer) = model.selected() else { return Vec::new() };
+    let panel = Panel { layer, palette };
     let mut lines = match model.playback {
         Some(status) => panel.playback(status),
-        None => panel.link(),
+        None => panel.link(model),
     };
     lines.extend(panel.window());
+    let mut figures = Vec::new();
     if model.playback.is_none() {
-        lines.extend(panel.pace());
+        figures.extend(panel.pace());
     }
-    lines.push(Line::default());
-    lines.extend(panel.scan());
+    figures.push(Line::default());
+    figures.extend(panel.scan(model.reach()));
+    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
     lines.push(Line::default());
     lines.extend(panel.colors());
     if lines.len() > usize::from(rows) {
@@ -35,8 +40,57 @@ pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'sta
     lines
 }
 
+/// Returns the lines of the selected one of several sensors that the others do not have.
+pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Line<'static>> {
+    let panel = Panel { layer, palette };
+    let title = format!("of {}:", layer.label());
+    let mut lines = vec![Line::styled(title, Palette::quiet()), panel.laser()];
+    lines.extend(panel.window());
+    let mut figures = vec![panel.latency(), panel.losses()];
+    figures.extend(panel.missing());
+    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
+    lines
+}
+
+/// Dims a line of figures unless they are those of now.
+pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
+    if model.playback.is_some() || layer.is_connected() {
+        return line;
+    }
+    let spans = line.spans.into_iter().map(|span| Span::styled(span.content, Palette::quiet()));
+    Line::from_iter(spans)
+}
+
+/// Returns the state of the link, and the style that it is worth.
+pub(crate) fn link(model: &Model, layer: &Layer, palette: Palette) -> (String, Style) {
+    match &layer.state {
+        State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
+        State::Connected { .. } if !layer.laser => ("laser OFF".to_owned(), palette.poor()),
+        State::Connected { .. } => ("connected".to_owned(), palette.good()),
+        State::Recovering => ("silent".to_owned(), palette.poor()),
+        State::Disconnected { since, .. } => {
+            let seconds = model.now.saturating_duration_since(*since).as_secs();
+            (format!("LOST for {seconds} s"), palette.bad())
+        }
+        _ => ("closed".to_owned(), palette.bad()),
+    }
+}
+
+/// Returns the nearest point of a layer in words.
+pub(crate) fn nearest(layer: &Layer) -> String {
+    let nearest = layer.scan.as_ref().and_then(plot::summary::nearest);
+    let text = |point: Point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees());
+    nearest.map_or_else(|| "-".to_owned(), text)
+}
+
+/// Returns the distance of the nearest point of a layer, if there is one.
+pub(crate) fn nearest_range(layer: &Layer) -> Option<String> {
+    let nearest = layer.scan.as_ref().and_then(plot::summary::nearest)?;
+    Some(format!("{:.2} m", nearest.range))
+}
+
 struct Panel<'a> {
-    model: &'a Model,
+    layer: &'a Layer,
     palette: Palette,
 }
 
@@ -50,29 +104,22 @@ impl Panel<'_> {
         Line::from(vec![name, Span::styled(value.into(), style)])
     }
 
-    fn link(&self) -> Vec<Line<'static>> {
-        let (model, palette) = (self.model, self.palette);
-        let (link, style) = match &model.state {
-            State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
-            State::Connected { .. } => ("connected".to_owned(), palette.good()),
-            State::Recovering => ("silent".to_owned(), palette.poor()),
-            State::Disconnected { since, .. } => {
-                let seconds = model.now.saturating_duration_since(*since).as_secs();
-                (format!("LOST for {seconds} s"), palette.bad())
-            }
-            _ => ("closed".to_owned(), palette.bad()),
-        };
-        let speed = match &model.state {
+    fn link(&self, model: &Model) -> Vec<Line<'static>> {
+        let (link, style) = link(model, self.layer, self.palette);
+        let speed = match &self.layer.state {
             State::Connected { baud_rate: Some(speed), .. } => format!("{speed} baud"),
             State::Connected { baud_rate: None, .. } => "USB".to_owned(),
             _ => "-".to_owned(),
         };
-        let laser = if model.laser {
+        vec![self.styled("link", link, style), self.row("line", speed), self.laser()]
+    }
+
+    fn laser(&self) -> Line<'static> {
+        if self.layer.laser {
             self.row("laser", "on")
         } else {
-            self.styled("laser", "OFF", palette.poor())
-        };
-        vec![self.styled("link", link, style), self.row("line", speed), laser]
+            self.styled("laser", "OFF", self.palette.poor())
+        }
     }
 
     /// Returns the place in the recording.
@@ -88,7 +135,7 @@ impl Panel<'_> {
             self.row("scan", format!("{} of {}", status.scan + 1, status.scans)),
             self.row("speed", speed(status)),
         ];
-        if let Some(scan) = &self.model.scan {
+        if let Some(scan) = &self.layer.scan {
             // In two lines: one is too long for the panel.
             let stamp = time::utc(scan.stamp());
             let (date, time) = stamp.split_once(' ').unwrap_or_default();
@@ -99,7 +146,7 @@ impl Panel<'_> {
     }
 
     fn window(&self) -> Vec<Line<'static>> {
-        let window = self.model.window;
+        let window = self.layer.window;
         let cluster = match window.cluster_count() {
             1 => String::new(),
             count => format!(" by {count}"),
@@ -110,12 +157,12 @@ impl Panel<'_> {
     }
 
     fn pace(&self) -> Vec<Line<'static>> {
-        let scans = self.model.stats.scans.to_string();
+        let scans = self.layer.stats.scans.to_string();
         vec![self.rate(), self.latency(), self.row("scans", scans), self.losses()]
     }
 
     fn rate(&self) -> Line<'static> {
-        let Some(pace) = self.model.pace() else { return self.row("rate", "-") };
+        let Some(pace) = self.layer.pace() else { return self.row("rate", "-") };
         let asked = match pace.asked {
             Some(asked) => format!("of {} Hz", (asked * 10.0).round() / 10.0),
             None => "Hz (max)".to_owned(),
@@ -130,7 +177,7 @@ impl Panel<'_> {
     }
 
     fn latency(&self) -> Line<'static> {
-        let latency = self.model.stats.reply_latency;
+        let latency = self.layer.stats.reply_latency;
         let text = match latency.count {
             0 => "-".to_owned(),
             _ => format!(
@@ -145,7 +192,7 @@ impl Panel<'_> {
 
     /// Returns the polls without a scan, by cause.
     fn losses(&self) -> Line<'static> {
-        let stats = &self.model.stats;
+        let stats = &self.layer.stats;
         let kinds = [
             (stats.timeouts, "late"),
             (stats.malformed.total(), "damaged"),
@@ -164,23 +211,25 @@ impl Panel<'_> {
         self.styled("lost", parts.join(", "), self.palette.poor())
     }
 
-    fn scan(&self) -> Vec<Line<'static>> {
-        let Some(scan) = &self.model.scan else { return vec![self.row("points", "none yet")] };
-        let summary = ScanSummary::of(scan);
-        let nearest = summary.nearest.map_or_else(
-            || "-".to_owned(),
-            |point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees()),
-        );
-        let mut lines = vec![
-            self.row("points", format!("{} of {}", summary.distances, summary.points)),
-            self.row("nearest", nearest),
-        ];
-        let hidden = scan.points().filter(|point| f64::from(point.range) > self.model.reach());
+    /// Returns the figures of the scan, of which `reach` metres are shown.
+    fn scan(&self, reach: f64) -> Vec<Line<'static>> {
+        let Some(scan) = &self.layer.scan else { return vec![self.row("points", "none yet")] };
+        let points = format!("{} of {}", scan.points().count(), scan.len());
+        let mut lines = vec![self.row("points", points), self.row("nearest", nearest(self.layer))];
+        let hidden = scan.points().filter(|point| f64::from(point.range) > reach);
         match hidden.count() {
             0 => {}
             count => lines.push(self.row("outside", format!("{count} beyond the rim"))),
         }
-        lines.push(Line::styled("no distance, at the rim", Palette::quiet()));
+        lines.extend(self.missing());
+        lines
+    }
+
+    /// Returns the numbers of directions without a distance, by kind.
+    fn missing(&self) -> Vec<Line<'static>> {
+        let Some(scan) = &self.layer.scan else { return Vec::new() };
+        let summary = ScanSummary::of(scan);
+        let mut lines = vec![Line::styled("no distance, at the rim", Palette::quiet())];
         for kind in MissingKind::ALL {
             let style = Style::new().fg(self.palette.missing(kind));
             let text = format!("{} {:<5} {}", mark(kind), kind.name(), summary.count(kind));
@@ -225,14 +274,24 @@ pub(crate) fn progress(status: PlaybackStatus, width: u16) -> String {
 }
 
 /// Returns the most important figures, for a screen without a panel.
-pub(crate) fn brief(model: &Model) -> String {
-    let points = match &model.scan {
-        Some(scan) => format!("{} of {} points", scan.points().count(), scan.len()),
+pub(crate) fn brief(layer: &Layer) -> String {
+    let noun = if layer.scan.is_some() { " points" } else { "" };
+    format!("{}{noun}, {}", points(layer), rate(layer))
+}
+
+/// Returns how many points of the scan have a distance.
+pub(crate) fn points(layer: &Layer) -> String {
+    match &layer.scan {
+        Some(scan) => format!("{} of {}", scan.points().count(), scan.len()),
         None => "no scan yet".to_owned(),
-    };
-    match model.pace().map(|pace| pace.reached).filter(|rate| *rate > 0.0) {
-        Some(rate) => format!("{points}, {rate:.1} Hz"),
-        None => format!("{points}, - Hz"),
+    }
+}
+
+/// Returns the rate that is reached.
+pub(crate) fn rate(layer: &Layer) -> String {
+    match layer.reached() {
+        Some(rate) => format!("{rate:.1} Hz"),
+        None => "- Hz".to_owned(),
     }
 }
 
@@ -242,14 +301,21 @@ pub(crate) fn trouble(state: &State) -> Option<String> {
         State::Disconnected { .. } => {
             link::trouble(state).map(|why| format!("{why}; goes on when the sensor is back"))
         }
-        State::Closed { .. } => None,
+        // One of several: the others go on.
+        State::Closed { error: Some(_) } => {
+            link::trouble(state).map(|why| format!("{why}; with --wait it is looked for again"))
+        }
         state => link::trouble(state),
     }
 }
 
 /// Returns the port and the sensor, for the title.
-pub(crate) fn who(model: &Model) -> String {
-    format!("{}  {} {}", model.port, model.version.product, model.version.serial_number)
+pub(crate) fn who(layer: &Layer) -> String {
+    let mut parts: Vec<_> = layer.name.iter().chain([&layer.port]).cloned().collect();
+    if let Some(version) = &layer.version {
+        parts.push(format!("{} {}", version.product, version.serial_number));
+    }
+    parts.join("  ")
 }
 
 /// Returns a note for the title while the picture is paused or at its end.
@@ -261,6 +327,6 @@ pub(crate) fn held(model: &Model) -> Option<String> {
             _ => None,
         };
     }
-    let number = model.scan.as_ref().map(Scan::sequence)?;
+    let number = model.selected()?.scan.as_ref().map(Scan::sequence)?;
     model.paused.then(|| format!(" PAUSED at scan {number} "))
 }

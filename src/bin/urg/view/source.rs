@@ -1,7 +1,10 @@
-//! The source of the radar's scans: a sensor, or the playback of a recording.
+//! The sources of the radar's scans: sensors, or the playback of a recording.
+
+use std::future::poll_fn;
+use std::task::Poll;
 
 use tokio::sync::watch;
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Version, Window};
 
 use crate::failure::Failure;
 use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown};
@@ -17,8 +20,10 @@ pub(super) enum Source {
 
 /// A sensor that is polled.
 pub(super) struct Live {
+    pub(super) port: PortName,
     pub(super) sensor: Sensor,
-    pub(super) scans: ScanStream,
+    /// `None` until the sensor is open, and again when it has ended.
+    pub(super) scans: Option<ScanStream>,
     pub(super) pace: RateWatch,
 }
 
@@ -38,13 +43,19 @@ pub(super) enum Arrival {
 
 impl Source {
     /// Waits for the next scan or change. Cancel-safe.
-    pub(super) async fn next(&mut self) -> Arrival {
+    async fn next(&mut self) -> Arrival {
         match self {
-            Self::Sensor(live) => match live.scans.next().await {
-                Some(Ok(scan)) => Arrival::Scan(scan),
-                Some(Err(error)) => Arrival::Trouble(error),
-                None => Arrival::End,
-            },
+            Self::Sensor(live) => {
+                let Some(scans) = &mut live.scans else { return std::future::pending().await };
+                match scans.next().await {
+                    Some(Ok(scan)) => Arrival::Scan(scan),
+                    Some(Err(error)) => Arrival::Trouble(error),
+                    None => {
+                        live.scans = None;
+                        Arrival::End
+                    }
+                }
+            }
             Self::Playback(playback) => match playback.shown.changed().await {
                 Ok(()) => {
                     let Shown { scan, status } = playback.shown.borrow_and_update().clone();
@@ -56,18 +67,46 @@ impl Source {
     }
 }
 
-impl Live {
-    /// Begins to poll.
-    pub(super) async fn start(
-        port: &PortName,
-        sensor: Sensor,
-        window: Window,
-        rate: Rate,
-    ) -> Result<Self, Failure> {
-        let scans = sensor.scans(window, rate).await;
-        let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
-        Ok(Self { pace: RateWatch::new(port, window, rate), sensor, scans })
-    }
+/// Waits for the next scan or change of any source, and returns it with the number
+/// of its source. Cancel-safe.
+pub(super) async fn next_of_any(sources: &mut [Source]) -> (usize, Arrival) {
+    first_of(sources.iter_mut().map(Source::next)).await
+}
+
+/// Waits for a change of any sensor's state. Cancel-safe.
+pub(super) async fn change_of_any(states: &mut [watch::Receiver<State>]) {
+    first_of(states.iter_mut().map(async |state| {
+        // A driver that has ended changes no more.
+        if state.changed().await.is_err() {
+            std::future::pending().await
+        }
+    }))
+    .await;
+}
+
+/// Waits for the first future that is ready, and returns its number and its output.
+async fn first_of<F: Future>(futures: impl Iterator<Item = F>) -> (usize, F::Output) {
+    let mut futures: Vec<_> = futures.map(Box::pin).collect();
+    poll_fn(|cx| {
+        for (number, future) in futures.iter_mut().enumerate() {
+            if let Poll::Ready(output) = future.as_mut().poll(cx) {
+                return Poll::Ready((number, output));
+            }
+        }
+        Poll::Pending
+    })
+    .await
+}
+
+/// Waits until a sensor is open, and begins to poll it.
+pub(super) async fn start(
+    sensor: Sensor,
+    window: Window,
+    rate: Rate,
+) -> Result<(Version, ScanStream), Error> {
+    sensor.opened().await?;
+    let version = sensor.version().await?;
+    Ok((version, sensor.scans(window, rate).await?))
 }
 
 impl Playback {

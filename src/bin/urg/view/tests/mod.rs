@@ -1,6 +1,9 @@
 //! The radar as it is on the screen, drawn into memory. Sensors are emulated,
 //! on the paused clock.
 
+mod playback;
+mod several;
+
 use std::time::Duration;
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
@@ -11,9 +14,10 @@ use tokio_scip::emulator::{Emulator, STEPS, Values, WorldTime};
 use tokio_scip::{BaudRate, Rate, Sensor, State, Window};
 
 use super::draw::draw;
+use super::layer::Layer;
 use super::model::{Action, Model};
 use super::palette::Palette;
-use crate::playback::{PlaybackCommand, PlaybackStatus};
+use crate::plot::pose::Pose;
 
 /// The values of a sensor that always sees the same.
 type Sight = [u16; STEPS];
@@ -23,12 +27,19 @@ fn seen(sight: Sight) -> Emulator {
     Emulator::builder().usb().world(world).build()
 }
 
-fn model_for(sensor: &Sensor, version: tokio_scip::Version) -> Model {
-    let mut model =
-        Model::new("/dev/ttyACM0".to_owned(), version, Window::DETECTION, Rate::hz(10.0));
-    model.state = sensor.state().borrow().clone();
-    model.stats = sensor.stats();
-    model
+fn layer_for(sensor: &Sensor, version: tokio_scip::Version) -> Layer {
+    let port = "/dev/ttyACM0".to_owned();
+    Layer {
+        version: Some(version),
+        rate: Rate::hz(10.0),
+        state: sensor.state().borrow().clone(),
+        stats: sensor.stats(),
+        ..Layer::new(None, Pose::default(), port, Window::DETECTION)
+    }
+}
+
+async fn model_for(sensor: &Sensor) -> Model {
+    Model::new(vec![layer_for(sensor, sensor.version().await.unwrap())])
 }
 
 /// Returns the screen after some seconds.
@@ -39,8 +50,8 @@ async fn watched(emulator: Emulator) -> Model {
     for _ in 0..50 {
         last = scans.next().await;
     }
-    let mut model = model_for(&sensor, sensor.version().await.unwrap());
-    model.scanned(last.unwrap().unwrap());
+    let mut model = model_for(&sensor).await;
+    model.scanned(0, last.unwrap().unwrap());
     model
 }
 
@@ -242,8 +253,8 @@ async fn on_a_small_screen_the_help_scrolls_and_the_key_to_quit_stays() {
 #[tokio::test(start_paused = true)]
 async fn a_rate_that_is_not_known_yet_is_a_dash() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
-    let mut model = model_for(&sensor, sensor.version().await.unwrap());
-    model.scanned(sensor.scan(Window::DETECTION).await.unwrap());
+    let mut model = model_for(&sensor).await;
+    model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
     let small = screen(&model, 40, 12);
     assert!(small.contains("of 682 points, - Hz"), "{small}");
 }
@@ -251,18 +262,18 @@ async fn a_rate_that_is_not_known_yet_is_a_dash() {
 #[tokio::test(start_paused = true)]
 async fn the_trail_has_the_last_ten_scans_of_the_same_window() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
-    let mut model = model_for(&sensor, sensor.version().await.unwrap());
+    let mut model = model_for(&sensor).await;
     for _ in 0..15 {
-        model.scanned(sensor.scan(Window::DETECTION).await.unwrap());
+        model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
     }
-    assert_eq!(model.trail.len(), 10);
+    assert_eq!(model.layers[0].trail.len(), 10);
     let dots = |model: &Model| screen(model, 80, 24).chars().map(dots_of).sum::<u32>();
     let without = dots(&model);
     press(&mut model, KeyCode::Char('t'));
     assert!(dots(&model) > without, "people move, and leave a trail");
-    model.scanned(sensor.scan(Window::FULL).await.unwrap());
-    model.scanned(sensor.scan(Window::FULL).await.unwrap());
-    assert!(model.trail.iter().all(|scan| scan.window() == Window::FULL));
+    model.scanned(0, sensor.scan(Window::FULL).await.unwrap());
+    model.scanned(0, sensor.scan(Window::FULL).await.unwrap());
+    assert!(model.layers[0].trail.iter().all(|scan| scan.window() == Window::FULL));
 }
 
 /// The number of dots of a braille symbol.
@@ -274,16 +285,16 @@ fn dots_of(symbol: char) -> u32 {
 async fn a_paused_picture_stays_and_says_so() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let mut model = model_for(&sensor, sensor.version().await.unwrap());
-    model.scanned(scans.next().await.unwrap().unwrap());
+    let mut model = model_for(&sensor).await;
+    model.scanned(0, scans.next().await.unwrap().unwrap());
     press(&mut model, KeyCode::Char(' '));
-    model.scanned(scans.next().await.unwrap().unwrap());
-    assert_eq!(model.scan.as_ref().map(tokio_scip::Scan::sequence), Some(0));
+    model.scanned(0, scans.next().await.unwrap().unwrap());
+    assert_eq!(model.layers[0].scan.as_ref().map(tokio_scip::Scan::sequence), Some(0));
     assert!(screen(&model, 80, 24).contains("PAUSED at scan 0"));
     press(&mut model, KeyCode::Char(' '));
-    model.scanned(scans.next().await.unwrap().unwrap());
+    model.scanned(0, scans.next().await.unwrap().unwrap());
     assert!(!screen(&model, 80, 24).contains("PAUSED"));
-    assert_eq!(model.scan.as_ref().map(tokio_scip::Scan::sequence), Some(2));
+    assert_eq!(model.layers[0].scan.as_ref().map(tokio_scip::Scan::sequence), Some(2));
 }
 
 #[tokio::test(start_paused = true)]
@@ -319,7 +330,8 @@ async fn any_number_of_arrows_leaves_a_window_that_the_sensor_has() {
         for _ in 0..n % 7 {
             press(&mut model, arrow);
         }
-        let (start, end) = (model.window.start().number(), model.window.end().number());
+        let (start, end) =
+            (model.layers[0].window.start().number(), model.layers[0].window.end().number());
         assert!(start >= 44 && end <= 725 && end - start >= 85, "{start} to {end}");
     }
 }
@@ -329,14 +341,14 @@ async fn a_lost_link_is_said_as_long_as_it_lasts() {
     let emulator = Emulator::builder().baud_rate(BaudRate::B19200).build();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
-    let mut model = model_for(&sensor, sensor.version().await.unwrap());
-    model.scanned(scan);
+    let mut model = model_for(&sensor).await;
+    model.scanned(0, scan);
     assert!(screen(&model, 80, 24).contains("line    19200 baud"));
     emulator.unplug();
     let mut state = sensor.state();
     let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
-    model.state = lost.unwrap().clone();
-    if let State::Disconnected { since, .. } = &model.state {
+    model.layers[0].state = lost.unwrap().clone();
+    if let State::Disconnected { since, .. } = &model.layers[0].state {
         model.now = *since + Duration::from_secs(12);
     }
     let lost = screen(&model, 80, 24);
@@ -344,7 +356,7 @@ async fn a_lost_link_is_said_as_long_as_it_lasts() {
     assert!(lost.contains("goes on when the sensor is back"), "{lost}");
     emulator.plug_in();
     let back = state.wait_for(|state| matches!(state, State::Connected { .. })).await;
-    model.state = back.unwrap().clone();
+    model.layers[0].state = back.unwrap().clone();
     assert!(screen(&model, 80, 24).contains("link    connected"));
 }
 
@@ -356,7 +368,7 @@ async fn messages_are_shown_whole_and_go_by_themselves() {
     assert!(screen(&model, 80, 24).contains("and the end"));
     model.now += Duration::from_secs(7);
     assert!(!screen(&model, 80, 24).contains("and the end"));
-    model.laser = false;
+    model.layers[0].laser = false;
     assert!(screen(&model, 80, 24).contains("the laser is off"));
     assert!(screen(&model, 80, 24).contains("laser   OFF"));
 }
@@ -375,90 +387,4 @@ async fn distances_have_colours_where_the_terminal_has_them() {
     assert_eq!(colors(Palette::Plain), [Color::Reset]);
     assert!(colors(Palette::Many).len() > 5);
     assert!(colors(Palette::Sixteen).len() > 4);
-}
-
-fn played(scan: usize, paused: bool) -> PlaybackStatus {
-    let position = scan as f64 / 10.0;
-    let (scans, length) = (621, 62.0);
-    let ended = position >= length;
-    let (speed, is_looping) = (1.0, false);
-    PlaybackStatus { scan, scans, position, length, paused, ended, speed, is_looping }
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_playback_shows_its_place_instead_of_a_link() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    model.playback = Some(played(123, false));
-    let playing = screen(&model, 80, 24);
-    for part in [
-        "file    playing",
-        "time    0:12 of 1:02",
-        "scan    124 of 621",
-        "speed   1x",
-        "steps   44 to 725",
-        "\u{25b6}  0:12 \u{2501}",
-        "\u{2500} 1:02 1x",
-        ", .  step",
-        "q  quit",
-    ] {
-        assert!(playing.contains(part), "{part:?} is missing in\n{playing}");
-    }
-    for part in ["link", "laser", "latency", "lost"] {
-        assert!(!playing.contains(part), "{part:?} in\n{playing}");
-    }
-    model.playback = Some(played(123, true));
-    assert!(screen(&model, 80, 24).contains("PAUSED at 0:12"));
-    model.playback = Some(played(620, false));
-    assert!(screen(&model, 80, 24).contains(" END "));
-    let small = screen(&model, 40, 12);
-    assert!(small.contains("1:02 1x") && small.contains("q  quit"), "{small}");
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_keys_of_a_playback_move_it_and_those_of_the_picture_stay() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    model.playback = Some(played(123, false));
-    for (code, command) in [
-        (KeyCode::Char(' '), PlaybackCommand::Toggle),
-        (KeyCode::Char(','), PlaybackCommand::Step(-1)),
-        (KeyCode::Char('.'), PlaybackCommand::Step(1)),
-        (KeyCode::Left, PlaybackCommand::SeekBy(-5.0)),
-        (KeyCode::Right, PlaybackCommand::SeekBy(5.0)),
-        (KeyCode::Home, PlaybackCommand::Seek(0.0)),
-        (KeyCode::End, PlaybackCommand::Seek(62.0)),
-        (KeyCode::Char(']'), PlaybackCommand::Speed(2.0)),
-        (KeyCode::Char('['), PlaybackCommand::Speed(0.5)),
-        (KeyCode::Char('o'), PlaybackCommand::Loop(true)),
-    ] {
-        assert_eq!(press(&mut model, code), Some(Action::Playback(command)), "{code:?}");
-    }
-    let minute = model.key(KeyEvent::new(KeyCode::Left, KeyModifiers::SHIFT));
-    assert_eq!(minute, Some(Action::Playback(PlaybackCommand::SeekBy(-60.0))));
-    assert!(matches!(press(&mut model, KeyCode::Char('w')), Some(Action::Watch(_))));
-    press(&mut model, KeyCode::Char('?'));
-    let help = screen(&model, 80, 24);
-    assert!(help.contains("5 s back and on") && !help.contains("laser"), "{help}");
-    assert_eq!(press(&mut model, KeyCode::Right), None, "it closes the help");
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_jump_of_the_playback_begins_a_new_trail() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    let scan = model.scan.clone().unwrap();
-    let at = |sequence| {
-        let builder = tokio_scip::Scan::builder(scan.window(), scan.values().to_vec());
-        builder.sequence(sequence).build().unwrap()
-    };
-    for sequence in 0..5 {
-        model.moved(&at(sequence), played(sequence as usize, false));
-    }
-    assert_eq!(model.trail.len(), 4);
-    model.moved(&at(400), played(400, false));
-    assert_eq!(model.trail.len(), 0);
-    model.moved(&at(401), played(401, false));
-    assert_eq!(model.trail.len(), 1);
-    // Another window of the same scan is another picture.
-    model.window = Window::FULL;
-    model.moved(&at(401), played(401, false));
-    assert_eq!(model.scan.as_ref().map(tokio_scip::Scan::window), Some(Window::FULL));
 }
