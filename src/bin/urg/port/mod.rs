@@ -1,12 +1,10 @@
 //! The PORT argument, and the sensor behind it: `name` parses it, `named` one with
-//! a name before it, `placed` one with a place behind it; `open` opens it, `missing` is the hint for a command line
-//! without one, and `sampled` shows what else a port sent.
+//! a name before it, `placed` one with a place behind it; `open` opens it, `missing` is
+//! the hint for a command line without one, and `sampled` shows what else a port sent.
 
 pub(crate) mod missing;
 pub(crate) mod name;
-#[cfg(any(feature = "ros2", feature = "web", feature = "zenoh"))]
 pub(crate) mod named;
 pub(crate) mod open;
-#[cfg(feature = "web")]
 pub(crate) mod placed;
 mod sampled;
