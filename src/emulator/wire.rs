@@ -83,6 +83,8 @@ struct Segment {
     bytes: Vec<u8>,
     /// The number of bytes that were read.
     taken: usize,
+    /// The number of bytes that had arrived at the latest read.
+    seen: usize,
     /// The sensor's baud rate. `None` once it was compared with the host's, which
     /// happens when the first bit is on the line.
     sent_at: Option<u32>,
@@ -138,6 +140,7 @@ impl Transmitter {
                 byte_time,
                 bytes,
                 taken: 0,
+                seen: 0,
                 sent_at: baud_rate,
             });
         }
@@ -188,6 +191,23 @@ impl Transmitter {
         }
     }
 
+    /// Fills `buffer` with bytes that had arrived at the latest read, and returns true,
+    /// or leaves it as it is if there are too few. A host that reads in small pieces
+    /// does not look at the clock for each of them.
+    pub(super) fn take_seen(&mut self, buffer: &mut ReadBuf<'_>) -> bool {
+        let Some(segment) = self.segments.front_mut() else { return false };
+        let seen = segment.bytes.get(segment.taken..segment.seen).unwrap_or_default();
+        // The last one is left to `take`, which goes on to the next segment.
+        let Some(bytes) = seen.get(..buffer.remaining()).filter(|bytes| bytes.len() < seen.len())
+        else {
+            return false;
+        };
+        buffer.put_slice(bytes);
+        segment.taken += bytes.len();
+        self.unread -= bytes.len();
+        true
+    }
+
     /// Moves the bytes that have arrived into `buffer`, as many as fit, and returns
     /// their number. `advance` has to be called first: it garbles them.
     pub(super) fn take(&mut self, now: Instant, buffer: &mut ReadBuf<'_>) -> usize {
@@ -198,6 +218,7 @@ impl Transmitter {
             let count = ready.len().min(buffer.remaining());
             buffer.put_slice(ready.get(..count).unwrap_or_default());
             segment.taken += count;
+            segment.seen = arrived;
             self.unread -= count;
             if segment.taken < segment.bytes.len() {
                 break;

@@ -94,6 +94,14 @@ impl Coverage {
         }
     }
 
+    /// Returns the sums that the lines of several runs add up to.
+    pub(crate) fn figures(&self) -> String {
+        let faults = self.counts.iter().filter(|(name, _)| name.starts_with("fault "));
+        let faults: u64 = faults.map(|(_, count)| count).sum();
+        let polls = self.counts.get("stats polls").copied().unwrap_or_default();
+        format!("polls {polls} checked {} faults {faults}", self.checked)
+    }
+
     /// Fails if an expected counter is 0.
     pub(crate) fn check(&self) {
         let never = EXPECTED.iter().filter(|name| !self.counts.contains_key(**name));

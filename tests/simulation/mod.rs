@@ -35,21 +35,29 @@ fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
         println!("{:?}, {:?}\n{}", outcome.simulated, outcome.recovery, coverage.lock().unwrap());
         return;
     }
-    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(3);
     let first = setting("SCIP_SIMULATION_FIRST").unwrap_or(0);
+    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(3);
+    // A number of seeds has precedence over a number of hours.
+    let last = setting("SCIP_SIMULATION_SEEDS").map(|seeds| first + seeds);
     let (mut simulated, mut longest) = (Duration::ZERO, [Duration::ZERO; 2]);
-    let mut seeds = 0;
-    while simulated < Duration::from_secs(hours * 3600) {
-        let outcome = run(first + seeds, &coverage);
+    for seed in first.. {
+        if last.map_or(simulated >= Duration::from_secs(hours * 3600), |last| seed == last) {
+            let [rs232, usb] = longest.map(|longest| longest.as_secs_f64());
+            let (seeds, hours) = (seed - first, simulated.as_secs_f64() / 3600.0);
+            // `pieces.sh` adds such lines up.
+            println!(
+                "piece {first} seeds {seeds} hours {hours:.3} usb {usb:.3} rs232 {rs232:.3} {}",
+                coverage.lock().unwrap().figures()
+            );
+            break;
+        }
+        let outcome = run(seed, &coverage);
         simulated += outcome.simulated;
         let (took, usb) = outcome.recovery;
         longest[usize::from(usb)] = longest[usize::from(usb)].max(took);
-        seeds += 1;
     }
     let coverage = coverage.lock().unwrap();
-    let [rs232, usb] = longest;
-    println!("{seeds} seeds from {first}, {:.1} sensor-hours", simulated.as_secs_f64() / 3600.0);
-    println!("longest recovery: {usb:?} on USB, {rs232:?} on RS-232\n{coverage}");
+    println!("{coverage}");
     coverage.check();
 }
 
