@@ -50,19 +50,9 @@ fn copy_to_new_block(bencher: Bencher) {
 /// consumer holds.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
-    let reply = full_scan();
-    let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
-    let mut buffer = BytesMut::with_capacity(4096);
-    codec.encode(&command, &mut buffer).unwrap();
-    buffer.clear();
-    let mut values = Vec::new();
-    let mut shared = Arc::<[u16]>::from([0; 769]);
-    bencher.bench_local(|| {
-        buffer.reserve(4096);
-        buffer.extend_from_slice(black_box(&reply));
-        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        Reply::parse_into(black_box(&command), &frame, &mut values).unwrap();
-        Arc::get_mut(&mut shared).unwrap().copy_from_slice(&values);
+    let mut shared = Arc::default();
+    decode(bencher, |command, frame| {
+        Reply::parse_into_shared(command, frame, &mut shared).unwrap();
         black_box(&mut shared);
     });
 }
@@ -70,18 +60,25 @@ fn crate_decoder(bencher: Bencher) {
 /// Does the same into a new block, as when consumers keep their scans.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_to_new_block(bencher: Bencher) {
+    decode(bencher, |command, frame| {
+        let mut shared = Arc::default();
+        Reply::parse_into_shared(command, frame, &mut shared).unwrap();
+        drop(black_box(shared));
+    });
+}
+
+/// Copies a reply into the read buffer, and passes its frame to `parse`.
+fn decode(bencher: Bencher, mut parse: impl FnMut(&Command, &[u8])) {
     let reply = full_scan();
     let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
     let mut buffer = BytesMut::with_capacity(4096);
     codec.encode(&command, &mut buffer).unwrap();
     buffer.clear();
-    let mut values = Vec::new();
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        Reply::parse_into(black_box(&command), &frame, &mut values).unwrap();
-        drop(black_box(Arc::<[u16]>::from(&values[..])));
+        parse(black_box(&command), &frame);
     });
 }
 

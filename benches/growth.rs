@@ -3,7 +3,8 @@
 //! memory, so that little is measured but the driver. The clock is paused: each row does
 //! a known amount of work as fast as it can.
 //!
-//! `cargo bench --bench growth` prints a table for each quantity.
+//! `cargo bench --bench growth` prints a table for each quantity. `-- sensors 1000` runs
+//! one load a single time, for `valgrind --cache-sim=yes`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -48,6 +49,12 @@ impl Load {
 }
 
 fn main() {
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    if let [name, count] = &arguments[..] {
+        assert_eq!(name, "sensors");
+        let load = Load { sensors: count.parse().unwrap(), ..USUAL };
+        return println!("{:.2} us/poll", us(cost(load)));
+    }
     table(
         "points of a window",
         [1, 10, 100, 200, 400, 682].map(|points| (f64::from(points), Load { points, ..USUAL })),

@@ -4,6 +4,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
+use std::sync::Arc;
+
 use bytes::BytesMut;
 use instant_sensor::InstantSensor;
 use tokio_scip::codec::{Frame, ScipCodec};
@@ -31,7 +33,8 @@ fn main() {
 fn decode(scans: usize) {
     let mut reply = Vec::new();
     instant_sensor::reply(b"G00076801", &mut reply);
-    let (mut codec, mut buffer, mut values) = (ScipCodec::default(), BytesMut::new(), Vec::new());
+    let (mut codec, mut buffer, mut values) =
+        (ScipCodec::default(), BytesMut::new(), Arc::default());
     let command = Command::Distances(Window::FULL);
     codec.encode(&command, &mut buffer).unwrap();
     buffer.clear();
@@ -39,7 +42,7 @@ fn decode(scans: usize) {
         buffer.reserve(4096);
         buffer.extend_from_slice(&reply);
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        assert!(Reply::parse_into(&command, &frame, &mut values).is_ok());
+        assert!(Reply::parse_into_shared(&command, &frame, &mut values).is_ok());
         std::hint::black_box(&mut values);
     }
 }

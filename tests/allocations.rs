@@ -61,6 +61,23 @@ fn subscribers_cost_no_allocation() {
 }
 
 #[test]
+fn a_scan_in_a_deep_ring_costs_no_allocation() {
+    let runtime = runtime();
+    let (sensor, mut streams) = runtime.block_on(open(Rate::hz(10.0), 1));
+    let deep = runtime.block_on(async {
+        let stream = sensor.stream(Window::DETECTION, Rate::hz(10.0)).depth(20).open().await;
+        take(&mut streams, 50).await;
+        stream.unwrap()
+    });
+    let mut count = |each| {
+        allocation_counter::measure(|| runtime.block_on(take(&mut streams, each))).count_total
+    };
+    let (one, many) = (count(1), count(201));
+    assert_eq!(many - one, 0);
+    drop(deep);
+}
+
+#[test]
 fn a_scan_that_is_kept_costs_one_allocation() {
     let runtime = runtime();
     let (_sensor, mut streams) = runtime.block_on(open(Rate::hz(10.0), 1));

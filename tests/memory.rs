@@ -4,15 +4,19 @@
 use std::time::Duration;
 
 use crate::common::endless_port::EndlessPort;
+use crate::common::instant_sensor::InstantSensor;
 use crate::common::{ConnectFn, builder};
 use allocation_counter::{AllocationInfo, measure};
 use futures::StreamExt;
 use tokio::runtime::Runtime;
 use tokio_scip::emulator::{Emulator, Fixed, Pace};
-use tokio_scip::{Connect, Rate, Window};
+use tokio_scip::{Connect, Rate, Sensor, Window};
 
 /// The limit for one sensor, including its task and streams.
 const LIMIT: u64 = 32 * 1024;
+/// The same for a sensor in service, with its scans in the usual window and a peer in
+/// memory, which takes 2 KiB.
+const SERVICE_LIMIT: u64 = 16 * 1024;
 
 fn runtime() -> Runtime {
     tokio::runtime::Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()
@@ -86,4 +90,31 @@ fn a14_hundreds_of_sensors_take_at_most_32_kib_each_and_no_thread() {
     let each = info.bytes_max / SENSORS;
     println!("{each} bytes for each of {SENSORS} sensors, the emulated sensor included");
     assert!(each <= LIMIT, "{each}");
+}
+
+#[test]
+fn a_sensor_in_service_takes_at_most_16_kib_of_the_heap() {
+    const SENSORS: u64 = 100;
+    let runtime = runtime();
+    let mut service = Vec::new();
+    let info = measure(|| {
+        runtime.block_on(async {
+            for _ in 0..SENSORS {
+                let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+                let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+                // In a task of its own, as in a service.
+                let consuming = tokio::spawn(async move {
+                    for _ in 0..20 {
+                        stream.next().await.unwrap().unwrap();
+                    }
+                    stream
+                });
+                service.push((sensor, consuming));
+            }
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        });
+    });
+    let each = info.bytes_current as u64 / SENSORS;
+    println!("{each} bytes for each of {SENSORS} sensors, the peer included");
+    assert!(each <= SERVICE_LIMIT, "{each}");
 }

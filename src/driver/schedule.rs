@@ -1,6 +1,10 @@
 //! [`Schedules`]: the polls of all streams, and the times at which they are due. Knows
 //! no ports and no replies.
 
+#[cfg(test)]
+mod tests;
+
+use std::iter::repeat_n;
 use std::mem::{Discriminant, discriminant};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -17,7 +21,7 @@ use crate::{Error, Rate, Window};
 #[derive(Debug, Default)]
 pub(crate) struct Schedules {
     all: Vec<Schedule>,
-    /// Missed scans of schedules that are gone.
+    /// The number of scans that were overwritten before a consumer read them.
     missed: u64,
     /// True if the published statistics are out of date.
     changed: bool,
@@ -33,9 +37,11 @@ struct Schedule {
     /// ended.
     due: Instant,
     sequence: u64,
-    previous: Option<Arc<[u16]>>,
-    /// The values before those: their block is used again once nobody holds them.
+    /// The values of the latest scan that the ring has dropped: the next reply is decoded
+    /// into their block, if nobody else holds them.
     spare: Option<Arc<[u16]>>,
+    /// The number of scans that its readers had missed by its latest poll.
+    missed: u64,
     /// The kind of the last error since the last scan.
     condition: Option<Discriminant<Error>>,
     speed: RateMeter,
@@ -46,6 +52,17 @@ struct Schedule {
 pub(crate) struct DuePoll {
     pub(crate) window: Window,
     pub(crate) rate: Rate,
+}
+
+/// What has changed at the end of a poll.
+#[derive(Debug)]
+struct Ended {
+    /// The number of scans that readers have missed since the poll before.
+    missed: u64,
+    /// A span of the rate's measurement is over.
+    changed: bool,
+    /// The reason why its rate falls short, if that is news.
+    shortfall: Option<Shortfall>,
 }
 
 /// The result of a poll.
@@ -73,6 +90,8 @@ impl Schedules {
         }
         let mut schedule = Schedule::new(window, rate);
         let reader = schedule.subscribe(depth, trouble);
+        // Most sensors have one.
+        self.all.reserve_exact(1);
         self.all.push(schedule);
         self.changed = true;
         reader
@@ -98,53 +117,68 @@ impl Schedules {
     }
 
     /// Takes the poll that has been due for longest, and how many places on its
-    /// grid went by unused. Schedules without readers end here.
+    /// grid went by unused. Schedules without readers end when they are due: a poll looks
+    /// at the readers of its own schedule only, so that its cost does not grow with the
+    /// number of all.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<(DuePoll, u64)> {
-        self.drop_unread();
-        let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
-        if schedule.due > now {
-            return None;
+        loop {
+            let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
+            if schedule.due > now {
+                return None;
+            }
+            if schedule.ring.readers() > 0 {
+                let skipped = schedule.advance(now);
+                return Some((DuePoll { window: schedule.window, rate: schedule.rate }, skipped));
+            }
+            self.drop_unread();
         }
-        let skipped = schedule.advance(now);
-        Some((DuePoll { window: schedule.window, rate: schedule.rate }, skipped))
     }
 
-    /// Delivers the values that `poll` brought.
+    /// Takes the block to decode the reply to `poll` into.
+    pub(crate) fn take_spare(&mut self, poll: DuePoll) -> Arc<[u16]> {
+        // Room for what a poll asks for beside its window.
+        let points = poll.window.points() + usize::from(Window::MAX_EXTRA_POINTS);
+        let spare = self.find(poll.window, poll.rate).and_then(|schedule| schedule.spare.take());
+        spare.unwrap_or_else(|| repeat_n(0, points).collect())
+    }
+
+    /// Delivers the `values` that `poll` brought, of which those before `first` are not of
+    /// its window.
     pub(crate) fn deliver(
         &mut self,
         poll: DuePoll,
-        values: &[u16],
+        values: Arc<[u16]>,
+        first: usize,
         mut meta: ScanMeta,
     ) -> Delivered {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
         meta.sequence = schedule.sequence;
-        meta.repeat = schedule.previous.as_deref() == Some(values);
         schedule.sequence += 1;
         schedule.condition = None;
-        let values = schedule.reuse_block(values);
-        schedule.ring.push(Scan::new(poll.window, values, 0, meta));
-        let now = Instant::now();
-        if schedule.rate.period().is_none() {
-            schedule.due = now;
-        }
+        let fresh = values.get(first..).unwrap_or_default();
+        let latest = schedule.ring.latest();
+        meta.repeat = latest.is_some_and(|latest| fresh.starts_with(latest.values()));
+        let displaced = schedule.ring.push(Scan::new(poll.window, values, first, meta));
+        schedule.spare = displaced.map(Scan::into_block);
         schedule.speed.count_scan();
-        let (changed, shortfall) = schedule.finish_span(now);
-        self.changed |= changed;
-        Delivered { repeat: meta.repeat, shortfall }
+        let ended = schedule.end_poll();
+        Delivered { repeat: meta.repeat, shortfall: self.note_end(ended) }
     }
 
     /// Reports the error of one poll.
     pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) -> Delivered {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
-        let now = Instant::now();
         schedule.report(error);
-        if schedule.rate.period().is_none() {
-            schedule.due = now;
-        }
         schedule.speed.count_failure();
-        let (changed, shortfall) = schedule.finish_span(now);
-        self.changed |= changed;
-        Delivered { repeat: false, shortfall }
+        let ended = schedule.end_poll();
+        Delivered { repeat: false, shortfall: self.note_end(ended) }
+    }
+
+    /// Adds up what the end of a poll brought, and returns its shortfall.
+    fn note_end(&mut self, ended: Ended) -> Option<Shortfall> {
+        self.changed |= ended.changed;
+        self.missed += ended.missed;
+        ended.shortfall
     }
 
     /// Reports a lost link to all streams, and sets all rates to zero.
@@ -171,9 +205,10 @@ impl Schedules {
         self.find(poll.window, poll.rate).map(|schedule| schedule.stats())
     }
 
-    /// Returns the number of scans that were overwritten before a consumer read them.
+    /// Returns the number of scans that were overwritten before a consumer read them, as
+    /// each schedule knew it at its latest poll.
     pub(crate) fn missed(&self) -> u64 {
-        self.missed + self.all.iter().map(|schedule| schedule.ring.missed()).sum::<u64>()
+        self.missed
     }
 
     /// Ends all streams.
@@ -186,10 +221,10 @@ impl Schedules {
     /// Ends the schedules that nobody reads any more.
     fn drop_unread(&mut self) {
         let Self { all, missed, changed, .. } = self;
-        all.retain(|schedule| {
+        all.retain_mut(|schedule| {
             let read = schedule.ring.readers() > 0;
             if !read {
-                *missed += schedule.ring.missed();
+                *missed += schedule.newly_missed();
                 *changed = true;
             }
             read
@@ -210,8 +245,8 @@ impl Schedule {
             ring: Ring::new(),
             due: now,
             sequence: 0,
-            previous: None,
             spare: None,
+            missed: 0,
             condition: None,
             speed: RateMeter::new(now),
         }
@@ -248,16 +283,10 @@ impl Schedule {
         skipped
     }
 
-    /// Shares `values`, as those of the latest scan.
-    fn reuse_block(&mut self, values: &[u16]) -> Arc<[u16]> {
-        let reused = self.spare.take().and_then(|mut spare| {
-            let place = Arc::get_mut(&mut spare).filter(|place| place.len() == values.len())?;
-            place.copy_from_slice(values);
-            Some(spare)
-        });
-        let values = reused.unwrap_or_else(|| values.into());
-        self.spare = self.previous.replace(Arc::clone(&values));
-        values
+    /// Returns the number of scans that its readers missed since the latest call.
+    fn newly_missed(&mut self) -> u64 {
+        let before = std::mem::replace(&mut self.missed, self.ring.missed());
+        self.missed - before
     }
 
     /// Passes `error` on if it is another kind than the last one since the last
@@ -274,120 +303,16 @@ impl Schedule {
         ScheduleStats::new(self.window, self.rate, span.reached, span.failed)
     }
 
-    /// Returns whether a span of the rate's measurement is over, and why it falls
-    /// short, if that is news.
-    fn finish_span(&mut self, now: Instant) -> (bool, Option<Shortfall>) {
-        let Some(span) = self.speed.finish_span(now) else { return (false, None) };
-        let shortfall = self.rate.period().and_then(|period| self.speed.report(span, period));
-        (true, shortfall)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::future::poll_fn;
-
-    use futures::FutureExt;
-
-    use super::*;
-
-    const HUNDRED_MS: Duration = Duration::from_millis(100);
-
-    fn schedules(rates: &[(Window, Rate)]) -> (Schedules, Vec<Cursor>) {
-        let mut schedules = Schedules::default();
-        let readers = rates
-            .iter()
-            .map(|&(window, rate)| schedules.subscribe(window, rate, 1, None))
-            .collect();
-        (schedules, readers)
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_late_poll_goes_out_at_once_and_the_next_one_is_on_the_grid_again() {
-        let start = Instant::now();
-        let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
-        let mut take = |at: u64| {
-            let (_, skipped) = schedules.take_due(start + Duration::from_millis(at))?;
-            let due = schedules.next_due()?;
-            Some((skipped, (due - start).as_millis()))
-        };
-        assert_eq!(take(0), Some((0, 100)));
-        assert_eq!(take(99), None);
-        assert_eq!(take(100), Some((0, 200)));
-        assert_eq!(take(260), Some((0, 300)));
-        assert_eq!(take(650), Some((3, 700)));
-        assert_eq!(take(700), Some((0, 800)));
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
-        let start = Instant::now();
-        let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
-        assert!(schedules.take_due(start).is_some());
-        let later = start + Duration::from_secs(8 * 3600) + Duration::from_millis(30);
-        let skipped = schedules.take_due(later).map(|(_, skipped)| skipped);
-        assert_eq!(skipped, Some(8 * 36_000 - 1));
-        assert!(schedules.take_due(later).is_none());
-        assert_eq!(schedules.next_due(), Some(later + Duration::from_millis(70)));
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn what_has_been_due_for_longest_goes_first() {
-        let start = Instant::now();
-        let fast = (Window::FULL, Rate::hz(20.0));
-        let slow = (Window::DETECTION, Rate::hz(10.0));
-        let (mut schedules, _readers) = schedules(&[fast, slow]);
-        let mut order = Vec::new();
-        for _ in 0..4 {
-            order.push(schedules.take_due(start + HUNDRED_MS).map(|(poll, _)| poll.window));
+    /// Ends a poll: as fast as possible, the next one is due now.
+    fn end_poll(&mut self) -> Ended {
+        let (now, missed) = (Instant::now(), self.newly_missed());
+        if self.rate.period().is_none() {
+            self.due = now;
         }
-        assert_eq!(order, [Some(Window::FULL), Some(Window::DETECTION), None, None]);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn equal_schedules_are_one_and_one_without_readers_ends() {
-        let same = (Window::FULL, Rate::MAX);
-        let (mut schedules, readers) = schedules(&[same, same]);
-        let telemetry = Telemetry::new(None);
-        schedules.note(&telemetry);
-        assert_eq!(telemetry.snapshot().schedules.len(), 1);
-        assert!(schedules.take_due(Instant::now()).is_some());
-        drop(readers);
-        assert_eq!(telemetry.snapshot().schedules, [], "before the driver has noticed");
-        assert!(schedules.take_due(Instant::now()).is_none());
-        assert!(schedules.is_empty());
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
-        let (window, rate) = (Window::single(384), Rate::MAX);
-        let (mut schedules, mut readers) = schedules(&[(window, rate)]);
-        let poll = DuePoll { window, rate };
-        let now = Instant::now();
-        let meta = ScanMeta {
-            sequence: 0,
-            requested_at: now,
-            received_at: now,
-            stamp: std::time::SystemTime::now(),
-            repeat: false,
-            scan_time: HUNDRED_MS,
-            reconnects: 0,
+        let Some(span) = self.speed.finish_span(now) else {
+            return Ended { missed, changed: false, shortfall: None };
         };
-        let mut errors = 0;
-        let mut count = |schedules: &mut Schedules, error: Option<Error>| {
-            match error {
-                Some(error) => drop(schedules.fail(poll, &error)),
-                None => drop(schedules.deliver(poll, &[1000], meta)),
-            }
-            let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));
-            let items = next.filter_map(FutureExt::now_or_never);
-            errors += items.filter(|item| matches!(item, Some(Err(_)))).count();
-            errors
-        };
-        assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
-        assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
-        assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 2);
-        assert_eq!(count(&mut schedules, None), 2);
-        assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);
+        let shortfall = self.rate.period().and_then(|period| self.speed.report(span, period));
+        Ended { missed, changed: true, shortfall }
     }
 }

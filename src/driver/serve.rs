@@ -12,7 +12,7 @@ use super::open::Wanted;
 use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
-use super::session::Session;
+use super::session::{Polled, Session};
 use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
@@ -62,8 +62,6 @@ pub(crate) struct Service<'a> {
     pub(crate) idle_probe: Option<Duration>,
     /// The number of times the sensor was found again before this session.
     pub(crate) reconnects: u64,
-    /// The values of the latest reply, in one buffer for all polls.
-    pub(crate) values: &'a mut Vec<u16>,
     pub(crate) laser_recovery: LaserRecovery,
 }
 
@@ -181,10 +179,10 @@ impl Service<'_> {
         let mut tries = 2;
         loop {
             tries -= 1;
-            match self.poll(session, window).await {
-                Ok(timing) => {
-                    let values: Arc<[u16]> = self.values.as_slice().into();
-                    return Ok(Scan::new(window, values, 0, self.meta(timing)));
+            let mut values = Arc::default();
+            match self.poll(session, window, &mut values).await {
+                Ok(Polled { timing, first }) => {
+                    return Ok(Scan::new(window, values, first, self.meta(timing)));
                 }
                 Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
                     if tries > 0 && !self.telemetry.is_closing() => {}
@@ -198,10 +196,11 @@ impl Service<'_> {
             self.note_schedules();
             return Ok(());
         };
-        let (outcome, delivered) = match self.poll(session, poll.window).await {
-            Ok(timing) => {
+        let mut values = self.schedules.take_spare(poll);
+        let (outcome, delivered) = match self.poll(session, poll.window, &mut values).await {
+            Ok(Polled { timing, first }) => {
                 let meta = self.meta(timing);
-                (Ok(()), self.schedules.deliver(poll, self.values, meta))
+                (Ok(()), self.schedules.deliver(poll, values, first, meta))
             }
             Err(failure) => match self.command_error(failure) {
                 Ok(error) => (Ok(()), self.schedules.fail(poll, &error)),
@@ -227,8 +226,9 @@ impl Service<'_> {
         &mut self,
         session: &mut Session,
         window: Window,
-    ) -> Result<Timing, ExchangeError> {
-        let outcome = self.poll_with_laser(session, window).await;
+        values: &mut Arc<[u16]>,
+    ) -> Result<Polled, ExchangeError> {
+        let outcome = self.poll_with_laser(session, window, values).await;
         if let Err(failure) = &outcome {
             self.telemetry.stats().failed(failure.error());
         }
@@ -241,8 +241,9 @@ impl Service<'_> {
         &mut self,
         session: &mut Session,
         window: Window,
-    ) -> Result<Timing, ExchangeError> {
-        let refusal = match session.poll(window, self.values).await {
+        values: &mut Arc<[u16]>,
+    ) -> Result<Polled, ExchangeError> {
+        let refusal = match session.poll(window, values).await {
             Err(ExchangeError::Command(Error::Refused { command, status })) => {
                 Refusal { command, status }
             }
@@ -254,7 +255,7 @@ impl Service<'_> {
             }
         };
         self.laser_recovery.switch_on(session, refusal).await?;
-        let outcome = session.poll(window, self.values).await;
+        let outcome = session.poll(window, values).await;
         if let Err(ExchangeError::Command(Error::Refused { .. })) = &outcome {
             self.laser_recovery.note_refusal();
         }

@@ -22,6 +22,15 @@ use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error, Window};
 
+/// The result of a successful poll, besides its values.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Polled {
+    pub(crate) timing: Timing,
+    /// The index of the first value of the window: successive polls ask for some values
+    /// in front of it or behind it.
+    pub(crate) first: usize,
+}
+
 pub(crate) struct Session {
     transport: Transport,
     fence: Fence,
@@ -116,13 +125,12 @@ impl Session {
         self.fence.raise_once(&mut self.transport, latency).await
     }
 
-    /// Polls `window`: replaces `values` by those of the reply, one for each
-    /// point.
+    /// Polls `window`. The reply is decoded into `values`.
     pub(crate) async fn poll(
         &mut self,
         window: Window,
-        values: &mut Vec<u16>,
-    ) -> Result<Timing, ExchangeError> {
+        values: &mut Arc<[u16]>,
+    ) -> Result<Polled, ExchangeError> {
         // First: what a fence clears must not be this poll.
         self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
         let mut widened = self.fence.widen(window);
@@ -144,10 +152,8 @@ impl Session {
         if !repeats {
             self.transport.note_unique_reply(&command, Status::OK, timing);
         }
-        values.drain(..surplus.min(values.len()));
-        values.truncate(window.points());
         self.telemetry.stats().scanned(timing.requested, timing.received);
-        Ok(timing)
+        Ok(Polled { timing, first: surplus })
     }
 
     /// Sends `command` and reads its reply with `read`.
@@ -161,7 +167,7 @@ impl Session {
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<T, ExchangeError> {
         self.settle().await.map_err(|error| error.of(command))?;
-        let (answer, _) = self.exchange(command, Duration::ZERO, &mut Vec::new(), read).await?;
+        let (answer, _) = self.exchange(command, Duration::ZERO, &mut Arc::default(), read).await?;
         Ok(answer)
     }
 
@@ -191,7 +197,7 @@ impl Session {
         &mut self,
         command: Command,
         least: Duration,
-        values: &mut Vec<u16>,
+        values: &mut Arc<[u16]>,
         read: impl FnOnce(&Reply<'_>) -> T,
     ) -> Result<(T, Timing), ExchangeError> {
         let Self { transport, observer, telemetry, .. } = self;
@@ -243,13 +249,13 @@ fn parse<'a>(
     frame: &'a Frame,
     timing: Timing,
     observer: &ReplyObserver,
-    values: &mut Vec<u16>,
+    values: &mut Arc<[u16]>,
 ) -> Result<Reply<'a>, ReplyError> {
     let bytes = match frame {
         Frame::Reply(bytes) => bytes,
         Frame::Overlong { bytes } => return Err(Malformed::Overlong { bytes: *bytes }.into()),
     };
-    let outcome = Reply::parse_into(command, bytes, values);
+    let outcome = Reply::parse_into_shared(command, bytes, values);
     observer.observe(|| RawReply {
         command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
         bytes,

@@ -27,8 +27,6 @@ pub(crate) struct Supervisor<C> {
     _closing: Closing,
     opener: Opener<C>,
     offline: OfflineQueue,
-    /// The buffer that replies are decoded into.
-    values: Vec<u16>,
     backoff: Backoff,
     config: Config,
     telemetry: Arc<Telemetry>,
@@ -58,7 +56,6 @@ impl<C: Connect> Supervisor<C> {
             },
             opener,
             offline,
-            values: Vec::new(),
             backoff: Backoff::new(config.backoff, config.seed()),
             config,
             telemetry,
@@ -121,7 +118,6 @@ impl<C: Connect> Supervisor<C> {
             scan_time,
             idle_probe,
             reconnects,
-            values: &mut self.values,
             laser_recovery: LaserRecovery::new(self.config.seed()),
         };
         service.run(session).await

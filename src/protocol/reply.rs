@@ -5,6 +5,7 @@
 //! passes has exactly the shape that its command asked for.
 
 use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::measurement::{self, BLOCK};
@@ -132,6 +133,40 @@ impl<'a> Reply<'a> {
             _ => values.clear(),
         }
         outcome
+    }
+
+    /// Parses like [`parse`](Self::parse), and writes the values of a success to a `G` to
+    /// the front of `values`: into their block if nobody shares it and it has room, else
+    /// into a new one, not shorter. So a scan shares the block into which its reply was
+    /// decoded. After
+    /// any other reply, and after an error, `values` has any numbers.
+    ///
+    /// # Errors
+    ///
+    /// Those of [`parse`](Self::parse).
+    ///
+    /// ```
+    /// use std::sync::Arc;
+    /// use tokio_scip::protocol::{Command, Reply, Window};
+    ///
+    /// let command = Command::Distances(Window::new(384..=385)?);
+    /// let mut values = Arc::default();
+    /// Reply::parse_into_shared(&command, b"G38438501\n0\nCB06", &mut values)?;
+    /// assert_eq!(*values, [1234, 6]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn parse_into_shared(
+        command: &Command,
+        frame: &'a [u8],
+        values: &mut Arc<[u16]>,
+    ) -> Result<Self, ReplyError> {
+        let points = points(command);
+        if let Some(block) = Arc::get_mut(values).and_then(|block| block.get_mut(..points)) {
+            return Self::parse_slice(command, frame, block);
+        }
+        *values = std::iter::repeat_n(0, values.len().max(points)).collect();
+        let block = Arc::get_mut(values).and_then(|block| block.get_mut(..points));
+        Self::parse_slice(command, frame, block.unwrap_or_default())
     }
 
     /// Parses, and replaces `values`, one for each [point](points) of the command.

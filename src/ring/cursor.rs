@@ -84,7 +84,7 @@ impl Cursor {
 
     /// Returns the newest scan, whether or not it was read.
     pub(crate) fn latest(&self) -> Option<Scan> {
-        self.ring.lock().scans.back().cloned()
+        self.ring.latest()
     }
 
     /// Returns the time of the newest scan, and the latest error since.

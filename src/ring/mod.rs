@@ -70,7 +70,8 @@ impl Audience for Ring {
 impl Ring {
     pub(crate) fn new() -> Arc<Self> {
         let inner = Inner {
-            scans: VecDeque::new(),
+            // Room for the depth of most readers.
+            scans: VecDeque::with_capacity(1),
             depth: 1,
             next: 0,
             error: None,
@@ -83,16 +84,23 @@ impl Ring {
         Arc::new(Self { inner: Mutex::new(inner) })
     }
 
-    /// Adds a scan, and drops the oldest if the ring is full.
-    pub(crate) fn push(&self, scan: Scan) {
+    /// Adds a scan, and returns the one that it displaces if the ring is full.
+    pub(crate) fn push(&self, scan: Scan) -> Option<Scan> {
         let mut inner = self.lock();
+        let mut displaced = None;
         while inner.scans.len() >= inner.depth {
-            inner.scans.pop_front();
+            displaced = inner.scans.pop_front();
         }
         inner.scans.push_back(scan);
         inner.next += 1;
         drop(inner);
         self.wake();
+        displaced
+    }
+
+    /// Returns the newest scan.
+    pub(crate) fn latest(&self) -> Option<Scan> {
+        self.lock().scans.back().cloned()
     }
 
     /// Replaces the latest error: each reader gets it behind the scans that are there

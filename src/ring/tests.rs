@@ -32,7 +32,7 @@ fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
 fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(2);
-    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
     assert_eq!(take(&mut reader), Some(Some(Ok(3))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
@@ -44,7 +44,7 @@ fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
     ring.report(Error::LaserOff);
-    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
     assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
@@ -54,7 +54,7 @@ fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
 fn an_error_comes_behind_the_scans_from_before_it() {
     let ring = Ring::new();
     let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
-    (0..3).for_each(|sequence| ring.push(scan(sequence)));
+    (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
     ring.report(Error::LaserOff);
     assert_eq!(take(&mut reader), Some(Some(Ok(1))));
     assert_eq!(take(&mut reader), Some(Some(Ok(2))));
@@ -93,7 +93,7 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
     let (mut during, kept) = (ring.subscribe(1), ring.subscribe(1));
     assert_eq!(take(&mut during), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
     assert_eq!(take(&mut during), None);
-    (0..5).for_each(|sequence| ring.push(scan(sequence)));
+    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
     let mut after = kept.resubscribe();
     assert_eq!(take(&mut after), None);
     ring.push(scan(5));
@@ -110,7 +110,7 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
 fn each_reader_has_a_depth_of_its_own() {
     let ring = Ring::new();
     let (mut newest, mut all) = (ring.subscribe(1), ring.subscribe(4));
-    (0..6).for_each(|sequence| ring.push(scan(sequence)));
+    (0..6).for_each(|sequence| drop(ring.push(scan(sequence))));
     assert_eq!((take(&mut newest), take(&mut newest)), (Some(Some(Ok(5))), None));
     for sequence in 2..6 {
         assert_eq!(take(&mut all), Some(Some(Ok(sequence))));
@@ -119,7 +119,7 @@ fn each_reader_has_a_depth_of_its_own() {
     // Once the deepest reader is gone, the ring drops the scans that only it could read.
     drop(all);
     assert_eq!(ring.lock().scans.len(), 1);
-    (6..9).for_each(|sequence| ring.push(scan(sequence)));
+    (6..9).for_each(|sequence| drop(ring.push(scan(sequence))));
     assert_eq!(ring.lock().scans.len(), 1);
     assert_eq!(take(&mut newest), Some(Some(Ok(8))));
 }
@@ -129,7 +129,7 @@ fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(2);
     assert!(reader.latest().is_none() && reader.next_if_ready().is_none());
-    (0..3).for_each(|sequence| ring.push(scan(sequence)));
+    (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
     let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
     assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);

@@ -61,10 +61,14 @@ pub(crate) struct ScanMeta {
 }
 
 impl Scan {
-    /// Creates a scan. `values` has one value for each point of `window`, after `first`
-    /// others.
+    /// Creates a scan. `values` has one value for each point of `window`, from `first` on.
     pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
         Self { window, values, first, first_cluster: window.first_cluster(), meta }
+    }
+
+    /// Returns the block that its values are in.
+    pub(crate) fn into_block(self) -> Arc<[u16]> {
+        self.values
     }
 
     /// Makes a scan of `window` from its values, one for each point, as if it had

@@ -1,5 +1,7 @@
 //! Whole replies: those in the protocol text, and error replies.
 
+use std::sync::Arc;
+
 use tokio_scip::protocol::{BaudRate, Command, Malformed, Reply, ReplyError, Status, Text, Window};
 
 use super::encoder::{frame, lines, reply, spread};
@@ -307,4 +309,25 @@ fn the_encoder_of_these_tests_is_that_of_the_text() {
     assert_eq!(super::encoder::characters(0), *b"00");
     assert_eq!(super::encoder::characters(4095), *b"oo");
     assert_eq!(lines(&[b'0'; 66]), [&[b'0'; 64][..], b"\n00"].concat());
+}
+
+#[test]
+fn values_go_into_their_block_unless_it_is_shared_or_too_small() {
+    let parse = |command, frame: &[u8], values: &mut Arc<[u16]>| {
+        Reply::parse_into_shared(&command, frame, values).map(|reply| reply.status())
+    };
+    let command = Command::Distances(window(384, 385, 1));
+    let frame = b"G38438501\n0\nCB06";
+    let mut values: Arc<[u16]> = Arc::new([9, 9, 9]);
+    let block = values.as_ptr();
+    assert_eq!(parse(command, frame, &mut values), Ok(Status::OK));
+    assert_eq!((&values[..], values.as_ptr()), (&[1234, 6, 9][..], block));
+    // A scan that somebody holds keeps its values.
+    let held = Arc::clone(&values);
+    assert_eq!(parse(command, b"G38438501\n0\n0000", &mut values), Ok(Status::OK));
+    assert_eq!((&held[..], &values[..]), (&[1234, 6, 9][..], &[0; 3][..]));
+    let longer = Command::Distances(window(384, 387, 1));
+    assert_eq!(parse(longer, b"G38438701\n0\nCB060007", &mut values), Ok(Status::OK));
+    assert_eq!(values[..], [1234, 6, 0, 7]);
+    assert_eq!(parse(Command::LaserOn, b"L1\n2", &mut values), Ok(Status::new(b'2')));
 }

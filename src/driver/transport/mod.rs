@@ -37,8 +37,9 @@ use crate::{BaudRate, Error};
 const MAX_FRAMES: usize = 64;
 /// The time after a reply within which a faulty line may deliver a copy of it.
 const QUIET_TIME: Duration = Duration::from_millis(20);
-/// Room for any reply of a sensor. Under garbage the buffer grows to 8 KiB.
-const READ_BUFFER_BYTES: usize = 2048;
+/// Room for any reply of a sensor, the longest of which has 1,576 bytes: a read that fills
+/// it would need another one to see the end. Under garbage the buffer grows to 8 KiB.
+const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
 

@@ -1,0 +1,105 @@
+//! Tests of the schedules: which poll is due when, and what its end changes.
+
+use std::future::poll_fn;
+
+use futures::FutureExt;
+
+use super::*;
+
+const HUNDRED_MS: Duration = Duration::from_millis(100);
+
+fn schedules(rates: &[(Window, Rate)]) -> (Schedules, Vec<Cursor>) {
+    let mut schedules = Schedules::default();
+    let readers =
+        rates.iter().map(|&(window, rate)| schedules.subscribe(window, rate, 1, None)).collect();
+    (schedules, readers)
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_late_poll_goes_out_at_once_and_the_next_one_is_on_the_grid_again() {
+    let start = Instant::now();
+    let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
+    let mut take = |at: u64| {
+        let (_, skipped) = schedules.take_due(start + Duration::from_millis(at))?;
+        let due = schedules.next_due()?;
+        Some((skipped, (due - start).as_millis()))
+    };
+    assert_eq!(take(0), Some((0, 100)));
+    assert_eq!(take(99), None);
+    assert_eq!(take(100), Some((0, 200)));
+    assert_eq!(take(260), Some((0, 300)));
+    assert_eq!(take(650), Some((3, 700)));
+    assert_eq!(take(700), Some((0, 800)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
+    let start = Instant::now();
+    let (mut schedules, _readers) = schedules(&[(Window::FULL, Rate::hz(10.0))]);
+    assert!(schedules.take_due(start).is_some());
+    let later = start + Duration::from_secs(8 * 3600) + Duration::from_millis(30);
+    let skipped = schedules.take_due(later).map(|(_, skipped)| skipped);
+    assert_eq!(skipped, Some(8 * 36_000 - 1));
+    assert!(schedules.take_due(later).is_none());
+    assert_eq!(schedules.next_due(), Some(later + Duration::from_millis(70)));
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_has_been_due_for_longest_goes_first() {
+    let start = Instant::now();
+    let fast = (Window::FULL, Rate::hz(20.0));
+    let slow = (Window::DETECTION, Rate::hz(10.0));
+    let (mut schedules, _readers) = schedules(&[fast, slow]);
+    let mut order = Vec::new();
+    for _ in 0..4 {
+        order.push(schedules.take_due(start + HUNDRED_MS).map(|(poll, _)| poll.window));
+    }
+    assert_eq!(order, [Some(Window::FULL), Some(Window::DETECTION), None, None]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn equal_schedules_are_one_and_one_without_readers_ends() {
+    let same = (Window::FULL, Rate::MAX);
+    let (mut schedules, readers) = schedules(&[same, same]);
+    let telemetry = Telemetry::new(None);
+    schedules.note(&telemetry);
+    assert_eq!(telemetry.snapshot().schedules.len(), 1);
+    assert!(schedules.take_due(Instant::now()).is_some());
+    drop(readers);
+    assert_eq!(telemetry.snapshot().schedules, [], "before the driver has noticed");
+    assert!(schedules.take_due(Instant::now()).is_none());
+    assert!(schedules.is_empty());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
+    let (window, rate) = (Window::single(384), Rate::MAX);
+    let (mut schedules, mut readers) = schedules(&[(window, rate)]);
+    let poll = DuePoll { window, rate };
+    let now = Instant::now();
+    let meta = ScanMeta {
+        sequence: 0,
+        requested_at: now,
+        received_at: now,
+        stamp: std::time::SystemTime::now(),
+        repeat: false,
+        scan_time: HUNDRED_MS,
+        reconnects: 0,
+    };
+    let mut errors = 0;
+    let mut count = |schedules: &mut Schedules, error: Option<Error>| {
+        match error {
+            Some(error) => drop(schedules.fail(poll, &error)),
+            None => drop(schedules.deliver(poll, Arc::new([1000]), 0, meta)),
+        }
+        let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));
+        let items = next.filter_map(FutureExt::now_or_never);
+        errors += items.filter(|item| matches!(item, Some(Err(_)))).count();
+        errors
+    };
+    assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
+    assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
+    assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 2);
+    assert_eq!(count(&mut schedules, None), 2);
+    assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);
+}
