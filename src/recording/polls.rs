@@ -42,6 +42,11 @@ impl Polls {
         self.revolution
     }
 
+    /// Returns the time of a reply since the first scan of the file.
+    pub(super) fn since_first_scan(&self, poll: &PollReply) -> Duration {
+        self.recording.since_first_scan(poll.at)
+    }
+
     pub(super) fn is_truncated(&self) -> bool {
         self.recording.is_truncated()
     }

@@ -1,5 +1,5 @@
 //! [`TimeRange`]: the part of a recording that is read, as times since its first
-//! scan. Replies to `V` are of every part: a replay begins with one.
+//! scan. The first reply to `V` is of every part: a replay begins with it.
 
 use std::ops::{Bound, RangeBounds};
 use std::time::{Duration, SystemTime};
@@ -13,6 +13,10 @@ pub(super) struct TimeRange {
     limits: (Bound<Duration>, Bound<Duration>),
     /// The log time of the first scan, once it was read.
     first: Option<SystemTime>,
+    /// Set once a reply to `V` was read.
+    has_version: bool,
+    /// Set until the beginning of the part was taken.
+    is_begin_wanted: bool,
 }
 
 /// The place of a record.
@@ -27,21 +31,44 @@ pub(super) enum RecordPlace {
 impl TimeRange {
     pub(super) fn new(range: &impl RangeBounds<Duration>) -> Self {
         let limits = (range.start_bound().cloned(), range.end_bound().cloned());
-        Self { limits, first: None }
+        Self { limits, first: None, has_version: false, is_begin_wanted: true }
+    }
+
+    /// Returns the log time before which no further record is of the part, once, as
+    /// soon as that is known.
+    pub(super) fn take_begin(&mut self) -> Option<SystemTime> {
+        let first = self.first.filter(|_| self.has_version && self.is_begin_wanted)?;
+        self.is_begin_wanted = false;
+        match self.limits.0 {
+            Bound::Included(from) | Bound::Excluded(from) => first.checked_add(from),
+            Bound::Unbounded => None,
+        }
+    }
+
+    /// Returns the time from the first scan to `at`, and 0 before that.
+    pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
+        at.duration_since(self.first.unwrap_or(at)).unwrap_or_default()
     }
 
     /// Returns the place of the next record of the file.
     pub(super) fn place(&mut self, record: &Record) -> RecordPlace {
-        let command = match &record.entry {
-            Entry::Reply(reply) => reply.command,
-            Entry::Scan(_) | Entry::Event(_) => None,
-        };
-        let is_scan = matches!(record.entry, Entry::Scan(_));
-        if is_scan || matches!(command, Some(Command::Distances(_))) {
+        let (mut is_scan, mut is_first_version) = (false, false);
+        match &record.entry {
+            Entry::Scan(_) => is_scan = true,
+            Entry::Event(_) => {}
+            Entry::Reply(reply) => match reply.command {
+                Some(Command::Distances(_)) => is_scan = true,
+                Some(Command::Version) if !self.has_version => {
+                    is_first_version = true;
+                    self.has_version = reply.parse().is_some();
+                }
+                _ => {}
+            },
+        }
+        if is_scan {
             self.first.get_or_insert(record.at);
         }
-        let first = self.first.unwrap_or(record.at);
-        let since = record.at.duration_since(first).unwrap_or_default();
+        let since = self.since_first_scan(record.at);
         let is_behind = match self.limits.1 {
             Bound::Included(end) => since > end,
             Bound::Excluded(end) => since >= end,
@@ -49,7 +76,7 @@ impl TimeRange {
         };
         if is_behind {
             RecordPlace::Behind
-        } else if self.limits.contains(&since) || command == Some(Command::Version) {
+        } else if self.limits.contains(&since) || is_first_version {
             RecordPlace::Inside
         } else {
             RecordPlace::Outside

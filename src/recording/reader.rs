@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::mcap::{Fields, MessageHeader, Records, kind, parse_metadata};
+use super::mcap::{Fields, Input, MessageHeader, Records, kind, parse_metadata};
 use super::range::{RecordPlace, TimeRange};
 use super::record::{Entry, Record, Reply, parse_command};
 use super::topics::Topic;
@@ -51,8 +51,8 @@ pub struct Recording {
     metadata: BTreeMap<String, String>,
     /// Records read in advance.
     ahead: VecDeque<Result<Record, RecordingError>>,
-    /// The part that is read; all of it without one.
-    range: Option<TimeRange>,
+    /// The part that is read.
+    range: TimeRange,
     is_over: bool,
 }
 
@@ -72,7 +72,7 @@ impl Recording {
             path: path.to_owned(),
             source: Arc::new(error),
         })?;
-        Self::read(file)
+        Self::of(Input::File(file))
     }
 
     /// Reads a recording from any reader; otherwise the same as
@@ -82,12 +82,16 @@ impl Recording {
     ///
     /// Fails as [`open`](Self::open) does.
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
+        Self::of(Input::Stream(Box::new(input)))
+    }
+
+    fn of(input: Input) -> Result<Self, RecordingError> {
         let mut recording = Self {
             records: Records::new(input),
             channels: HashMap::new(),
             metadata: BTreeMap::new(),
             ahead: VecDeque::new(),
-            range: None,
+            range: TimeRange::new(&..),
             is_over: false,
         };
         while recording.metadata.is_empty() && recording.ahead.len() < METADATA_SEARCH_RECORDS {
@@ -104,7 +108,12 @@ impl Recording {
     }
 
     /// Restricts the recording to a part: to the records whose time since the first
-    /// scan is in `range`, and the replies to `V`. Nothing behind the part is read.
+    /// scan is in `range`, and the first reply to `V`, with which a replay begins.
+    ///
+    /// Nothing behind the part is read. Of a complete file that was opened by
+    /// [`open`](Self::open) the chunks before the part are not read either: its index,
+    /// at most 16 MiB of memory, has their places. Any other file is read from its
+    /// beginning.
     ///
     /// ```no_run
     /// use std::time::Duration;
@@ -118,7 +127,7 @@ impl Recording {
     /// ```
     #[must_use]
     pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
-        self.range = Some(TimeRange::new(&range));
+        self.range = TimeRange::new(&range);
         self
     }
 
@@ -149,6 +158,11 @@ impl Recording {
     /// [`repair`](super::repair) makes a complete file of it.
     pub fn is_truncated(&self) -> bool {
         self.records.is_truncated()
+    }
+
+    /// Returns the time of a record since the first scan.
+    pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
+        self.range.since_first_scan(at)
     }
 
     /// Returns the next record of a known kind. Only
@@ -198,8 +212,15 @@ impl Iterator for Recording {
     fn next(&mut self) -> Option<Self::Item> {
         loop {
             let item = self.ahead.pop_front().or_else(|| self.advance().transpose())?;
-            let (Some(range), Ok(record)) = (&mut self.range, &item) else { return Some(item) };
-            match range.place(record) {
+            let Ok(record) = &item else { return Some(item) };
+            let place = self.range.place(record);
+            if let Some(begin) = self.range.take_begin()
+                && let Err(error) = self.records.leave_out_before(nanos(begin))
+            {
+                self.is_over = true;
+                return Some(Err(error.into()));
+            }
+            match place {
                 RecordPlace::Inside => return Some(item),
                 RecordPlace::Outside => {}
                 RecordPlace::Behind => {
@@ -249,6 +270,11 @@ fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option
         }
     };
     Some(Some(Record { at: time(header.log_time), sequence: header.sequence, entry }))
+}
+
+fn nanos(time: SystemTime) -> u64 {
+    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn time(nanos: u64) -> SystemTime {

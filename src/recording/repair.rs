@@ -5,8 +5,8 @@ use std::io::{Read, Write};
 
 use super::RecordingError;
 use super::mcap::{
-    Fields, FileError, McapWriter, MessageHeader, Section, Sections, header, is_well_formed, kind,
-    split_record,
+    Fields, FileError, Input, McapWriter, MessageHeader, Section, Sections, header, is_well_formed,
+    kind, split_record,
 };
 
 /// The outcome of [`repair`].
@@ -63,7 +63,7 @@ pub fn repair(
     input: impl Read + Send + 'static,
     output: impl Write,
 ) -> Result<Repaired, RecordingError> {
-    let mut sections = Sections::new(input);
+    let mut sections = Sections::new(Input::Stream(Box::new(input)));
     let mut repaired = Repaired::default();
     // The header comes first, and nothing is written before the input is known to
     // be a recording.

@@ -2,7 +2,7 @@
 //! serves live and recorded data.
 
 use std::fmt;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
@@ -18,7 +18,7 @@ impl Recording {
     /// and malformed replies are left out; the events have them.
     ///
     /// - `values`, `window` and `stamp` are those of the time of recording.
-    /// - `sequence` numbers the scans of this file from 0.
+    /// - `sequence` numbers the scans from 0.
     /// - `received_at` is the time of this call for the first scan; the others
     ///   follow with their recorded distances. `requested_at` is the same: the
     ///   time of the request is not in a recording.
@@ -47,6 +47,7 @@ impl Recording {
         RecordedScans {
             polls: Polls::new(self),
             sequence: 0,
+            position: Duration::ZERO,
             previous: None,
             started: None,
             has_replies: false,
@@ -60,6 +61,7 @@ pub struct RecordedScans {
     polls: Polls,
     /// The number of the next scan.
     sequence: u64,
+    position: Duration,
     /// The values of the scan before.
     previous: Option<Vec<u16>>,
     /// The log time of the first scan, and the instant it gets.
@@ -73,6 +75,32 @@ impl RecordedScans {
     /// [`Recording::is_truncated`].
     pub fn is_truncated(&self) -> bool {
         self.polls.is_truncated()
+    }
+
+    /// Returns the time of the latest scan since the file's first one, as
+    /// [`Recording::range`] takes it.
+    pub fn position(&self) -> Duration {
+        self.position
+    }
+
+    /// Numbers the next scan `sequence`, and those behind it on from there: for a
+    /// [part](Recording::range) whose place in the file is known.
+    ///
+    /// ```no_run
+    /// use tokio_scip::recording::Recording;
+    ///
+    /// // The place of the thousandth scan, to which one may want to return.
+    /// let mut scans = Recording::open("run.mcap")?.scans();
+    /// scans.by_ref().take(1000).for_each(drop);
+    /// let place = scans.position();
+    ///
+    /// let again = Recording::open("run.mcap")?.range(place..).scans().numbered_from(999);
+    /// # Ok::<(), tokio_scip::recording::RecordingError>(())
+    /// ```
+    #[must_use]
+    pub fn numbered_from(mut self, sequence: u64) -> Self {
+        self.sequence = sequence;
+        self
     }
 
     /// Returns the scan of a reply to the stream's poll, if it has one.
@@ -94,7 +122,8 @@ impl RecordedScans {
             scan = scan.scan_time(revolution);
         }
         let scan = scan.build().ok()?;
-        self.sequence += 1;
+        self.sequence = self.sequence.wrapping_add(1);
+        self.position = self.polls.since_first_scan(poll);
         self.previous = Some(values);
         Some(scan)
     }

@@ -11,13 +11,20 @@ use tokio_scip::{Rate, Scan, Sensor, Window};
 use super::sink::{Sink, polls, record, sensor};
 
 /// An empty folder that is removed at the end of its test.
-struct Folder(PathBuf);
+pub(crate) struct Folder(PathBuf);
 
 impl Folder {
-    fn new(name: &str) -> Self {
+    pub(crate) fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("scip-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
+    }
+
+    /// Writes a file of these bytes.
+    pub(crate) fn write(&self, bytes: &[u8]) -> PathBuf {
+        let path = self.0.join("written.mcap");
+        std::fs::write(&path, bytes).unwrap();
+        path
     }
 }
 

@@ -1,12 +1,14 @@
 //! Recorded scans as [`Scan`]s, without a replay.
 
 use std::io::Cursor;
+use std::path::Path;
 use std::time::Duration;
 
 use tokio_scip::emulator::{Fault, Faults};
-use tokio_scip::recording::{Recorder, RecordingError, ReplayPace};
+use tokio_scip::recording::{RecordedScans, Recorder, Recording, RecordingError, ReplayPace};
 use tokio_scip::{Rate, Scan, Sensor, Window};
 
+use super::file::Folder;
 use super::sink::{Sink, record, sensor, window};
 
 /// An example of a function that is written for live scans.
@@ -70,7 +72,7 @@ async fn a_damaged_chunk_is_an_item_between_the_scans() {
     let mut file = sink.bytes();
     let middle = file.len() / 2;
     file[middle] ^= 1;
-    let recording = tokio_scip::recording::Recording::read(Cursor::new(file)).unwrap();
+    let recording = Recording::read(Cursor::new(file)).unwrap();
     let items: Vec<_> = recording.scans().collect();
     let at = items.iter().position(Result::is_err).unwrap();
     assert!(matches!(items[at], Err(RecordingError::Damaged { .. })));
@@ -102,4 +104,62 @@ async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
     // A part without a scan.
     let mut none = sink.open().range(Duration::from_secs(99)..).scans();
     assert!(matches!(none.next(), Some(Err(RecordingError::NoReplies))));
+}
+
+fn scans_from(path: &Path, place: Duration) -> RecordedScans {
+    Recording::open(path).unwrap().range(place..).scans()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 600).await;
+    let mut all = sink.open().scans();
+    let (mut places, mut expected) = (Vec::new(), Vec::new());
+    while let Some(scan) = all.next() {
+        places.push(all.position());
+        expected.push(scan.unwrap());
+    }
+    assert_eq!(places[0], Duration::ZERO);
+    // Damage shows that it was read.
+    let mut bytes = sink.bytes();
+    let quarter = bytes.len() / 4;
+    bytes[quarter] ^= 1;
+    let folder = Folder::new("part");
+    let path = folder.write(&bytes);
+    for number in [300, 599, 301] {
+        let mut scans = scans_from(&path, places[number]).numbered_from(number as u64);
+        let first = scans.next().unwrap().unwrap();
+        assert_eq!((first.values(), first.sequence()), (expected[number].values(), number as u64));
+        assert_eq!(scans.position(), places[number]);
+        let rest: Vec<Scan> = scans.collect::<Result<_, _>>().unwrap();
+        let following = &expected[number + 1..];
+        assert!(rest.iter().map(Scan::values).eq(following.iter().map(Scan::values)), "{number}");
+    }
+    // Without its index the file is read from its beginning.
+    let path = folder.write(&bytes[..bytes.len() - 100]);
+    let items: Vec<_> = scans_from(&path, places[300]).collect();
+    assert!(matches!(items[0], Err(RecordingError::Damaged { .. })), "{:?}", items[0]);
+    assert_eq!(items.iter().filter(|item| item.is_ok()).count(), 300);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_index_with_a_wrong_byte_is_not_believed() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 30).await;
+    let whole = sink.bytes();
+    let place = Duration::from_secs(2);
+    let values = |scans: RecordedScans| -> Vec<_> {
+        scans.filter_map(Result::ok).map(|scan| scan.values().to_vec()).collect()
+    };
+    let expected = values(sink.open().range(place..).scans());
+    assert!(expected.len() > 5);
+    let folder = Folder::new("index");
+    // The index is the end of the file, with some 40 bytes behind it.
+    for at in (whole.len() - 900..whole.len()).step_by(7) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0x11;
+        let path = folder.write(&bytes);
+        assert_eq!(values(scans_from(&path, place)), expected, "{at}");
+    }
 }

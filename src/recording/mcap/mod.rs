@@ -11,12 +11,14 @@
 
 mod form;
 mod index;
+mod input;
 mod read;
 mod records;
 mod write;
 
 pub(super) use self::form::{is_well_formed, parse_metadata, split_record};
 pub(super) use self::index::MAX_INDEX_ENTRIES;
+pub(super) use self::input::Input;
 pub(super) use self::read::{FileError, Section, Sections};
 pub(super) use self::records::Records;
 pub(super) use self::write::{McapWriter, header};
@@ -25,6 +27,8 @@ pub(super) use self::write::{McapWriter, header};
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// The kind of a record, and the length of its content.
 const RECORD_HEAD: usize = 1 + 8;
+/// The content of a footer.
+const FOOTER_BYTES: usize = 20;
 /// The longest chunk, or message outside of a chunk, that is read.
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
 /// The longest record of another kind that is read.

@@ -1,14 +1,18 @@
 //! [`Sections`]: reads a file from its beginning to wherever it ends, one chunk at a
-//! time, and finds the next chunk behind a damaged part.
+//! time, and finds the next chunk behind a damaged part. Parts that nobody wants are
+//! left out if the file's index has them.
 //!
 //! No length is believed before it agrees with another one or with the bytes that
 //! are there. So memory is bounded by the file, and by a chunk of it.
 
+use std::collections::VecDeque;
 use std::io::{self, Read};
 use std::ops::Range;
 
 use super::form::{fields_length, record_head};
-use super::{Fields, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind};
+use super::{
+    FOOTER_BYTES, Fields, Input, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind,
+};
 
 /// A chunk's head, behind the record's, up to the name of its compression: start,
 /// end, size, CRC, length of that name.
@@ -17,8 +21,6 @@ const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4;
 const MAX_COMPRESSION_NAME: usize = 16;
 /// The bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
-/// The content of a footer.
-const FOOTER_BYTES: usize = 20;
 /// The record that ends the data, up to its content.
 const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
 
@@ -49,7 +51,7 @@ pub(in super::super) enum Section {
 
 /// Reads the parts of a file up to its summary.
 pub(in super::super) struct Sections {
-    input: Box<dyn Read + Send>,
+    input: Input,
     /// Bytes of the file; those before `start` were used.
     window: Vec<u8>,
     start: usize,
@@ -57,6 +59,8 @@ pub(in super::super) struct Sections {
     offset: u64,
     /// The length of the latest section.
     used: usize,
+    /// Parts of the file that are left out.
+    unwanted: VecDeque<Range<u64>>,
     is_started: bool,
     is_over: bool,
     is_truncated: bool,
@@ -71,13 +75,14 @@ struct ChunkHead {
 }
 
 impl Sections {
-    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+    pub(in super::super) fn new(input: Input) -> Self {
         Self {
-            input: Box::new(input),
+            input,
             window: Vec::new(),
             start: 0,
             offset: 0,
             used: 0,
+            unwanted: VecDeque::new(),
             is_started: false,
             is_over: false,
             is_truncated: false,
@@ -97,6 +102,13 @@ impl Sections {
     /// Returns the bytes of a range of the latest section.
     pub(in super::super) fn bytes(&self, range: Range<usize>) -> &[u8] {
         self.window.get(range).unwrap_or_default()
+    }
+
+    /// Leaves out the chunks behind the latest section that have nothing but messages
+    /// before `time` (nanoseconds since 1970), as far as the file's index has them.
+    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<(), FileError> {
+        self.unwanted = self.input.parts_before(time).map_err(FileError::Io)?.into();
+        Ok(())
     }
 
     /// Returns the next section, or `None` at the end of the data. Only
@@ -121,6 +133,7 @@ impl Sections {
         }
         loop {
             self.drop_used();
+            self.leave_out()?;
             let head = self.peek(RECORD_HEAD + CHUNK_FIELDS + MAX_COMPRESSION_NAME + 8)?;
             let Some((kind, length)) = record_head(head) else {
                 return Ok(self.end_early());
@@ -180,6 +193,21 @@ impl Sections {
             let content = self.start + RECORD_HEAD..self.start + end;
             return Ok(Some(Section::Record { kind, content }));
         }
+    }
+
+    /// Goes on behind the unwanted part in which the next record is, if it is in one.
+    fn leave_out(&mut self) -> Result<(), FileError> {
+        while let Some(part) = self.unwanted.front()
+            && part.start <= self.offset
+        {
+            if part.end > self.offset {
+                self.input.continue_at(part.end).map_err(FileError::Io)?;
+                self.window.clear();
+                (self.start, self.offset) = (0, part.end);
+            }
+            self.unwanted.pop_front();
+        }
+        Ok(())
     }
 
     fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {

@@ -1,8 +1,8 @@
 //! [`Records`]: the records of a file one by one, those in chunks included.
 
-use std::io::Read;
 use std::ops::Range;
 
+use super::Input;
 use super::form::{is_well_formed, split_record};
 use super::read::{FileError, Section, Sections};
 
@@ -18,7 +18,7 @@ pub(in super::super) struct Records {
 }
 
 impl Records {
-    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+    pub(in super::super) fn new(input: Input) -> Self {
         Self { sections: Sections::new(input), rest: 0..0, is_cut: false }
     }
 
@@ -30,6 +30,12 @@ impl Records {
     /// Returns the place of the latest record's section in the file.
     pub(in super::super) fn offset(&self) -> u64 {
         self.sections.offset()
+    }
+
+    /// Leaves out chunks that have nothing but messages before `time`, as far as the
+    /// file's index has them.
+    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<(), FileError> {
+        self.sections.leave_out_before(time)
     }
 
     /// Returns the kind and content of the next record, or `None` at the end of

@@ -2,10 +2,12 @@
 
 use std::fmt;
 use std::future::poll_fn;
+use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
 use std::sync::Arc;
 use std::task::Poll;
+use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio_scip::recording::{Recording, RecordingError, ReplayPace};
@@ -123,11 +125,21 @@ impl Recorded {
     }
 
     pub(super) fn open(&self) -> Result<Recording, Failure> {
-        let recording = Recording::open(&self.path).map_err(|error| self.failure(&error))?;
+        let recording = self.open_all()?;
         Ok(match self.range {
             Some(range) => recording.range(range.bounds()),
             None => recording,
         })
+    }
+
+    /// Opens it at a place behind the beginning of its part.
+    pub(super) fn open_at(&self, place: Duration) -> Result<Recording, Failure> {
+        let end = self.range.map_or(Bound::Unbounded, |range| range.bounds().1);
+        Ok(self.open_all()?.range((Bound::Included(place), end)))
+    }
+
+    fn open_all(&self) -> Result<Recording, Failure> {
+        Recording::open(&self.path).map_err(|error| self.failure(&error))
     }
 
     /// Describes an error of reading the first scan: the part may have none.

@@ -1,0 +1,152 @@
+//! [`Input`]: the bytes of a recording. In a file its later parts can be reached
+//! without reading those before them, if the index at its end is whole.
+
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
+
+use super::form::{record_head, split_record};
+use super::{FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
+
+/// A footer and the magic behind it.
+const END_BYTES: u64 = (RECORD_HEAD + FOOTER_BYTES + MAGIC.len()) as u64;
+/// A longer index is not read: the longest that is written here has 7 MB.
+const MAX_INDEX_BYTES: u64 = 16 << 20;
+
+/// The bytes of a recording, one after the other.
+pub(in super::super) enum Input {
+    File(File),
+    /// Anything that can only be read on.
+    Stream(Box<dyn Read + Send>),
+}
+
+impl Input {
+    /// Continues at this place of the file.
+    pub(super) fn continue_at(&mut self, place: u64) -> io::Result<()> {
+        match self {
+            Self::File(file) => file.seek(SeekFrom::Start(place)).map(drop),
+            Self::Stream(_) => Err(io::ErrorKind::NotSeekable.into()),
+        }
+    }
+
+    /// Returns the parts of the file, in their order, that have nothing but chunks with
+    /// messages before `time` (nanoseconds since 1970). None if the file has no whole
+    /// index, or is no file. Reading continues where it was.
+    pub(super) fn parts_before(&mut self, time: u64) -> io::Result<Vec<Range<u64>>> {
+        let Self::File(file) = self else { return Ok(Vec::new()) };
+        // A pipe has no place.
+        let Ok(here) = file.stream_position() else { return Ok(Vec::new()) };
+        let parts = index(file).map(|index| parts_before(&index, time)).unwrap_or_default();
+        self.continue_at(here)?;
+        Ok(parts)
+    }
+}
+
+impl Read for Input {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self {
+            Self::File(file) => file.read(bytes),
+            Self::Stream(stream) => stream.read(bytes),
+        }
+    }
+}
+
+/// Reads the records of the index at the end of a file; `None` if it is not whole.
+fn index(file: &mut File) -> Option<Vec<u8>> {
+    let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(END_BYTES)?;
+    file.seek(SeekFrom::Start(end)).ok()?;
+    let mut footer = [0; END_BYTES as usize];
+    file.read_exact(&mut footer).ok()?;
+    let (kind, length) = record_head(&footer)?;
+    let mut fields = Fields(footer.get(RECORD_HEAD..)?);
+    let (start, _offsets, crc) = (fields.u64()?, fields.u64()?, fields.u32()?);
+    let length_found = end.checked_sub(start)?;
+    let is_right = kind == kind::FOOTER
+        && length == FOOTER_BYTES as u64
+        && fields.0 == MAGIC
+        && start > 0
+        && length_found <= MAX_INDEX_BYTES;
+    if !is_right {
+        return None;
+    }
+    file.seek(SeekFrom::Start(start)).ok()?;
+    let mut index = Vec::new();
+    file.take(length_found).read_to_end(&mut index).ok()?;
+    // The checksum covers the footer up to itself; 0 stands for none.
+    let mut checked = crc32fast::Hasher::new();
+    checked.update(&index);
+    checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
+    (crc == 0 || checked.finalize() == crc).then_some(index)
+}
+
+fn parts_before(index: &[u8], time: u64) -> Vec<Range<u64>> {
+    let mut chunks = Vec::new();
+    let mut rest = index;
+    while let Some((kind, content, behind)) = split_record(rest) {
+        if kind == kind::CHUNK_INDEX
+            && let Some((place, last)) = chunk(content)
+            && last < time
+        {
+            chunks.push(place);
+        }
+        rest = behind;
+    }
+    chunks.sort_unstable_by_key(|place| place.start);
+    let mut parts: Vec<Range<u64>> = Vec::new();
+    for chunk in chunks {
+        match parts.last_mut() {
+            // Only what stands right behind another chunk, so that whatever is between
+            // two of them is read.
+            Some(part) if part.end == chunk.start => part.end = chunk.end,
+            _ => parts.push(chunk),
+        }
+    }
+    parts
+}
+
+/// Parses a chunk's index: its place, with the lists of its messages behind it, and the
+/// time of its last message.
+fn chunk(content: &[u8]) -> Option<(Range<u64>, u64)> {
+    let mut fields = Fields(content);
+    let (_first, last) = (fields.u64()?, fields.u64()?);
+    let (start, length) = (fields.u64()?, fields.u64()?);
+    let (_places, lists) = (fields.bytes()?, fields.u64()?);
+    let end = start.checked_add(length)?.checked_add(lists)?;
+    (start < end).then_some((start..end, last))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The index of a chunk of 10 bytes with 5 of lists at `start`.
+    fn entry(start: u64, last: u64) -> Vec<u8> {
+        let mut record = vec![kind::CHUNK_INDEX];
+        let mut content = Vec::new();
+        for field in [0, last, start, 10_u64] {
+            content.extend_from_slice(&field.to_le_bytes());
+        }
+        content.extend_from_slice(&[0; 4]);
+        content.extend_from_slice(&5_u64.to_le_bytes());
+        content.extend_from_slice(&[0; 4 + 16]);
+        record.extend_from_slice(&(content.len() as u64).to_le_bytes());
+        record.extend_from_slice(&content);
+        record
+    }
+
+    #[test]
+    fn chunks_that_touch_are_one_part_and_what_is_between_others_is_read() {
+        let index = [entry(40, 2), entry(10, 1), entry(25, 1), entry(60, 3), entry(80, 9)].concat();
+        assert_eq!(parts_before(&index, 4), [10..55, 60..75]);
+        assert_eq!(parts_before(&index, 1), []);
+    }
+
+    #[test]
+    fn an_index_of_no_sense_leaves_nothing_out() {
+        let mut wide = entry(u64::MAX - 3, 1);
+        assert_eq!(parts_before(&wide, 4), []);
+        wide.truncate(30);
+        assert_eq!(parts_before(&wide, 4), []);
+        assert_eq!(parts_before(&[0xff; 100], 4), []);
+    }
+}
