@@ -42,7 +42,7 @@ const KEEPALIVE_PROBES: u32 = 3;
 /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a
 /// server that lives while its sensor does not answer. On other systems than Android,
 /// FreeBSD, Linux, macOS and Windows the number and the interval of the probes are the
-/// system's.
+/// system's, and so is the number on Windows before version 1703 of Windows 10.
 ///
 /// Dropping the port closes the connection without waiting.
 #[derive(Debug)]
@@ -91,12 +91,20 @@ async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
         SocketAddr::V4(_) => TcpSocket::new_v4()?,
         SocketAddr::V6(_) => TcpSocket::new_v6()?,
     };
-    SockRef::from(&socket).set_tcp_keepalive(&keepalive())?;
+    keep_alive(&SockRef::from(&socket), &keepalive());
     let stream = socket.connect(address).await?;
     // Without it a command, which is one small segment, may wait for the
     // acknowledgement of the one before.
     stream.set_nodelay(true)?;
     Ok(stream)
+}
+
+/// Makes the system probe an idle connection. Never fails: Windows before version 1703 of
+/// Windows 10 refuses the number of probes, and its own number is better than no sensor.
+fn keep_alive(socket: &SockRef<'_>, settings: &TcpKeepalive) {
+    if let Err(error) = socket.set_tcp_keepalive(settings) {
+        tracing::debug!(%error, "the system refuses a setting of TCP keepalive");
+    }
 }
 
 #[cfg(any(
@@ -183,6 +191,20 @@ mod tests {
             (socket.tcp_keepalive_time()?, socket.tcp_keepalive_interval()?),
             (KEEPALIVE_TIME, KEEPALIVE_INTERVAL)
         );
+        Ok(())
+    }
+
+    #[cfg(target_os = "linux")]
+    #[tokio::test]
+    async fn o27_a_keepalive_setting_that_the_system_refuses_costs_no_connection() -> io::Result<()>
+    {
+        let socket = TcpSocket::new_v4()?;
+        let socket = SockRef::from(&socket);
+        let refused = keepalive().with_retries(u32::MAX);
+        assert!(socket.set_tcp_keepalive(&refused).is_err());
+        socket.set_keepalive(false)?;
+        keep_alive(&socket, &refused);
+        assert!(socket.keepalive()?, "what the system accepts is in force");
         Ok(())
     }
 
