@@ -46,7 +46,8 @@ impl<W: World> World for Sparse<W> {
             let length = 8 << (drawn % 3);
             let missing = self.share * length as f64 + fraction(mix(drawn));
             let missing = (missing as usize).min(length);
-            let start = (drawn >> 8) as usize % (length - missing + 1);
+            // Divided in 64 bits, so that 32-bit systems draw the same.
+            let start = ((drawn >> 8) % (length - missing + 1) as u64) as usize;
             let code = code(fraction(mix(drawn ^ 1)));
             for step in first + start..first + start + missing {
                 if let Some(value) = values.get_mut(step).filter(|_| WINDOW.contains(&step))
