@@ -96,9 +96,11 @@ mod tests {
             values: vec![("a", "bc".to_owned())],
         };
         let mut out = vec![9];
-        write_diagnostics(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 3), &[status]);
+        // Windows counts time in 100 ns.
+        let stamp = SystemTime::UNIX_EPOCH + Duration::new(2, 0x6400);
+        write_diagnostics(&mut out, stamp, &[status]);
         let expected: &[u8] =
-            b"\0\x01\0\0\x02\0\0\0\x03\0\0\0\x01\0\0\0\0\0\0\0\x01\0\0\0\x01\0\0\0\
+            b"\0\x01\0\0\x02\0\0\0\0\x64\0\0\x01\0\0\0\0\0\0\0\x01\0\0\0\x01\0\0\0\
             \x04\0\0\0urg\0\x01\0\0\0\0\0\0\0\x03\0\0\0H1\0\0\x01\0\0\0\
             \x02\0\0\0a\0\0\0\x03\0\0\0bc\0";
         assert_eq!(out, expected);

@@ -58,7 +58,10 @@ fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
     }
     let coverage = coverage.lock().unwrap();
     println!("{coverage}");
-    coverage.check();
+    // In less time something rare may not occur.
+    if simulated >= Duration::from_secs(3 * 3600) {
+        coverage.check();
+    }
 }
 
 #[test]
