@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Builds the guide's recipes for NATS and MQTT, and runs that for NATS against nats-server,
-# on an emulated sensor: tests/publish/bus.sh PROGRAM. The programs are those in
+# Builds the guide's recipes for NATS and MQTT, and runs them against nats-server and
+# mosquitto, on an emulated sensor: tests/publish/bus.sh PROGRAM. The programs are those in
 # src/guide/recipes.md, word for word. In a network namespace of its own.
 set -euo pipefail
 crate=$(cd "$(dirname "$0")/../.." && pwd)
 program=$(realpath "$1")
 
-for tool in nats-server python3; do
+for tool in nats-server mosquitto python3; do
     PATH=$PATH:/usr/sbin command -v "$tool" >/dev/null || { echo "skipped: $tool"; exit 0; }
 done
 unshare -rn true 2>/dev/null || { echo "skipped: network namespaces"; exit 0; }
@@ -39,5 +39,6 @@ awk -v work="$work/bus/src/bin/" '
     }
     inside { text = text $0 "\n" }' "$crate/src/guide/recipes.md"
 (cd "$work/bus" && cargo build --quiet)
-PATH=$PATH:/usr/sbin unshare -rn timeout 100 python3 "$crate/tests/publish/bus.py" \
+# A namespace of processes, too: nothing outlives a failed test.
+PATH=$PATH:/usr/sbin unshare -rnpf --kill-child timeout 100 python3 "$crate/tests/publish/bus.py" \
     "$program" "$work/bus/target/debug" "$work"
