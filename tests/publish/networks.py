@@ -241,7 +241,7 @@ def two_publishers_of_one_name(far):
     reader = Lines(ROS_READER, namespace=far)
     with Urg("publish", "emulated", "--interface", "10.1.0.1") as first:
         with Urg("publish", "emulated", "--interface", "10.1.0.1") as second:
-            wait("both", lambda: reader.lines and reader.lines[-1] == ["2"])
+            wait("both", lambda: reader.lines and reader.lines[-1] == ["2"], 40)
             begin = time.monotonic()
             reader.more(60)
             took = time.monotonic() - begin

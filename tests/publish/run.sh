@@ -13,7 +13,7 @@ trap 'rm -rf "$place"' EXIT
 cd "$place"
 "$program" record emulated "$place/run.mcap" --count 60
 "$program" stream "$place/run.mcap" --rate max >"$place/run.ndjson"
-for reader in "jazzy dds" "kilted dds" "jazzy cyclone" "jazzy zenoh_peers" "jazzy networks"; do
+for reader in "jazzy dds" "kilted dds" "jazzy cyclone" "jazzy zenoh_peers" "jazzy networks" "jazzy slow_network"; do
     read -r venv script <<<"$reader"
     echo "$script ($venv)"
     timeout 240 "$URG_PEERS/$venv/bin/python" "$here/$script.py" "$program" "$place/run.mcap"

@@ -1,5 +1,6 @@
 //! DDS by `ros2-client`: one participant, and a node of its own for each sensor.
 
+use std::sync::Arc;
 use std::thread::JoinHandle;
 
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
@@ -11,6 +12,7 @@ use ros2_client::{
 use serde::ser::{Serialize, SerializeTuple, Serializer};
 use tokio::task::JoinSet;
 
+use super::counts::ScanCounts;
 use super::engine::{
     DIAGNOSTICS_TOPIC, Engine, EngineSettings, NodePublishers, NodeSpec,
     ParameterValue as Parameter, Publish, Qos,
@@ -41,6 +43,7 @@ impl Engine for Dds {
     fn open(
         settings: &EngineSettings,
         specs: &[NodeSpec],
+        counts: &[Arc<ScanCounts>],
     ) -> Result<(Self, Vec<NodePublishers>), String> {
         let mut builder = DomainParticipantBuilder::new(settings.domain);
         if let Some(interface) = settings.interface {
@@ -53,8 +56,8 @@ impl Engine for Dds {
             .map_err(|error| failed("open DDS", &error))?;
         let mut nodes = Vec::new();
         let mut publishers = Vec::new();
-        for spec in specs {
-            let (node, its_publishers) = add_node(&context, spec, settings)?;
+        for (spec, counts) in specs.iter().zip(counts) {
+            let (node, its_publishers) = add_node(&context, spec, counts, settings)?;
             nodes.push(node);
             publishers.push(its_publishers);
         }
@@ -65,7 +68,7 @@ impl Engine for Dds {
     }
 
     /// DDS has no centre to lose. Readers on this machine need no network.
-    fn unreachable(&self) -> Option<String> {
+    fn unreachable(&mut self) -> Option<String> {
         self.is_local.then(|| {
             "this machine is in no network: until it is, only readers on it get scans".to_owned()
         })
@@ -126,6 +129,7 @@ impl ParameterServer {
 fn add_node(
     context: &Context,
     spec: &NodeSpec,
+    counts: &Arc<ScanCounts>,
     settings: &EngineSettings,
 ) -> Result<(Node, NodePublishers), String> {
     let cannot = |what: &str, error: &dyn std::fmt::Display| {
@@ -135,7 +139,7 @@ fn add_node(
         .map_err(|error| cannot("take the name", &error))?;
     let mut node =
         context.new_node(name, options(spec)).map_err(|error| cannot("create the node", &error))?;
-    let mut publisher = |topic: &str, package, message, qos: QosProfile| {
+    let mut publisher = |topic: &str, package, message, qos: QosProfile, counts| {
         let name = Name::parse(topic).map_err(|error| cannot("take the topic", &error))?;
         let topic = node
             .create_topic(&name, MessageTypeName::new(package, message), &qos)
@@ -143,19 +147,22 @@ fn add_node(
         let publisher = node
             .create_publisher::<Encoded>(&topic, Some(qos))
             .map_err(|error| cannot("create a publisher", &error))?;
-        Ok::<Box<dyn Publish>, String>(Box::new(publisher))
+        Ok::<Box<dyn Publish>, String>(Box::new(DdsPublisher { publisher, counts }))
     };
     let scans = publisher(
         &spec.scan_topic,
         "sensor_msgs",
         "LaserScan",
         qos_profile(settings.qos, settings.depth),
+        Arc::clone(counts),
     )?;
     let diagnostics = publisher(
         DIAGNOSTICS_TOPIC,
         "diagnostic_msgs",
         "DiagnosticArray",
         qos_profile(Qos::Reliable, DIAGNOSTICS_DEPTH),
+        // Only scans are counted.
+        Arc::default(),
     )?;
     Ok((node, NodePublishers { scans, diagnostics }))
 }
@@ -216,8 +223,16 @@ impl Serialize for Encoded {
     }
 }
 
-impl Publish for Publisher<Encoded> {
-    fn publish(&self, message: Vec<u8>) -> bool {
-        Publisher::publish(self, Encoded(message)).is_ok()
+struct DdsPublisher {
+    publisher: Publisher<Encoded>,
+    counts: Arc<ScanCounts>,
+}
+
+impl Publish for DdsPublisher {
+    fn publish(&self, message: Vec<u8>) {
+        match self.publisher.publish(Encoded(message)) {
+            Ok(()) => self.counts.add_published(),
+            Err(_) => self.counts.add_dropped(),
+        }
     }
 }

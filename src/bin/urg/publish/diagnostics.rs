@@ -51,14 +51,15 @@ impl Condition {
             ("Serial number", serial_number.clone()),
             ("Firmware", text(&|version| version.firmware.to_string())),
             ("Baud rate", self.baud_rate()),
-            ("Rate asked (Hz)", rate.period().map_or_else(|| "max".to_owned(), hertz)),
+            ("Rate requested (Hz)", rate.period().map_or_else(|| "max".to_owned(), hertz)),
             ("Rate reached (Hz)", format!("{reached:.2}")),
             (
                 "Age of the last scan (s)",
                 self.scanned.map_or_else(String::new, |at| seconds(at.elapsed())),
             ),
-            ("Scans published", outlet.published().to_string()),
-            ("Scans dropped without a network", outlet.dropped().to_string()),
+            ("Scans published", outlet.counts().published().to_string()),
+            ("Scans dropped", outlet.counts().dropped().to_string()),
+            ("Scans possibly lost", outlet.counts().possibly_lost().to_string()),
         ];
         values.extend(losses(&stats));
         DiagnosticStatus {
@@ -100,7 +101,7 @@ impl Condition {
             }
             // Zero until there is something to average.
             Some(_) if reached > 0.0 && reached * period.as_secs_f64() < ENOUGH => {
-                (Warn, format!("{reached:.1} scans a second, {} asked", hertz(period)))
+                (Warn, format!("{reached:.1} scans a second, {} requested", hertz(period)))
             }
             Some(_) => (Ok, "scans flow".to_owned()),
         }

@@ -3,10 +3,11 @@
 //! never waits.
 
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use clap::ValueEnum;
+
+use super::counts::ScanCounts;
 
 /// The engines that this program knows, built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -75,16 +76,17 @@ pub(super) const DIAGNOSTICS_TOPIC: &str = "/diagnostics";
 
 /// An open engine.
 pub(super) trait Engine: Sized {
-    /// Opens the engine with a publisher of each topic of each node. Blocks.
-    /// Fails if the network is not there (yet).
+    /// Opens the engine with a publisher of each topic of each node, which counts its
+    /// scans. Blocks. Fails if the network is not there (yet).
     fn open(
         settings: &EngineSettings,
         nodes: &[NodeSpec],
+        counts: &[Arc<ScanCounts>],
     ) -> Result<(Self, Vec<NodePublishers>), String>;
 
     /// Returns a line for the user if some readers cannot be reached: why, and what
-    /// becomes of the scans.
-    fn unreachable(&self) -> Option<String>;
+    /// becomes of the scans. May block for some seconds.
+    fn unreachable(&mut self) -> Option<String>;
 
     /// Returns true if the network has changed so that the engine uses it only after it
     /// was opened again.
@@ -99,9 +101,8 @@ pub(super) trait Engine: Sized {
 
 /// Publishes messages on one topic.
 pub(super) trait Publish: Send + Sync {
-    /// Publishes an encoded message. Does not block; false if the engine did not
-    /// take the message.
-    fn publish(&self, message: Vec<u8>) -> bool;
+    /// Publishes an encoded message, or drops it, and counts which. Does not block.
+    fn publish(&self, message: Vec<u8>);
 }
 
 /// The publishers of one node.
@@ -115,31 +116,26 @@ pub(super) struct NodePublishers {
 pub(super) type Shared = Arc<RwLock<Option<Vec<NodePublishers>>>>;
 
 /// One node's way to the network. Messages for which there is no network are
-/// dropped and counted: an old scan is of no use.
+/// dropped: an old scan is of no use.
 #[derive(Clone)]
 pub(crate) struct Outlet {
     node: usize,
     publishers: Shared,
-    counts: Arc<Counts>,
-}
-
-#[derive(Debug, Default)]
-struct Counts {
-    published: AtomicU64,
-    dropped: AtomicU64,
+    counts: Arc<ScanCounts>,
 }
 
 impl Outlet {
-    /// Returns an outlet of the node at this place.
-    pub(super) fn new(node: usize, publishers: &Shared) -> Self {
-        Self { node, publishers: Arc::clone(publishers), counts: Arc::default() }
+    /// Returns an outlet of the node at this place, which counts the scans that have no
+    /// publisher.
+    pub(super) fn new(node: usize, publishers: &Shared, counts: Arc<ScanCounts>) -> Self {
+        Self { node, publishers: Arc::clone(publishers), counts }
     }
 
     /// Publishes an encoded `sensor_msgs/msg/LaserScan`.
     pub(crate) fn publish_scan(&self, message: Vec<u8>) {
-        let published = self.publish(message, |node| &node.scans);
-        let count = if published { &self.counts.published } else { &self.counts.dropped };
-        count.fetch_add(1, Ordering::Relaxed);
+        if !self.publish(message, |node| &node.scans) {
+            self.counts.add_dropped();
+        }
     }
 
     /// Publishes an encoded `diagnostic_msgs/msg/DiagnosticArray`.
@@ -147,6 +143,7 @@ impl Outlet {
         self.publish(message, |node| &node.diagnostics);
     }
 
+    /// Returns false if there is no publisher.
     fn publish(
         &self,
         message: Vec<u8>,
@@ -154,16 +151,14 @@ impl Outlet {
     ) -> bool {
         let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
         let node = publishers.as_ref().and_then(|nodes| nodes.get(self.node));
-        node.is_some_and(|node| topic(node).publish(message))
+        node.is_some_and(|node| {
+            topic(node).publish(message);
+            true
+        })
     }
 
-    /// Returns the number of scans that the engine took.
-    pub(crate) fn published(&self) -> u64 {
-        self.counts.published.load(Ordering::Relaxed)
-    }
-
-    /// Returns the number of scans that were dropped for want of a network.
-    pub(crate) fn dropped(&self) -> u64 {
-        self.counts.dropped.load(Ordering::Relaxed)
+    /// Returns what became of the scans so far.
+    pub(crate) fn counts(&self) -> &ScanCounts {
+        &self.counts
     }
 }

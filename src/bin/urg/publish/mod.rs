@@ -1,11 +1,13 @@
 //! `urg publish`: scans as ROS 2 messages on a network. `engine` defines what
-//! carries messages; `dds` and `zenoh` do, and `running` keeps one of them open.
+//! carries messages; `dds` and `zenoh` do, `running` keeps one of them open, and `counts`
+//! counts what becomes of the scans.
 //! `source` brings the scans of one sensor to it, and `diagnostics` its condition;
 //! `names` names nodes and topics.
 //!
 //! The messages themselves are the library's (`tokio_scip::ros`). Nothing outside
 //! of this module knows an engine.
 
+mod counts;
 #[cfg(feature = "ros2")]
 mod dds;
 mod diagnostics;

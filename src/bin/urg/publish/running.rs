@@ -5,12 +5,13 @@
 //! a tokio runtime of one thread.
 
 use std::net::{IpAddr, UdpSocket};
-use std::sync::PoisonError;
 use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::oneshot;
 
+use super::counts::ScanCounts;
 #[cfg(feature = "ros2")]
 use super::dds::Dds;
 use super::engine::{Engine, EngineName, EngineSettings, NodeSpec, Outlet, Shared};
@@ -74,13 +75,16 @@ fn start<E: Engine>(
     nodes: Vec<NodeSpec>,
 ) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
     let publishers = Shared::default();
-    let outlets = (0..nodes.len()).map(|node| Outlet::new(node, &publishers)).collect();
+    let counts: Vec<Arc<ScanCounts>> = nodes.iter().map(|_| Arc::default()).collect();
+    let outlets = counts.iter().enumerate();
+    let outlets =
+        outlets.map(|(node, counts)| Outlet::new(node, &publishers, Arc::clone(counts))).collect();
     let (stop, stopped) = mpsc::channel();
     let (end, ended) = oneshot::channel();
     std::thread::Builder::new()
         .name("engine".to_owned())
         .spawn(move || {
-            run::<E>(&settings, &nodes, &publishers, &stopped);
+            run::<E>(&settings, &nodes, &counts, &publishers, &stopped);
             let _ = end.send(());
         })
         .map_err(|error| Failure::of("cannot start the engine's thread", &error))?;
@@ -92,6 +96,7 @@ fn start<E: Engine>(
 fn run<E: Engine>(
     settings: &EngineSettings,
     nodes: &[NodeSpec],
+    counts: &[Arc<ScanCounts>],
     shared: &Shared,
     stop: &mpsc::Receiver<()>,
 ) {
@@ -99,12 +104,12 @@ fn run<E: Engine>(
     let set = |publishers| {
         *shared.write().unwrap_or_else(PoisonError::into_inner) = publishers;
     };
-    let mut network = Network::default();
+    let mut network = Network::of(nodes);
     loop {
-        let (engine, publishers) = loop {
+        let (mut engine, publishers) = loop {
             let opened = match missing_address(settings.interface) {
                 Some(why) => Err(why),
-                None => E::open(settings, nodes),
+                None => E::open(settings, nodes, counts),
             };
             match opened {
                 Ok(opened) => break opened,
@@ -141,27 +146,59 @@ fn missing_address(address: Option<IpAddr>) -> Option<String> {
     Some(format!("cannot use the address {address} of --interface: {error}"))
 }
 
-/// Reports the loss of the network once, and its return.
-#[derive(Debug, Default)]
+/// Reports once that scans are published, or not, and each change of that.
+#[derive(Debug)]
 struct Network {
-    away: bool,
+    topics: String,
+    /// `None` before the first report.
+    away: Option<bool>,
 }
 
 impl Network {
+    fn of(nodes: &[NodeSpec]) -> Self {
+        let topics = match nodes {
+            [first, .., last] => {
+                format!("{} topics, {} to {}", nodes.len(), first.scan_topic, last.scan_topic)
+            }
+            _ => nodes.iter().map(|node| node.scan_topic.as_str()).collect(),
+        };
+        Self { topics, away: None }
+    }
+
     fn report(&mut self, unreachable: Option<String>) {
-        let away = unreachable.is_some();
-        match (self.away, unreachable) {
-            (false, Some(why)) => notice(why),
-            (true, None) => notice("the network is back: scans are published"),
-            (true, Some(_)) | (false, None) => {}
+        if let Some(line) = self.change(unreachable) {
+            notice(line);
         }
-        self.away = away;
+    }
+
+    /// Returns the line for the user, if there is something new.
+    fn change(&mut self, unreachable: Option<String>) -> Option<String> {
+        let before = self.away.replace(unreachable.is_some());
+        match (before, unreachable) {
+            (Some(true), Some(_)) | (Some(false), None) => None,
+            (_, Some(why)) => Some(why),
+            (Some(true), None) => Some("the network is back: scans are published".to_owned()),
+            (None, None) => Some(format!("scans are published on {}; Ctrl-C stops", self.topics)),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_change_of_the_network_is_reported_once() {
+        let mut network = Network { topics: "/scan".to_owned(), away: None };
+        let said = [None, None, Some("no router"), Some("no router"), None, None]
+            .map(|why| network.change(why.map(str::to_owned)));
+        let expected = [
+            "scans are published on /scan; Ctrl-C stops",
+            "no router",
+            "the network is back: scans are published",
+        ];
+        assert_eq!(said.into_iter().flatten().collect::<Vec<_>>(), expected);
+    }
 
     #[test]
     fn an_address_that_no_interface_has_is_waited_for() {

@@ -159,9 +159,8 @@ mod tests {
     struct Instants(Arc<Mutex<Vec<Instant>>>);
 
     impl Publish for Instants {
-        fn publish(&self, _: Vec<u8>) -> bool {
+        fn publish(&self, _: Vec<u8>) {
             self.0.lock().unwrap().push(Instant::now());
-            true
         }
     }
 
@@ -176,7 +175,7 @@ mod tests {
             rate,
             names: names.unwrap().remove(0),
             time_offset: 0.0,
-            outlet: Outlet::new(place as usize, shared),
+            outlet: Outlet::new(place as usize, shared, Arc::default()),
             epoch,
             turn: f64::from(place) / f64::from(count),
         }
