@@ -107,7 +107,10 @@ fn each_distance_is_a_point_where_it_was_measured() {
     // The nearest point is as far from the sensor as the legend states. The full sector of
     // 4.2 m is 152 mm wide.
     let sensor = elements.iter().find(|element| element.get("class") == Some("sensor")).unwrap();
-    let (x, y) = (sensor.number("cx"), sensor.number("cy"));
+    let place = sensor.get("transform").unwrap();
+    let place = place.trim_start_matches("translate(").trim_end_matches(')');
+    let (x, y) = place.split_once(' ').unwrap();
+    let (x, y): (f64, f64) = (x.parse().unwrap(), y.parse().unwrap());
     let metre = 152.0 / 8.4;
     let nearest = circles
         .iter()
@@ -117,6 +120,11 @@ fn each_distance_is_a_point_where_it_was_measured() {
     let (_, stated) = summary.split_once("nearest ").unwrap();
     let stated: f64 = stated.split(' ').next().unwrap().parse().unwrap();
     assert!((nearest - stated).abs() < 0.002, "{nearest} {stated}");
+    // It has a ring and its distance.
+    let ring = elements.iter().find(|element| element.get("class") == Some("nearest")).unwrap();
+    let away = (ring.number("cx") - x).hypot(ring.number("cy") - y) / metre;
+    assert!((away - nearest).abs() < 0.002, "{away} {nearest}");
+    assert!(texts(&svg).contains(&format!("{stated:.2} m")));
 }
 
 #[test]

@@ -205,7 +205,7 @@ async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
     let file = super::program::Scratch::with_extension("radar", ".mcap");
     super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
     let mut terminal = Terminal::start(&format!("view {}", file.path())).await;
-    terminal.until(&["URG-04LX", "playing", "END", "at its end"]).await;
+    terminal.until(&["URG-04LX", "playing", "END", "at the end"]).await;
     terminal.user.write_all(b",").await.unwrap();
     terminal.until(&["PAUSED", "paused"]).await;
     terminal.user.write_all(b"l").await.unwrap();

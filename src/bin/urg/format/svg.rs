@@ -6,6 +6,7 @@ use std::fmt::{self, Write};
 use tokio_scip::{Point, Scan, Version};
 
 use super::time;
+use crate::plot::colours::{self, DISTANCES};
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 use crate::plot::{self, Anchor, Place, REACH, Sector};
@@ -30,10 +31,10 @@ text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1p
 .small { font-size: 2.7px; fill: #555 }
 .sector { fill: #f6f7f9; stroke: #8a929c; stroke-width: 0.25 }
 .ring { fill: none; stroke: #aab2bb; stroke-width: 0.2 }
-.seen { fill: #d7e6f5; stroke: none }
-.points { fill: #0b4f8a; stroke: none }
+.seen { fill: #e6ebf1; stroke: none }
 .track { fill: none; stroke-width: 1.1 }
-.sensor { fill: #222 }";
+.sensor { fill: #222 }
+.nearest { fill: none; stroke: #222; stroke-width: 0.3 }";
 
 /// Returns the whole picture, with the name of the sensor.
 pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
@@ -85,6 +86,9 @@ impl Paper {
         writeln!(out, "<style>\n{STYLE}")?;
         for kind in MissingKind::ALL {
             writeln!(out, ".{} {{ stroke: {} }}", kind.name(), kind.colours().on_light)?;
+        }
+        for (band, colours) in DISTANCES.iter().enumerate() {
+            writeln!(out, ".d{band} {{ fill: {} }}", colours.on_light)?;
         }
         writeln!(out, "</style>")?;
         writeln!(out, r##"<rect width="100%" height="100%" fill="#fff"/>"##)?;
@@ -173,14 +177,25 @@ impl Paper {
         writeln!(out, r#"<path class="seen" d="{seen}"/>"#)
     }
 
+    /// Draws the points, the sensor, and a ring around the nearest point.
     fn points(&self, out: &mut String, scan: &Scan) -> fmt::Result {
-        writeln!(out, r#"<g class="points">"#)?;
         for point in scan.points() {
             let (x, y) = self.at(plot::place(point.range.into(), point.angle.into()));
-            writeln!(out, r#"<circle cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
+            let band = colours::band(point.range.into());
+            writeln!(out, r#"<circle class="d{band}" cx="{x:.2}" cy="{y:.2}" r="0.45"/>"#)?;
         }
-        writeln!(out, "</g>")?;
-        writeln!(out, r#"<circle class="sensor" cx="{:.2}" cy="{:.2}" r="1"/>"#, self.x, self.y)
+        let (x, y) = (self.x, self.y);
+        let arrow = "M0 -1.9L1.4 1.4H-1.4Z";
+        writeln!(
+            out,
+            r#"<path class="sensor" transform="translate({x:.2} {y:.2})" d="{arrow}"/>"#
+        )?;
+        let Some(nearest) = plot::summary::nearest(scan) else { return Ok(()) };
+        let (x, y) = self.at(plot::place(nearest.range.into(), nearest.angle.into()));
+        writeln!(out, r#"<circle class="nearest" cx="{x:.2}" cy="{y:.2}" r="1.8"/>"#)?;
+        // On the side away from the sensor.
+        let (anchor, aside) = if x < self.x { (Anchor::End, -2.6) } else { (Anchor::Start, 2.6) };
+        label(out, "what", anchor, (x + aside, y), &format!("{:.2} m", nearest.range))
     }
 
     /// Draws a track outside of the sector for each kind of missing distance, so
@@ -223,7 +238,10 @@ impl Paper {
         if let (Some(near), Some(far)) = (summary.nearest, summary.farthest) {
             let _ = write!(text, ", nearest {}, farthest {}", place_name(near), place_name(far));
         }
-        row(out, r#"<circle class="points" cx="2" r="0.7"/>"#, &text)?;
+        let bars = (0..DISTANCES.len()).map(|band| {
+            format!(r#"<path class="d{band}" d="M{} -0.55h0.5v1.1h-0.5Z"/>"#, band as f64 * 0.5)
+        });
+        row(out, &bars.collect::<String>(), &text)?;
         for (kind, track) in MissingKind::ALL.into_iter().zip(["outer", "middle", "inner"]) {
             let mut text = format!("{} {}: {}", summary.count(kind), kind.name(), kind.meaning());
             for (n, (measurement, points)) in summary.missing_of(kind).enumerate() {
@@ -237,8 +255,8 @@ impl Paper {
         }
         y += 1.0;
         let about = concat!(
-            "Seen from above, the sensor's front up; ranges in metres, ",
-            "angles counter-clockwise from the front. Drawn by urg ",
+            "Seen from above, the sensor's front up; angles counter-clockwise from the front. ",
+            "A colour for each half metre up to 4 m. Drawn by urg ",
             env!("CARGO_PKG_VERSION"),
             "."
         );

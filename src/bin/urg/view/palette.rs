@@ -4,29 +4,23 @@ use std::ffi::OsString;
 
 use ratatui::style::{Color, Modifier, Style};
 
-use crate::plot::colours;
+use crate::plot::colours::{self, DISTANCES};
 use crate::plot::missing::MissingKind;
 
-/// Near to far, a colour each half metre, none of them too bright or too dark
-/// for a terminal's background.
-const MANY: [u8; 9] = [196, 202, 208, 178, 112, 35, 37, 33, 63];
-const SIXTEEN: [Color; 9] = [
-    Color::Red,
+/// The colours of distances of a terminal that has few.
+const SIXTEEN: [Color; DISTANCES.len()] = [
     Color::LightRed,
     Color::Yellow,
     Color::Yellow,
     Color::Green,
-    Color::Green,
     Color::Cyan,
     Color::Cyan,
     Color::LightBlue,
+    Color::Magenta,
 ];
 
 const SIXTEEN_SENSORS: [Color; 6] =
     [Color::LightBlue, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::Cyan];
-
-/// Metres that share a colour.
-pub(crate) const BAND: f64 = 0.5;
 
 /// The colours that a terminal has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -51,20 +45,17 @@ impl Palette {
         }
     }
 
-    /// The colours near to far, [`BAND`] metres each.
-    pub(crate) fn distances(self) -> [Color; 9] {
+    /// The colours near to far.
+    pub(crate) fn distances(self) -> [Color; DISTANCES.len()] {
         match self {
-            Self::Plain => [Color::Reset; 9],
+            Self::Plain => [Color::Reset; DISTANCES.len()],
             Self::Sixteen => SIXTEEN,
-            Self::Many => MANY.map(Color::Indexed),
+            Self::Many => DISTANCES.map(|one| Color::Indexed(one.indexed)),
         }
     }
 
     pub(crate) fn distance(self, metres: f64) -> Color {
-        // A float becomes the nearest index there is.
-        let band = (metres / BAND) as usize;
-        let colors = self.distances();
-        colors.get(band).or(colors.last()).copied().unwrap_or_default()
+        self.distances().get(colours::band(metres)).copied().unwrap_or_default()
     }
 
     /// Returns the colour of the sensor of this number, counted from 0, among several.
@@ -150,8 +141,8 @@ mod tests {
     fn every_distance_has_a_colour_and_near_ones_differ_from_far_ones() {
         for palette in [Palette::Sixteen, Palette::Many] {
             assert_ne!(palette.distance(0.02), palette.distance(4.0));
-            assert_eq!(palette.distance(4.094), palette.distances()[8]);
-            assert_eq!(palette.distance(99.0), palette.distances()[8]);
+            assert_eq!(palette.distance(4.094), palette.distances()[7]);
+            assert_eq!(palette.distance(99.0), palette.distances()[7]);
         }
         assert_eq!(Palette::Plain.distance(0.1), Color::Reset);
     }

@@ -6,11 +6,12 @@ use tokio_scip::{Point, Scan, State};
 
 use super::layer::Layer;
 use super::model::Model;
-use super::palette::{BAND, Palette};
+use super::palette::Palette;
 use super::radar::mark;
 use crate::format::time::{self, clock};
 use crate::playback::PlaybackStatus;
 use crate::plot;
+use crate::plot::colours::BAND;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
 use crate::stream::link;
@@ -126,7 +127,7 @@ impl Panel<'_> {
     fn playback(&self, status: PlaybackStatus) -> Vec<Line<'static>> {
         let (state, style) = match status {
             _ if status.paused => ("paused", self.palette.poor()),
-            _ if status.ended => ("at its end", self.palette.poor()),
+            _ if status.ended => ("at the end", self.palette.poor()),
             _ => ("playing", self.palette.good()),
         };
         let mut lines = vec![

@@ -240,10 +240,10 @@ by("pause").onclick = pause;
 // The legend of distances.
 function legend() {
   const context = by("scale").getContext("2d");
-  const width = context.canvas.width;
-  for (let x = 0; x < width; x++) {
-    context.fillStyle = radar.colour(x / width * REACH);
-    context.fillRect(x, 0, 1, 10);
+  const width = context.canvas.width / BANDS;
+  for (let n = 0; n < BANDS; n++) {
+    context.fillStyle = radar.palette[n];
+    context.fillRect(n * width, 0, width, 10);
   }
 }
 legend();

@@ -8,7 +8,8 @@ use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 use tokio_scip::{ErrorCode, Measurement};
 
-use crate::plot::colours::{Colours, SENSORS};
+use crate::plot::REACH;
+use crate::plot::colours::{BAND, Colours, DISTANCES, SENSORS};
 use crate::plot::missing::MissingKind;
 
 const HTML: &str = include_str!("page.html");
@@ -31,9 +32,11 @@ pub(super) async fn page() -> Response {
          frame-ancestors 'none'; require-trusted-types-for 'script'"
     );
     let script = format!(
-        "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n{}",
+        "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n\
+         const REACH = {REACH};\nconst BAND = {BAND};\nconst BANDS = {};\n{}",
         codes(),
         kinds(),
+        DISTANCES.len(),
         SCRIPTS.concat()
     );
     let style = STYLE
@@ -62,12 +65,14 @@ fn kinds() -> Value {
     json!(MissingKind::ALL.map(|kind| [kind.name(), kind.meaning()]))
 }
 
-/// Returns the colours of kinds and of sensors as variables for the style sheet.
+/// Returns the colours of kinds, sensors and distances as variables for the style sheet.
 fn colours(of: impl Fn(Colours) -> &'static str) -> String {
     let kinds = MissingKind::ALL.map(|kind| (kind.name().to_owned(), kind.colours()));
-    let sensors = SENSORS.iter().enumerate();
-    let sensors = sensors.map(|(number, colours)| (format!("s{number}"), *colours));
-    let all = kinds.into_iter().chain(sensors);
+    let numbered = |prefix, list: &[Colours]| -> Vec<_> {
+        let name = |(number, colours): (_, &_)| (format!("{prefix}{number}"), *colours);
+        list.iter().enumerate().map(name).collect()
+    };
+    let all = kinds.into_iter().chain(numbered('s', &SENSORS)).chain(numbered('d', &DISTANCES));
     all.map(|(name, colours)| format!("--{name}: {}; ", of(colours))).collect()
 }
 
@@ -91,5 +96,6 @@ mod tests {
         let dark = colours(|colours| colours.on_dark);
         assert!(dark.starts_with("--far: #6ea8ff; --weak: "), "{dark}");
         assert!(dark.contains("--s0: #6cc5ff; --s1: #ffb057; "), "{dark}");
+        assert!(dark.ends_with("--d7: #adb5ff; "), "{dark}");
     }
 }

@@ -3,14 +3,14 @@
 // is a sensor: its scan, its trail, its place in the common frame (metres, radians),
 // and its colour if there are several.
 
-// How far a sensor's sector goes, in metres.
-const REACH = 4;
+// The server defines how far a sensor's sector goes (REACH), the metres that share a
+// colour (BAND), and the number of colours (BANDS).
+
 // Directions without a distance are marked outside of it, a track of so many pixels
 // for each kind.
 const TRACK = 6;
 const TRACKS = { none: 3, weak: 10, far: 17 };
 const LABELS = 36;
-const COLOURS = 64;
 
 const degrees = (radians) => radians * 180 / Math.PI;
 
@@ -49,12 +49,11 @@ class Radar {
     this.theme = Object.fromEntries(
       ["ground", "sector", "ring", "text", "soft", "focus", "far", "weak", "none", "s0", "s1", "s2", "s3", "s4", "s5"]
         .map((name) => [name, value(name)]));
-    this.palette = Array.from({ length: COLOURS }, (_, n) =>
-      `oklch(${value("light")} ${value("chroma")} ${45 + 250 * n / (COLOURS - 1)})`);
+    this.palette = Array.from({ length: BANDS }, (_, n) => value(`d${n}`));
   }
 
   colour(metres) {
-    return this.palette[Math.min(COLOURS - 1, Math.floor(metres / REACH * COLOURS))];
+    return this.palette[Math.min(BANDS - 1, Math.floor(metres / BAND))];
   }
 
   get several() { return this.layers.length > 1; }
@@ -185,7 +184,7 @@ class Radar {
       context.beginPath(); context.moveTo(...this.place(layer, 0, 0, view));
       this.arc(view, layer, REACH, from, to); context.fill();
     }
-    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 36) ?? 4;
+    const step = [0.05, 0.1, 0.2, 0.5, 1, 2].find((step) => step * view.scale >= 48) ?? 4;
     if (this.several) return this.commonGrid(view, step);
     const layer = this.layers[0] ?? { pose: { x: 0, y: 0, yaw: 0 } };
     const { from, to } = this.sector(layer);
@@ -194,21 +193,31 @@ class Radar {
     context.beginPath();
     const origin = this.place(layer, 0, 0, view);
     for (const angle of [from, to]) { context.moveTo(...origin); context.lineTo(...this.place(layer, angle, REACH, view)); }
-    const marks = [];
-    for (let d = -120; d <= 120; d += 30) if (d >= degrees(from) - 1 && d <= degrees(to) + 1) marks.push(d);
+    const marks = this.directions(from, to);
     for (const d of marks) {
       const angle = d * Math.PI / 180;
-      if (Math.abs(d) === 120) continue;
       context.moveTo(...this.place(layer, angle, 0.15, view)); context.lineTo(...this.place(layer, angle, REACH, view));
     }
     context.stroke();
-    const rings = Array.from({ length: Math.round(REACH / step) }, (_, n) => (n + 1) * step);
-    for (const ring of rings) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
+    const rings = Array.from({ length: Math.floor(REACH / step + 1e-9) }, (_, n) => (n + 1) * step);
+    for (const ring of [...rings, REACH]) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
 
     const rim = REACH + LABELS / view.scale;
-    for (const d of marks) this.label(`${d > 0 ? "+" : ""}${d}°`.replace("-", "−"), ...this.place(layer, d * Math.PI / 180, rim, view));
-    const along = Math.min(Math.max(0, from), to);
-    for (const ring of rings) this.label(`${Number(ring.toFixed(2))} m`, ...this.place(layer, along, ring, view));
+    for (const d of marks) this.label(`${d}°`.replace("-", "−"), ...this.place(layer, d * Math.PI / 180, rim, view));
+    // Beside the right edge, where nothing is measured.
+    const outside = from + layer.pose.yaw - Math.PI / 2;
+    for (const ring of rings) {
+      const [x, y] = this.place(layer, from, ring, view);
+      this.label(`${Number(ring.toFixed(2))} m`, x - Math.sin(outside) * 22, y - Math.cos(outside) * 14);
+    }
+  }
+
+  // Directions that are worth a name: each 30 degrees, or closer in a sector with less
+  // than two of them.
+  directions(from, to) {
+    const each = (step) => Array.from({ length: 2 * Math.floor(180 / step) + 1 }, (_, n) => (n - Math.floor(180 / step)) * step)
+      .filter((d) => d >= degrees(from) && d <= degrees(to));
+    return [30, 10, 5].map(each).find((found) => found.length > 1) ?? each(1);
   }
 
   // Rings around the common origin, and the outline of each sensor's sector.

@@ -136,6 +136,7 @@ class Sensor {
       ["Line", baud ? `${baud} baud` : link === "connected" ? "no baud rate (USB)" : null],
       ["Window", `steps ${window.start} to ${window.end}` + (window.cluster > 1 ? `, by ${window.cluster}` : "")],
       ["Scans", stats?.scans ?? playback?.scans],
+      ["Recorded", playback && this.scan ? `${new Date(this.scan.stamp * 1000).toISOString().replace("T", " ").slice(0, 19)} UTC` : null],
       ["Not answered", stats?.timeouts],
       ["Malformed", stats ? malformed : null],
       ["Refused", stats?.refused],
