@@ -258,12 +258,14 @@ class Radar {
     const { context } = this;
     const size = Math.min(Math.max(view.scale / 28, 1.6), 4) * part;
     context.globalAlpha = alpha;
-    if (layer.colour) context.fillStyle = this.theme[layer.colour];
+    // Points of the past have no colour, as in the terminal.
+    const own = layer.stale ? this.theme.none : layer.colour ? this.theme[layer.colour] : null;
+    if (own) context.fillStyle = own;
     scan.values.forEach((value, index) => {
       const { kind, distance } = meaning(value);
       if (kind !== "distance") return;
       const [x, y] = this.place(layer, angleOf(scan, index), distance, view);
-      if (!layer.colour) context.fillStyle = this.colour(distance);
+      if (!own) context.fillStyle = this.colour(distance);
       context.beginPath(); context.arc(x, y, size, 0, 2 * Math.PI); context.fill();
     });
   }
