@@ -265,7 +265,8 @@ impl RecordTotals {
     /// Returns a line of text.
     fn after(self, elapsed: Duration) -> String {
         let Self { scans, bytes, files, lost, lost_replies, failed, disconnects } = self;
-        let mut text = format!("{scans} scans in {}, ", clock(elapsed.as_secs_f64()));
+        let noun = if scans == 1 { "scan" } else { "scans" };
+        let mut text = format!("{scans} {noun} in {}, ", clock(elapsed.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
             _ => format!("{:.1} MB", bytes as f64 / 1e6),
