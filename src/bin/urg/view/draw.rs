@@ -159,7 +159,12 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
         height,
     };
     let scroll = scroll.min((rows + 2).saturating_sub(height));
-    let lines: Vec<_> = lines.into_iter().map(Line::raw).collect();
+    let is_title = |line: &str| line.ends_with(':');
+    let lines = lines.into_iter().map(|line| match is_title(&line) {
+        true => Line::styled(line, Style::new().add_modifier(Modifier::BOLD)),
+        false => Line::raw(line),
+    });
+    let lines: Vec<_> = lines.collect();
     frame.render_widget(Clear, area);
     frame.render_widget(Paragraph::new(lines).scroll((scroll, 0)).block(block), area);
 }

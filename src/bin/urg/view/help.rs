@@ -47,6 +47,9 @@ pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
 const PICTURE: &str = "\
 + -      zoom in and out; 0 shows all
 t        show the last ten scans behind this one
+";
+
+const QUIT: &str = "\
 q        quit, as does Ctrl-C
 ";
 
@@ -67,9 +70,8 @@ const RECORDING: &str = "\
 space    pause and play; at the end play again
 ← →      5 s back and on, with Shift a minute
 , .      one scan back and on
-[ ]      half and twice the speed
 Home End the first and the last scan
-o        begin again at the end, or not
+[ ]      half and twice the speed; o loops, or not
 ";
 
 const WINDOW: &str = "\
@@ -110,14 +112,14 @@ impl Subject {
 pub(super) fn text(subject: Subject) -> String {
     let mut text = match subject {
         Subject::Sensor => {
-            format!("The picture:\n{PICTURE}{PAUSE}The sensor:\n{WINDOW}{SENSOR}{COLOURS}")
+            format!("The picture:\n{PICTURE}{PAUSE}{QUIT}The sensor:\n{WINDOW}{SENSOR}{COLOURS}")
         }
         Subject::Several => format!(
-            "The picture, of all sensors:\n{PICTURE}{PAUSE}\
+            "The picture, of all sensors:\n{PICTURE}{PAUSE}{QUIT}\
              The selected sensor:\n{SELECTION}{WINDOW}{SENSOR}{OWN_COLOURS}"
         ),
         Subject::Recording => {
-            format!("The picture:\n{PICTURE}{WINDOW}The recording:\n{RECORDING}{COLOURS}")
+            format!("The picture:\n{PICTURE}{WINDOW}{QUIT}The recording:\n{RECORDING}{COLOURS}")
         }
     };
     text.push_str("At the rim, directions without a distance:");

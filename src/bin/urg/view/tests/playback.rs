@@ -63,7 +63,10 @@ async fn the_keys_of_a_playback_move_it_and_those_of_the_picture_stay() {
     assert!(matches!(press(&mut model, KeyCode::Char('w')), Some(Action::Watch(_))));
     press(&mut model, KeyCode::Char('?'));
     let help = screen(&model, 80, 24);
-    assert!(help.contains("5 s back and on") && !help.contains("laser"), "{help}");
+    for part in ["The picture:", "The recording:", "5 s back and on", "x none"] {
+        assert!(help.contains(part), "{part:?} is missing in\n{help}");
+    }
+    assert!(!help.contains("laser"), "{help}");
     assert_eq!(press(&mut model, KeyCode::Right), None, "it closes the help");
 }
 
