@@ -72,9 +72,15 @@ impl Layer {
         self.pace().map(|pace| pace.reached).filter(|rate| *rate > 0.0)
     }
 
-    /// Returns whether scans can come now.
+    /// Returns whether the link to the sensor works.
     pub(crate) fn is_connected(&self) -> bool {
         matches!(self.state, State::Connected { .. })
+    }
+
+    /// Returns whether scans of now are shown: the sensor is connected, and its laser was
+    /// not switched off here.
+    pub(crate) fn is_measuring(&self) -> bool {
+        self.is_connected() && self.laser
     }
 
     /// Returns its name, or else its port.

@@ -216,7 +216,7 @@ impl Model {
     /// Returns whether a layer shows what it is to show: the present, or a place in a
     /// recording.
     pub(crate) fn is_live(&self, layer: &Layer) -> bool {
-        self.playback.is_some() || (layer.is_connected() && layer.laser && !self.paused)
+        self.playback.is_some() || (layer.is_measuring() && !self.paused)
     }
 }
 

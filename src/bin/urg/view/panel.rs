@@ -55,7 +55,7 @@ pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Lin
 
 /// Dims a line of figures unless they are those of now.
 pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
-    if model.playback.is_some() || layer.is_connected() {
+    if model.playback.is_some() || layer.is_measuring() {
         return line;
     }
     let spans = line.spans.into_iter().map(|span| Span::styled(span.content, Palette::quiet()));
@@ -66,7 +66,6 @@ pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<
 pub(crate) fn link(model: &Model, layer: &Layer, palette: Palette) -> (String, Style) {
     match &layer.state {
         State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
-        State::Connected { .. } if !layer.laser => ("laser OFF".to_owned(), palette.poor()),
         State::Connected { .. } => ("connected".to_owned(), palette.good()),
         State::Recovering => ("silent".to_owned(), palette.poor()),
         State::Disconnected { since, .. } => {

@@ -50,7 +50,7 @@ fn sensor(
     palette: Palette,
     most: usize,
 ) -> Vec<Line<'static>> {
-    let (state, style) = panel::link(model, layer, palette);
+    let (state, style) = state(layer, model, palette);
     let name: String = layer.label().chars().take(MAX_NAME_CHARS).collect();
     let name = format!(" {} {name} ", sign(number));
     let first = vec![
@@ -65,6 +65,14 @@ fn sensor(
     ];
     lines.truncate(most);
     lines
+}
+
+/// Returns the state of a sensor: that of its link, or of its laser.
+fn state(layer: &Layer, model: &Model, palette: Palette) -> (String, Style) {
+    if layer.is_connected() && !layer.laser {
+        return ("laser OFF".to_owned(), palette.poor());
+    }
+    panel::link(model, layer, palette)
 }
 
 /// Returns the style of a sensor's name and number. The selected one is reversed.
@@ -103,8 +111,8 @@ pub(super) fn brief(model: &Model, palette: Palette, width: u16) -> Line<'static
 }
 
 fn status(layer: &Layer, model: &Model, palette: Palette, form: Brief) -> (String, Style) {
-    let (state, style) = panel::link(model, layer, palette);
-    let is_well = layer.is_connected() && layer.laser;
+    let (state, style) = state(layer, model, palette);
+    let is_well = layer.is_measuring();
     let style = if is_well { Style::new() } else { style };
     let text = match (&layer.state, form) {
         _ if is_well => match (panel::nearest_range(layer), form) {
