@@ -56,7 +56,9 @@ pub(crate) struct Viewer {
     sources: Vec<Source>,
     /// The number of sources that have not ended.
     going: usize,
-    /// The requests of keys that are not done yet, and sensors that are not open yet.
+    /// The sensors that are not open yet.
+    starts: JoinSet<Started>,
+    /// The requests of keys that are not done yet.
     jobs: JoinSet<Outcome>,
     model: Model,
     palette: Palette,
@@ -70,11 +72,12 @@ pub(crate) struct ViewedSensor {
     pub(crate) rate: Rate,
 }
 
-/// The outcome of a request of a key or of opening a sensor. The numbers are those of
-/// sources.
+/// The outcome of opening the sensor of this number.
+type Started = (usize, Result<(Version, ScanStream), Error>);
+
+/// The outcome of a request of a key. The numbers are those of sources.
 #[derive(Debug)]
 enum Outcome {
-    Started(usize, Result<(Version, ScanStream), Error>),
     Watching(usize, Window, Result<ScanStream, Error>),
     Laser(usize, bool, Result<(), Error>),
     Saved(Result<String, String>),
@@ -83,18 +86,18 @@ enum Outcome {
 impl Viewer {
     /// Begins to poll each sensor once it is open.
     pub(crate) fn of_sensors(sensors: Vec<ViewedSensor>) -> Self {
-        let (mut sources, mut layers, mut jobs) = (Vec::new(), Vec::new(), JoinSet::new());
+        let (mut sources, mut layers, mut starts) = (Vec::new(), Vec::new(), JoinSet::new());
         for (number, viewed) in sensors.into_iter().enumerate() {
             let ViewedSensor { placed: PlacedPort { named, pose }, sensor, window, rate } = viewed;
             let port = named.port;
             let layer = Layer::new(named.name, pose, port.to_string(), window);
             layers.push(Layer { rate, ..layer });
             let started = source::start(sensor.clone(), window, rate);
-            jobs.spawn(async move { Outcome::Started(number, started.await) });
+            starts.spawn(async move { (number, started.await) });
             let pace = RateWatch::new(&port, window, rate);
             sources.push(Source::Sensor(Box::new(Live { port, sensor, scans: None, pace })));
         }
-        Self::new(sources, jobs, Model::new(layers))
+        Self { starts, ..Self::new(sources, Model::new(layers)) }
     }
 
     /// Begins to play.
@@ -109,18 +112,19 @@ impl Viewer {
         let layer = Layer::new(name, placed.pose, port, window);
         let mut model = Model::new(vec![Layer { version: Some(version), ..layer }]);
         model.playback = Some(playback.player.status());
-        Ok(Self::new(vec![Source::Playback(playback)], JoinSet::new(), model))
+        Ok(Self::new(vec![Source::Playback(playback)], model))
     }
 
-    fn new(sources: Vec<Source>, jobs: JoinSet<Outcome>, model: Model) -> Self {
+    fn new(sources: Vec<Source>, model: Model) -> Self {
         let palette = Palette::of(|name| std::env::var_os(name));
-        Self { going: sources.len(), sources, jobs, model, palette }
+        let (starts, jobs) = (JoinSet::new(), JoinSet::new());
+        Self { going: sources.len(), sources, starts, jobs, model, palette }
     }
 
     /// Shows it until the user has seen enough, or all sensors are lost for good.
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<Ended, Failure> {
         let mut keys = EventStream::new();
-        let mut states: Vec<_> = self.sensors().map(|(_, live)| live.sensor.state()).collect();
+        let mut states: Vec<_> = self.sensors().map(|live| live.sensor.state()).collect();
         let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
@@ -155,9 +159,14 @@ impl Viewer {
                     Arrival::Moved(scan, status) => self.model.moved(&scan, status),
                     Arrival::End => self.going = self.going.saturating_sub(1),
                 },
+                Some(started) = self.starts.join_next() => {
+                    if let Ok(started) = started {
+                        self.started(started)?;
+                    }
+                }
                 Some(done) = self.jobs.join_next() => {
                     if let Ok(done) = done {
-                        self.done(done)?;
+                        self.done(done);
                     }
                 }
                 () = change_of_any(&mut states) => {}
@@ -174,7 +183,7 @@ impl Viewer {
     /// failed is its failure. It writes notices, so the terminal must be restored
     /// before.
     pub(crate) fn end(&self) -> Result<(), Failure> {
-        self.sensors().try_for_each(|(_, live)| end(&live.port, &live.sensor))
+        self.sensors().try_for_each(|live| end(&live.port, &live.sensor))
     }
 
     /// Waits a limited time for the last requests, so that no picture is cut off.
@@ -194,10 +203,9 @@ impl Viewer {
         }
     }
 
-    /// Returns the sensors, each with its number.
-    fn sensors(&self) -> impl Iterator<Item = (usize, &Live)> {
-        self.sources.iter().enumerate().filter_map(|(number, source)| match source {
-            Source::Sensor(live) => Some((number, &**live)),
+    fn sensors(&self) -> impl Iterator<Item = &Live> {
+        self.sources.iter().filter_map(|source| match source {
+            Source::Sensor(live) => Some(&**live),
             Source::Playback(_) => None,
         })
     }
@@ -281,11 +289,9 @@ impl Viewer {
         }
     }
 
-    /// Takes what a job has brought. Fails if it was the only sensor's start, and that
-    /// has failed.
-    fn done(&mut self, done: Outcome) -> Result<(), Failure> {
+    /// Takes what a request has brought.
+    fn done(&mut self, done: Outcome) {
         match done {
-            Outcome::Started(number, outcome) => return self.started(number, outcome),
             Outcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
             Outcome::Laser(number, on, Ok(())) => {
                 if let Some((live, layer)) = self.sensor_mut(number) {
@@ -304,15 +310,11 @@ impl Viewer {
             }
             Outcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
         }
-        Ok(())
     }
 
-    /// Takes the first stream of a sensor. A sensor that cannot be polled ends.
-    fn started(
-        &mut self,
-        number: usize,
-        outcome: Result<(Version, ScanStream), Error>,
-    ) -> Result<(), Failure> {
+    /// Takes the first stream of a sensor. One that cannot be polled has ended; if it was
+    /// the last one, that is a failure.
+    fn started(&mut self, (number, outcome): Started) -> Result<(), Failure> {
         let Some((live, layer)) = self.sensor_mut(number) else { return Ok(()) };
         match outcome {
             Ok((version, scans)) => {

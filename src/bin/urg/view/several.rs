@@ -110,15 +110,14 @@ pub(super) fn brief(model: &Model, palette: Palette, width: u16) -> Line<'static
     lines.iter().find(fits).or(lines.last()).cloned().unwrap_or_default()
 }
 
+/// Returns the part of a sensor in the line of a narrow screen.
 fn status(layer: &Layer, model: &Model, palette: Palette, form: Brief) -> (String, Style) {
     let (state, style) = state(layer, model, palette);
     let is_well = layer.is_measuring();
     let style = if is_well { Style::new() } else { style };
     let text = match (&layer.state, form) {
-        _ if is_well => match (panel::nearest_range(layer), form) {
-            (Some(nearest), Brief::NameAndNearest | Brief::Nearest) => nearest,
-            _ => "ok".to_owned(),
-        },
+        (_, Brief::State) if is_well => "ok".to_owned(),
+        _ if is_well => panel::nearest_range(layer).unwrap_or_else(|| "ok".to_owned()),
         (State::Disconnected { .. }, Brief::State) => "LOST".to_owned(),
         (State::Disconnected { .. }, _) => state.replace("for ", ""),
         (State::Connecting { .. }, Brief::State) => "?".to_owned(),
