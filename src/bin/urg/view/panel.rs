@@ -194,8 +194,8 @@ impl Panel<'_> {
     fn losses(&self) -> Line<'static> {
         let stats = &self.layer.stats;
         let kinds = [
-            (stats.timeouts, "late"),
-            (stats.malformed.total(), "damaged"),
+            (stats.timeouts, "unanswered"),
+            (stats.malformed.total(), "malformed"),
             (stats.refused, "refused"),
             (stats.disconnects, "unplugged"),
         ];

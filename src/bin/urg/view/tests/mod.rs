@@ -361,6 +361,13 @@ async fn a_lost_link_is_said_as_long_as_it_lasts() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn polls_without_a_scan_are_counted_by_cause() {
+    let mut model = watched(Emulator::builder().usb().build()).await;
+    (model.layers[0].stats.timeouts, model.layers[0].stats.refused) = (3, 1);
+    assert!(screen(&model, 80, 24).contains("lost    3 unanswered, 1 re"));
+}
+
+#[tokio::test(start_paused = true)]
 async fn messages_are_shown_whole_and_go_by_themselves() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let text = "so much to say ".repeat(12) + "and the end";
