@@ -47,7 +47,8 @@ pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Lin
     let title = format!("of {}:", layer.label());
     let mut lines = vec![Line::styled(title, Palette::quiet()), panel.laser()];
     lines.extend(panel.window());
-    let mut figures = vec![panel.latency(), panel.losses()];
+    let mut figures = vec![panel.latency()];
+    figures.extend(panel.losses());
     figures.extend(panel.missing());
     lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
     lines
@@ -158,7 +159,9 @@ impl Panel<'_> {
 
     fn pace(&self) -> Vec<Line<'static>> {
         let scans = self.layer.stats.scans.to_string();
-        vec![self.rate(), self.latency(), self.row("scans", scans), self.losses()]
+        let mut lines = vec![self.rate(), self.latency(), self.row("scans", scans)];
+        lines.extend(self.losses());
+        lines
     }
 
     fn rate(&self) -> Line<'static> {
@@ -190,8 +193,8 @@ impl Panel<'_> {
         self.row("latency", text)
     }
 
-    /// Returns the polls without a scan, by cause.
-    fn losses(&self) -> Line<'static> {
+    /// Returns the polls without a scan, a row for each cause: two are too long for one.
+    fn losses(&self) -> Vec<Line<'static>> {
         let stats = &self.layer.stats;
         let kinds = [
             (stats.timeouts, "unanswered"),
@@ -199,16 +202,13 @@ impl Panel<'_> {
             (stats.refused, "refused"),
             (stats.disconnects, "unplugged"),
         ];
-        let lost: u64 = kinds.iter().map(|(count, _)| count).sum();
-        if lost == 0 {
-            return self.row("lost", "0");
-        }
-        let parts: Vec<_> = kinds
-            .iter()
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, name)| format!("{count} {name}"))
-            .collect();
-        self.styled("lost", parts.join(", "), self.palette.poor())
+        let mut name = "lost";
+        let rows = kinds.into_iter().filter(|(count, _)| *count > 0).map(|(count, kind)| {
+            let text = format!("{count} {kind}");
+            self.styled(std::mem::take(&mut name), text, self.palette.poor())
+        });
+        let rows: Vec<_> = rows.collect();
+        if rows.is_empty() { vec![self.row("lost", "0")] } else { rows }
     }
 
     /// Returns the figures of the scan, of which `reach` metres are shown.

@@ -364,7 +364,10 @@ async fn a_lost_link_is_said_as_long_as_it_lasts() {
 async fn polls_without_a_scan_are_counted_by_cause() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     (model.layers[0].stats.timeouts, model.layers[0].stats.refused) = (3, 1);
-    assert!(screen(&model, 80, 24).contains("lost    3 unanswered, 1 re"));
+    let screen = screen(&model, 80, 24);
+    for part in ["lost    3 unanswered", "        1 refused", "4 m"] {
+        assert!(screen.contains(part), "{part:?} is missing in\n{screen}");
+    }
 }
 
 #[tokio::test(start_paused = true)]
