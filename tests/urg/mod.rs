@@ -19,6 +19,8 @@ mod screen;
 mod served;
 #[cfg(feature = "web")]
 mod several;
+#[cfg(feature = "web")]
+mod slow_clients;
 mod usage;
 #[cfg(feature = "web")]
 mod web;

@@ -161,6 +161,14 @@ impl Running {
         assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
     }
 
+    /// Returns the memory that it has allocated and used, without its code (Linux).
+    #[cfg(feature = "web")]
+    pub(crate) fn memory_kib(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
+        let size = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
+        size.split_whitespace().next()?.parse().ok()
+    }
+
     /// Waits for the program's end, and returns the rest of standard error.
     pub(crate) fn end(mut self) -> (ExitStatus, Vec<String>) {
         // Standard error ends with the program.

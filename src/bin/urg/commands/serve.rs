@@ -22,6 +22,10 @@ use crate::web::{self, Hub, Source};
 /// The system's send buffer for each client, some ten scans: a slow client gets
 /// those of the past that are in it.
 const SEND_BUFFER_BYTES: u32 = 64 * 1024;
+/// The number of connections that the system keeps until they are accepted. A client
+/// that finds no room tries again after 1 s, then after 3 s: in a burst of connections
+/// that is the time of `/health`.
+const BACKLOG: u32 = 1024;
 
 /// Show a live page to any browser, and scans to programs
 ///
@@ -199,5 +203,5 @@ fn bind(address: SocketAddr) -> io::Result<TcpListener> {
     // Connections inherit it.
     socket.set_send_buffer_size(SEND_BUFFER_BYTES)?;
     socket.bind(address)?;
-    socket.listen(128)
+    socket.listen(BACKLOG)
 }

@@ -3,7 +3,9 @@
 
 mod app;
 mod guard;
+mod head;
 mod hub;
+mod line;
 mod metrics;
 mod page;
 mod playback;

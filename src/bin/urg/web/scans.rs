@@ -8,13 +8,15 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
 use futures_util::StreamExt;
 use futures_util::stream::{self, BoxStream, SelectAll};
 
 use super::app::App;
+use super::line::ViewerLine;
 use super::server::Connection;
-use super::source::{Source, SourceLine};
-use super::viewers::Seat;
+use super::source::Source;
+use super::viewers::Place;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
@@ -32,14 +34,18 @@ pub(super) async fn scans(
         let text = "invalid query: expected /scans?max=N, with a number of scans from 1\n";
         return (StatusCode::BAD_REQUEST, text).into_response();
     };
-    let Some(seat) = app.viewers.admit(connection) else {
+    let Some(seat) = app.viewers.admit(&connection) else {
         let text = "too many viewers: try again when one has left\n";
         return (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], text)
             .into_response();
     };
+    // A viewer that had to make room is dropped now, before the next request has its turn.
+    tokio::task::yield_now().await;
+    let place = Arc::clone(&seat.place);
+    connection.become_viewer(seat);
     let format = ScansFormat::accepted(&headers);
     let lines = stream::select_all(app.sources.iter().map(Source::lines));
-    let viewer = Viewer { interrupt: app.interrupt, lines, left, format, seat };
+    let viewer = Viewer { interrupt: app.interrupt, lines, left, format, place };
     // A client that is slow is not polled for: the newest scan comes next.
     let lines = stream::unfold(viewer, async |mut viewer| {
         let text = viewer.next().await?;
@@ -80,11 +86,11 @@ impl ScansFormat {
         }
     }
 
-    /// Converts a line of NDJSON, which ends in LF, to this format.
-    fn frame(self, line: String) -> String {
+    /// Returns the bytes of a line in this format.
+    fn bytes(self, line: &ViewerLine) -> Bytes {
         match self {
-            Self::Ndjson => line,
-            Self::Events => format!("data: {line}\n"),
+            Self::Ndjson => line.ndjson(),
+            Self::Events => line.event(),
         }
     }
 }
@@ -93,37 +99,37 @@ impl ScansFormat {
 struct Viewer {
     interrupt: Interrupt,
     /// Those of all sources, in turn where several have one.
-    lines: SelectAll<BoxStream<'static, Result<SourceLine, Failure>>>,
+    lines: SelectAll<BoxStream<'static, Result<ViewerLine, Failure>>>,
     /// The number of scans that are still wanted.
     left: u64,
     format: ScansFormat,
-    seat: Seat,
+    place: Arc<Place>,
 }
 
 impl Viewer {
-    /// Returns the next piece of text; `None` after the end.
-    async fn next(&mut self) -> Option<Result<String, Failure>> {
+    /// Returns the next bytes; `None` after the end.
+    async fn next(&mut self) -> Option<Result<Bytes, Failure>> {
         let (interrupt, format) = (self.interrupt.clone(), self.format);
-        self.seat.waits();
-        let text = tokio::select! {
+        self.place.waits();
+        let bytes = tokio::select! {
             biased;
             _ = interrupt.requested() => None,
-            line = self.line() => Some(line?.map(|line| format.frame(line))),
+            line = self.line() => Some(line?.map(|line| format.bytes(&line))),
             () = tokio::time::sleep(KEEPALIVE_INTERVAL), if format == ScansFormat::Events => {
-                Some(Ok(":\n\n".to_owned()))
+                Some(Ok(Bytes::from_static(b":\n\n")))
             }
         };
-        self.seat.handed();
-        text
+        self.place.handed();
+        bytes
     }
 
-    async fn line(&mut self) -> Option<Result<String, Failure>> {
+    async fn line(&mut self) -> Option<Result<ViewerLine, Failure>> {
         if self.left == 0 {
             return None;
         }
         let line = self.lines.next().await?;
         self.left -= line.as_ref().map_or(0, |line| line.is_scan.into());
-        Some(line.map(|line| line.text))
+        Some(line)
     }
 }
 

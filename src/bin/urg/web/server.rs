@@ -1,25 +1,38 @@
 //! Connections: how many there may be, how long they may take, and which one is
 //! closed to make room for a new one.
 
+use std::io::{self, Cursor};
 use std::net::IpAddr;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 use std::time::Duration;
 
-use axum::{Extension, Router};
+use axum::Router;
+use axum::extract::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper::service::{Service, service_fn};
+use hyper_util::rt::TokioIo;
 use hyper_util::service::TowerToHyperService;
+use tokio::io::AsyncReadExt;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
 
+use super::head;
+use super::viewers::Seat;
 use crate::interrupt::Interrupt;
 
 /// So many connections may be open at a time. A new one takes the place of one that
 /// serves no stream of scans.
 const MAX_CONNECTIONS: usize = 128;
-/// The longest time for the head of a request, and between two requests.
+/// So many requests are handled at a time. Each takes HTTP's buffers of 16 KiB, and the
+/// others wait without them.
+const MAX_REQUESTS: usize = 8;
+/// The longest time for a response that is no stream of scans. It fits into the system's
+/// buffer, so that it needs no client that reads.
+const RESPONSE_TIMEOUT: Duration = Duration::from_secs(10);
+/// The longest time for the head of a request, and its turn.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
 /// The size of the buffers for the head of a request, and for the part of a
 /// response that the system does not take yet.
@@ -32,23 +45,42 @@ const ACCEPT_BACKOFF: Duration = Duration::from_millis(100);
 #[derive(Debug)]
 pub(super) struct Connection {
     pub(super) address: IpAddr,
-    /// Set while it serves a stream of scans.
-    is_viewer: AtomicBool,
     closed: Notify,
+    /// Held while its request is handled.
+    turn: Mutex<Option<OwnedSemaphorePermit>>,
+    /// Set once it serves a stream of scans.
+    seat: OnceLock<Seat>,
 }
 
 impl Connection {
     fn new(address: IpAddr) -> Arc<Self> {
-        Arc::new(Self { address, is_viewer: AtomicBool::new(false), closed: Notify::new() })
+        let (turn, seat) = (Mutex::default(), OnceLock::new());
+        Arc::new(Self { address, closed: Notify::new(), turn, seat })
     }
 
-    /// Marks the connection as one that serves a stream of scans, or not.
-    pub(super) fn set_viewer(&self, is_viewer: bool) {
-        self.is_viewer.store(is_viewer, Ordering::Relaxed);
+    fn turn(&self, turn: Option<OwnedSemaphorePermit>) {
+        // Nothing panics while it is held.
+        *self.turn.lock().unwrap_or_else(PoisonError::into_inner) = turn;
+    }
+
+    /// Marks the connection as one that serves a stream of scans until it ends, and lets
+    /// the next request have its turn: viewers are limited by their seats.
+    pub(super) fn become_viewer(&self, seat: Seat) {
+        // It has none: it serves one request.
+        let _ = self.seat.set(seat);
+        self.turn(None);
     }
 
     fn is_viewer(&self) -> bool {
-        self.is_viewer.load(Ordering::Relaxed)
+        self.seat.get().is_some()
+    }
+
+    /// Waits until a response has taken too long. A stream of scans never does.
+    async fn overdue(&self) {
+        sleep(RESPONSE_TIMEOUT).await;
+        if self.is_viewer() {
+            std::future::pending().await
+        }
     }
 
     /// Closes the connection, whatever it is doing.
@@ -60,7 +92,11 @@ impl Connection {
 /// Serves until the user stops the program, and then until all connections have
 /// ended.
 pub(super) async fn serve(listener: TcpListener, router: Router, interrupt: &Interrupt) {
-    let mut connections = Connections::default();
+    let mut connections = Connections {
+        tasks: JoinSet::new(),
+        turns: Arc::new(Semaphore::new(MAX_REQUESTS)),
+        open: Vec::new(),
+    };
     loop {
         let stream = tokio::select! {
             _ = interrupt.requested() => break,
@@ -69,7 +105,7 @@ pub(super) async fn serve(listener: TcpListener, router: Router, interrupt: &Int
                 Ok((stream, _)) => stream,
                 Err(error) => {
                     tracing::warn!(%error, "cannot accept a connection");
-                    tokio::time::sleep(ACCEPT_BACKOFF).await;
+                    sleep(ACCEPT_BACKOFF).await;
                     continue;
                 }
             },
@@ -78,7 +114,9 @@ pub(super) async fn serve(listener: TcpListener, router: Router, interrupt: &Int
         if connections.make_room() {
             let connection = Connection::new(address.ip().to_canonical());
             connections.open.push(Arc::downgrade(&connection));
-            connections.tasks.spawn(run(stream, router.clone(), connection, interrupt.clone()));
+            let turns = Arc::clone(&connections.turns);
+            let (router, interrupt) = (router.clone(), interrupt.clone());
+            connections.tasks.spawn(run(stream, router, turns, connection, interrupt));
         }
     }
     drop(listener);
@@ -86,9 +124,9 @@ pub(super) async fn serve(listener: TcpListener, router: Router, interrupt: &Int
 }
 
 /// The open connections.
-#[derive(Default)]
 struct Connections {
     tasks: JoinSet<()>,
+    turns: Arc<Semaphore>,
     /// In the order in which they were opened.
     open: Vec<Weak<Connection>>,
 }
@@ -129,18 +167,67 @@ fn to_close(idle: &[Option<IpAddr>]) -> Option<usize> {
     places.rev().max_by_key(of_same_address)
 }
 
-async fn run(stream: TcpStream, router: Router, connection: Arc<Connection>, interrupt: Interrupt) {
+async fn run(
+    stream: TcpStream,
+    router: Router,
+    turns: Arc<Semaphore>,
+    connection: Arc<Connection>,
+    interrupt: Interrupt,
+) {
+    let ready = async {
+        let ready = prepare(stream, turns, &connection);
+        timeout(HEAD_TIMEOUT, ready).await.ok()?.ok()?
+    };
+    let ready = tokio::select! {
+        ready = ready => ready,
+        () = connection.closed.notified() => return,
+        _ = interrupt.requested() => return,
+    };
+    let Some((head, stream)) = ready else { return };
+    tokio::select! {
+        () = respond(head, stream, router, Arc::clone(&connection), &interrupt) => {}
+        () = connection.closed.notified() => {}
+        () = connection.overdue() => {}
+    }
+}
+
+/// Waits until a request has arrived, and it is its turn.
+async fn prepare(
+    mut stream: TcpStream,
+    turns: Arc<Semaphore>,
+    connection: &Connection,
+) -> io::Result<Option<(Vec<u8>, TcpStream)>> {
+    let Some(head) = head::read(&mut stream, BUFFER_BYTES).await? else { return Ok(None) };
+    // Nobody closes the semaphore.
+    connection.turn(turns.acquire_owned().await.ok());
+    Ok(Some((head, stream)))
+}
+
+/// Responds to one request, and closes the connection: between two requests it would hold
+/// HTTP's buffers.
+async fn respond(
+    head: Vec<u8>,
+    stream: TcpStream,
+    router: Router,
+    connection: Arc<Connection>,
+    interrupt: &Interrupt,
+) {
     // A scan is worth a packet of its own at once. Without it, all else works.
     let _ = stream.set_nodelay(true);
-    // Handlers may ask which connection a request came on.
-    let service = TowerToHyperService::new(router.layer(Extension(Arc::clone(&connection))));
+    let (reader, writer) = stream.into_split();
+    let stream = tokio::io::join(Cursor::new(head).chain(reader), writer);
+    let router = TowerToHyperService::new(router);
+    let service = service_fn(move |mut request: Request<Incoming>| {
+        // Handlers may ask which connection a request came on.
+        request.extensions_mut().insert(Arc::clone(&connection));
+        router.call(request)
+    });
     let mut http = http1::Builder::new();
-    http.timer(TokioTimer::new()).header_read_timeout(HEAD_TIMEOUT).max_buf_size(BUFFER_BYTES);
-    let served = http.serve_connection(TokioIo::new(stream), service);
-    tokio::pin!(served);
+    http.max_buf_size(BUFFER_BYTES).keep_alive(false);
+    // Boxed: the task of a client that has not sent a request stays small.
+    let mut served = Box::pin(http.serve_connection(TokioIo::new(stream), service));
     let outcome = tokio::select! {
         outcome = &mut served => outcome,
-        () = connection.closed.notified() => return,
         _ = interrupt.requested() => {
             // Streams of scans end by themselves.
             served.as_mut().graceful_shutdown();

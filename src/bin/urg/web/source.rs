@@ -10,6 +10,7 @@ use tokio::sync::watch;
 use tokio_scip::{Version, Window};
 
 use super::hub::{Health, Hub};
+use super::line::{NewestLine, ViewerLine};
 use crate::failure::Failure;
 use crate::format::json;
 use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown, seen_through};
@@ -24,6 +25,7 @@ pub(crate) struct Source {
     pub(super) name: Option<Arc<str>>,
     pub(super) pose: Pose,
     pub(super) kind: SourceKind,
+    newest: Arc<NewestLine>,
 }
 
 #[derive(Debug)]
@@ -41,13 +43,6 @@ pub(super) struct Playback {
     pub(super) player: Player,
 }
 
-/// A line for a viewer.
-#[derive(Debug)]
-pub(super) struct SourceLine {
-    pub(super) text: String,
-    pub(super) is_scan: bool,
-}
-
 /// The form of an event of a playback.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename = "playback")]
@@ -57,7 +52,7 @@ struct PlaybackEvent {
 
 impl Source {
     pub(crate) fn of_sensor(name: Option<&str>, pose: Pose, hub: Arc<Hub>) -> Self {
-        Self { name: name.map(Arc::from), pose, kind: SourceKind::Sensor(hub) }
+        Self::new(name, pose, SourceKind::Sensor(hub))
     }
 
     /// Begins to play a recording.
@@ -72,11 +67,11 @@ impl Source {
         let version = recorded.version().await?;
         let player = Player::start(recorded, settings).await?;
         let playback = Playback { port: port.clone(), window, version, player };
-        Ok(Self {
-            name: name.map(Arc::from),
-            pose,
-            kind: SourceKind::Recording(Box::new(playback)),
-        })
+        Ok(Self::new(name, pose, SourceKind::Recording(Box::new(playback))))
+    }
+
+    fn new(name: Option<&str>, pose: Pose, kind: SourceKind) -> Self {
+        Self { name: name.map(Arc::from), pose, kind, newest: Arc::default() }
     }
 
     /// Returns the sensor, unless it is a recording.
@@ -109,29 +104,33 @@ impl Source {
     }
 
     /// Returns the lines for a viewer from now on.
-    pub(super) fn lines(&self) -> BoxStream<'static, Result<SourceLine, Failure>> {
-        let name = self.name.clone();
+    pub(super) fn lines(&self) -> BoxStream<'static, Result<ViewerLine, Failure>> {
+        let (name, newest) = (self.name.clone(), Arc::clone(&self.newest));
         match &self.kind {
             SourceKind::Sensor(hub) => {
                 let hub = Arc::clone(hub);
                 stream::unfold(None, move |feed| {
-                    let (hub, name) = (Arc::clone(&hub), name.clone());
+                    let (hub, name, newest) = (Arc::clone(&hub), name.clone(), Arc::clone(&newest));
                     async move {
                         let mut feed = match feed {
                             Some(feed) => feed,
                             None => hub.feed().await?,
                         };
                         let update = feed.next().await?;
-                        let is_scan = matches!(update, Update::Scan(_));
-                        let text = update.line(name.as_deref());
-                        Some((text.map(|text| SourceLine { text, is_scan }), Some(feed)))
+                        let ndjson = || update.line(name.as_deref());
+                        let line = match &update {
+                            Update::Scan(scan) => newest.of(scan.sequence(), ndjson),
+                            _ => ndjson().map(|ndjson| ViewerLine::new(&ndjson, false)),
+                        };
+                        Some((line, Some(feed)))
                     }
                 })
                 .boxed()
             }
             SourceKind::Recording(playback) => {
                 let (shown, window) = (playback.player.shown(), playback.window);
-                let lines = PlaybackLines { shown, window, name, scan: None, settings: None };
+                let lines =
+                    PlaybackLines { shown, window, name, newest, scan: None, settings: None };
                 stream::unfold(lines, async |mut lines| Some((lines.next().await?, lines))).boxed()
             }
         }
@@ -144,13 +143,14 @@ struct PlaybackLines {
     shown: watch::Receiver<Shown>,
     window: Window,
     name: Option<Arc<str>>,
+    newest: Arc<NewestLine>,
     /// The scan and the settings that the viewer has.
     scan: Option<usize>,
     settings: Option<(bool, bool, u64, bool)>,
 }
 
 impl PlaybackLines {
-    async fn next(&mut self) -> Option<Result<SourceLine, Failure>> {
+    async fn next(&mut self) -> Option<Result<ViewerLine, Failure>> {
         loop {
             let Shown { scan, status } = self.shown.borrow_and_update().clone();
             let speed = status.speed.to_bits();
@@ -159,17 +159,18 @@ impl PlaybackLines {
                 return Some(event(self.name.as_deref(), status));
             }
             if self.scan.replace(status.scan) != Some(status.scan) {
-                let scan = seen_through(&scan, self.window);
                 let (sensor, position) = (self.name.as_deref(), Some(status.position));
-                let text = json::line(&NamedLine { sensor, position, data: scan });
-                return Some(text.map(|text| SourceLine { text, is_scan: true }));
+                return Some(self.newest.of(status.scan as u64, || {
+                    let data = seen_through(&scan, self.window);
+                    json::line(&NamedLine { sensor, position, data })
+                }));
             }
             self.shown.changed().await.ok()?;
         }
     }
 }
 
-fn event(sensor: Option<&str>, playback: PlaybackStatus) -> Result<SourceLine, Failure> {
+fn event(sensor: Option<&str>, playback: PlaybackStatus) -> Result<ViewerLine, Failure> {
     let line = NamedLine { sensor, position: None, data: PlaybackEvent { playback } };
-    json::line(&line).map(|text| SourceLine { text, is_scan: false })
+    json::line(&line).map(|ndjson| ViewerLine::new(&ndjson, false))
 }

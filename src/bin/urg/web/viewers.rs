@@ -3,7 +3,7 @@
 //! do not read have taken all of them.
 
 use std::net::IpAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, Instant};
 
 use super::server::Connection;
@@ -24,17 +24,20 @@ pub(super) struct Viewers {
 
 /// One of them.
 #[derive(Debug)]
-struct Place {
-    connection: Arc<Connection>,
+pub(super) struct Place {
+    address: IpAddr,
+    connection: Weak<Connection>,
     /// The time when the viewer was handed data last; `None` while it waits for more.
     handed_at: Mutex<Option<Instant>>,
 }
 
-/// A viewer's hold on its place, which ends with the drop.
+/// A connection's hold on its place, which ends with the drop. It lasts as long as the
+/// connection, and not only as long as there are scans to hand over: until the client
+/// has taken them, they are in memory.
 #[derive(Debug)]
 pub(super) struct Seat {
     viewers: Arc<Viewers>,
-    place: Arc<Place>,
+    pub(super) place: Arc<Place>,
 }
 
 impl Viewers {
@@ -42,22 +45,32 @@ impl Viewers {
         lock(&self.places).len()
     }
 
-    /// Takes a place for a viewer, if need be that of another one, whose
-    /// connection is closed. Returns `None` if nobody has to make room.
-    pub(super) fn admit(self: &Arc<Self>, connection: Arc<Connection>) -> Option<Seat> {
+    /// Takes a place for a connection, if need be that of another one, which is
+    /// closed. Returns `None` if nobody has to make room.
+    pub(super) fn admit(self: &Arc<Self>, connection: &Arc<Connection>) -> Option<Seat> {
+        let place = Arc::new(Place {
+            address: connection.address,
+            connection: Arc::downgrade(connection),
+            handed_at: Mutex::new(None),
+        });
         let mut places = lock(&self.places);
-        if places.len() >= MAX_VIEWERS {
-            let now = Instant::now();
-            let standings = places.iter().map(|place| Standing {
-                address: place.connection.address,
-                stalled: place.stalled(now),
-            });
-            let evicted = to_evict(&standings.collect::<Vec<_>>())?;
-            places.remove(evicted).connection.close();
-        }
-        connection.set_viewer(true);
-        let place = Arc::new(Place { connection, handed_at: Mutex::new(None) });
+        let evicted = match places.len() {
+            0..MAX_VIEWERS => None,
+            _ => {
+                let now = Instant::now();
+                let standings = places
+                    .iter()
+                    .map(|place| Standing { address: place.address, stalled: place.stalled(now) });
+                Some(to_evict(&standings.collect::<Vec<_>>())?)
+            }
+        };
+        let evicted = evicted.map(|index| places.remove(index));
         places.push(Arc::clone(&place));
+        // A seat that is dropped needs the lock.
+        drop(places);
+        if let Some(connection) = evicted.and_then(|place| place.connection.upgrade()) {
+            connection.close();
+        }
         Some(Seat { viewers: Arc::clone(self), place })
     }
 }
@@ -66,23 +79,20 @@ impl Place {
     fn stalled(&self, now: Instant) -> Duration {
         lock(&self.handed_at).map_or(Duration::ZERO, |at| now.saturating_duration_since(at))
     }
-}
 
-impl Seat {
     /// Notes that the viewer waits for data.
     pub(super) fn waits(&self) {
-        *lock(&self.place.handed_at) = None;
+        *lock(&self.handed_at) = None;
     }
 
     /// Notes that the viewer was handed data.
     pub(super) fn handed(&self) {
-        *lock(&self.place.handed_at) = Some(Instant::now());
+        *lock(&self.handed_at) = Some(Instant::now());
     }
 }
 
 impl Drop for Seat {
     fn drop(&mut self) {
-        self.place.connection.set_viewer(false);
         lock(&self.viewers.places).retain(|place| !Arc::ptr_eq(place, &self.place));
     }
 }

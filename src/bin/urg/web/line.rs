@@ -1,0 +1,85 @@
+//! Lines for the viewers of a source. A scan is written once for all of them: with many
+//! viewers, writing it for each would take most of the program's time.
+
+use std::sync::{Mutex, PoisonError};
+
+use bytes::Bytes;
+
+use crate::failure::Failure;
+
+/// The beginning of a server-sent event.
+const EVENT_START: &str = "data: ";
+
+/// A line in both formats of `/scans`. Clones share the bytes.
+#[derive(Debug, Clone)]
+pub(super) struct ViewerLine {
+    /// As a server-sent event, which contains the line of NDJSON.
+    event: Bytes,
+    pub(super) is_scan: bool,
+}
+
+impl ViewerLine {
+    /// Makes a line from one of NDJSON, which ends in LF.
+    pub(super) fn new(ndjson: &str, is_scan: bool) -> Self {
+        Self { event: [EVENT_START, ndjson, "\n"].concat().into(), is_scan }
+    }
+
+    pub(super) fn ndjson(&self) -> Bytes {
+        self.event.slice(EVENT_START.len()..self.event.len() - 1)
+    }
+
+    pub(super) fn event(&self) -> Bytes {
+        self.event.clone()
+    }
+}
+
+/// The line of the newest scan of a source.
+#[derive(Debug, Default)]
+pub(super) struct NewestLine {
+    /// With the number of its scan.
+    line: Mutex<Option<(u64, ViewerLine)>>,
+}
+
+impl NewestLine {
+    /// Returns the line of the scan with this number, written by `ndjson` unless it is
+    /// the newest one.
+    pub(super) fn of(
+        &self,
+        number: u64,
+        ndjson: impl FnOnce() -> Result<String, Failure>,
+    ) -> Result<ViewerLine, Failure> {
+        // Nothing panics while it is held.
+        let mut newest = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, line)) = newest.as_ref().filter(|(newest, _)| *newest == number) {
+            return Ok(line.clone());
+        }
+        let line = ViewerLine::new(&ndjson()?, true);
+        *newest = Some((number, line.clone()));
+        Ok(line)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_the_same_in_both_formats() {
+        let line = ViewerLine::new("{\"sequence\":1}\n", true);
+        assert_eq!(line.ndjson(), "{\"sequence\":1}\n");
+        assert_eq!(line.event(), "data: {\"sequence\":1}\n\n");
+    }
+
+    #[test]
+    fn a_scan_is_written_once_for_all_viewers() {
+        let (newest, mut written) = (NewestLine::default(), 0);
+        for number in [1, 1, 1, 2, 2, 1] {
+            let ndjson = || {
+                written += 1;
+                Ok(format!("{number}\n"))
+            };
+            assert_eq!(newest.of(number, ndjson).unwrap().ndjson(), format!("{number}\n"));
+        }
+        assert_eq!(written, 3, "1, 2, and 1 again");
+    }
+}
