@@ -1,9 +1,11 @@
 //! Wake-ups, CPU time and latency of scans that arrive in pieces, as over a serial line,
 //! at the rate of a real sensor: on a pseudo-terminal, with the sensor in another
-//! process. Beside the driver the same without pauses, and a floor, which only writes a
-//! command and reads, blocking, until the reply has ended.
+//! process. Beside the driver the same without pauses, a floor, which only writes a
+//! command and reads, blocking, until the reply has ended, and the same loop on tokio and
+//! tokio-serial, with a deadline.
 //!
-//! `cargo bench --bench pieces` prints a table. With the arguments of one poller (`floor`,
+//! `cargo bench --bench pieces` prints a table, `-- usb 60` that of one pattern, with one
+//! round of 60 s for each poller. With the arguments of one poller (`floor`, `tokio`,
 //! `driver` or `unpaused`), one pattern (the first column) and a number of
 //! scans it runs only these, for `strace` and `.ci/system_calls`.
 
@@ -17,10 +19,12 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use support::server::Server;
 use support::{cpu_time, median, percentile, terminal, us, wake_ups};
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::runtime::Builder;
+use tokio::time::{sleep_until, timeout};
 use tokio_scip::port::{Connect, Port, SerialPort};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
+use tokio_serial::SerialStream;
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;
@@ -33,7 +37,7 @@ const SCANS: usize = 30;
 const FIRST_SCANS: usize = 5;
 /// The bytes of the last two points and the end of a scan.
 const END_BYTES: usize = 6;
-const POLLERS: [&str; 3] = ["floor", "driver", "unpaused"];
+const POLLERS: [&str; 4] = ["floor", "tokio", "driver", "unpaused"];
 
 /// The way in which the bytes of a reply arrive.
 struct Pattern {
@@ -71,36 +75,45 @@ fn main() {
     let pattern = |name| PATTERNS.iter().find(|pattern| pattern.name == name).unwrap();
     match arguments[..] {
         ["serve", name] => serve(pattern(name)),
+        [name, seconds] => {
+            let (pattern, seconds) = (pattern(name), seconds.parse::<usize>().unwrap());
+            println!("{HEADER}");
+            table(pattern, 1, seconds * pattern.rate as usize);
+        }
         [poller, name, scans] => {
             let server = Server::start(name);
             println!("{:?}", poll(poller, &server.path, pattern(name), scans.parse().unwrap()));
         }
-        _ => table(),
+        _ => {
+            println!("{HEADER}");
+            PATTERNS.iter().for_each(|pattern| table(pattern, ROUNDS, SCANS));
+        }
     }
 }
 
-fn table() {
-    println!("pattern  poller    wake-ups/scan  CPU us/scan  of floor  latency us: median    99 %");
-    for pattern in &PATTERNS {
-        let server = Server::start(pattern.name);
-        // Side by side in each round: a load that disturbs one disturbs all.
-        let rounds: Vec<[Cost; 3]> = (0..ROUNDS)
-            .map(|_| POLLERS.map(|poller| poll(poller, &server.path, pattern, SCANS)))
-            .collect();
-        for (index, poller) in POLLERS.into_iter().enumerate() {
-            let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
-            let to_floor = median(rounds.iter().map(|r| r[index].cpu() / r[0].cpu()));
-            let mut latencies: Vec<Duration> =
-                rounds.iter().flat_map(|round| round[index].latencies.clone()).collect();
-            println!(
-                "{:8} {poller:8}  {:13.1}  {:11.0}  {to_floor:8.2}  {:18.0}  {:6.0}",
-                pattern.name,
-                of(Cost::wake_ups),
-                of(Cost::cpu),
-                us(percentile(&mut latencies, 0.5)),
-                us(percentile(&mut latencies, 0.99)),
-            );
-        }
+const HEADER: &str =
+    "pattern  poller    wake-ups/scan  CPU us/scan  of floor  latency us: median    99 %";
+
+/// Prints the medians of some rounds of each poller.
+fn table(pattern: &Pattern, rounds: usize, scans: usize) {
+    let server = Server::start(pattern.name);
+    // Side by side in each round: a load that disturbs one disturbs all.
+    let rounds: Vec<[Cost; 4]> = (0..rounds)
+        .map(|_| POLLERS.map(|poller| poll(poller, &server.path, pattern, scans)))
+        .collect();
+    for (index, poller) in POLLERS.into_iter().enumerate() {
+        let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
+        let to_floor = median(rounds.iter().map(|r| r[index].cpu() / r[0].cpu()));
+        let mut latencies: Vec<Duration> =
+            rounds.iter().flat_map(|round| round[index].latencies.clone()).collect();
+        println!(
+            "{:8} {poller:8}  {:13.1}  {:11.0}  {to_floor:8.2}  {:18.0}  {:6.0}",
+            pattern.name,
+            of(Cost::wake_ups),
+            of(Cost::cpu),
+            us(percentile(&mut latencies, 0.5)),
+            us(percentile(&mut latencies, 0.99)),
+        );
     }
 }
 
@@ -127,9 +140,10 @@ impl Cost {
 fn poll(poller: &str, path: &Path, pattern: &Pattern, scans: usize) -> Cost {
     match poller {
         "floor" => floor(path, pattern, scans),
+        "tokio" => bare_tokio(path, pattern, scans),
         "driver" => driver(false, path, pattern, scans),
         "unpaused" => driver(true, path, pattern, scans),
-        _ => panic!("{poller}: use floor, driver or unpaused"),
+        _ => panic!("{poller}: use floor, tokio, driver or unpaused"),
     }
 }
 
@@ -146,9 +160,7 @@ fn floor(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
         while !buffer[..length].ends_with(b"\n\n") {
             length += port.read(&mut buffer[length..]).unwrap();
         }
-        assert_eq!(length, 1399);
-        let [.., a, b, c, d, b'\n', b'\n'] = buffer[..length] else { panic!("no scan") };
-        since(Stamp([a, b, c, d].map(|byte| u32::from(byte - b'0'))))
+        age_of(&buffer[..length])
     };
     for _ in 0..FIRST_SCANS {
         scan();
@@ -156,6 +168,50 @@ fn floor(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
     let (cpu, woken) = (cpu_time(), wake_ups());
     let latencies = (0..scans).map(|_| scan()).collect();
     Cost { wake_ups: wake_ups() - woken, cpu: cpu_time() - cpu, latencies }
+}
+
+/// Returns the time since the stamp in a whole reply.
+fn age_of(reply: &[u8]) -> Duration {
+    assert_eq!(reply.len(), 1399);
+    let [.., a, b, c, d, b'\n', b'\n'] = reply[..] else { panic!("no scan") };
+    since(Stamp([a, b, c, d].map(|byte| u32::from(byte - b'0'))))
+}
+
+/// Does the same as the floor on tokio: a port of tokio-serial, a deadline, no decoding,
+/// one task.
+fn bare_tokio(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
+    let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+    let path = path.to_str().unwrap().to_owned();
+    let period = Duration::from_secs(1) / pattern.rate;
+    let polling = runtime.spawn(async move {
+        let mut port = SerialStream::open(&tokio_serial::new(path, 19_200)).unwrap();
+        let mut buffer = [0; 4096];
+        let mut due = tokio::time::Instant::now();
+        let mut scan = async || {
+            due += period;
+            sleep_until(due).await;
+            AsyncWriteExt::write_all(&mut port, b"G04472501\n").await.unwrap();
+            let reply = async {
+                let mut length = 0;
+                while !buffer[..length].ends_with(b"\n\n") {
+                    let read = AsyncReadExt::read(&mut port, &mut buffer[length..]);
+                    length += read.await.unwrap();
+                }
+                age_of(&buffer[..length])
+            };
+            timeout(Duration::from_secs(1), reply).await.unwrap()
+        };
+        for _ in 0..FIRST_SCANS {
+            scan().await;
+        }
+        let (cpu, woken) = (cpu_time(), wake_ups());
+        let mut latencies = Vec::with_capacity(scans);
+        for _ in 0..scans {
+            latencies.push(scan().await);
+        }
+        Cost { wake_ups: wake_ups() - woken, cpu: cpu_time() - cpu, latencies }
+    });
+    runtime.block_on(polling).unwrap()
 }
 
 /// Polls through the driver, with the consumer in a task of its own.

@@ -15,6 +15,7 @@ mod exchange;
 mod fence;
 mod laser;
 mod open;
+mod poll_timer;
 mod rate_meter;
 mod request;
 mod schedule;

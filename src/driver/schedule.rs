@@ -111,6 +111,15 @@ impl Schedules {
         self.all.iter().map(|schedule| schedule.due).min()
     }
 
+    /// Returns the time at which the poll after the next one is due, if the next one is on
+    /// a grid.
+    pub(crate) fn due_after_next(&self) -> Option<Instant> {
+        let next = self.all.iter().min_by_key(|schedule| schedule.due)?;
+        let others = self.all.iter().filter(|schedule| !std::ptr::eq(*schedule, next));
+        let again = next.due + next.rate.period()?;
+        Some(others.map(|schedule| schedule.due).fold(again, Instant::min))
+    }
+
     /// Returns true if nothing is polled.
     pub(crate) fn is_empty(&self) -> bool {
         self.all.is_empty()

@@ -3,12 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep_until};
+use tokio::time::Instant;
 
 use super::baud_rate;
 use super::exchange::ExchangeError;
 use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::open::Wanted;
+use super::poll_timer::PollTimer;
 use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
@@ -63,6 +64,7 @@ pub(crate) struct Service<'a> {
     /// The number of times the sensor was found again before this session.
     pub(crate) reconnects: u64,
     pub(crate) laser_recovery: LaserRecovery,
+    pub(crate) poll_timer: PollTimer,
 }
 
 impl Service<'_> {
@@ -102,11 +104,12 @@ impl Service<'_> {
         }
         let probe = self.idle_probe.map(|interval| Instant::now() + interval);
         let wake = due.into_iter().chain(probe).min();
+        let next = self.schedules.due_after_next().filter(|_| polling);
         tokio::select! {
             biased;
             outcome = session.idle() => self.ignore_command_errors(outcome)?,
             outcome = self.queue.ready() => outcome?,
-            () = sleep_until(wake.unwrap_or_else(Instant::now)), if wake.is_some() => {
+            () = self.poll_timer.wait(wake.unwrap_or_else(Instant::now), next), if wake.is_some() => {
                 if wake == probe {
                     // The fence is raised at the next turn.
                     session.mark_dirty();

@@ -11,6 +11,7 @@ use super::backoff::Backoff;
 use super::config::Config;
 use super::laser::LaserRecovery;
 use super::open::Opener;
+use super::poll_timer::PollTimer;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
@@ -119,6 +120,7 @@ impl<C: Connect> Supervisor<C> {
             idle_probe,
             reconnects,
             laser_recovery: LaserRecovery::new(self.config.seed()),
+            poll_timer: PollTimer::default(),
         };
         service.run(session).await
     }
