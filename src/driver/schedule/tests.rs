@@ -45,6 +45,20 @@ async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn the_poll_after_the_next_is_of_the_same_schedule_or_of_another() {
+    let start = Instant::now();
+    let fast = (Window::FULL, Rate::hz(10.0));
+    let slow = (Window::DETECTION, Rate::hz(4.0));
+    let (mut schedules, _readers) = schedules(&[fast, slow]);
+    let mut take = |at: u64| {
+        assert!(schedules.take_due(start + Duration::from_millis(at)).is_some());
+        schedules.due_after_next().map(|due| (due - start).as_millis())
+    };
+    // Due next are 100 and 0 ms, then 100 and 250, 200 and 250, 300 and 250.
+    assert_eq!([0, 0, 100, 200].map(&mut take), [100, 200, 250, 300].map(Some));
+}
+
+#[tokio::test(start_paused = true)]
 async fn what_has_been_due_for_longest_goes_first() {
     let start = Instant::now();
     let fast = (Window::FULL, Rate::hz(20.0));
