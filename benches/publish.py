@@ -1,15 +1,18 @@
 """Measures `urg publish`: publish.sh runs it, with a namespace and the readers.
 
-publish.py PROGRAM [CASE...]: each of `rates`, `many`, `processes`, `router`, `wire`, or
-all of them. Prints a row for each measurement. Latency is from the publisher's own stamp
-of a message to the reader's callback; losses are gaps in the publisher's numbers. CPU
-time is that of the whole `urg`, its emulated sensors included.
+publish.py PROGRAM [CASE...]: each of `one`, `fast`, `eight`, `hundred`, `thousand`,
+`listeners`, `processes`, `load`, `router`, `wire`, or all of them. Prints a row for each
+measurement: medians of RUNS runs (an environment variable, 1 unless set) of 15 s, and the
+sum of what was lost. Latency is from the publisher's own stamp of a message to the
+reader's callback; losses are gaps in the publisher's numbers. CPU time is that of the
+whole `urg`, its emulated sensors included.
 """
 
 import json
 import os
 import signal
 import struct
+import statistics
 import subprocess
 import sys
 import threading
@@ -18,6 +21,7 @@ from pathlib import Path
 
 PROGRAM, CASES = sys.argv[1], sys.argv[2:]
 SECONDS = 15
+RUNS = int(os.environ.get("RUNS", 1))
 
 ROUTER = """
 import json, sys, time, zenoh
@@ -148,44 +152,72 @@ def quantile(values, part):
     return values[min(len(values) - 1, int(len(values) * part))] / 1e6 if values else float("nan")
 
 
-def row(name, reader, seconds, cpu, more):
+def row(name, runs):
+    """Prints the medians of runs, each a dictionary of figures."""
+    median = lambda key: statistics.median(run[key] for run in runs)
+    total = lambda key: sum(run[key] for run in runs)
+    p99 = [run["p99"] for run in runs]
+    text = f"{name:36} lost {total('lost')} of {total('scans')}, p50 {median('p50'):.2f} ms,"
+    text += f" p99 {median('p99'):.2f} ms ({min(p99):.2f} to {max(p99):.2f}),"
+    text += f" CPU {median('cpu'):.3f} ms a scan, {median('share'):.1f} % of a core,"
+    text += f" {median('rate'):.0f} scans/s, load {os.getloadavg()[0]:.0f}"
+    for key, unit in (("memory", "MiB"), ("discovered", "s until all were read"),
+                      ("routed", "ms a scan in the router"), ("stopped", "s to stop")):
+        if key in runs[0]:
+            text += f", {median(key):.3g} {unit}"
+    print(text, flush=True)
+
+
+def watch(reader, processes, router=None):
+    """Measures for some seconds, and returns the figures."""
+    reader.clear()
+    used = lambda: sum(cpu_of(each.process) for each in processes)
+    cpu, begin = used(), time.monotonic()
+    routed = cpu_of(router.process) if router else 0
+    time.sleep(SECONDS)
+    cpu, took = used() - cpu, time.monotonic() - begin
     scans = len(reader.latencies)
-    load = os.getloadavg()[0]
-    print(
-        f"{name:34} {scans:6} scans, lost {reader.lost():5}, p50 {quantile(reader.latencies, 0.5):7.2f} ms,"
-        f" p99 {quantile(reader.latencies, 0.99):7.2f} ms, CPU {1000 * cpu / max(scans, 1):.2f} ms"
-        f" a scan, {100 * cpu / seconds:5.2f} % of a core, load {load:.1f} {more}",
-        flush=True,
-    )
+    figures = {
+        "scans": scans, "lost": reader.lost(), "rate": scans / took,
+        "p50": quantile(reader.latencies, 0.5), "p99": quantile(reader.latencies, 0.99),
+        "cpu": 1000 * cpu / max(scans, 1), "share": 100 * cpu / took,
+        "memory": sum(each.memory() for each in processes),
+    }
+    if router:
+        figures["routed"] = 1000 * (cpu_of(router.process) - routed) / max(scans, 1)
+    return figures
 
 
-def measure(name, reader, urg, topics, router=None, patience=60):
-    """Waits until each topic was read, then measures for some seconds."""
+def discover(reader, topics, patience=60):
+    """Waits until each topic was read; returns the seconds that it took."""
     begin = time.monotonic()
     while len(reader.numbers) < topics and time.monotonic() < begin + patience:
         time.sleep(0.05)
-    discovered = time.monotonic() - begin
+    return time.monotonic() - begin
+
+
+def measure(reader, sensors, options, topics=None, router=None):
+    """Publishes and measures once all topics are read."""
+    urg = Urg("publish", *sensors, *options)
+    discovered = discover(reader, topics or len(sensors))
     time.sleep(3)
-    reader.clear()
-    cpu, begin = cpu_of(urg.process), time.monotonic()
-    routed = cpu_of(router.process) if router else 0
-    time.sleep(SECONDS)
-    cpu, took = cpu_of(urg.process) - cpu, time.monotonic() - begin
-    more = f"{urg.memory():.0f} MiB, all {len(reader.numbers)} topics after {discovered:.1f} s"
-    if router:
-        routed = 1000 * (cpu_of(router.process) - routed) / max(len(reader.latencies), 1)
-        more += f", router {routed:.2f} ms a scan"
-    row(name, reader, took, cpu, more)
+    figures = watch(reader, [urg], router) | {"discovered": discovered}
+    figures["stopped"] = urg.stop()
+    reader.close()
+    return figures
 
 
 def offline(name, sensors, *options):
     """The same sensors with an engine that reaches nobody: drivers and encoding only."""
-    urg = Urg("publish", *sensors, "--engine", "zenoh", *options)
-    time.sleep(4)
-    cpu = cpu_of(urg.process)
-    time.sleep(SECONDS)
-    print(f"{name:34} {(cpu_of(urg.process) - cpu) / SECONDS * 100:.2f} % of a core", flush=True)
-    urg.stop()
+    shares = []
+    for _ in range(RUNS):
+        urg = Urg("publish", *sensors, "--engine", "zenoh", *options)
+        time.sleep(4)
+        cpu = cpu_of(urg.process)
+        time.sleep(SECONDS)
+        shares.append((cpu_of(urg.process) - cpu) / SECONDS * 100)
+        urg.stop()
+    print(f"{name:36} {statistics.median(shares):.2f} % of a core", flush=True)
 
 
 def emulators(count, *options):
@@ -199,65 +231,84 @@ def named(count):
     return [f"s{number}=emulated" for number in range(count)]
 
 
-def both_engines(name, sensors, *options):
-    topics = [f"/{sensor.split('=')[0]}/scan" for sensor in sensors]
-    for qos in ("reliable", "sensor"):
-        reader = RosReader(topics, qos)
-        urg = Urg("publish", *sensors, "--engine", "dds", "--qos", qos, *options)
-        measure(f"DDS, {qos}, {name}", reader, urg, len(topics))
-        print(f"{'':34} ended within {urg.stop():.1f} s", flush=True)
-        reader.close()
+def dds(name, sensors, qos, *options, heard=None):
+    """`heard` are the sensors that are read; all of them without it."""
+    topics = [f"/{sensor.split('=')[0]}/scan" for sensor in heard or sensors]
+    options = ["--engine", "dds", "--qos", qos, *options]
+    run = lambda: measure(RosReader(topics, qos), sensors, options, len(topics))
+    row(f"DDS, {qos}, {name}", [run() for _ in range(RUNS)])
+
+
+def over_zenoh(name, sensors, mode, *options):
     router = Router()
-    for qos in ("reliable", "sensor"):
-        for mode in ("client", "peer"):
-            reader = ZenohReader(mode)
-            engine = ["--engine", "zenoh", "--qos", qos, "--mode", mode]
-            urg = Urg("publish", *sensors, *engine, *options)
-            measure(f"zenoh {mode}, {qos}, {name}", reader, urg, len(topics), router)
-            print(f"{'':34} ended within {urg.stop():.1f} s", flush=True)
-            reader.close()
+    options = ["--engine", "zenoh", "--mode", mode, *options]
+    run = lambda: measure(ZenohReader(mode), sensors, options, router=router)
+    row(f"zenoh {mode}, {name}", [run() for _ in range(RUNS)])
     router.kill()
 
 
-def rates():
+def both_engines(name, sensors, *options):
+    """Over zenoh the quality of service is only a note to the readers."""
+    for qos in ("reliable", "sensor"):
+        dds(name, sensors, qos, *options)
+    for mode in ("client", "peer"):
+        over_zenoh(name, sensors, mode, *options)
+
+
+def one():
     offline("no network, 1 x 10 Hz", named(1))
     both_engines("1 x 10 Hz", named(1))
+
+
+def fast():
+    """One sensor whose motor makes 1,000 revolutions a second, on a link without a baud
+    rate."""
+    started, ports = emulators(1, "--revolution", "1ms")
+    both_engines("1 x 1000 Hz", ports, "--rate", "1000")
+    for each in started:
+        each.stop()
+
+
+def eight():
     started, ports = emulators(8, "--revolution", "8ms")
     both_engines("8 x 125 Hz", ports, "--rate", "125")
     for each in started:
         each.stop()
+
+
+def hundred():
     offline("no network, 100 x 10 Hz", named(100))
     both_engines("100 x 10 Hz", named(100))
 
 
-def many():
+def thousand():
     offline("no network, 1000 x 1 Hz", named(1000), "--rate", "1")
     both_engines("1000 x 1 Hz", named(1000), "--rate", "1")
 
 
-def processes(count=100):
+def listeners():
+    """1,000 sensors over DDS, of which fewer and fewer are read."""
+    for count in (1000, 300, 100, 10):
+        heard = named(1000)[:: 1000 // count][:count]
+        dds(f"1000 x 1 Hz, {count} read", named(1000), "reliable", "--rate", "1", heard=heard)
+
+
+def processes():
     """Processes with ten sensors each at 1 Hz: over zenoh through one router, over DDS
     each a participant of its own."""
-    for engine in ("zenoh", "dds"):
-        # More participants on two cores do not discover each other.
-        hosts = [f"h{number}" for number in range(count if engine == "zenoh" else count // 10)]
+    for engine, count in (("zenoh", 100), ("dds", 5), ("dds", 10), ("dds", 20), ("dds", 40)):
+        hosts = [f"h{number}" for number in range(count)]
         router = Router() if engine == "zenoh" else None
         topics = [f"/{host}/s{number}/scan" for host in hosts for number in range(10)]
         reader = ZenohReader() if engine == "zenoh" else RosReader(topics, "reliable")
         options = ["--topic", "scan", "--rate", "1", "--engine", engine]
-        begin = time.monotonic()
         started = [Urg("publish", *named(10), "--namespace", host, *options) for host in hosts]
-        while len(reader.numbers) < len(topics) and time.monotonic() < begin + 60:
-            time.sleep(0.1)
-        settled = time.monotonic() - begin
+        discovered = discover(reader, len(topics), 120)
+        print(f"{engine}, {count} processes: {len(reader.numbers)} of {len(topics)} topics after"
+              f" {discovered:.1f} s, with {sum(cpu_of(urg.process) for urg in started):.1f} s of CPU"
+              " time", flush=True)
         time.sleep(3)
-        reader.clear()
-        cpu, begin = sum(cpu_of(urg.process) for urg in started), time.monotonic()
-        time.sleep(SECONDS)
-        cpu, took = sum(cpu_of(urg.process) for urg in started) - cpu, time.monotonic() - begin
-        memory = sum(urg.memory() for urg in started)
-        row(f"{engine}, {len(hosts)} processes", reader, took, cpu,
-            f"{memory:.0f} MiB together, {len(reader.numbers)} topics after {settled:.1f} s")
+        row(f"{engine}, {count} processes", [watch(reader, started, router)])
         for urg in started:
             urg.process.send_signal(signal.SIGINT)
         for urg in started:
@@ -267,9 +318,15 @@ def processes(count=100):
             router.kill()
 
 
+def load():
+    """What a router carries to one reader."""
+    for count, rate in ((100, 10), (300, 10), (1000, 1), (1000, 2), (1000, 5)):
+        over_zenoh(f"{count} x {rate} Hz", named(count), "client", "--rate", rate)
+
+
 def gone_for_6_s():
     """The router is killed, and is back after 6 s."""
-    for mode in ("client", "peer"):
+    for mode in ("client", "peer") * RUNS:
         router = Router()
         reader = ZenohReader(mode)
         urg = Urg("publish", "emulated", "--engine", "zenoh", "--mode", mode)
@@ -296,6 +353,9 @@ def wire():
     enter = ("nsenter", "-t", str(far.pid), "-n")
     run = lambda command: subprocess.run(command, shell=True, check=True)
     run(f"ip link add w0 type veth peer name w0 netns {far.pid}")
+    # Else the counters take a burst of segments of TCP for one packet.
+    for place in ((), enter):
+        run(" ".join(place) + " ip link set w0 gso_max_segs 1")
     run("ip link set w0 up; ip addr add 10.1.0.1/24 dev w0")
     run(" ".join(enter) + " sh -c 'ip link set lo up; ip link set w0 up;"
         " ip addr add 10.1.0.2/24 dev w0; ip route add 224.0.0.0/4 dev w0'")
@@ -313,18 +373,19 @@ def wire():
         values = values.split(":")[1].split()
         return int(values[0]) + int(values[8]), int(values[1]) + int(values[9])
 
-    windows = {"44..725": [], "0..768": ["--start", 0, "--end", 768], "cluster 4": ["--cluster", 4]}
-    for engine, qos in (("dds", "reliable"), ("dds", "sensor"), ("zenoh", "reliable")):
+    windows = {"44..725": (10, []), "0..768": (10, ["--start", 0, "--end", 768]),
+               "cluster 4": (10, ["--cluster", 4]), "44..725 at 1 Hz": (1, ["--rate", 1])}
+    for engine, qos in (("zenoh", "reliable"), ("dds", "reliable"), ("dds", "sensor")):
         program = zenoh if engine == "zenoh" else ros.replace("QOS", repr(qos))
         reader = subprocess.Popen([*enter, sys.executable, "-c", program])
-        for window, options in windows.items():
+        for window, (rate, options) in windows.items():
             urg = Urg("publish", "emulated", "--engine", engine, "--qos", qos, "--interface",
                       "10.1.0.1", "--router", "tcp/10.1.0.2:7447", *options)
             time.sleep(6)
             (octets, packets), begin = counters(), time.monotonic()
             time.sleep(SECONDS)
             later, took = counters(), time.monotonic() - begin
-            scans = 10 * took
+            scans = rate * took
             print(f"{engine}, {qos}, {window}: {(later[0] - octets) / scans:.0f} bytes,"
                   f" {(later[1] - packets) / scans:.1f} packets a scan", flush=True)
             urg.stop()
@@ -333,7 +394,9 @@ def wire():
     far.kill()
 
 
-CHOICE = {"rates": rates, "many": many, "processes": processes, "router": gone_for_6_s, "wire": wire}
+CHOICE = {"one": one, "fast": fast, "eight": eight, "hundred": hundred, "thousand": thousand,
+          "listeners": listeners, "processes": processes, "load": load, "router": gone_for_6_s,
+          "wire": wire}
 for case in CASES or CHOICE:
     CHOICE[case]()
 os._exit(0)
