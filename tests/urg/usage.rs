@@ -4,7 +4,12 @@ use super::program::{COMMANDS, Emulated, Scratch, failure, program, run, urg};
 
 #[test]
 fn every_command_has_help_on_standard_output() {
-    assert!(run("--help", 0).stdout.contains("emulated"));
+    let help = run("--help", 0).stdout;
+    assert!(help.contains("emulated"));
+    for arguments in ["help", "help --help", "help -h"] {
+        assert_eq!(run(arguments, 0).stdout, help, "{arguments}");
+    }
+    assert_eq!(run("help stream --help", 0).stdout, run("help stream", 0).stdout);
     for command in COMMANDS.iter().chain(&["man"]) {
         let long = run(&format!("{command} --help"), 0).stdout;
         let short = run(&format!("help {command}"), 0).stdout;

@@ -20,6 +20,7 @@ mod view;
 #[cfg(feature = "web")]
 mod web;
 
+use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
 
@@ -96,7 +97,7 @@ Examples:
 }
 
 fn main() -> ExitCode {
-    let outcome = match Cli::try_parse() {
+    let outcome = match Cli::try_parse_from(arguments()) {
         Ok(cli) => {
             start_log(&cli.command);
             run(cli)
@@ -121,6 +122,15 @@ fn main() -> ExitCode {
     };
     stderr::finish();
     code
+}
+
+/// Returns the arguments. Leaves out `--help` behind `help`, where clap expects a command.
+fn arguments() -> Vec<OsString> {
+    let mut arguments: Vec<_> = std::env::args_os().collect();
+    if arguments.get(1).is_some_and(|command| command == "help") {
+        arguments.retain(|argument| argument != "--help" && argument != "-h");
+    }
+    arguments
 }
 
 fn run(cli: Cli) -> Result<(), Failure> {
