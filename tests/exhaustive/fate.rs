@@ -4,6 +4,8 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fate {
     OnTime,
+    /// The reply comes just before its deadline, behind the time of several polls.
+    Late,
     /// The reply comes at its very deadline.
     AtDeadline,
     /// The reply comes after the next command, before the reply to that.
@@ -30,6 +32,7 @@ pub(crate) enum Fate {
 /// Every fate, the good one first.
 pub(crate) const FATES: &[Fate] = &[
     Fate::OnTime,
+    Fate::Late,
     Fate::AtDeadline,
     Fate::AfterNext,
     Fate::AfterSecond,
@@ -48,6 +51,7 @@ impl Fate {
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::OnTime => "on time",
+            Self::Late => "reply just before its deadline",
             Self::AtDeadline => "reply at its deadline",
             Self::AfterNext => "reply after the next command",
             Self::AfterSecond => "reply after the next command but one",

@@ -203,11 +203,12 @@ impl State {
         let on_the_wire = wire(line.len() + 1 + reply.len());
         let on_time = Due::At(now + TURNAROUND + on_the_wire);
         let latency = if line[0] == b'G' { 500 } else { 1000 };
-        let deadline = Due::At(now + Duration::from_millis(latency) + on_the_wire);
+        let deadline = now + Duration::from_millis(latency) + on_the_wire;
         let mut copy = None;
         let due = match fate {
             Fate::OnTime => on_time,
-            Fate::AtDeadline => deadline,
+            Fate::Late => Due::At(deadline - Duration::from_millis(1)),
+            Fate::AtDeadline => Due::At(deadline),
             Fate::AfterNext => Due::Command(number + 1),
             Fate::AfterSecond => Due::Command(number + 2),
             Fate::Lost | Fate::CommandLost => return,

@@ -4,6 +4,7 @@
 mod chooser;
 mod fate;
 mod line;
+mod orders;
 mod scenario;
 mod sensor;
 
@@ -19,17 +20,21 @@ use self::scenario::{Deed, Scenario};
 const DEEDS: &[Deed] =
     &[Deed::Scan, Deed::CancelledScan, Deed::Laser, Deed::BaudRate, Deed::Unplug, Deed::HangUp];
 
-/// The number of exchanges with a choice.
-fn exchanges() -> usize {
-    std::env::var("SCIP_EXHAUSTIVE").map_or(2, |text| text.parse().unwrap())
+fn setting(name: &str) -> Option<usize> {
+    std::env::var(name).ok().map(|text| text.parse().unwrap())
+}
+
+/// The number of exchanges with a choice, and how many of them may have a fault.
+fn depth() -> Depth {
+    let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(2);
+    Depth { exchanges, faults: setting("SCIP_EXHAUSTIVE_FAULTS").unwrap_or(exchanges) }
 }
 
 fn explore(scenario: &Scenario) {
-    let exchanges = exchanges();
-    let depth = Depth { exchanges, faults: exchanges };
-    let mut total = scenario.explore(depth, None);
+    let Depth { exchanges, faults } = depth();
+    let mut total = scenario.explore(depth(), None);
     // With something more in each place, fewer faults.
-    let depth = Depth { exchanges, faults: exchanges.saturating_sub(2).max(1) };
+    let depth = Depth { exchanges, faults: faults.saturating_sub(2).max(1) };
     for deed in scenario.deeds {
         for place in 1..=2 * exchanges {
             total.add(&scenario.explore(depth, Some((*deed, place))));
