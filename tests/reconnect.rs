@@ -285,6 +285,21 @@ async fn a_damaged_first_serial_number_does_not_refuse_the_sensor_later() {
     sensor.scan(Window::FULL).await.unwrap();
 }
 
+/// Found by `exhaustive/`: the driver refused the sensor as another one ever after.
+#[tokio::test(start_paused = true)]
+async fn a_first_serial_number_that_is_damaged_twice_alike_does_not_refuse_the_sensor_later() {
+    // A byte that no text has, in the same place of both replies.
+    let damage = || Fault::Flip(160, 0x80);
+    let faults = Faults::none().at(1, damage()).at(2, damage());
+    let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(emulator.fault_counts().flipped, 2);
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_serial_number_that_is_damaged_differently_each_time_is_requested_again() {
     let emulator = truthful().pace(Pace::AtOnce).build();

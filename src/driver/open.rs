@@ -200,8 +200,9 @@ impl<C: Connect> Opener<C> {
             }
             let before = version.serial_number;
             version = ask_version(session).await?;
-            // An empty serial number never counts as confirmed where one is expected.
-            let counts = self.identity.is_none() || !before.is_empty();
+            // An empty serial number never counts as confirmed where one is expected, and one
+            // with a byte that no text has is malformed, even if it comes twice.
+            let counts = before.is_printable() && (self.identity.is_none() || !before.is_empty());
             if counts && version.serial_number == before {
                 if !before.is_empty() && !self.config.any_sensor {
                     self.identity.get_or_insert(before);

@@ -30,6 +30,11 @@ impl Text {
         self.0.is_empty()
     }
 
+    /// Returns true if all bytes are printable ASCII.
+    pub(crate) fn is_printable(&self) -> bool {
+        self.0.iter().all(|byte| matches!(byte, b' '..=b'~'))
+    }
+
     /// Returns at most the first `limit` bytes of `bytes`, so that a message stays
     /// short.
     pub(crate) fn excerpt(bytes: &[u8], limit: usize) -> Self {
