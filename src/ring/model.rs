@@ -136,6 +136,26 @@ fn two_readers_come_to_the_end_of_two_writers() {
     });
 }
 
+/// One of the readers leaves early, while the other writer wakes all.
+#[test]
+fn three_readers_come_to_the_end_of_two_writers() {
+    explore(1, || {
+        let ring = Ring::new();
+        let [first, second, leaving] = [1, 2, 1].map(|depth| ring.subscribe(depth));
+        let pushed = Arc::clone(&ring);
+        let pushing = thread::spawn(move || pushed.push(scan(0)));
+        let (first, second) = (read(first), read(second));
+        let leaving = thread::spawn(move || drop(leaving));
+        ring.end(Some(cause()));
+        for seen in [first, second] {
+            seen.join().unwrap().check();
+        }
+        leaving.join().unwrap();
+        pushing.join().unwrap();
+        assert_eq!(ring.readers(), 0);
+    });
+}
+
 #[test]
 fn readers_that_are_cloned_and_dropped_leave_none_waiting_and_none_counted() {
     explore(2, || {

@@ -55,11 +55,13 @@ impl End {
     }
 }
 
+type Boxed<'a> = Pin<Box<dyn Future<Output = ()> + 'a>>;
+
 /// A task of the model.
 struct Task<'a> {
     name: &'static str,
     /// `None` once it has ended.
-    future: Option<Pin<Box<dyn Future<Output = ()> + 'a>>>,
+    future: Option<Boxed<'a>>,
     woken: Arc<Woken>,
 }
 
@@ -95,7 +97,7 @@ impl Task<'_> {
 async fn execute(
     chooser: &mut Chooser,
     enumerated: Range<usize>,
-    futures: Vec<(&'static str, Pin<Box<dyn Future<Output = ()> + '_>>)>,
+    futures: Vec<(&'static str, Boxed<'_>)>,
 ) {
     let executor = Arc::new(Notify::new());
     let task = |(name, future)| {
