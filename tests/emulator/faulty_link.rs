@@ -1,9 +1,13 @@
 //! The stream whose calls fail according to a script.
 
 use std::io::ErrorKind;
-use std::time::Duration;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::{Duration, SystemTime};
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
+use tokio::io::{
+    AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, DuplexStream, ReadBuf, duplex,
+};
 use tokio_scip::emulator::{Call, FaultyLink, LinkFailure};
 use tokio_scip::{BaudRate, Port};
 
@@ -139,4 +143,46 @@ async fn a_change_of_the_baud_rate_fails_on_request() {
     link.set_baud_rate(BaudRate::B57600).unwrap();
     assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
     assert_eq!(counter.baud_rate_changes(), 2);
+}
+
+/// A port that replays bytes of 1970.
+struct OldPort;
+
+impl AsyncRead for OldPort {
+    fn poll_read(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        _: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
+        Poll::Pending
+    }
+}
+
+impl AsyncWrite for OldPort {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<std::io::Result<usize>> {
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+impl Port for OldPort {
+    fn wall_clock(&self) -> SystemTime {
+        SystemTime::UNIX_EPOCH
+    }
+}
+
+#[test]
+fn a_faulty_link_has_the_wall_clock_of_its_port() {
+    assert_eq!(FaultyLink::new(OldPort).wall_clock(), SystemTime::UNIX_EPOCH);
 }

@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll, Waker, ready};
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
@@ -334,6 +335,13 @@ impl<S: Port> Port for FaultyLink<S> {
             None => self.inner.set_baud_rate(baud_rate),
         }
     }
+
+    fn wall_clock(&self) -> SystemTime {
+        self.inner.wall_clock()
+    }
+
+    // `try_read` and `suspend_wakeups` are not those of the inner port: each byte has to
+    // pass `poll_read`, where faults apply.
 
     fn can_die_silently(&self) -> bool {
         self.inner.can_die_silently()
