@@ -1,0 +1,58 @@
+#!/usr/bin/env bash
+# Runs the tests for ARM under user-mode emulation:
+#   bash tests/places/arm.sh armv7|aarch64 [core | NAMES…]
+# `core`, what CI runs, is the library's own tests, protocol, codec, driver and an hour of
+# simulation. NAMES are passed to the tests. left_out.txt lists what is left out, and why.
+#
+# Needs on Debian: qemu-user gcc-arm-linux-gnueabihf gcc-aarch64-linux-gnu. Where CI is set
+# they are installed if they can be. Without them: `skipped: NAME`, and success.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+case ${1-} in
+armv7) target=armv7-unknown-linux-gnueabihf gnu=arm-linux-gnueabihf qemu=qemu-arm ;;
+aarch64) target=aarch64-unknown-linux-gnu gnu=aarch64-linux-gnu qemu=qemu-aarch64 ;;
+*) echo "usage: $0 armv7|aarch64 [core | NAMES…]" >&2 && exit 2 ;;
+esac
+shift
+
+tools() { command -v "$qemu" && command -v "$gnu-gcc"; }
+if ! tools && [ -n "${CI-}" ] && [ "$(id -u)" = 0 ] && command -v apt-get; then
+    { apt-get update && apt-get install -y --no-install-recommends qemu-user "gcc-$gnu"; } || true
+fi
+for tool in "$qemu" "$gnu-gcc"; do
+    command -v "$tool" || { echo "skipped: $tool" && exit 0; }
+done
+if [ ! -d "$(rustc --print target-libdir --target "$target")" ] && ! rustup target add "$target"; then
+    echo "skipped: the std of $target" && exit 0
+fi
+
+export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUTES=60
+features=mcap,web kinds=(--lib --bins --test it) names=("$@")
+if [ "${1-}" = core ]; then
+    features=emulator kinds=(--lib --test it)
+    names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::at_least rate:: opening::
+        settings:: reconnect:: cancel:: fresh:: emulator::worlds simulation::seeds simulation::the_same)
+fi
+left_out=()
+while read -r name; do
+    left_out+=(--skip "$name")
+done < <(sed -n 's/^arm  *\([^ ]*\).*/\1/p' tests/places/left_out.txt)
+
+variable=CARGO_TARGET_$(tr a-z- A-Z_ <<<"$target")_LINKER
+messages=$(env "$variable=$gnu-gcc" cargo test --locked --no-run --features "$features" "${kinds[@]}" \
+    --target "$target" --message-format json)
+built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -E "$1"; }
+
+# Tests start the program by its path, which the kernel cannot run: a script with its name
+# starts it in the emulator.
+if program=$(built '/urg$'); then
+    mv "$program" "$program.$target"
+    printf '#!/bin/sh\nexec %s -L /usr/%s "%s" "$@"\n' "$qemu" "$gnu" "$program.$target" >"$program"
+    chmod +x "$program"
+fi
+failed=0
+for executable in $(built '/deps/'); do
+    "$qemu" -L "/usr/$gnu" "$executable" "${left_out[@]}" $([[ $executable != */it-* ]] || echo "${names[@]}") || failed=1
+done
+exit "$failed"

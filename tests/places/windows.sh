@@ -1,0 +1,83 @@
+#!/usr/bin/env bash
+# Runs the tests for Windows under Wine, then the program: bash tests/places/windows.sh
+# [NAMES…], which are passed to the tests. left_out.txt lists what is left out, and why.
+#
+# Needs on Debian: gcc-mingw-w64-x86-64 wine64 wine, and python3 for the serial port.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+target=x86_64-pc-windows-gnu
+
+for tool in wine x86_64-w64-mingw32-gcc; do
+    command -v "$tool" || { echo "skipped: $tool" && exit 0; }
+done
+if [ ! -d "$(rustc --print target-libdir --target "$target")" ] && ! rustup target add "$target"; then
+    echo "skipped: the std of $target" && exit 0
+fi
+
+export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUTES=60
+messages=$(cargo test --locked --no-run --features mcap,web --lib --bins --test it --target "$target" \
+    --message-format json)
+built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -E "$1"; }
+
+work=$(mktemp -d)
+export WINEPREFIX=$work/wine WINEDEBUG=-all
+trap 'wineserver --kill || true; rm -rf "$work"' EXIT
+wine wineboot --init
+# Rust's std takes random numbers from a library that Wine 8 lacks.
+library=$WINEPREFIX/drive_c/windows/system32/bcryptprimitives.dll
+if [ ! -e "$library" ]; then
+    cat >"$work/random.c" <<'EOF'
+#include <windows.h>
+#include <ntsecapi.h>
+__declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE data, SIZE_T length) {
+    return RtlGenRandom(data, (ULONG)length);
+}
+EOF
+    x86_64-w64-mingw32-gcc -shared -o "$library" "$work/random.c" -ladvapi32
+fi
+
+failed=0
+left_out=()
+while read -r name; do
+    left_out+=(--skip "$name")
+done < <(sed -n 's/^windows  *\([^ ]*\).*/\1/p' tests/places/left_out.txt)
+for executable in $(built '/deps/'); do
+    wine "$executable" "${left_out[@]}" "$@" || failed=1
+done
+
+# The program, on an emulated sensor, on TCP, and on a serial port: COM1 is a
+# pseudo-terminal of this machine.
+urg=$(built '/urg\.exe$')
+expect() {
+    local wanted=$1 found
+    shift
+    found=$(timeout 60 wine "$urg" "$@" 2>&1 || true)
+    grep -qF -- "$wanted" <<<"$found" && echo "ok: urg $*" && return
+    printf 'urg %s: expected %s, found\n%s\n' "$*" "$wanted" "$found" >&2
+    failed=1
+}
+expect '"sequence":19' stream emulated --count 20
+expect 'not a terminal' view emulated
+expect 'plug the sensor in' info COM9
+
+here=$(cargo build --locked --features mcap,web --bin urg --message-format json |
+    grep -o '"executable":"[^"]*/urg"' | tail -n 1 | cut -d'"' -f4)
+"$here" emulate --tcp 0 2>"$work/tcp" &
+tcp=$!
+"$here" emulate --baud 19200 --link "$work/sensor" 2>"$work/serial" &
+serial=$!
+trap 'kill $tcp $serial || true; wineserver --kill || true; rm -rf "$work"' EXIT
+until grep -q ', on ' "$work/tcp" && grep -q ', on ' "$work/serial"; do sleep 0.1; done
+expect 'serial number  H0713090' info "$(sed -n 's/.*, on //p' "$work/tcp")"
+# Wine cannot read a baud rate that is not one of POSIX, as the emulator sets it.
+stty -F "$work/sensor" 19200
+wine reg add 'HKLM\Software\Wine\Ports' /v COM1 /d "$work/sensor"
+wineserver --wait || true
+expect 'COM1' list
+expect 'baud rate      19200' info COM1
+expect 'is 115200 baud' baud COM1 115200
+expect '"sequence":4' stream '\\.\com1' --count 5
+# Wine has no 750000 baud: the driver must notice, and keep the former.
+expect 'cannot be set to 750000' baud COM1 750000
+expect 'baud rate      115200' info COM1
+exit "$failed"
