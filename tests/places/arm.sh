@@ -47,8 +47,10 @@ built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -
 # Tests start the program by its path, which the kernel cannot run: a script with its name
 # starts it in the emulator.
 if program=$(built '/urg$'); then
-    mv "$program" "$program.$target"
-    printf '#!/bin/sh\nexec %s -L /usr/%s "%s" "$@"\n' "$qemu" "$gnu" "$program.$target" >"$program"
+    mkdir -p "${program%/urg}/emulated"
+    # Its help has the name of its file.
+    mv "$program" "${program%/urg}/emulated/urg"
+    printf '#!/bin/sh\nexec %s -L /usr/%s "%s" "$@"\n' "$qemu" "$gnu" "${program%/urg}/emulated/urg" >"$program"
     chmod +x "$program"
 fi
 failed=0
