@@ -40,3 +40,38 @@ impl Backoff {
         wait.mul_f64(jitter)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn ms(ms: u64) -> Duration {
+        Duration::from_millis(ms)
+    }
+
+    #[test]
+    fn waits_double_up_to_the_longest_and_are_up_to_a_tenth_longer() {
+        let mut longest_first = Duration::ZERO;
+        for seed in 0..100 {
+            let mut backoff = Backoff::new((ms(100), ms(1000)), seed);
+            for wait in [100, 200, 400, 800, 1000, 1000] {
+                let next = backoff.next();
+                assert!((ms(wait)..=ms(wait) * 11 / 10).contains(&next), "{wait}: {next:?}");
+                if wait == 100 {
+                    longest_first = longest_first.max(next);
+                }
+            }
+        }
+        assert!(longest_first > ms(105), "the random part is small: {longest_first:?}");
+    }
+
+    #[test]
+    fn only_a_link_that_outlasts_the_next_wait_starts_over() {
+        let mut backoff = Backoff::new((ms(100), ms(1000)), 1);
+        backoff.next();
+        backoff.note_uptime(ms(200));
+        assert!(backoff.next() >= ms(200));
+        backoff.note_uptime(ms(401));
+        assert!(backoff.next() < ms(200));
+    }
+}
