@@ -1,6 +1,7 @@
 //! Connections: how many there may be, how long they may take, and which one is
 //! closed to make room for a new one.
 
+use std::fmt::Debug;
 use std::io::{self, Cursor};
 use std::net::IpAddr;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
@@ -20,7 +21,6 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
 use super::head;
-use super::viewers::Seat;
 use crate::interrupt::Interrupt;
 
 /// So many connections may be open at a time. A new one takes the place of one that
@@ -48,8 +48,9 @@ pub(super) struct Connection {
     closed: Notify,
     /// Held while its request is handled.
     turn: Mutex<Option<OwnedSemaphorePermit>>,
-    /// Set once it serves a stream of scans.
-    seat: OnceLock<Seat>,
+    /// Set once it serves a stream of scans: the viewer's seat, which is free again when
+    /// the connection is dropped.
+    seat: OnceLock<Box<dyn Debug + Send + Sync>>,
 }
 
 impl Connection {
@@ -65,9 +66,9 @@ impl Connection {
 
     /// Marks the connection as one that serves a stream of scans until it ends, and lets
     /// the next request have its turn: viewers are limited by their seats.
-    pub(super) fn become_viewer(&self, seat: Seat) {
+    pub(super) fn become_viewer(&self, seat: impl Debug + Send + Sync + 'static) {
         // It has none: it serves one request.
-        let _ = self.seat.set(seat);
+        let _ = self.seat.set(Box::new(seat));
         self.turn(None);
     }
 
