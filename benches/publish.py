@@ -295,16 +295,21 @@ def listeners():
 
 def processes():
     """Processes with ten sensors each at 1 Hz: over zenoh through one router, over DDS
-    each a participant of its own."""
-    for engine, count in (("zenoh", 100), ("dds", 5), ("dds", 10), ("dds", 20), ("dds", 40)):
+    each a participant of its own. Participants that start at the same time may stay
+    unknown to a reader, so that they also start with a gap, in seconds."""
+    dds = [("dds", 5, 0), ("dds", 5, 0.5), ("dds", 10, 0.5), ("dds", 20, 0.5), ("dds", 40, 0.5)]
+    for engine, count, gap in [("zenoh", 100, 0), *dds]:
         hosts = [f"h{number}" for number in range(count)]
         router = Router() if engine == "zenoh" else None
         topics = [f"/{host}/s{number}/scan" for host in hosts for number in range(10)]
         reader = ZenohReader() if engine == "zenoh" else RosReader(topics, "reliable")
         options = ["--topic", "scan", "--rate", "1", "--engine", engine]
-        started = [Urg("publish", *named(10), "--namespace", host, *options) for host in hosts]
-        discovered = discover(reader, len(topics), 120)
-        print(f"{engine}, {count} processes: {len(reader.numbers)} of {len(topics)} topics after"
+        started = []
+        for host in hosts:
+            started.append(Urg("publish", *named(10), "--namespace", host, *options))
+            time.sleep(gap)
+        discovered = discover(reader, len(topics), 20 if engine == "dds" else 120)
+        print(f"{engine}, {count} processes, {gap} s apart: {len(reader.numbers)} of {len(topics)} topics after"
               f" {discovered:.1f} s, with {sum(cpu_of(urg.process) for urg in started):.1f} s of CPU"
               " time", flush=True)
         time.sleep(3)
