@@ -118,3 +118,34 @@ fn a_sensor_in_service_takes_at_most_16_kib_of_the_heap() {
     println!("{each} bytes for each of {SENSORS} sensors, the peer included");
     assert!(each <= SERVICE_LIMIT, "{each}");
 }
+
+/// What is freed late, such as tokio's timers, may differ by a few bytes.
+const REST: i64 = 1024;
+
+#[test]
+fn a_thousand_replugs_with_streams_that_come_and_go_leave_nothing_on_the_heap() {
+    let runtime = runtime();
+    let emulator = sensor();
+    let opened = runtime.block_on(builder().connect(emulator.clone())).unwrap();
+    let mut kept = runtime.block_on(opened.scans(Window::DETECTION, Rate::hz(10.0))).unwrap();
+    let mut replug = |times: u32| {
+        measure(|| {
+            runtime.block_on(async {
+                for _ in 0..times {
+                    let other = opened.clone();
+                    let mut passing = other.scans(Window::FULL, Rate::hz(5.0)).await.unwrap();
+                    while passing.next().await.unwrap().is_err() {}
+                    emulator.unplug();
+                    while kept.next().await.unwrap().is_ok() {}
+                    emulator.plug_in();
+                    while kept.next().await.unwrap().is_err() {}
+                }
+            });
+        })
+    };
+    // Lists and tables reach the size that they keep.
+    replug(100);
+    let rest = replug(1000).bytes_current;
+    assert!(rest.abs() <= REST, "{rest} bytes more than before");
+    assert!(opened.stats().reconnects >= 1_100, "{:?}", opened.stats());
+}
