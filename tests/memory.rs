@@ -119,7 +119,8 @@ fn a_sensor_in_service_takes_at_most_16_kib_of_the_heap() {
     assert!(each <= SERVICE_LIMIT, "{each}");
 }
 
-/// What is freed late, such as tokio's timers, may differ by a few bytes.
+/// Blocks that are freed late, such as those of tokio's timers, may make a difference of a few
+/// bytes.
 const REST: i64 = 1024;
 
 #[test]

@@ -1,4 +1,5 @@
-//! The two processes that are observed, and samples of what they hold (`/proc`).
+//! The two processes that are observed, and samples of their memory, file descriptors and
+//! threads (`/proc`).
 
 use std::collections::HashMap;
 use std::fmt;
@@ -85,13 +86,13 @@ impl Server {
                 break rest.split('/').next().unwrap().parse().unwrap();
             }
         };
-        // What it reports about each replug.
+        // Its reports about replugs, which are not needed, must not fill the pipe.
         tokio::spawn(async move { while let Ok(Some(_)) = notices.next_line().await {} });
         Self { process, address }
     }
 }
 
-/// What a process holds.
+/// The memory, file descriptors and threads of a process.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
     pub(crate) resident_kib: u64,

@@ -54,12 +54,12 @@ pub(crate) struct DuePoll {
     pub(crate) rate: Rate,
 }
 
-/// What has changed at the end of a poll.
+/// The changes at the end of a poll.
 #[derive(Debug)]
 struct Ended {
     /// The number of scans that readers have missed since the poll before.
     missed: u64,
-    /// A span of the rate's measurement is over.
+    /// True if a span of the rate's measurement is over.
     changed: bool,
     /// The reason why its rate falls short, if that is news.
     shortfall: Option<Shortfall>,

@@ -136,9 +136,9 @@ fn two_readers_come_to_the_end_of_two_writers() {
     });
 }
 
-/// One of the readers leaves early, while the other writer wakes all.
+/// The third reader leaves while the writers wake all.
 #[test]
-fn three_readers_come_to_the_end_of_two_writers() {
+fn two_readers_come_to_the_end_of_two_writers_while_a_third_leaves() {
     explore(1, || {
         let ring = Ring::new();
         let [first, second, leaving] = [1, 2, 1].map(|depth| ring.subscribe(depth));

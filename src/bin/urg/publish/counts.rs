@@ -1,4 +1,5 @@
-//! What became of the scans of one node on their way to the network.
+//! [`ScanCounts`]: the number of scans of one node that were published, dropped, or lost on
+//! the way.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

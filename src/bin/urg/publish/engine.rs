@@ -157,7 +157,7 @@ impl Outlet {
         })
     }
 
-    /// Returns what became of the scans so far.
+    /// Returns the counts of scans so far.
     pub(crate) fn counts(&self) -> &ScanCounts {
         &self.counts
     }

@@ -1,6 +1,6 @@
 //! `urg publish`: scans as ROS 2 messages on a network. `engine` defines what
 //! carries messages; `dds` and `zenoh` do, `running` keeps one of them open, and `counts`
-//! counts what becomes of the scans.
+//! counts the scans that were published, dropped or lost.
 //! `source` brings the scans of one sensor to it, and `diagnostics` its condition;
 //! `names` names nodes and topics.
 //!

@@ -90,7 +90,7 @@ Points have their sensor's colour, or its number;
 ○ is the selected sensor's nearest.
 ";
 
-/// What is on the screen, which decides what keys do.
+/// The subject of the picture, on which the effect of the keys depends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Subject {
     Sensor,

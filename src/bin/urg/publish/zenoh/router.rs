@@ -1,5 +1,6 @@
-//! Whether the router answers, and which scans it may not have got. zenoh itself
-//! gives a silent router up after 10 s, and reports no message that was lost with it.
+//! The probe that shows that the router answers, and the count of scans that it may not
+//! have received: zenoh itself gives a silent router up after 10 s, and reports no message
+//! that was lost with it.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -25,10 +26,10 @@ pub(super) fn answers(session: &Session) -> bool {
     replies.recv().is_err() && session.info().routers_zid().wait().next().is_some()
 }
 
-/// The scans of one node that the router may not have got yet.
+/// The scans of one node that the router may not have received yet.
 pub(super) struct InTransit {
     counts: Arc<ScanCounts>,
-    /// The number of scans that the router got.
+    /// The number of scans that the router has received.
     arrived: u64,
     /// The number of scans that were published at the last answer.
     sent: u64,
@@ -41,8 +42,8 @@ impl InTransit {
         Self { counts, arrived: published, sent: published }
     }
 
-    /// Notes an answer of the router: it has what was published before the last one. A
-    /// probe may overtake what was published since.
+    /// Notes an answer of the router: it has received all scans that were published before
+    /// the previous answer. A probe may overtake those that were published since.
     pub(super) fn confirm(&mut self) {
         self.arrived = self.sent;
         self.sent = self.counts.published();

@@ -22,7 +22,7 @@ struct Message {
     counts: Arc<ScanCounts>,
 }
 
-/// What publishers and the thread share.
+/// The state that publishers and the thread share.
 struct Link {
     queue: SendQueue<Message>,
     /// True if messages can get out. A client without its router would lose them.

@@ -1,0 +1,71 @@
+//! [`Status`]: the character of a reply that stands for success or a refusal.
+
+use std::fmt;
+
+use super::{Command, Text};
+
+/// The status of a reply: one character, of which only `0` means success
+/// (C-42-3320-A p. 3). As data (feature `serde`) it is that character.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", serde(into = "char"))]
+pub struct Status(u8);
+
+impl Status {
+    /// `0`: success.
+    pub const OK: Self = Self(b'0');
+
+    /// Returns the status with this character.
+    pub const fn new(character: u8) -> Self {
+        Self(character)
+    }
+
+    /// Returns the character as it came.
+    pub const fn character(self) -> u8 {
+        self.0
+    }
+
+    /// Returns true for `0`.
+    pub const fn is_ok(self) -> bool {
+        matches!(self, Self::OK)
+    }
+
+    /// Returns the meaning of this status in answer to `command`, as far as drivers
+    /// of real sensors know it. The protocol text names none but `0`.
+    pub const fn meaning(self, command: &Command) -> Option<&'static str> {
+        match (self.0, command) {
+            (b'0', _) => Some("success"),
+            (b'2', Command::LaserOn | Command::LaserOff) => {
+                Some("the laser is already in that state")
+            }
+            (b'3', Command::BaudRate(_)) => {
+                Some("the sensor is already at that baud rate, or is on USB")
+            }
+            (b'6', Command::Distances(_)) => Some("the laser is off"),
+            (b'E', _) => Some("the sensor does not know the command"),
+            _ => None,
+        }
+    }
+
+    /// Returns true for `0`, and for the statuses of `L` and `S` that mean that
+    /// nothing had to be done: `2` on `L`, `3` on `S`.
+    pub const fn is_ok_for(self, command: &Command) -> bool {
+        match command {
+            Command::LaserOn | Command::LaserOff => matches!(self.0, b'0' | b'2'),
+            Command::BaudRate(_) => matches!(self.0, b'0' | b'3'),
+            Command::Version | Command::Distances(_) => self.is_ok(),
+        }
+    }
+}
+
+impl From<Status> for char {
+    fn from(status: Status) -> Self {
+        status.0.into()
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "'{}'", Text::from(&[self.0][..]))
+    }
+}
