@@ -318,9 +318,9 @@ impl Viewer {
         let Some((live, layer)) = self.sensor_mut(number) else { return Ok(()) };
         match outcome {
             Ok((version, scans)) => {
-                (layer.version, live.scans) = (Some(version), Some(scans));
-                // The window may have been changed meanwhile.
-                layer.window = live.scans.as_ref().map_or(layer.window, ScanStream::window);
+                layer.version = Some(version);
+                // The scans of another window may have been requested, and be there, already.
+                live.scans.get_or_insert(scans);
                 live.pace.restart();
             }
             Err(error) => {
