@@ -30,7 +30,7 @@ impl Input {
     }
 
     /// Returns the parts of the file, in their order, that have nothing but chunks with
-    /// messages before `time` (nanoseconds since 1970). None if the file has no whole
+    /// messages before `time` (nanoseconds since 1970); no part if the file has no whole
     /// index, or is no file. Reading continues where it was.
     pub(super) fn parts_before(&mut self, time: u64) -> io::Result<Vec<Range<u64>>> {
         let Self::File(file) = self else { return Ok(Vec::new()) };

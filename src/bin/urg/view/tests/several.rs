@@ -1,7 +1,10 @@
 //! Several sensors on one screen.
 
 use super::*;
+use tokio_scip::ScanStream;
+
 use crate::view::palette::Palette;
+use crate::view::{ViewedSensor, Viewer};
 
 /// A sensor that sees one thing, two metres ahead of it.
 fn ahead() -> Emulator {
@@ -183,5 +186,31 @@ async fn a_small_screen_leaves_out_names_and_figures_before_trouble() {
         for height in (10..60).step_by(9) {
             terminal(&model, width, height, Palette::Sixteen);
         }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_window_that_is_requested_while_the_sensor_is_opened_stays() {
+    for is_open_first in [true, false] {
+        let sensor = Sensor::builder().connect(ahead()).await.unwrap();
+        let placed = "/dev/ttyACM0".parse().unwrap();
+        let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
+        let mut viewer = Viewer::of_sensors(vec![ViewedSensor { placed, sensor, window, rate }]);
+        let action = press(&mut viewer.model, KeyCode::Char('w'));
+        viewer.act(action);
+        let requested = viewer.model.layers[0].window;
+        assert_ne!(requested, window);
+        let started = viewer.starts.join_next().await.unwrap().unwrap();
+        let done = viewer.jobs.join_next().await.unwrap().unwrap();
+        if is_open_first {
+            viewer.started(started).unwrap();
+            viewer.done(done);
+        } else {
+            viewer.done(done);
+            viewer.started(started).unwrap();
+        }
+        assert_eq!(viewer.model.layers[0].window, requested);
+        let polled = viewer.sensors().next().and_then(|live| live.scans.as_ref());
+        assert_eq!(polled.map(ScanStream::window), Some(requested), "{is_open_first}");
     }
 }
