@@ -138,6 +138,12 @@ fn wire_time_is_exact_and_never_overflows() {
     assert_eq!(BaudRate::B19200.wire_time(0), Duration::ZERO);
     assert_eq!(BaudRate::B19200.wire_time(1920), Duration::from_secs(1));
     assert_eq!(BaudRate::B250000.wire_time(1), Duration::from_micros(40));
+    #[cfg(target_pointer_width = "64")]
+    {
+        let long = Duration::new(572_662_306, 133_333_333);
+        assert_eq!(BaudRate::B19200.wire_time(1 << 40), long);
+        assert!(BaudRate::B19200.wire_time(usize::MAX) > Duration::from_secs(1 << 40));
+    }
     // More bits than a 32-bit number counts.
     assert_eq!(BaudRate::B19200.wire_time(1 << 31), Duration::new(1_118_481, 66_666_666));
     assert!(BaudRate::B750000.wire_time(usize::MAX) > Duration::from_secs(1 << 15));

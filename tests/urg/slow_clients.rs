@@ -20,10 +20,9 @@ fn viewers_are_limited_and_the_oldest_of_the_address_with_most_is_closed() {
     assert!(std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| oldest.text())).is_err());
 }
 
-/// The longest times for `/health` and for a first scan, of a program that is not
-/// optimised, beside other tests. `benches/slow_clients.py` holds the program to 2 s and 5 s.
-const HEALTH_LIMIT: Duration = Duration::from_secs(6);
-const SCAN_LIMIT: Duration = Duration::from_secs(10);
+/// The longest times for `/health` and for a first scan.
+const HEALTH_LIMIT: Duration = Duration::from_secs(2);
+const SCAN_LIMIT: Duration = Duration::from_secs(5);
 
 /// Asserts that a supervisor and a new viewer are served while others misuse the server.
 fn is_served_in_time(served: &Served) {
