@@ -143,13 +143,16 @@ fn degrees(text: &str) -> Result<f64, &'static str> {
         .ok_or("expected a number of degrees, such as -90 or -90deg")
 }
 
-/// Returns an address to listen on. A port number alone means this machine
-/// only: whoever can connect can use the sensor.
-pub(crate) fn default_to_loopback(address: &str) -> String {
-    let port = address.strip_prefix(':').unwrap_or(address);
-    match port.parse::<u16>() {
-        Ok(port) => format!("127.0.0.1:{port}"),
-        Err(_) => address.to_owned(),
+/// Parses an address to listen on: `8080` means this machine only, since whoever can
+/// connect can use the sensor.
+pub(crate) fn listen_address(text: &str) -> Result<String, &'static str> {
+    let (host, port) = text.rsplit_once(':').unwrap_or(("", text));
+    match (host, port.parse::<u16>()) {
+        ("", Ok(port)) => Ok(format!("127.0.0.1:{port}")),
+        (_, Ok(_)) => Ok(text.to_owned()),
+        (_, Err(_)) => {
+            Err("expected a port number such as 8080, or ADDRESS:PORT such as 0.0.0.0:8080")
+        }
     }
 }
 
@@ -204,8 +207,21 @@ mod tests {
 
     #[test]
     fn a_port_number_alone_is_of_this_machine() {
-        assert_eq!(default_to_loopback("4001"), "127.0.0.1:4001");
-        assert_eq!(default_to_loopback(":4001"), "127.0.0.1:4001");
-        assert_eq!(default_to_loopback("0.0.0.0:4001"), "0.0.0.0:4001");
+        for (text, address) in [
+            ("4001", "127.0.0.1:4001"),
+            (":4001", "127.0.0.1:4001"),
+            ("0.0.0.0:4001", "0.0.0.0:4001"),
+            ("[::]:4001", "[::]:4001"),
+            ("robot.local:0", "robot.local:0"),
+        ] {
+            assert_eq!(listen_address(text).as_deref(), Ok(address), "{text}");
+        }
+    }
+
+    #[test]
+    fn an_address_to_listen_on_has_a_port_number() {
+        for text in ["", ":", "1.2.3.4", "localhost", "localhost:", "[::1]", "0.0.0.0:65536"] {
+            assert!(listen_address(text).is_err(), "{text}");
+        }
     }
 }

@@ -13,7 +13,7 @@ use tokio_scip::emulator::{Emulator, Faults, RepeatedLaser, Room};
 
 #[cfg(unix)]
 use super::link_claim::LinkClaim;
-use crate::args::{FirmwareArg, default_to_loopback, duration};
+use crate::args::{FirmwareArg, duration, listen_address};
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
@@ -36,7 +36,7 @@ pub(crate) struct Emulate {
     link: Option<PathBuf>,
     /// Serve on TCP instead: a port number on this machine only, or ADDRESS:PORT
     /// (0.0.0.0:4001 lets everybody use the sensor)
-    #[arg(long, value_name = "ADDR")]
+    #[arg(long, value_name = "ADDR", value_parser = listen_address)]
     #[cfg_attr(unix, arg(conflicts_with = "link"))]
     tcp: Option<String>,
     /// Emulate RS-232 at this baud rate; a real sensor has 19200 after power-up
@@ -96,7 +96,7 @@ impl Emulate {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let emulator = self.emulator();
         match &self.tcp {
-            Some(address) => self.serve_tcp(&emulator, &default_to_loopback(address)).await,
+            Some(address) => self.serve_tcp(&emulator, address).await,
             None => self.serve_pty(&emulator).await,
         }
     }

@@ -10,7 +10,7 @@ use futures_util::stream::FuturesUnordered;
 use tokio::net::{TcpListener, TcpSocket};
 use tokio_scip::Rate;
 
-use crate::args::{LinkArgs, WindowArgs, default_to_loopback};
+use crate::args::{LinkArgs, WindowArgs, listen_address};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
@@ -43,7 +43,7 @@ pub(crate) struct Serve {
     /// and control a recording's playback: there is no password. On a loopback address a request is refused if its Host
     /// header names another host, so that no other web site can read the scans through
     /// the user's browser (DNS rebinding).
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = listen_address)]
     listen: String,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
     #[arg(long, value_name = "HZ")]
@@ -92,9 +92,8 @@ impl Serve {
         let mut polled = self.sensors.polled_at(self.rate).await?;
         let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
         self.playback.apply(ports, self.rate.is_some())?;
-        let address = default_to_loopback(&self.listen);
-        let failed = |error| Failure::of(&format!("cannot listen on {address}"), &error);
-        let listener = listen(&address).await.map_err(failed)?;
+        let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);
+        let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
         let sources: Arc<[Source]> = tokio::select! {
