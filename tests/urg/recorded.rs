@@ -127,6 +127,8 @@ async fn every_command_that_reads_a_sensor_reads_a_recording() {
     assert_eq!(values(&serde_json::from_str(&scan).unwrap()), recorded[0]);
     assert!(run(&format!("scan {path} --format svg"), 0).stdout.ends_with("</svg>\n"));
     let check = run(&format!("check {path}"), 0);
+    assert!(check.stdout.contains("found in a recording after"), "{}", check.stdout);
+    assert!(!check.stdout.contains("USB"), "{}", check.stdout);
     assert!(check.stdout.contains("20 of 20 answered"), "{}", check.stdout);
     assert!(check.stdout.ends_with("all is well\n"), "{}", check.stdout);
 }

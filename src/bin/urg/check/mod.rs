@@ -12,9 +12,10 @@ use self::measured::Measured;
 pub(crate) use self::step::{Step, Verdict};
 use crate::failure::chain;
 
-/// Reports that the sensor was found, `after` so long.
-pub(crate) fn link(sensor: &Sensor, after: Duration) -> Step {
+/// Reports that the sensor was found, `after` so long. `is_recording` if it is a replay.
+pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Step {
     let place = match sensor.state().borrow().baud_rate() {
+        _ if is_recording => "in a recording".to_owned(),
         Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),
     };
@@ -79,7 +80,7 @@ mod tests {
         let emulator = builder.build();
         let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         emulator.set_faults(faults);
-        let mut steps = vec![link(&sensor, Duration::ZERO), version(&sensor).await];
+        let mut steps = vec![link(&sensor, false, Duration::ZERO), version(&sensor).await];
         steps.push(laser(&sensor).await);
         steps.extend(scans(&sensor, Window::DETECTION, None, Duration::from_secs(10)).await);
         let text = steps.iter().map(|step| format!("{step}\n")).collect();

@@ -48,7 +48,7 @@ impl Check {
         let begin = Instant::now();
         match open(&port, &self.link, Delivery::Newest).await {
             Ok(sensor) => {
-                report.add(check::link(&sensor, begin.elapsed())).await?;
+                report.add(check::link(&sensor, recorded.is_some(), begin.elapsed())).await?;
                 report.add(check::version(&sensor).await).await?;
                 report.add(check::laser(&sensor).await).await?;
                 for step in
