@@ -18,14 +18,15 @@ const MIN_SIZE: (u16, u16) = (30, 10);
 /// From this width on there is a panel.
 const WITH_PANEL: u16 = 64;
 
-/// Draws all of it.
-pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
+/// Draws all of it. Returns the first line of the help that this screen shows; `None` if
+/// the help is closed.
+pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Option<u16> {
     let area = frame.area();
     let (width, height) = MIN_SIZE;
     if area.width < width || area.height < height {
         let text = format!("too small:\n{width}x{height} is\nthe least");
         frame.render_widget(Paragraph::new(text), area);
-        return;
+        return model.help;
     }
     let rows =
         [Constraint::Length(1), Constraint::Min(0), Constraint::Length(1), Constraint::Length(1)];
@@ -54,9 +55,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) {
     message(frame, news, model, palette);
     let subject = Subject::of(model);
     frame.render_widget(help::key_line(keys.width, subject), keys);
-    if let Some(scroll) = model.help {
-        draw_help(frame, body, scroll, &help::text(subject));
-    }
+    model.help.map(|scroll| draw_help(frame, body, scroll, &help::text(subject)))
 }
 
 fn picture(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
@@ -145,7 +144,9 @@ fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
     lines.into_iter().map(|line| Line::raw(format!(" {line}"))).collect()
 }
 
-fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
+/// Draws the help from its line `scroll` on, or from the one that shows its end if that is
+/// earlier. Returns the line.
+fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) -> u16 {
     let block = Block::bordered().title(help::TITLE).border_style(Palette::quiet());
     let columns = text.lines().map(|line| line.chars().count()).max().unwrap_or(0);
     let width = (columns as u16 + 4).min(area.width);
@@ -167,4 +168,5 @@ fn draw_help(frame: &mut Frame<'_>, area: Rect, scroll: u16, text: &str) {
     let lines: Vec<_> = lines.collect();
     frame.render_widget(Clear, area);
     frame.render_widget(Paragraph::new(lines).scroll((scroll, 0)).block(block), area);
+    scroll
 }

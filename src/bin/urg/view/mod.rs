@@ -140,7 +140,9 @@ impl Viewer {
                     changed = false;
                     next_frame = Instant::now() + FRAME_INTERVAL;
                     self.refresh();
-                    screen.draw(|frame| draw::draw(frame, &self.model, self.palette))?;
+                    let mut help = None;
+                    screen.draw(|frame| help = draw::draw(frame, &self.model, self.palette))?;
+                    self.model.help = help;
                     continue;
                 }
                 event = next_event(&mut keys) => match event {
@@ -237,14 +239,17 @@ impl Viewer {
         }
     }
 
-    /// Shows a message about a sensor, with its name if there are several.
+    /// Shows a message about a sensor. If there are several, the message has its name, or
+    /// the port of one without a name.
     fn show(&mut self, number: usize, text: impl Into<String>) {
         self.model.now = Instant::now();
         let text = text.into();
-        let name = self.model.layers.get(number).filter(|_| self.model.has_several());
-        self.model.show(match name {
-            Some(layer) => format!("{}: {text}", layer.label()),
-            None => text,
+        let layer = self.model.layers.get(number).filter(|_| self.model.has_several());
+        self.model.show(match layer {
+            Some(layer) if layer.name.is_some() || !text.contains(&layer.port) => {
+                format!("{}: {text}", layer.label())
+            }
+            _ => text,
         });
     }
 
@@ -329,7 +334,7 @@ impl Viewer {
                 if self.going == 0 {
                     return Err(failure);
                 }
-                self.model.show(failure.line());
+                self.show(number, failure.line());
             }
         }
         Ok(())

@@ -18,8 +18,6 @@ use crate::plot::pose::Pose;
 const ZOOMS: [f64; 5] = [REACH, 3.0, 2.0, 1.0, 0.5];
 /// A trail of a playback has no gap of more scans than this.
 const MAX_JUMP: u64 = 100;
-/// The help does not scroll farther than its last lines on the smallest screen.
-const MAX_HELP_SCROLL: u16 = 32;
 /// A message is shown for this time.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
@@ -31,7 +29,8 @@ pub(crate) struct Model {
     /// The number of the sensor that keys act on.
     selected: usize,
     pub(crate) paused: bool,
-    /// The first line of the help that is shown, while it is.
+    /// The first line of the help that is shown, while it is. A key may move it beyond the
+    /// end; drawing returns the place within it.
     pub(crate) help: Option<u16>,
     pub(crate) shows_trail: bool,
     /// The place in the recording; `None` for sensors.
@@ -223,7 +222,7 @@ impl Model {
 /// Returns the place of the help after a key: scrolled, or `None` when it closes.
 fn scrolled(help: Option<u16>, code: KeyCode) -> Option<u16> {
     match code {
-        KeyCode::Down => help.map(|line| (line + 1).min(MAX_HELP_SCROLL)),
+        KeyCode::Down => help.map(|line| line.saturating_add(1)),
         KeyCode::Up => help.map(|line| line.saturating_sub(1)),
         _ => None,
     }

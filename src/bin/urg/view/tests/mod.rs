@@ -57,7 +57,11 @@ async fn watched(emulator: Emulator) -> Model {
 
 fn terminal(model: &Model, width: u16, height: u16, palette: Palette) -> Terminal<TestBackend> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
-    terminal.draw(|frame| draw(frame, model, palette)).unwrap();
+    terminal
+        .draw(|frame| {
+            draw(frame, model, palette);
+        })
+        .unwrap();
     terminal
 }
 
@@ -248,6 +252,31 @@ async fn on_a_small_screen_the_help_scrolls_and_the_key_to_quit_stays() {
         press(&mut model, KeyCode::Up);
     }
     assert!(screen(&model, 40, 12).contains("zoom in and out"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_help_scrolls_no_farther_than_its_end_on_any_screen() {
+    let mut model = watched(Emulator::builder().usb().build()).await;
+    press(&mut model, KeyCode::Char('?'));
+    let drawn = |model: &Model, width, height| {
+        let (mut terminal, mut help) =
+            (Terminal::new(TestBackend::new(width, height)).unwrap(), None);
+        terminal.draw(|frame| help = draw(frame, model, Palette::Many)).unwrap();
+        help
+    };
+    for _ in 0..3 {
+        press(&mut model, KeyCode::Down);
+        model.help = drawn(&model, 80, 60);
+        assert_eq!(model.help, Some(0), "all of it is on the screen");
+    }
+    for _ in 0..100 {
+        press(&mut model, KeyCode::Down);
+        model.help = drawn(&model, 40, 12);
+    }
+    assert!(screen(&model, 40, 12).contains("x none"));
+    let end = model.help.unwrap();
+    press(&mut model, KeyCode::Up);
+    assert_eq!(drawn(&model, 40, 12), Some(end - 1), "one key scrolls it back");
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,7 +1,7 @@
 //! Several sensors on one screen.
 
 use super::*;
-use tokio_scip::ScanStream;
+use tokio_scip::{Error, ScanStream};
 
 use crate::view::palette::Palette;
 use crate::view::{ViewedSensor, Viewer};
@@ -186,6 +186,27 @@ async fn a_small_screen_leaves_out_names_and_figures_before_trouble() {
         for height in (10..60).step_by(9) {
             terminal(&model, width, height, Palette::Sixteen);
         }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
+    for (argument, expected) in [
+        ("rear=/dev/ttyACM1", "rear: cannot open /dev/ttyACM1: "),
+        ("/dev/ttyACM1", "cannot open /dev/ttyACM1: "),
+    ] {
+        let mut viewed = Vec::new();
+        for placed in ["front=/dev/ttyACM0", argument] {
+            let sensor = Sensor::builder().connect(ahead()).await.unwrap();
+            let (placed, rate) = (placed.parse().unwrap(), Rate::hz(10.0));
+            viewed.push(ViewedSensor { placed, sensor, window: Window::DETECTION, rate });
+        }
+        let mut viewer = Viewer::of_sensors(viewed);
+        let source = std::sync::Arc::new(std::io::Error::other("no such port"));
+        let error = Error::Open { port: "/dev/ttyACM1".to_owned(), source };
+        viewer.started((1, Err(error))).unwrap();
+        let small = rows(&viewer.model, 40, 12)[..11].join("\n");
+        assert!(small.contains(&format!("\n {expected}")), "{small}");
     }
 }
 
