@@ -203,7 +203,7 @@ class Radar {
     for (const ring of [...rings, REACH]) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
 
     const rim = REACH + LABELS / view.scale;
-    for (const d of marks) this.label(`${d}°`.replace("-", "−"), ...this.place(layer, d * Math.PI / 180, rim, view));
+    for (const d of marks) this.label(`${d}°`, ...this.place(layer, d * Math.PI / 180, rim, view));
     // Beside the right edge, where nothing is measured.
     const outside = from + layer.pose.yaw - Math.PI / 2;
     for (const ring of rings) {

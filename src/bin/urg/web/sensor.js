@@ -5,7 +5,7 @@ const by = (id) => document.getElementById(id);
 const TRAIL = 10; // scans behind the latest one
 
 const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
-const direction = (radians, digits = 1) => `${degrees(radians).toFixed(digits)}°`.replace("-", "−");
+const direction = (radians, digits = 1) => `${degrees(radians).toFixed(digits)}°`;
 const time = (milliseconds) => new Date(milliseconds).toLocaleTimeString();
 
 function setText(element, text) {
