@@ -10,12 +10,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::mcap::{Fields, Input, MessageHeader, Records, kind, parse_metadata};
+use super::mcap::{Fields, Input, MessageHeader, Records, kind, nanos, parse_metadata};
 use super::range::{RecordPlace, TimeRange};
 use super::record::{Entry, Record, Reply, parse_command};
 use super::topics::Topic;
 use super::{METADATA, RecordingError};
-use crate::ros;
+use crate::ros::{self, since_1970};
 use crate::{Event, Rate, Window};
 
 /// The metadata is searched in so many records: it stands near the beginning.
@@ -215,7 +215,7 @@ impl Iterator for Recording {
             let Ok(record) = &item else { return Some(item) };
             let place = self.range.place(record);
             if let Some(begin) = self.range.take_begin()
-                && let Err(error) = self.records.leave_out_before(nanos(begin))
+                && let Err(error) = self.records.leave_out_before(nanos(since_1970(begin)))
             {
                 self.is_over = true;
                 return Some(Err(error.into()));
@@ -270,11 +270,6 @@ fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option
         }
     };
     Some(Some(Record { at: time(header.log_time), sequence: header.sequence, entry }))
-}
-
-fn nanos(time: SystemTime) -> u64 {
-    let since = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn time(nanos: u64) -> SystemTime {

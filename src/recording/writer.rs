@@ -6,7 +6,7 @@ use std::io;
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
-use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader};
+use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader, nanos};
 use super::parts::{Output, Parts};
 use super::topics::Topic;
 use crate::Scan;
@@ -225,10 +225,6 @@ fn start(out: Output) -> io::Result<McapWriter<Output>> {
         mcap.add_channel(topic.channel(), topic.name(), message.name(), message.definition());
     }
     Ok(mcap)
-}
-
-fn nanos(duration: Duration) -> u64 {
-    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 #[cfg(test)]

@@ -16,6 +16,8 @@ mod read;
 mod records;
 mod write;
 
+use std::time::Duration;
+
 pub(super) use self::form::{is_well_formed, parse_metadata, split_record};
 pub(super) use self::index::MAX_INDEX_ENTRIES;
 pub(super) use self::input::Input;
@@ -118,6 +120,11 @@ impl<'a> Fields<'a> {
     pub(super) fn string(&mut self) -> Option<&'a str> {
         std::str::from_utf8(self.bytes()?).ok()
     }
+}
+
+/// Returns a time since 1970, or the length of one, as files have it.
+pub(super) fn nanos(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
 
 fn put_bytes(out: &mut Vec<u8>, bytes: &[u8]) {
