@@ -26,6 +26,9 @@ use crate::emulator::link::HostBaudRate;
 /// On Linux a client that locks the terminal (`TIOCEXCL`) and is killed leaves the
 /// lock behind, and only root can open the terminal again. A client that closes the
 /// terminal leaves no lock.
+///
+/// A program that another thread starts in the instant in which [`open`](Self::open)
+/// creates the terminal inherits it, and keeps it from hanging up as long as it runs.
 #[derive(Debug)]
 pub struct Pty {
     emulator: Emulator,
