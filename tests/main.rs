@@ -15,6 +15,7 @@ mod faults;
 mod flood;
 mod fresh;
 mod grid;
+mod identity;
 mod idle_probe;
 mod layering;
 mod memory;

@@ -32,7 +32,7 @@ features=mcap,web kinds=(--lib --bins --test it) names=("$@")
 if [ "${1-}" = core ]; then
     features=emulator kinds=(--lib --test it)
     names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::at_least rate:: opening::
-        settings:: reconnect:: cancel:: fresh:: emulator::worlds simulation::seeds simulation::the_same)
+        settings:: reconnect:: identity:: cancel:: fresh:: emulator::worlds simulation::seeds simulation::the_same)
 fi
 left_out=()
 while read -r name; do
