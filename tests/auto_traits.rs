@@ -4,6 +4,7 @@
 use std::fmt::Debug;
 
 use futures::stream::{FusedStream, Stream};
+use tokio_scip::emulator::Emulator;
 use tokio_scip::port::StreamPort;
 use tokio_scip::{
     Connect, Driver, Endpoint, Error, OnlyScans, Point, Rate, Scan, ScanStream, Sensor,
@@ -42,6 +43,8 @@ fn streams_need_no_pinning_and_are_fused() {
 fn the_driver_is_a_future_that_can_be_spawned() {
     fn spawned<T: Future<Output = Result<(), Error>> + Send + Unpin + Debug + 'static>() {}
     spawned::<Driver>();
+    let (_sensor, driver) = Sensor::builder().build(Emulator::builder().build());
+    assert_eq!(format!("{driver:?}"), "Driver { .. }");
 }
 
 /// Never called: the test is that it compiles.

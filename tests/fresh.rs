@@ -247,3 +247,19 @@ async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_every_ten_minutes
     // Only at level debug and above, which the log collects.
     assert_eq!((waiting, log.lines.len()), (6, 6), "once, and every ten minutes: {:?}", log.lines);
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_only() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    sensor.scan(WINDOW).await.unwrap();
+    let mut state = sensor.state();
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    drop(sensor.scan(WINDOW).await);
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    let log = log.0.lock().unwrap();
+    let search = log.lines.iter().find(|(_, line)| line.contains("was not found")).unwrap();
+    assert!(!search.1.contains("bytes"), "the scan before it is counted: {}", search.1);
+}

@@ -1,13 +1,14 @@
 //! Opening: the search for the sensor, the change to the wanted baud rate, and each way to
 //! fail.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults, FaultyLink, Firmware, Mode};
-use tokio_scip::{BaudRate, Error, Sensor, State, Window};
+use tokio_scip::{BaudRate, Error, Sensor, SensorBuilder, State, Window};
 
 async fn fails(emulator: &Emulator) -> Error {
     builder().connect(emulator.clone()).await.unwrap_err()
@@ -136,10 +137,36 @@ async fn w22_an_echo_of_the_commands_is_a_loopback_too() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w21_translated_line_ends_are_reported() {
+async fn w21_translated_line_ends_are_reported_at_once() {
+    let start = Instant::now();
     let error = fails(&truthful().faults(Faults::none().every(Fault::CrLf)).build()).await;
+    assert!(start.elapsed() < ms(1000), "{:?}", start.elapsed());
     let source = std::error::Error::source(&error).unwrap().to_string();
     assert!(source.contains("raw mode"), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_malformed_first_reply_is_counted_and_does_not_fail_the_opening() {
+    // A byte of the data that is no character of SCIP.
+    let emulator = truthful().faults(Faults::none().at(0, Fault::Flip(12, 0x80))).build();
+    let malformed = builder().connect(emulator).await.unwrap().stats().malformed;
+    assert_eq!((malformed.character, malformed.total()), (1, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn two_programs_begin_with_different_fences_unless_both_set_the_same_seed() {
+    async fn first_fence(builder: SensorBuilder) -> Vec<u8> {
+        let emulator = truthful().build();
+        builder.connect(emulator.clone()).await.unwrap();
+        let log = emulator.log();
+        log.into_iter().find(|received| received.line.starts_with(b"G")).unwrap().line
+    }
+    assert_eq!(first_fence(builder()).await, first_fence(builder()).await);
+    let mut different = HashSet::new();
+    for _ in 0..5 {
+        different.insert(first_fence(Sensor::builder()).await);
+    }
+    assert!(different.len() > 1, "{different:?}");
 }
 
 #[tokio::test(start_paused = true)]

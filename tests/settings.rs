@@ -96,6 +96,24 @@ async fn a_laser_that_another_program_switched_off_is_switched_on() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_laser_that_could_not_be_switched_on_is_tried_at_once_after_scans_have_come_again() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    // Long enough for waits of eight seconds between two attempts.
+    emulator.set_faults(Faults::none().every(Fault::Status(b'6')));
+    stream.next().await.unwrap().unwrap_err();
+    tokio::time::sleep(ms(10_000)).await;
+    emulator.set_faults(Faults::none());
+    stream.next().await.unwrap().unwrap();
+    emulator.set_faults(Faults::none().at(0, Fault::Status(b'6')));
+    for _ in 0..3 {
+        stream.next().await.unwrap().unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn a08_the_baud_rate_changes_under_a_stream_and_back() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;

@@ -107,6 +107,16 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
 }
 
 #[test]
+fn a_reader_that_comes_late_begins_with_the_latest_of_two_errors() {
+    let ring = Ring::new();
+    ring.report(Error::LaserOff);
+    let mut reader = ring.subscribe(1);
+    ring.report(Error::Loopback { sensor: None });
+    let latest = Error::Loopback { sensor: None }.to_string();
+    assert_eq!((take(&mut reader), take(&mut reader)), (Some(Some(Err(latest))), None));
+}
+
+#[test]
 fn each_reader_has_a_depth_of_its_own() {
     let ring = Ring::new();
     let (mut newest, mut all) = (ring.subscribe(1), ring.subscribe(4));

@@ -48,6 +48,31 @@ async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan
 }
 
 #[tokio::test(start_paused = true)]
+async fn t02_five_lost_fences_cost_no_link_where_no_other_baud_rate_can_be_tried() {
+    let emulator = truthful().baud_rate(BaudRate::B115200).build();
+    let bridged = emulator.clone();
+    let bridge = ConnectFn(move || Ok(bridged.bridge(BaudRate::B115200)));
+    let sensor = builder().connect(bridge).await.unwrap();
+    // The poll and the fences after it.
+    emulator.set_faults((0..6).fold(Faults::none(), |faults, at| faults.at(at, Fault::Lost)));
+    sensor.scan(WINDOW).await.unwrap();
+    let stats = sensor.stats();
+    assert_eq!((stats.fence_timeouts, stats.disconnects, stats.reconnects), (5, 0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn w12_a_reply_cut_off_behind_its_echo_is_not_a_loopback() {
+    let emulator = instant_sensor().build();
+    let sensor = open(&emulator).await;
+    // The poll is lost. Of the reply to the fence after it only the echo comes, which is all
+    // that was sent.
+    emulator.set_faults(Faults::none().at(0, Fault::Lost).at(1, Fault::Cut(10)));
+    sensor.scan(WINDOW).await.unwrap();
+    let stats = sensor.stats();
+    assert_eq!((stats.fence_timeouts, stats.disconnects, stats.reconnects), (1, 0, 0));
+}
+
+#[tokio::test(start_paused = true)]
 async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
     // At the highest rate, so that the driver is never idle between two polls, and with
     // the full window, where polls cannot differ.
