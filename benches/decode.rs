@@ -67,7 +67,8 @@ fn crate_decoder_to_new_block(bencher: Bencher) {
     });
 }
 
-/// Copies a reply into the read buffer, and passes its frame to `parse`.
+/// Copies a reply into the read buffer, finds its end, and passes it to `parse` where it
+/// lies.
 fn decode(bencher: Bencher, mut parse: impl FnMut(&Command, &[u8])) {
     let reply = full_scan();
     let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
@@ -77,8 +78,27 @@ fn decode(bencher: Bencher, mut parse: impl FnMut(&Command, &[u8])) {
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
+        let Some(Frame::Reply(length)) = codec.find(&mut buffer) else { panic!("no frame") };
+        parse(black_box(&command), &buffer[..length]);
+        buffer.clear();
+    });
+}
+
+/// Does what a program with a `Framed` does, for which the frame is split off the buffer.
+#[divan::bench(sample_size = 100)]
+fn crate_decoder_of_framed(bencher: Bencher) {
+    let reply = full_scan();
+    let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
+    let mut buffer = BytesMut::with_capacity(4096);
+    codec.encode(&command, &mut buffer).unwrap();
+    buffer.clear();
+    let mut shared = Arc::default();
+    bencher.bench_local(|| {
+        buffer.reserve(4096);
+        buffer.extend_from_slice(black_box(&reply));
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        parse(black_box(&command), &frame);
+        Reply::parse_into_shared(black_box(&command), &frame, &mut shared).unwrap();
+        black_box(&mut shared);
     });
 }
 

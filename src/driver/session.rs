@@ -14,7 +14,7 @@ use tracing::Instrument;
 
 use super::exchange::ExchangeError;
 use super::fence::{Fence, UniqueRequests, Widened};
-use super::transport::{Timing, Transport, wire_len};
+use super::transport::{Timing, Transport};
 use crate::codec::Frame;
 use crate::observer::{RawReply, ReplyObserver};
 use crate::port::Port;
@@ -203,7 +203,7 @@ impl Session {
         let Self { transport, observer, telemetry, .. } = self;
         let latency = transport.latency(&command);
         let mut read = Some(read);
-        let judge = |frame: &Frame, timing: Timing| {
+        let judge = |frame: Frame<&[u8]>, timing: Timing| {
             let after = timing.began - timing.requested;
             let outcome = match parse(&command, frame, timing, observer, values) {
                 Ok(_) if after < least => Err(Malformed::Early { after, least }.into()),
@@ -213,7 +213,7 @@ impl Session {
                 let mut stats = telemetry.stats();
                 stats.malformed.count(error);
                 if !is_echoed(error) {
-                    stats.bytes_skipped += wire_len(frame);
+                    stats.bytes_skipped += frame.wire_len();
                 }
             }
             let error = match outcome {
@@ -246,14 +246,14 @@ impl Session {
 /// Compares a frame with `command`, and shows it to the observer.
 fn parse<'a>(
     command: &Command,
-    frame: &'a Frame,
+    frame: Frame<&'a [u8]>,
     timing: Timing,
     observer: &ReplyObserver,
     values: &mut Arc<[u16]>,
 ) -> Result<Reply<'a>, ReplyError> {
     let bytes = match frame {
         Frame::Reply(bytes) => bytes,
-        Frame::Overlong { bytes } => return Err(Malformed::Overlong { bytes: *bytes }.into()),
+        Frame::Overlong { bytes } => return Err(Malformed::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse_into_shared(command, bytes, values);
     observer.observe(|| RawReply {

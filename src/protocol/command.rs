@@ -49,15 +49,21 @@ impl Command {
                 out.push(&baud_rate.digits());
                 out.push(RESERVED);
             }
-            Self::Distances(window) => {
-                // At once: a reply is compared with these bytes for each scan.
-                let [a, b, c] = digits(window.start().number());
-                let [d, e, f] = digits(window.end().number());
-                let [g, h] = digits(u16::from(window.cluster_count()));
-                out.push(&[b'G', a, b, c, d, e, f, g, h]);
-            }
+            Self::Distances(window) => out.push(&distances(window)),
         }
         out
+    }
+
+    /// Returns what follows the echo of this command in `frame`, or `None` if it does not
+    /// begin with it.
+    pub(super) fn strip_echo<'a>(&self, frame: &'a [u8]) -> Option<&'a [u8]> {
+        match self {
+            // For each scan: the compiler makes two comparisons of numbers of this.
+            Self::Distances(window) => frame
+                .split_first_chunk()
+                .and_then(|(echo, rest)| (*echo == distances(window)).then_some(rest)),
+            other => frame.strip_prefix(&*other.bytes()),
+        }
     }
 
     /// Returns the expected length in bytes of the longest reply to this command,
@@ -106,6 +112,14 @@ impl std::ops::Deref for CommandBytes {
     fn deref(&self) -> &[u8] {
         self.bytes.get(..self.len).unwrap_or(&self.bytes)
     }
+}
+
+/// Returns the bytes of a `G`.
+fn distances(window: &Window) -> [u8; 9] {
+    let [a, b, c] = digits(window.start().number());
+    let [d, e, f] = digits(window.end().number());
+    let [g, h] = digits(u16::from(window.cluster_count()));
+    [b'G', a, b, c, d, e, f, g, h]
 }
 
 /// Returns `number` as `N` decimal digits, with leading zeros.

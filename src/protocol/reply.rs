@@ -108,7 +108,7 @@ impl<'a> Reply<'a> {
         frame: &'a [u8],
         values: &mut [u16],
     ) -> Result<Self, ReplyError> {
-        let rest = match frame.strip_prefix(&*command.bytes()) {
+        let rest = match command.strip_echo(frame) {
             Some([b'\n', rest @ ..]) => rest,
             Some([]) => return Err(Malformed::NoStatus.into()),
             _ => return Err(foreign(frame)),

@@ -111,7 +111,7 @@ impl Fence {
         let command = *command;
         let mut malformed = None;
         let sent = transport.outgoing(&command);
-        let judge = |frame: &Frame, timing| match self.judge(&command, frame, timing) {
+        let judge = |frame: Frame<&[u8]>, timing| match self.judge(&command, frame, timing) {
             Ok(_) if is_echoed(&sent, &command, frame) => {
                 Some(Err(ExchangeError::Lost(Error::Loopback { sensor: None })))
             }
@@ -142,7 +142,7 @@ impl Fence {
     fn judge(
         &self,
         command: &Command,
-        frame: &Frame,
+        frame: Frame<&[u8]>,
         timing: Timing,
     ) -> Result<Status, ReplyError> {
         let outcome = match frame {
@@ -155,7 +155,7 @@ impl Fence {
                 });
                 Reply::parse_end(command, bytes).map(|reply| reply.status())
             }
-            Frame::Overlong { bytes } => Err(Malformed::Overlong { bytes: *bytes }.into()),
+            Frame::Overlong { bytes } => Err(Malformed::Overlong { bytes }.into()),
         };
         if let Err(error) = &outcome
             && !matches!(error, ReplyError::Scip2 { .. })
@@ -167,7 +167,7 @@ impl Fence {
 }
 
 /// Returns true if `frame` is the bytes that were sent, followed by a reply to them.
-fn is_echoed(sent: &[u8], command: &Command, frame: &Frame) -> bool {
+fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
     let Frame::Reply(bytes) = frame else { return false };
     bytes.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
 }

@@ -9,25 +9,23 @@ mod deadline;
 mod line;
 mod pause;
 
-use std::future::{pending, poll_fn};
+use std::future::{Future, pending, poll_fn};
 use std::io;
-use std::pin::Pin;
+use std::pin::pin;
 use std::sync::Arc;
 use std::task::Poll;
 use std::time::{Duration, SystemTime};
 
-use bytes::{BufMut, BytesMut};
-use futures_core::Stream;
-use futures_sink::Sink;
-use tokio::io::AsyncReadExt;
+use bytes::{Buf, BufMut, BytesMut};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
-use tokio_util::codec::Framed;
+use tokio_util::codec::Encoder;
 
 use self::deadline::DeadlineTimer;
 use self::line::{Line, SCRATCH_BYTES, flood};
 use self::pause::Pauses;
 use super::exchange::ExchangeError;
-use crate::codec::{Frame, ScipCodec};
+use crate::codec::{Frame, ScipCodec, TERMINATOR};
 use crate::port::Port;
 use crate::protocol::{Command, Status};
 use crate::state::Telemetry;
@@ -55,9 +53,15 @@ pub(crate) struct Timing {
     pub(crate) stamp: SystemTime,
 }
 
-/// An open port, framed.
+/// An open port, and the buffers in front of it.
 pub(crate) struct Transport {
-    framed: Framed<Line, ScipCodec>,
+    line: Line,
+    codec: ScipCodec,
+    /// What came and was not judged yet. A frame is judged where it lies: one of its own
+    /// costs a fifth as much as decoding a scan (`benches/README.md`, item 1).
+    input: BytesMut,
+    /// The latest command as it was written.
+    output: BytesMut,
     deadline_timer: DeadlineTimer,
     /// Ends pauses. A timer of its own: that of the deadline keeps its place.
     pause_timer: DeadlineTimer,
@@ -84,12 +88,11 @@ impl Transport {
         latency: Option<Duration>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
-        let line = Line::new(port);
-        let mut framed = Framed::with_capacity(line, ScipCodec::default(), READ_BUFFER_BYTES);
-        // The capacity above is that of both buffers.
-        *framed.write_buffer_mut() = BytesMut::with_capacity(WRITE_BUFFER_BYTES);
         Self {
-            framed,
+            line: Line::new(port),
+            codec: ScipCodec::default(),
+            input: BytesMut::with_capacity(READ_BUFFER_BYTES),
+            output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
             deadline_timer: DeadlineTimer::default(),
             pause_timer: DeadlineTimer::default(),
             pauses: Pauses::default(),
@@ -105,11 +108,11 @@ impl Transport {
     }
 
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
-        self.framed.get_ref().baud_rate()
+        self.line.baud_rate()
     }
 
     pub(crate) fn can_die_silently(&self) -> bool {
-        self.framed.get_ref().can_die_silently()
+        self.line.can_die_silently()
     }
 
     /// Sets this side's baud rate, and drops what arrived at another one.
@@ -119,7 +122,7 @@ impl Transport {
         self.drop_input();
         self.outrun = false;
         self.pauses = Pauses::default();
-        let outcome = self.framed.get_mut().set_baud_rate(baud_rate);
+        let outcome = self.line.set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
@@ -170,17 +173,17 @@ impl Transport {
 
     /// Returns the number of bytes that ever arrived.
     pub(crate) fn received(&self) -> u64 {
-        self.framed.get_ref().received()
+        self.line.received()
     }
 
     /// Returns true if the first bytes that ever came were a telnet command.
     pub(crate) fn began_as_telnet(&self) -> bool {
-        self.framed.get_ref().began_as_telnet()
+        self.line.began_as_telnet()
     }
 
     /// Returns the bytes of a frame whose end has not arrived.
     pub(crate) fn unfinished_frame(&self) -> &[u8] {
-        self.framed.read_buffer()
+        &self.input
     }
 
     /// Returns true if a fence is needed before the next command.
@@ -215,7 +218,7 @@ impl Transport {
     pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
         // A part of a frame at most: the driver's other work has its turn
         // between two reads.
-        let outcome = self.framed.get_mut().read(&mut [0; SCRATCH_BYTES]).await;
+        let outcome = self.line.read(&mut [0; SCRATCH_BYTES]).await;
         let read = outcome.map_err(|error| self.lost(Some(error)))?;
         if read == 0 {
             return Err(self.lost(None));
@@ -228,17 +231,17 @@ impl Transport {
     /// Drops the bytes that came since the last reply: they are older than the next
     /// command. Any such byte makes the link dirty.
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
-        let outcome = self.framed.get_mut().drain().await;
+        let outcome = self.line.drain().await;
         let drained = outcome.map_err(|error| self.lost(Some(error)))?;
         let fresh = drained.ok_or_else(|| self.lost(None))?;
-        let skipped = fresh + self.framed.read_buffer().len() as u64;
+        let skipped = fresh + self.input.len() as u64;
         if skipped > 0 {
             self.telemetry.stats().bytes_skipped += skipped;
             self.dirty = true;
             self.drop_input();
         }
         // Without it replies would use up the buffer, and come in two reads.
-        self.framed.read_buffer_mut().reserve(READ_BUFFER_BYTES);
+        self.input.reserve(READ_BUFFER_BYTES);
         Ok(())
     }
 
@@ -256,7 +259,7 @@ impl Transport {
         &mut self,
         command: &Command,
         latency: Duration,
-        mut judge: impl FnMut(&Frame, Timing) -> Option<Result<T, ExchangeError>>,
+        mut judge: impl FnMut(Frame<&[u8]>, Timing) -> Option<Result<T, ExchangeError>>,
     ) -> Result<T, ExchangeError> {
         let requested = Instant::now();
         let bytes = command.bytes().len() + 1 + command.reply_len();
@@ -267,19 +270,28 @@ impl Transport {
             return timeout;
         }
         for _ in 0..MAX_FRAMES {
-            let Some(frame) = self.receive(deadline).await? else { return timeout };
+            let Some(found) = self.receive(deadline).await? else { return timeout };
             let received = Instant::now();
             self.latest = Some(received);
-            self.pauses.end_reply(received, &frame);
-            let line = self.framed.get_ref();
-            let (began, stamp) = (line.first_byte().unwrap_or(received), line.stamp());
+            let frame = match found {
+                Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
+                Frame::Overlong { bytes } => Frame::Overlong { bytes },
+            };
+            let wire_len = frame.wire_len();
+            self.pauses.end_reply(received, wire_len);
+            let (began, stamp) = (self.line.first_byte().unwrap_or(received), self.line.stamp());
             let timing = Timing { requested, began, received, stamp };
-            if let Some(verdict) = judge(&frame, timing) {
+            let verdict = judge(frame, timing);
+            if let Frame::Reply(length) = found {
+                self.remove_reply(length);
+            }
+            if let Some(verdict) = verdict {
                 return verdict;
             }
             self.dirty = true;
-            self.begin_reply();
-            self.telemetry.stats().bytes_skipped += wire_len(&frame);
+            self.line.begin_reply();
+            self.pauses.begin_reply();
+            self.telemetry.stats().bytes_skipped += wire_len;
         }
         Err(self.lost(Some(flood())))
     }
@@ -287,23 +299,21 @@ impl Transport {
     /// Writes `command`, after an LF where one is due. Returns `false` if that
     /// took too long.
     async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, ExchangeError> {
+        self.output.clear();
         if self.interrupted {
-            self.framed.write_buffer_mut().put_u8(b'\n');
+            // Ends a command that the sensor may have in part.
+            self.output.put_u8(b'\n');
         }
-        self.framed.get_mut().begin_command();
+        // Cannot fail: there is always room.
+        let _ = self.codec.encode(command, &mut self.output);
+        self.line.begin_command();
         self.pauses.begin_reply();
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        let sent = async {
-            let mut framed = Pin::new(&mut self.framed);
-            poll_fn(|cx| framed.as_mut().poll_ready(cx)).await?;
-            framed.as_mut().start_send(command)?;
-            poll_fn(|cx| framed.as_mut().poll_flush(cx)).await
-        };
+        let sent = self.line.write_all(&self.output);
         match self.deadline_timer.run(deadline, sent).await {
             Some(outcome) => outcome.map_err(|error| self.lost(Some(error)))?,
             None => {
-                self.framed.write_buffer_mut().clear();
                 self.dirty = true;
                 return Ok(false);
             }
@@ -312,33 +322,39 @@ impl Transport {
         Ok(true)
     }
 
-    /// Returns the next frame, or `None` at the deadline. A frame that is there
-    /// at the deadline wins. Pauses while the rest of a reply takes its time.
-    async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame>, ExchangeError> {
+    /// Waits for a frame at the front of the input, or returns `None` at the deadline. A
+    /// frame that is there at the deadline wins. Pauses while the rest of a reply takes its
+    /// time.
+    async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame<usize>>, ExchangeError> {
         loop {
-            let Self { framed, deadline_timer, pause_timer, pauses, .. } = self;
-            let frame_or_pause = poll_fn(|cx| match Pin::new(&mut *framed).poll_next(cx) {
-                Poll::Ready(frame) => Poll::Ready(Received::Frame(frame)),
-                Poll::Pending => {
-                    let present = framed.read_buffer();
-                    let missing = framed.codec().missing(present);
-                    match missing.and_then(|missing| pauses.next(present.len(), missing, deadline))
-                    {
-                        Some(until) if framed.get_mut().suspend_wakeups() => {
-                            Poll::Ready(Received::Pause(until))
-                        }
-                        _ => Poll::Pending,
+            let Self { line, codec, input, deadline_timer, pause_timer, pauses, .. } = self;
+            let next = poll_fn(|cx| {
+                loop {
+                    if let Some(frame) = codec.find(input) {
+                        return Poll::Ready(Ok(Received::Frame(frame)));
+                    }
+                    match pin!(line.read_buf(input)).poll(cx) {
+                        Poll::Ready(Ok(0)) => return Poll::Ready(Ok(Received::End)),
+                        Poll::Ready(Ok(_)) => {}
+                        Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+                        Poll::Pending => break,
                     }
                 }
+                let missing = codec.missing(input);
+                match missing.and_then(|missing| pauses.next(input.len(), missing, deadline)) {
+                    Some(until) if line.suspend_wakeups() => {
+                        Poll::Ready(Ok(Received::Pause(until)))
+                    }
+                    _ => Poll::Pending,
+                }
             });
-            match deadline_timer.run(deadline, frame_or_pause).await {
-                Some(Received::Pause(until)) => {
+            match deadline_timer.run(deadline, next).await {
+                Some(Ok(Received::Pause(until))) => {
                     pause_timer.run(until, pending::<()>()).await;
                 }
-                Some(Received::Frame(Some(frame))) => {
-                    return frame.map(Some).map_err(|error| self.lost(Some(error)));
-                }
-                Some(Received::Frame(None)) => return Err(self.lost(None)),
+                Some(Ok(Received::Frame(frame))) => return Ok(Some(frame)),
+                Some(Ok(Received::End)) => return Err(self.lost(None)),
+                Some(Err(error)) => return Err(self.lost(Some(error))),
                 None => {
                     self.dirty = true;
                     return Ok(None);
@@ -347,20 +363,26 @@ impl Transport {
         }
     }
 
-    fn begin_reply(&mut self) {
-        self.framed.get_mut().begin_reply();
-        self.pauses.begin_reply();
+    /// Removes a reply of this length from the front of the input.
+    fn remove_reply(&mut self, length: usize) {
+        let end = length + TERMINATOR;
+        if end < self.input.len() {
+            self.input.advance(end);
+        } else {
+            // Cheaper, and the next reply begins at the front of the buffer again.
+            self.input.clear();
+        }
     }
 
     fn drop_input(&mut self) {
-        self.framed.read_buffer_mut().clear();
-        self.framed.codec_mut().reset();
+        self.input.clear();
+        self.codec.reset();
     }
 
     /// Returns the outcome of an exchange on a port that has failed with `error`, or
     /// without one at the end of its stream.
     fn lost(&self, error: Option<io::Error>) -> ExchangeError {
-        match (self.framed.get_ref().is_over(), error) {
+        match (self.line.is_over(), error) {
             (false, error) => ExchangeError::Lost(Error::disconnected(error)),
             (true, None) => ExchangeError::Ended(Error::Closed),
             (true, error) => ExchangeError::Ended(Error::disconnected(error)),
@@ -370,15 +392,9 @@ impl Transport {
 
 /// The next event of a link on which [`Transport::receive`] waits.
 enum Received {
-    Frame(Option<io::Result<Frame>>),
+    Frame(Frame<usize>),
+    /// The end of the stream.
+    End,
     /// The rest of the reply comes at this time at the earliest.
     Pause(Instant),
-}
-
-/// Returns how many bytes a frame had on the wire, its terminator included.
-pub(crate) fn wire_len(frame: &Frame) -> u64 {
-    match frame {
-        Frame::Reply(bytes) => bytes.len() as u64 + 2,
-        Frame::Overlong { bytes } => *bytes as u64 + 2,
-    }
 }

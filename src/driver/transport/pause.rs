@@ -11,9 +11,6 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::wire_len;
-use crate::codec::Frame;
-
 /// The number of scans that are read piece by piece, and so measured, before the first
 /// pause: one alone may have been slow.
 const MEASURED_FIRST: u32 = 3;
@@ -96,10 +93,10 @@ impl Pauses {
         pause
     }
 
-    /// Notes when the last byte of a reply was read.
-    pub(super) fn end_reply(&mut self, received: Instant, frame: &Frame) {
+    /// Notes when the last byte of a frame was read, which had so many on the wire.
+    pub(super) fn end_reply(&mut self, received: Instant, wire_len: u64) {
         let Some(current) = self.current.take() else { return };
-        if wire_len(frame) != current.length as u64 {
+        if wire_len != current.length as u64 {
             return;
         }
         let time = received.saturating_duration_since(current.since);
