@@ -240,6 +240,10 @@ fn find_terminator(bytes: &[u8]) -> Option<usize> {
 /// Skips as many whole blocks from `at` as no terminator begins in, and returns
 /// the place behind them.
 fn skip<const BLOCK: usize>(bytes: &[u8], at: usize) -> usize {
+    if bytes.len() - at <= BLOCK {
+        // Bytes that come one by one are searched one by one.
+        return at;
+    }
     let blocks = |from: usize| bytes.get(from..).unwrap_or_default().as_chunks::<BLOCK>().0;
     let free = blocks(at).iter().zip(blocks(at + 1)).take_while(|(first, second)| {
         // Zero where both are LF. Without a branch inside, the compiler emits

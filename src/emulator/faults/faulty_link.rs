@@ -245,16 +245,16 @@ impl<S: AsyncRead + Unpin> AsyncRead for FaultyLink<S> {
             Some(failure) => return Poll::Ready(failure.error().map_or(Ok(()), Err)),
             None => {}
         }
-        let place = this.counter.bytes_read();
-        if this.splits.remove(&place) {
-            context.waker().wake_by_ref();
-            return Poll::Pending;
+        let mut limit = this.longest_read.min(buffer.remaining());
+        if !this.splits.is_empty() {
+            let place = this.counter.bytes_read();
+            if this.splits.remove(&place) {
+                context.waker().wake_by_ref();
+                return Poll::Pending;
+            }
+            let next = this.splits.range(place..).next().map(|split| split - place);
+            limit = limit.min(next.and_then(|bytes| bytes.try_into().ok()).unwrap_or(limit));
         }
-        let to_split = this.splits.range(place..).next().map_or(u64::MAX, |split| split - place);
-        let limit = this
-            .longest_read
-            .min(usize::try_from(to_split).unwrap_or(usize::MAX))
-            .min(buffer.remaining());
 
         let count = if this.returning.is_empty() {
             if this.route != WriteRoute::Inner {
