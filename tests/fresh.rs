@@ -263,3 +263,46 @@ async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_onl
     let search = log.lines.iter().find(|(_, line)| line.contains("was not found")).unwrap();
     assert!(!search.1.contains("bytes"), "the scan before it is counted: {}", search.1);
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
+    for (faults, reason) in [
+        (Faults::none(), "the line or the sensor cannot keep up"),
+        (Faults::none().rate(0.5, Fault::Lost).seed(1), "replies are lost"),
+    ] {
+        let log = Log::default();
+        let _guard = crate::common::logs::collect(log.clone());
+        let emulator = Emulator::builder().revolution(Duration::from_millis(200)).build();
+        let sensor = sensor(&emulator).await;
+        emulator.set_faults(faults);
+        let _stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        sleep(Duration::from_secs(20)).await;
+        let log = log.0.lock().unwrap();
+        let is_warning = |(level, _): &&(Level, String)| *level == Level::WARN;
+        let warnings: Vec<_> = log.lines.iter().filter(is_warning).collect();
+        assert!(matches!(warnings[..], [(_, line)] if line.contains(reason)), "{warnings:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_spare_sensor_is_logged_and_the_same_sensor_is_not() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().serial_number("H0000001").build();
+    let sensor = builder().any_sensor().connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    let mut replug = async |serial_number: &str| {
+        emulator.unplug();
+        state
+            .wait_for(|state| matches!(state, State::Disconnected { .. }))
+            .await
+            .map(drop)
+            .unwrap();
+        emulator.set_serial_number(serial_number);
+        emulator.plug_in();
+        state.wait_for(|state| matches!(state, State::Connected { .. })).await.map(drop).unwrap();
+        let log = log.0.lock().unwrap();
+        log.lines.iter().filter(|(_, line)| line.contains("another sensor")).count()
+    };
+    assert_eq!((replug("H0000001").await, replug("H0000002").await), (0, 1));
+}

@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::common::{builder, truthful};
 use crate::reconnect::open;
 use tokio::time::Instant;
-use tokio_scip::emulator::{Fault, Faults, Pace};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{Error, Rate, State, Window};
 
 #[tokio::test(start_paused = true)]
@@ -126,4 +126,36 @@ async fn w25_a_serial_number_that_is_damaged_differently_each_time_is_requested_
     // One for each time that the port was opened.
     assert_eq!(sensor.stats().fences, 2);
     assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_serial_number_is_requested_twice_also_if_it_is_empty_or_another_one_is_expected() {
+    let requests = |emulator: &Emulator| {
+        emulator.log().iter().filter(|received| received.line.starts_with(b"V")).count()
+    };
+    let nameless = truthful().serial_number("").build();
+    builder().connect(nameless.clone()).await.unwrap();
+    let other = truthful().serial_number("H0000001").build();
+    let error = builder().serial_number("H0000002").connect(other.clone()).await.unwrap_err();
+    assert!(matches!(error, Error::AnotherSensor { .. }), "{error:?}");
+    assert_eq!((requests(&nameless), requests(&other)), (2, 2));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_has_the_time_of_a_revolution_that_the_version_states() {
+    let emulator = |specification: &str| {
+        let lines = [
+            "VEND:Hokuyo Automatic Co.,Ltd.",
+            "PROD:SOKUIKI Sensor URG-04LX",
+            &format!("FIRM:3.3.00,08/04/16{specification}"),
+            "PROT:00003,(SCIP 1.0)",
+            "SERI:H0713090",
+        ];
+        truthful().version_lines(lines).build()
+    };
+    let with = emulator("(20-4095[mm],240[deg],44-725[step],1200[rpm])");
+    for (emulator, seconds) in [(with, 0.05), (emulator(""), 0.1)] {
+        let sensor = builder().connect(emulator).await.unwrap();
+        assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().scan_time(), seconds);
+    }
 }

@@ -44,6 +44,45 @@ async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn the_rate_that_is_reached_is_zero_while_the_link_is_lost() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let reached = || sensor.stats().schedules.first().map(|schedule| schedule.reached);
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    for _ in 0..40 {
+        stream.next().await.unwrap().unwrap();
+    }
+    assert!(reached() > Some(9.0), "{:?}", reached());
+    emulator.unplug();
+    let mut state = sensor.state();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    assert_eq!(reached(), Some(0.0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_baud_rate_that_the_sensor_refuses_fails_the_first_opening_and_no_later_one() {
+    let (slow, fast) = (BaudRate::B19200, BaudRate::B115200);
+    let emulator = truthful().baud_rate(slow).build();
+    // After those to a fence at the wrong baud rate and to one at the right one, to two `V`
+    // and another fence.
+    emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
+    let error = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap_err();
+    assert!(matches!(error, Error::Refused { .. }), "{error:?}");
+
+    let sensor = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    emulator.unplug();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    emulator.power_cycle();
+    // The serial number is known now: one `V` is enough.
+    emulator.set_faults(Faults::none().at(4, Fault::Status(b'1')));
+    emulator.plug_in();
+    let connected = state.wait_for(|state| matches!(state, State::Connected { .. }));
+    assert_eq!(connected.await.unwrap().baud_rate(), Some(slow));
+    sensor.scan(Window::DETECTION).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
 async fn d03_a10_an_hour_unplugged_costs_little_and_every_call_is_answered_in_time() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;

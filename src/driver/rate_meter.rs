@@ -133,6 +133,18 @@ mod tests {
     }
 
     #[test]
+    fn the_rate_is_averaged_over_three_seconds() {
+        let start = Instant::now();
+        let mut meter = RateMeter::new(start);
+        (0..30).for_each(|_| meter.count_scan());
+        meter.count_failure();
+        assert_eq!(meter.finish_span(start + Duration::from_millis(2999)), None);
+        let span = Some(Span { reached: 10.0, failed: 1 });
+        assert_eq!(meter.finish_span(start + Duration::from_secs(3)), span);
+        assert_eq!(meter.report(Span { reached: 0.95, failed: 0 }, Duration::from_secs(1)), None);
+    }
+
+    #[test]
     fn a_span_with_failures_is_a_loss_and_no_lack_of_speed() {
         let mut meter = RateMeter::new(Instant::now());
         let mut report = |reached, failed| meter.report(Span { reached, failed }, PERIOD);

@@ -85,13 +85,9 @@ async fn equal_schedules_are_one_and_one_without_readers_ends() {
     assert!(schedules.is_empty());
 }
 
-#[tokio::test(start_paused = true)]
-async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
-    let (window, rate) = (Window::single(384), Rate::MAX);
-    let (mut schedules, mut readers) = schedules(&[(window, rate)]);
-    let poll = DuePoll { window, rate };
+fn meta() -> ScanMeta {
     let now = Instant::now();
-    let meta = ScanMeta {
+    ScanMeta {
         sequence: 0,
         requested_at: now,
         received_at: now,
@@ -99,12 +95,51 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
         repeat: false,
         scan_time: HUNDRED_MS,
         reconnects: 0,
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn one_window_at_two_rates_and_two_windows_at_one_rate_are_schedules_of_their_own() {
+    let fast = (Window::FULL, Rate::hz(10.0));
+    let slow = (Window::FULL, Rate::hz(4.0));
+    let narrow = (Window::DETECTION, Rate::hz(4.0));
+    let (mut schedules, _readers) = schedules(&[fast, slow, narrow]);
+    let telemetry = Telemetry::new(None);
+    schedules.note(&telemetry);
+    assert_eq!(telemetry.snapshot().schedules.len(), 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_gone() {
+    let (window, rate) = (Window::single(384), Rate::MAX);
+    let (mut schedules, mut readers) = schedules(&[(window, rate)]);
+    let poll = DuePoll { window, rate };
+    let mut deliver_three_and_read_one = |schedules: &mut Schedules| {
+        for _ in 0..3 {
+            schedules.deliver(poll, Arc::new([1000]), 0, meta());
+        }
+        assert!(readers.iter_mut().all(|reader| reader.next_if_ready().is_some()));
+        schedules.missed()
     };
+    // Known at the next poll.
+    assert_eq!(deliver_three_and_read_one(&mut schedules), 0);
+    assert_eq!(deliver_three_and_read_one(&mut schedules), 2);
+    assert_eq!(deliver_three_and_read_one(&mut schedules), 4);
+    drop(readers);
+    assert!(schedules.take_due(Instant::now()).is_none());
+    assert_eq!(schedules.missed(), 6);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
+    let (window, rate) = (Window::single(384), Rate::MAX);
+    let (mut schedules, mut readers) = schedules(&[(window, rate)]);
+    let poll = DuePoll { window, rate };
     let mut errors = 0;
     let mut count = |schedules: &mut Schedules, error: Option<Error>| {
         match error {
             Some(error) => drop(schedules.fail(poll, &error)),
-            None => drop(schedules.deliver(poll, Arc::new([1000]), 0, meta)),
+            None => drop(schedules.deliver(poll, Arc::new([1000]), 0, meta())),
         }
         let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));
         let items = next.filter_map(FutureExt::now_or_never);
