@@ -112,8 +112,8 @@ impl Recording {
     ///
     /// Nothing behind the part is read. Of a complete file that was opened by
     /// [`open`](Self::open) the chunks before the part are not read either: its index,
-    /// at most 16 MiB of memory, has their places. Any other file is read from its
-    /// beginning.
+    /// at most 16 MiB of memory, has their places, and a checksum that proves it. Any other
+    /// file is read from its beginning.
     ///
     /// ```no_run
     /// use std::time::Duration;
@@ -163,6 +163,16 @@ impl Recording {
     /// Returns the time of a record since the first scan.
     pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
         self.range.since_first_scan(at)
+    }
+
+    /// Leaves out what is before `begin`, as far as the file's index has it.
+    fn leave_out_before(&mut self, begin: SystemTime) -> Result<(), RecordingError> {
+        let index = self.records.leave_out_before(nanos(since_1970(begin)))?;
+        // Others' writers define a channel only once, in its first chunk.
+        for (id, topic) in index.channels().filter_map(channel) {
+            self.channels.entry(id).or_insert(topic);
+        }
+        Ok(())
     }
 
     /// Returns the next record of a known kind. Only
@@ -215,10 +225,10 @@ impl Iterator for Recording {
             let Ok(record) = &item else { return Some(item) };
             let place = self.range.place(record);
             if let Some(begin) = self.range.take_begin()
-                && let Err(error) = self.records.leave_out_before(nanos(since_1970(begin)))
+                && let Err(error) = self.leave_out_before(begin)
             {
                 self.is_over = true;
-                return Some(Err(error.into()));
+                return Some(Err(error));
             }
             match place {
                 RecordPlace::Inside => return Some(item),

@@ -13,7 +13,7 @@ cd "$(dirname "$0")"
 
 # The greatest length of an input, beyond which each target only repeats itself.
 declare -A longest=(
-    [codec]=100 [reply]=100 [version]=160 [emulator]=100 [recording]=200 [driver]=64
+    [codec]=100 [reply]=100 [version]=160 [emulator]=100 [recording]=200 [part]=60 [driver]=64
 )
 if [ "${1-}" != --all ] && [ -z "${longest[${1-none}]-}" ]; then
     sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2

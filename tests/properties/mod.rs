@@ -2,8 +2,12 @@
 //! and the fuzzer (`tests/fuzz`) run the same code.
 
 mod commands;
+#[cfg(feature = "mcap")]
+mod damaged_files;
 mod driver;
 mod framing;
+#[cfg(feature = "mcap")]
+mod parts;
 mod peer;
 #[cfg(feature = "mcap")]
 mod recordings;
@@ -38,6 +42,12 @@ proptest! {
     #[test]
     fn any_file_is_read_and_repaired(script in prop::collection::vec(any::<u8>(), 0..60)) {
         recordings::any_file_is_read_and_repaired(&script);
+    }
+
+    #[cfg(feature = "mcap")]
+    #[test]
+    fn the_index_leads_to_the_same_part(script in prop::collection::vec(any::<u8>(), 0..40)) {
+        parts::the_index_leads_to_the_same_part(&script);
     }
 
     #[test]

@@ -5,7 +5,9 @@ use std::path::Path;
 use std::time::Duration;
 
 use tokio_scip::emulator::{Fault, Faults};
-use tokio_scip::recording::{RecordedScans, Recorder, Recording, RecordingError, ReplayPace};
+use tokio_scip::recording::{
+    Entry, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
+};
 use tokio_scip::{Rate, Scan, Sensor, Window};
 
 use super::file::Folder;
@@ -144,7 +146,58 @@ async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it(
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_index_with_a_wrong_byte_is_not_believed() {
+async fn a_part_is_read_whole_where_the_file_is_no_longer_as_its_index_says() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 200).await;
+    // Ten bytes are missing before the part, and ten too many behind its beginning.
+    let mut bytes = sink.bytes();
+    let quarter = bytes.len() / 4;
+    bytes.drain(quarter..quarter + 10);
+    bytes.splice(3 * quarter..3 * quarter, [0; 10]);
+    let place = Duration::from_secs(10);
+    let values = |recording: Recording| -> Vec<_> {
+        let scans = recording.range(place..).scans().filter_map(Result::ok);
+        scans.map(|scan| scan.values().to_vec()).collect()
+    };
+    let folder = Folder::new("shifted");
+    let found = values(Recording::open(folder.write(&bytes)).unwrap());
+    let expected = values(Recording::read(Cursor::new(bytes)).unwrap());
+    assert!((70..100).contains(&expected.len()), "{}", expected.len());
+    assert_eq!(found, expected);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_file_that_defines_its_channels_once_is_reached_through_its_index() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 100).await;
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(10_000));
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let metadata = sink.open().metadata().clone();
+    let metadata = mcap::records::Metadata { name: "tokio_scip".to_owned(), metadata };
+    writer.write_metadata(&metadata).unwrap();
+    // The channel of scans is defined where the first one is: in what is left out.
+    let messages = sink.bytes();
+    let messages = mcap::MessageStream::new(&messages).unwrap().map(Result::unwrap);
+    for message in
+        messages.filter(|message| message.channel.topic != "/scan" || message.sequence > 20)
+    {
+        writer.write(&message).unwrap();
+    }
+    writer.finish().unwrap();
+    let bytes = writer.into_inner().into_inner();
+    let place = Duration::from_secs(5);
+    let records = |recording: Recording| -> Vec<_> {
+        recording.range(place..).collect::<Result<_, _>>().unwrap()
+    };
+    let folder = Folder::new("channels");
+    let found = records(Recording::open(folder.write(&bytes)).unwrap());
+    let is_scan = |record: &&Record| matches!(record.entry, Entry::Scan(_));
+    assert!((45..=55).contains(&found.iter().filter(is_scan).count()), "{found:?}");
+    assert_eq!(found, records(Recording::read(Cursor::new(bytes)).unwrap()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_index_with_a_wrong_byte_or_without_a_checksum_is_not_believed() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 30).await;
     let whole = sink.bytes();
@@ -161,5 +214,10 @@ async fn an_index_with_a_wrong_byte_is_not_believed() {
         bytes[at] ^= 0x11;
         let path = folder.write(&bytes);
         assert_eq!(values(scans_from(&path, place)), expected, "{at}");
+        // Zero stands for no checksum. The magic is behind it.
+        let crc = bytes.len() - 12;
+        bytes[crc..crc + 4].fill(0);
+        let path = folder.write(&bytes);
+        assert_eq!(values(scans_from(&path, place)), expected, "{at}, without a checksum");
     }
 }

@@ -29,16 +29,56 @@ impl Input {
         }
     }
 
-    /// Returns the parts of the file, in their order, that have nothing but chunks with
-    /// messages before `time` (nanoseconds since 1970); no part if the file has no whole
-    /// index, or is no file. Reading continues where it was.
-    pub(super) fn parts_before(&mut self, time: u64) -> io::Result<Vec<Range<u64>>> {
-        let Self::File(file) = self else { return Ok(Vec::new()) };
+    /// Reads the index at the end of the file; an empty one if it is not whole, or if this
+    /// is no file. Reading continues where it was.
+    pub(super) fn index(&mut self) -> io::Result<FileIndex> {
+        let Self::File(file) = self else { return Ok(FileIndex::default()) };
         // A pipe has no place.
-        let Ok(here) = file.stream_position() else { return Ok(Vec::new()) };
-        let parts = index(file).map(|index| parts_before(&index, time)).unwrap_or_default();
+        let Ok(here) = file.stream_position() else { return Ok(FileIndex::default()) };
+        let index = index(file).unwrap_or_default();
         self.continue_at(here)?;
-        Ok(parts)
+        Ok(index)
+    }
+}
+
+/// The records of the index at the end of a file.
+#[derive(Default)]
+pub(in super::super) struct FileIndex(Vec<u8>);
+
+impl FileIndex {
+    /// Returns the parts of the file, in their order, that have nothing but chunks with
+    /// messages before `time` (nanoseconds since 1970).
+    pub(super) fn parts_before(&self, time: u64) -> Vec<Range<u64>> {
+        let before = |content: &[u8]| chunk(content).filter(|(_, last)| *last < time);
+        let chunks = self.contents(kind::CHUNK_INDEX).filter_map(before);
+        let mut chunks: Vec<_> = chunks.map(|(place, _)| place).collect();
+        chunks.sort_unstable_by_key(|place| place.start);
+        let mut parts: Vec<Range<u64>> = Vec::new();
+        for chunk in chunks {
+            match parts.last_mut() {
+                // Only what stands right behind another chunk, so that whatever is between
+                // two of them is read.
+                Some(part) if part.end == chunk.start => part.end = chunk.end,
+                _ => parts.push(chunk),
+            }
+        }
+        parts
+    }
+
+    /// Returns the contents of the channels, which stand here again.
+    pub(in super::super) fn channels(&self) -> impl Iterator<Item = &[u8]> {
+        self.contents(kind::CHANNEL)
+    }
+
+    /// Returns the contents of the records of a kind.
+    fn contents(&self, wanted: u8) -> impl Iterator<Item = &[u8]> {
+        let mut rest = self.0.as_slice();
+        let records = std::iter::from_fn(move || {
+            let (kind, content, behind) = split_record(rest)?;
+            rest = behind;
+            Some((kind, content))
+        });
+        records.filter(move |(kind, _)| *kind == wanted).map(|(_, content)| content)
     }
 }
 
@@ -51,8 +91,9 @@ impl Read for Input {
     }
 }
 
-/// Reads the records of the index at the end of a file; `None` if it is not whole.
-fn index(file: &mut File) -> Option<Vec<u8>> {
+/// Reads the index at the end of a file; `None` if it is not whole, or has no checksum that
+/// proves it: a wrong place would leave out what is wanted.
+fn index(file: &mut File) -> Option<FileIndex> {
     let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(END_BYTES)?;
     file.seek(SeekFrom::Start(end)).ok()?;
     let mut footer = [0; END_BYTES as usize];
@@ -72,36 +113,11 @@ fn index(file: &mut File) -> Option<Vec<u8>> {
     file.seek(SeekFrom::Start(start)).ok()?;
     let mut index = Vec::new();
     file.take(length_found).read_to_end(&mut index).ok()?;
-    // The checksum covers the footer up to itself; 0 stands for none.
+    // The checksum covers the footer up to itself.
     let mut checked = crc32fast::Hasher::new();
     checked.update(&index);
     checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
-    (crc == 0 || checked.finalize() == crc).then_some(index)
-}
-
-fn parts_before(index: &[u8], time: u64) -> Vec<Range<u64>> {
-    let mut chunks = Vec::new();
-    let mut rest = index;
-    while let Some((kind, content, behind)) = split_record(rest) {
-        if kind == kind::CHUNK_INDEX
-            && let Some((place, last)) = chunk(content)
-            && last < time
-        {
-            chunks.push(place);
-        }
-        rest = behind;
-    }
-    chunks.sort_unstable_by_key(|place| place.start);
-    let mut parts: Vec<Range<u64>> = Vec::new();
-    for chunk in chunks {
-        match parts.last_mut() {
-            // Only what stands right behind another chunk, so that whatever is between
-            // two of them is read.
-            Some(part) if part.end == chunk.start => part.end = chunk.end,
-            _ => parts.push(chunk),
-        }
-    }
-    parts
+    (checked.finalize() == crc).then_some(FileIndex(index))
 }
 
 /// Parses a chunk's index: its place, with the lists of its messages behind it, and the
@@ -137,16 +153,17 @@ mod tests {
     #[test]
     fn chunks_that_touch_are_one_part_and_what_is_between_others_is_read() {
         let index = [entry(40, 2), entry(10, 1), entry(25, 1), entry(60, 3), entry(80, 9)].concat();
-        assert_eq!(parts_before(&index, 4), [10..55, 60..75]);
-        assert_eq!(parts_before(&index, 1), []);
+        let index = FileIndex(index);
+        assert_eq!(index.parts_before(4), [10..55, 60..75]);
+        assert_eq!(index.parts_before(1), []);
     }
 
     #[test]
     fn an_index_of_no_sense_leaves_nothing_out() {
         let mut wide = entry(u64::MAX - 3, 1);
-        assert_eq!(parts_before(&wide, 4), []);
+        assert_eq!(FileIndex(wide.clone()).parts_before(4), []);
         wide.truncate(30);
-        assert_eq!(parts_before(&wide, 4), []);
-        assert_eq!(parts_before(&[0xff; 100], 4), []);
+        assert_eq!(FileIndex(wide.clone()).parts_before(4), []);
+        assert_eq!(FileIndex(vec![0xff; 100]).parts_before(4), []);
     }
 }

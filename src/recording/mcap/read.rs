@@ -9,7 +9,8 @@ use std::collections::VecDeque;
 use std::io::{self, Read};
 use std::ops::Range;
 
-use super::form::{fields_length, record_head};
+use super::form::{fields_length, is_well_formed, record_head};
+use super::input::FileIndex;
 use super::{
     FOOTER_BYTES, Fields, Input, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind,
 };
@@ -105,10 +106,12 @@ impl Sections {
     }
 
     /// Leaves out the chunks behind the latest section that have nothing but messages
-    /// before `time` (nanoseconds since 1970), as far as the file's index has them.
-    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<(), FileError> {
-        self.unwanted = self.input.parts_before(time).map_err(FileError::Io)?.into();
-        Ok(())
+    /// before `time` (nanoseconds since 1970), as far as the file's index has them. Returns
+    /// the index: channels may be defined in what is left out.
+    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<FileIndex, FileError> {
+        let index = self.input.index().map_err(FileError::Io)?;
+        self.unwanted = index.parts_before(time).into();
+        Ok(index)
     }
 
     /// Returns the next section, or `None` at the end of the data. Only
@@ -196,18 +199,45 @@ impl Sections {
     }
 
     /// Goes on behind the unwanted part in which the next record is, if it is in one.
+    /// Where nothing begins there, bytes of the file were lost or added after its index was
+    /// written: all of it is read.
     fn leave_out(&mut self) -> Result<(), FileError> {
+        let here = self.offset;
         while let Some(part) = self.unwanted.front()
             && part.start <= self.offset
         {
-            if part.end > self.offset {
-                self.input.continue_at(part.end).map_err(FileError::Io)?;
-                self.window.clear();
-                (self.start, self.offset) = (0, part.end);
-            }
+            let end = part.end;
             self.unwanted.pop_front();
+            if end > self.offset {
+                self.continue_at(end)?;
+                if !self.begins_here()? {
+                    self.unwanted.clear();
+                    return self.continue_at(here);
+                }
+            }
         }
         Ok(())
+    }
+
+    fn continue_at(&mut self, place: u64) -> Result<(), FileError> {
+        self.input.continue_at(place).map_err(FileError::Io)?;
+        self.window.clear();
+        (self.start, self.offset) = (0, place);
+        Ok(())
+    }
+
+    /// Returns true if a chunk, metadata or the end of the data begins here.
+    fn begins_here(&mut self) -> Result<bool, FileError> {
+        let head = self.peek(RECORD_HEAD + CHUNK_FIELDS + MAX_COMPRESSION_NAME + 8)?;
+        match record_head(head) {
+            Some((kind::CHUNK, _)) => Ok(chunk_head(head).is_some()),
+            Some((kind::METADATA, length)) if length <= MAX_RECORD_BYTES => {
+                let end = RECORD_HEAD + length as usize;
+                let content = self.peek(end)?.get(RECORD_HEAD..end);
+                Ok(content.is_some_and(|content| is_well_formed(kind::METADATA, content)))
+            }
+            _ => Ok(head.starts_with(&DATA_END_HEAD)),
+        }
     }
 
     fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {

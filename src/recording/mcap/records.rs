@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use super::Input;
 use super::form::{is_well_formed, split_record};
+use super::input::FileIndex;
 use super::read::{FileError, Section, Sections};
 
 /// The reason of damage that no checksum covers.
@@ -33,8 +34,8 @@ impl Records {
     }
 
     /// Leaves out chunks that have nothing but messages before `time`, as far as the
-    /// file's index has them.
-    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<(), FileError> {
+    /// file's index has them. Returns the index.
+    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<FileIndex, FileError> {
         self.sections.leave_out_before(time)
     }
 

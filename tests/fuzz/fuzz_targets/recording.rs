@@ -1,6 +1,8 @@
 //! See `tests/properties/recordings.rs`.
 #![no_main]
 
+#[path = "../../properties/damaged_files.rs"]
+mod damaged_files;
 #[path = "../../properties/recordings.rs"]
 mod recordings;
 #[path = "../../properties/script.rs"]
