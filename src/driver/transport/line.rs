@@ -118,8 +118,10 @@ impl Line {
     /// Counts bytes that have come, and fails after too many.
     fn count(&mut self, fresh: &[u8]) -> io::Result<()> {
         if !fresh.is_empty() {
-            let seen = self.received.min(2) as usize;
-            self.first.iter_mut().skip(seen).zip(fresh).for_each(|(first, byte)| *first = *byte);
+            if self.received < 2 {
+                let unset = self.first.iter_mut().skip(self.received as usize);
+                unset.zip(fresh).for_each(|(first, byte)| *first = *byte);
+            }
             self.received += fresh.len() as u64;
             self.arrival.get_or_insert_with(|| {
                 let timed = self.port.baud_rate().is_some();
