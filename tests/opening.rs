@@ -87,6 +87,14 @@ async fn a_silent_sensor_on_usb_is_an_error() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn bytes_that_are_no_reply_are_counted_in_the_error() {
+    let (near, mut far) = duplex(256);
+    far.write_all(b"hello\n\n").await.unwrap();
+    let error = builder().attach(near).await.unwrap_err();
+    assert!(matches!(error, Error::NoAnswer { bytes: 7, .. }), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn w24_d05_d06_a_sensor_in_scip_2_is_distinguished_from_a_silent_one_at_once() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         let emulator = truthful().build();

@@ -145,12 +145,16 @@ async fn a06_an_observer_that_panics_ends_the_driver_with_the_cause() {
 
 #[tokio::test(start_paused = true)]
 async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most() {
-    for rate in [Rate::hz(10.0), Rate::hz(0.1)] {
+    let silent = Faults::none().every(Fault::CommandLost);
+    // The command is lost, and would be again behind a fence that is answered.
+    let twice = Faults::none().at(0, Fault::Lost).at(2, Fault::Lost);
+    let (fast, slow) = (Rate::hz(10.0), Rate::hz(0.1));
+    for (rate, faults) in [(fast, silent.clone()), (slow, silent), (slow, twice)] {
         let emulator = instant_sensor().build();
         let sensor = open(&emulator).await;
         let mut stream = sensor.scans(WINDOW, rate).await.unwrap();
         scans(&mut stream, 1).await;
-        emulator.set_faults(Faults::none().rate(1.0, Fault::CommandLost));
+        emulator.set_faults(faults);
         let asker = sensor.clone();
         let request = tokio::spawn(async move { asker.laser_off().await });
         tokio::time::sleep(ms(150)).await;

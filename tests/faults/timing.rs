@@ -158,6 +158,7 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     let mut delivered = scans(&mut stream, 2).await;
     let took = delivered[1].received_at() - delivered[1].requested_at();
+    assert_eq!(sensor.stats().malformed.total(), 0, "an answer without delay is refused");
     for after in 1..=4 {
         // The copy begins `after` ms after the next poll was sent, which takes 5.2 ms on the
         // wire.
