@@ -40,7 +40,7 @@ use self::request::{QueuedRequest, RequestQueue};
 pub(crate) use self::request::{Request, Responder};
 use self::supervisor::Supervisor;
 use crate::Error;
-use crate::port::Connect;
+use crate::port::AnyConnect;
 use crate::state::Telemetry;
 
 /// Requests that the queue holds before the callers have to wait.
@@ -111,7 +111,7 @@ impl Client {
 }
 
 /// Returns a driver that does not run yet, and the first handle to it.
-pub(crate) fn new<C: Connect>(connect: C, config: Config) -> (Client, Driver) {
+pub(crate) fn new(connect: Box<dyn AnyConnect>, config: Config) -> (Client, Driver) {
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
     let span = match &name {
         // Enabled wherever anything is: a warning without a name is of little use.

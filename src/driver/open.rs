@@ -12,7 +12,7 @@ use super::exchange::ExchangeError;
 use super::fence::UniqueRequests;
 use super::laser::set_laser;
 use super::session::Session;
-use crate::port::Connect;
+use crate::port::{AnyConnect, Port};
 use crate::protocol::{Command, Text, Version};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error};
@@ -24,8 +24,8 @@ const REVOLUTION: Duration = Duration::from_millis(100);
 const IDENTITY_TRIES: usize = 4;
 
 /// Opens the port, and restores how the sensor behind it was set.
-pub(crate) struct Opener<C> {
-    connect: C,
+pub(crate) struct Opener {
+    connect: Box<dyn AnyConnect>,
     config: Config,
     telemetry: Arc<Telemetry>,
     wanted: Wanted,
@@ -51,8 +51,12 @@ pub(crate) struct Wanted {
     pub(crate) baud_rate: Option<BaudRate>,
 }
 
-impl<C: Connect> Opener<C> {
-    pub(crate) fn new(connect: C, config: Config, telemetry: Arc<Telemetry>) -> Self {
+impl Opener {
+    pub(crate) fn new(
+        connect: Box<dyn AnyConnect>,
+        config: Config,
+        telemetry: Arc<Telemetry>,
+    ) -> Self {
         let asked = connect.expected_serial_number().map(Text::from);
         Self {
             wanted: Wanted { laser: None, baud_rate: config.baud_rate },
@@ -111,13 +115,12 @@ impl<C: Connect> Opener<C> {
         error.named(self.telemetry.name())
     }
 
-    async fn open_on(&mut self, port: C::Port) -> Result<Session, Error> {
+    async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, Error> {
         let telemetry = Arc::clone(&self.telemetry);
         let unique_requests = std::mem::take(&mut self.unique_requests);
         let Config { observer, reply_latency, .. } = &self.config;
         let observer = observer.clone();
-        let mut session =
-            Session::new(Box::new(port), *reply_latency, observer, unique_requests, telemetry);
+        let mut session = Session::new(port, *reply_latency, observer, unique_requests, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(error) => {

@@ -18,15 +18,15 @@ use super::serve::{Service, Stop};
 use super::session::Session;
 use crate::Error;
 use crate::observer::ReplyObserver;
-use crate::port::Connect;
+use crate::port::AnyConnect;
 use crate::state::{State, Telemetry};
 
 /// The whole driver: opens a session, serves it, and replaces it when it is lost.
-pub(crate) struct Supervisor<C> {
+pub(crate) struct Supervisor {
     /// Declared first, so dropped first: who waits for a driver that is dropped, even
     /// one that never ran, gets the cause.
     _closing: Closing,
-    opener: Opener<C>,
+    opener: Opener,
     offline: OfflineQueue,
     backoff: Backoff,
     config: Config,
@@ -40,9 +40,9 @@ struct OfflineQueue {
     telemetry: Arc<Telemetry>,
 }
 
-impl<C: Connect> Supervisor<C> {
+impl Supervisor {
     pub(crate) fn new(
-        connect: C,
+        connect: Box<dyn AnyConnect>,
         config: Config,
         queue: RequestQueue,
         telemetry: Arc<Telemetry>,

@@ -1,6 +1,7 @@
 //! Ports, through which a driver reaches its sensor: the traits [`Port`] and
 //! [`Connect`], which opens one, and [`Endpoint`], which names one.
 
+mod any_connect;
 mod attached;
 mod connector;
 mod dial;
@@ -26,6 +27,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::{BaudRate, Error};
 
+pub(crate) use any_connect::AnyConnect;
 pub(crate) use attached::Attached;
 pub use connector::EndpointConnector;
 pub use endpoint::Endpoint;

@@ -210,7 +210,7 @@ impl SensorBuilder {
         E::Error: Into<Error>,
     {
         let endpoint = endpoint.try_into().map_err(Into::into)?;
-        self.connect(endpoint.into_connector()).await
+        start(self.build_for(endpoint)).await
     }
 
     /// Opens the sensor behind a byte stream that is open already, see
@@ -243,16 +243,26 @@ impl SensorBuilder {
     ///
     /// Outside of a tokio runtime, as `tokio::spawn` does.
     pub async fn connect(self, connect: impl Connect) -> Result<Sensor, Error> {
-        let (sensor, driver) = self.build(connect);
-        tokio::spawn(driver);
-        sensor.opened().await?;
-        Ok(sensor)
+        start(self.build(connect)).await
     }
 
     /// Returns a handle, and the driver for it, which the caller spawns. Nothing is
     /// opened before the driver runs; requests wait for it.
     pub fn build(self, connect: impl Connect) -> (Sensor, Driver) {
-        let (client, driver) = driver::new(connect, self.config);
+        let (client, driver) = driver::new(Box::new(connect), self.config);
         (Sensor { client }, driver)
     }
+
+    /// Does the same for an endpoint. Not generic, so that its connector is compiled with
+    /// this crate, and not in each program that uses it.
+    fn build_for(self, endpoint: Endpoint) -> (Sensor, Driver) {
+        self.build(endpoint.into_connector())
+    }
+}
+
+/// Spawns the driver, and waits until the sensor is open.
+async fn start((sensor, driver): (Sensor, Driver)) -> Result<Sensor, Error> {
+    tokio::spawn(driver);
+    sensor.opened().await?;
+    Ok(sensor)
 }
