@@ -295,9 +295,9 @@ def listeners():
 
 def processes():
     """Processes with ten sensors each at 1 Hz: over zenoh through one router, over DDS
-    each a participant of its own. Participants that start at the same time may stay
-    unknown to a reader, so that they also start with a gap, in seconds."""
-    dds = [("dds", 5, 0), ("dds", 5, 0.5), ("dds", 10, 0.5), ("dds", 20, 0.5), ("dds", 40, 0.5)]
+    each a participant of its own, started in the same moment and with a gap, in seconds."""
+    dds = [("dds", 5, 0), ("dds", 10, 0), ("dds", 20, 0), ("dds", 20, 0.5), ("dds", 40, 0),
+           ("dds", 40, 0.5)]
     for engine, count, gap in [("zenoh", 100, 0), *dds]:
         hosts = [f"h{number}" for number in range(count)]
         router = Router() if engine == "zenoh" else None

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import rclpy
@@ -156,6 +157,22 @@ def a_hundred_sensors_share_a_participant():
     ok("a hundred sensors publish in one process")
 
 
+def processes_start_in_the_same_moment():
+    """Fast DDS skips announcements of endpoints that do not arrive in order."""
+    hosts, names = [f"h{number}" for number in range(5)], [f"s{number}" for number in range(4)]
+    topics = [f"/{host}/{name}/scan" for host in hosts for name in names]
+    readers = [Reader(LaserScan, topic) for topic in topics]
+    sensors = [f"{name}=emulated" for name in names]
+    with ExitStack() as processes:
+        for host in hosts:
+            options = ["--namespace", host, "--topic", "scan", "--rate", "1"]
+            processes.enter_context(Urg("publish", *sensors, *options))
+        until("scans of each sensor of five processes", lambda: all(r.got for r in readers), 40)
+    for reader in readers:
+        reader.close()
+    ok("all topics of five processes that start in the same moment are found")
+
+
 def readers_come_late_die_and_hang():
     with Urg("publish", "emulated"):
         reader = Reader(LaserScan, "/scan")
@@ -228,6 +245,7 @@ values_are_the_same()
 the_recipe_without_a_build()
 the_graph_and_the_parameters()
 a_hundred_sensors_share_a_participant()
+processes_start_in_the_same_moment()
 readers_come_late_die_and_hang()
 diagnostics_and_an_unplugged_sensor()
 os._exit(0)

@@ -66,7 +66,7 @@ pub(crate) struct Publish {
         allow_hyphen_values = true, help_heading = "ROS")]
     time_offset: f64,
     /// Local address to use, and no other: that of one network interface
-    #[arg(long, value_name = "IP", help_heading = "Network")]
+    #[arg(long, value_name = "IP", value_parser = address, help_heading = "Network")]
     interface: Option<IpAddr>,
     /// Address of the zenoh router
     #[arg(
@@ -255,6 +255,10 @@ fn domain_of_environment() -> Result<u16, Failure> {
     domain
         .filter(|domain| *domain <= 232)
         .ok_or_else(|| Failure::Usage(format!("invalid ROS_DOMAIN_ID {text:?}: expected 0 to 232")))
+}
+
+fn address(text: &str) -> Result<IpAddr, &'static str> {
+    text.parse().map_err(|_| "expected the address of an interface, such as 192.168.1.10")
 }
 
 fn seconds(text: &str) -> Result<f64, &'static str> {

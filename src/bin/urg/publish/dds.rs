@@ -17,6 +17,7 @@ use super::engine::{
     DIAGNOSTICS_TOPIC, Engine, EngineSettings, NodePublishers, NodeSpec,
     ParameterValue as Parameter, Publish, Qos,
 };
+use super::newcomers::Newcomers;
 
 /// Bytes of CDR's header, which the engine writes itself.
 const CDR_HEADER: usize = 4;
@@ -52,15 +53,20 @@ impl Engine for Dds {
         }
         let is_local = settings.interface.is_none() && !is_in_network();
         let participant = builder.build().map_err(|error| failed("open DDS", &error))?;
+        let mut newcomers = Newcomers::of(&participant);
+        newcomers.wait_until_quiet();
+        newcomers.wait_for_turn();
         let context = Context::from_domain_participant(participant)
             .map_err(|error| failed("open DDS", &error))?;
         let mut nodes = Vec::new();
         let mut publishers = Vec::new();
         for (spec, counts) in specs.iter().zip(counts) {
+            newcomers.wait_until_quiet();
             let (node, its_publishers) = add_node(&context, spec, counts, settings)?;
             nodes.push(node);
             publishers.push(its_publishers);
         }
+        newcomers.wait_until_quiet();
         let parameters = (nodes.len() <= MAX_NODES_WITH_PARAMETERS)
             .then(|| ParameterServer::start(&mut nodes))
             .transpose()?;

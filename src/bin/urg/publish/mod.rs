@@ -13,6 +13,8 @@ mod dds;
 mod diagnostics;
 mod engine;
 mod names;
+#[cfg(feature = "ros2")]
+mod newcomers;
 mod running;
 mod source;
 #[cfg(feature = "zenoh")]
