@@ -1,8 +1,16 @@
 //! Endpoints as text, TCP ports, and listing: everything that needs no pseudo-terminal.
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+use std::time::SystemTime;
+
+use crate::common::ConnectFn;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpListener;
-use tokio_scip::port::{EndpointConnector, TcpPort};
+use tokio_scip::port::{EndpointConnector, StreamPort, TcpPort};
 use tokio_scip::{BaudRate, Connect, Endpoint, Error, Port};
 
 fn tcp(host: &str, port: u16, baud_rate: BaudRate) -> Endpoint {
@@ -129,12 +137,107 @@ async fn bytes_go_both_ways_over_tcp() {
         let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
         assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
         assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        assert!(port.can_die_silently());
         assert!(!connector.has_more());
         assert_eq!(connector.expected_serial_number(), None);
 
         drop(peer);
         assert_eq!(port.read(&mut reply).await.unwrap(), 0, "the end comes as it is");
     }
+}
+
+/// A port that has another answer to each question than the default.
+struct Unusual {
+    bytes: tokio::io::Empty,
+    is_discarded: Arc<AtomicBool>,
+}
+
+impl AsyncRead for Unusual {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.bytes).poll_read(cx, buffer)
+    }
+}
+
+impl AsyncWrite for Unusual {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.bytes).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.bytes).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.bytes).poll_shutdown(cx)
+    }
+}
+
+impl Port for Unusual {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        Some(BaudRate::B57600)
+    }
+
+    fn set_baud_rate(&mut self, _: BaudRate) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn wall_clock(&self) -> SystemTime {
+        SystemTime::UNIX_EPOCH
+    }
+
+    fn try_read(&mut self, _: &mut [u8]) -> Option<io::Result<usize>> {
+        Some(Ok(3))
+    }
+
+    fn suspend_wakeups(&mut self) -> bool {
+        true
+    }
+
+    fn can_die_silently(&self) -> bool {
+        true
+    }
+
+    fn is_over(&self) -> bool {
+        true
+    }
+
+    fn discard_output(&mut self) {
+        self.is_discarded.store(true, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_as_documented() {
+    let answers = |port: &mut dyn Port| {
+        (
+            port.baud_rate(),
+            port.set_baud_rate(BaudRate::B19200).is_ok(),
+            port.wall_clock() == SystemTime::UNIX_EPOCH,
+            port.try_read(&mut [0; 8]).and_then(Result::ok),
+            port.suspend_wakeups(),
+            port.can_die_silently(),
+            port.is_over(),
+        )
+    };
+    let is_discarded = Arc::new(AtomicBool::new(false));
+    let bytes = tokio::io::empty();
+    let mut boxed: Box<dyn Port> =
+        Box::new(Unusual { bytes, is_discarded: Arc::clone(&is_discarded) });
+    let all = (Some(BaudRate::B57600), true, true, Some(3), true, true, true);
+    assert_eq!(answers(&mut boxed), all);
+    boxed.discard_output();
+    assert!(is_discarded.load(Ordering::Relaxed));
+    let none = (None, false, false, None, false, false, false);
+    assert_eq!(answers(&mut StreamPort::new(tokio::io::empty())), none);
+    assert_eq!(ConnectFn(|| Ok(StreamPort::new(tokio::io::empty()))).name(), None);
 }
 
 #[tokio::test]

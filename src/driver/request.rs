@@ -150,15 +150,4 @@ impl RequestQueue {
             }
         }
     }
-
-    /// Answers everything that is still queued.
-    pub(crate) fn end(&mut self, error: &Error) {
-        self.receiver.close();
-        for queued in self.waiting.drain(..).chain(self.next.take()) {
-            queued.request.fail(error.clone());
-        }
-        while let Ok(queued) = self.receiver.try_recv() {
-            queued.request.fail(error.clone());
-        }
-    }
 }

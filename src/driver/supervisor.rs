@@ -72,7 +72,6 @@ impl Supervisor {
         };
         self.telemetry.enter(State::Closed { error: error.clone() });
         self.offline.schedules.end(error.as_ref());
-        self.offline.queue.end(error.as_ref().unwrap_or(&Error::Closed));
         if let Some(responder) = responder {
             // The driver is closed even if the caller no longer waits.
             let _ = responder.send(Ok(()));
@@ -226,11 +225,11 @@ impl OfflineQueue {
 }
 
 impl Drop for OfflineQueue {
-    /// Ends all streams and requests with the cause, when the driver is dropped.
+    /// Ends all streams with the cause, when the driver is dropped. Requests need none:
+    /// whoever waits for the answer to one that is dropped looks for the cause.
     fn drop(&mut self) {
         let cause = self.telemetry.cause();
         self.schedules.end(Some(&cause));
-        self.queue.end(&cause);
     }
 }
 

@@ -62,6 +62,7 @@ async fn all_six_baud_rates_are_set_and_in_force() {
     let mut port = SerialPort::open(&line.path).await.unwrap();
     assert_eq!(port.baud_rate(), Some(BaudRate::B19200), "as a sensor after power-up");
     assert_eq!(line.near.baud_rate().unwrap(), 19_200);
+    assert!(port.can_die_silently(), "it counts as a sensor's own USB port");
     for baud_rate in BaudRate::ALL.into_iter().rev() {
         port.set_baud_rate(baud_rate).unwrap();
         assert_eq!(port.baud_rate(), Some(baud_rate));

@@ -120,6 +120,13 @@ mod tests {
     }
 
     #[test]
+    fn the_first_fence_is_a_step_that_the_seed_selects() {
+        for (seed, step) in [(7, 7), (768, 768), (769, 0), (u64::from(STEPS) * 5 + 3, 3)] {
+            assert_eq!(UniqueRequests::starting(seed).fence(), Window::single(step), "{seed}");
+        }
+    }
+
+    #[test]
     fn fences_go_round_all_steps_even_if_all_were_asked_for() {
         let mut unique_requests = UniqueRequests::default();
         let round: Vec<Window> = (0..STEPS).map(|_| unique_requests.fence()).collect();
