@@ -178,3 +178,15 @@ async fn d01_a_baud_rate_that_is_set_again_is_confirmed_and_not_assumed() {
     sensor.scan(Window::DETECTION).await.unwrap();
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_time_limit_of_a_command_is_its_latency_and_the_time_of_all_bytes_on_the_wire() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().at(0, Fault::Lost).at(2, Fault::Lost));
+    let error = sensor.scan(Window::DETECTION).await.unwrap_err();
+    let Error::Timeout { command: Command::Distances(asked), after, .. } = error else {
+        panic!("{error:?}");
+    };
+    assert_eq!(after, ms(500) + asked.wire_time(BaudRate::B19200));
+}

@@ -136,6 +136,23 @@ fn two_readers_come_to_the_end_of_two_writers() {
     });
 }
 
+#[test]
+fn three_readers_come_to_the_end_of_two_writers() {
+    explore(1, || {
+        let ring = Ring::new();
+        let [first, second, third] = [1, 2, 1].map(|depth| ring.subscribe(depth));
+        let pushed = Arc::clone(&ring);
+        let pushing = thread::spawn(move || pushed.push(scan(0)));
+        let (first, second, third) = (read(first), read(second), read(third));
+        ring.end(Some(cause()));
+        for seen in [first, second, third] {
+            seen.join().unwrap().check();
+        }
+        pushing.join().unwrap();
+        assert_eq!(ring.readers(), 0);
+    });
+}
+
 /// The third reader leaves while the writers wake all.
 #[test]
 fn two_readers_come_to_the_end_of_two_writers_while_a_third_leaves() {

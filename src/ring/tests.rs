@@ -192,6 +192,8 @@ fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
     assert_eq!(ring.readers(), 3);
     drop((reader, late));
     assert_eq!(ring.readers(), 1);
+    drop(clone);
+    assert_eq!(ring.readers(), 0);
 }
 
 #[tokio::test]

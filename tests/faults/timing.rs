@@ -183,6 +183,16 @@ impl Hooks for ClaimBaudRate {
 }
 
 #[tokio::test(start_paused = true)]
+async fn o26_replies_as_fast_as_the_baud_rate_can_carry_do_not_mark_it_as_outrun() {
+    let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    sensor.scan(WINDOW).await.unwrap();
+    // Confirmed by a fence that is refused.
+    sensor.laser_off().await.unwrap();
+    assert!(!sensor.stats().baud_rate_outrun);
+}
+
+#[tokio::test(start_paused = true)]
 async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
     let slow = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&slow).await;
