@@ -40,6 +40,12 @@ def cpu_of(process):
     return time.clock_gettime(~process.pid << 3 | 2)
 
 
+def memory_of(process):
+    """Returns the resident memory of a process, in MiB."""
+    text = Path(f"/proc/{process.pid}/status").read_text()
+    return int(text.split("VmRSS:")[1].split()[0]) / 1024
+
+
 class Router:
     def __init__(self, enter=()):
         command = [*enter, sys.executable, "-c", ROUTER]
@@ -136,10 +142,6 @@ class Urg:
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
         )
 
-    def memory(self):
-        text = Path(f"/proc/{self.process.pid}/status").read_text()
-        return int(text.split("VmRSS:")[1].split()[0]) / 1024
-
     def stop(self):
         begin = time.monotonic()
         self.process.send_signal(signal.SIGINT)
@@ -162,7 +164,8 @@ def row(name, runs):
     text += f" CPU {median('cpu'):.3f} ms a scan, {median('share'):.1f} % of a core,"
     text += f" {median('rate'):.0f} scans/s, load {os.getloadavg()[0]:.0f}"
     for key, unit in (("memory", "MiB"), ("discovered", "s until all were read"),
-                      ("routed", "ms a scan in the router"), ("stopped", "s to stop")):
+                      ("routed", "ms a scan in the router"), ("router", "MiB of the router"),
+                      ("stopped", "s to stop")):
         if key in runs[0]:
             text += f", {median(key):.3g} {unit}"
     print(text, flush=True)
@@ -181,9 +184,10 @@ def watch(reader, processes, router=None):
         "scans": scans, "lost": reader.lost(), "rate": scans / took,
         "p50": quantile(reader.latencies, 0.5), "p99": quantile(reader.latencies, 0.99),
         "cpu": 1000 * cpu / max(scans, 1), "share": 100 * cpu / took,
-        "memory": sum(each.memory() for each in processes),
+        "memory": sum(memory_of(each.process) for each in processes),
     }
     if router:
+        figures["router"] = memory_of(router.process)
         figures["routed"] = 1000 * (cpu_of(router.process) - routed) / max(scans, 1)
     return figures
 
