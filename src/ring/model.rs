@@ -103,6 +103,28 @@ fn a_reader_gets_every_scan_and_the_cause_whatever_the_driver_does_meanwhile() {
     });
 }
 
+/// Nothing else wakes them: the ring does not end.
+#[test]
+fn a_scan_or_an_error_alone_wakes_each_reader() {
+    for is_scan in [true, false] {
+        explore(2, move || {
+            let ring = Ring::new();
+            let readers = [1, 2].map(|depth| {
+                let mut reader = ring.subscribe(depth);
+                thread::spawn(move || block_on(poll_fn(|cx| reader.poll_next(cx))).is_some())
+            });
+            if is_scan {
+                ring.push(scan(0));
+            } else {
+                ring.report(cause());
+            }
+            for reader in readers {
+                assert!(reader.join().unwrap());
+            }
+        });
+    }
+}
+
 #[test]
 fn three_readers_all_come_to_the_end() {
     explore(1, || {
