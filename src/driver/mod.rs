@@ -97,7 +97,22 @@ impl Client {
         if self.sender.send(queued).await.is_err() {
             return Err(self.telemetry.cause());
         }
-        answer.await.unwrap_or_else(|_| Err(self.telemetry.cause()))
+        self.wait_for(answer).await
+    }
+
+    /// Waits for the answer to a request that is in the queue, or for the driver's end: a
+    /// request that another thread sends while the queue is dropped stays in it, unanswered,
+    /// for as long as there is a handle.
+    async fn wait_for<T>(
+        &self,
+        mut answer: oneshot::Receiver<Result<T, Error>>,
+    ) -> Result<T, Error> {
+        let outcome = tokio::select! {
+            biased;
+            outcome = &mut answer => outcome.ok(),
+            () = self.sender.closed() => answer.try_recv().ok(),
+        };
+        outcome.unwrap_or_else(|| Err(self.telemetry.cause()))
     }
 
     /// Returns the depth of streams that set none.
@@ -125,4 +140,36 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, config: Config) -> (Client, Driv
         Supervisor::new(connect, config, RequestQueue::new(receiver, name), Arc::clone(&telemetry));
     let client = Client { sender, telemetry, request_timeout, ring_depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::sync::oneshot;
+    use tokio::time::{Instant, timeout};
+
+    use super::*;
+    use crate::port::{Connect, Port};
+
+    struct NoSensor;
+
+    impl Connect for NoSensor {
+        type Port = Box<dyn Port>;
+
+        async fn connect(&mut self) -> Result<Self::Port, Error> {
+            std::future::pending().await
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_request_that_is_sent_while_the_queue_is_dropped_ends() {
+        let (client, driver) = new(Box::new(NoSensor), Config::default());
+        let place = client.sender.clone().reserve_owned().await.unwrap();
+        drop(driver);
+        let (responder, answer) = oneshot::channel();
+        let request = Request::Version(responder);
+        place.send(Box::new(QueuedRequest { request, expires: Instant::now() }));
+
+        let outcome = timeout(Duration::from_secs(60), client.wait_for(answer)).await;
+        assert!(matches!(outcome, Ok(Err(Error::Closed))), "{outcome:?}");
+    }
 }
