@@ -211,6 +211,19 @@ async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn o26_a_scan_faster_than_the_baud_rate_marks_it_as_outrun_where_short_replies_are_not() {
+    let fast = truthful().pace(Pace::AtOnce).latency(ms(100)).usb().build();
+    let sensor = builder()
+        .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
+        .await
+        .unwrap();
+    assert!(!sensor.stats().baud_rate_outrun);
+    // 734 ms at 19,200 baud.
+    sensor.scan(Window::DETECTION).await.unwrap();
+    assert!(sensor.stats().baud_rate_outrun);
+}
+
+#[tokio::test(start_paused = true)]
 async fn t04_a_lost_command_is_retried_and_counted() {
     let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
     let sensor = open(&emulator).await;

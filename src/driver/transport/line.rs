@@ -224,3 +224,71 @@ impl AsyncWrite for Line {
         self.poll_flush(cx)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+    use std::io::ErrorKind;
+
+    use super::*;
+
+    /// A port from which these reads come, one after the other, without waiting.
+    struct Script(VecDeque<Result<usize, ErrorKind>>);
+
+    impl Port for Script {
+        fn try_read(&mut self, _: &mut [u8]) -> Option<io::Result<usize>> {
+            let next = self.0.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
+            Some(next.map_err(io::Error::from))
+        }
+    }
+
+    impl AsyncRead for Script {
+        fn poll_read(
+            self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+            _: &mut ReadBuf<'_>,
+        ) -> Poll<io::Result<()>> {
+            unreachable!("the port is read without waiting")
+        }
+    }
+
+    impl AsyncWrite for Script {
+        fn poll_write(
+            self: Pin<&mut Self>,
+            _: &mut Context<'_>,
+            _: &[u8],
+        ) -> Poll<io::Result<usize>> {
+            unreachable!("nothing is written")
+        }
+
+        fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            unreachable!("nothing is written")
+        }
+
+        fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            unreachable!("nothing is written")
+        }
+    }
+
+    fn line(reads: impl IntoIterator<Item = Result<usize, ErrorKind>>) -> Line {
+        Line::new(Box::new(Script(reads.into_iter().collect())))
+    }
+
+    #[tokio::test]
+    async fn bytes_behind_an_interrupted_read_are_dropped_and_each_time_counted_anew() {
+        let quiet = Err(ErrorKind::WouldBlock);
+        let interrupted = Err(ErrorKind::Interrupted);
+        let mut line =
+            line([Ok(100), interrupted, Ok(20), quiet, Ok(7), quiet, interrupted, Ok(0)]);
+        assert_eq!(line.drain().await.unwrap(), Some(120));
+        assert_eq!(line.drain().await.unwrap(), Some(7));
+        assert_eq!(line.drain().await.unwrap(), None);
+        assert_eq!(line.received(), 127);
+    }
+
+    #[tokio::test]
+    async fn a_read_that_fails_ends_the_dropping_of_bytes_with_its_error() {
+        let mut line = line([Ok(100), Err(ErrorKind::BrokenPipe), Ok(20)]);
+        assert_eq!(line.drain().await.unwrap_err().kind(), ErrorKind::BrokenPipe);
+    }
+}

@@ -129,3 +129,53 @@ impl Pauses {
         *lately = Some(lately.map_or(time, |shortest| shortest.min(time)));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio::time::advance;
+
+    use super::*;
+
+    /// The bytes of a scan's first piece and of the rest, which takes 100 ms.
+    const PIECE: usize = 14;
+    const REST: usize = 1_385;
+    const REST_TIME: Duration = Duration::from_millis(100);
+
+    /// Pauses of a link of which enough scans were measured.
+    async fn measured() -> Pauses {
+        let mut pauses = Pauses::default();
+        for _ in 0..MEASURED_FIRST {
+            pauses.begin_reply();
+            assert_eq!(next(&mut pauses, REST), None);
+            advance(REST_TIME).await;
+            pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
+        }
+        pauses
+    }
+
+    /// Returns how long the pause is, at the first piece of a scan of which so many bytes
+    /// are missing.
+    fn next(pauses: &mut Pauses, missing: usize) -> Option<Duration> {
+        let now = Instant::now();
+        pauses.next(PIECE, missing, now + Duration::from_secs(10)).map(|until| until - now)
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_pause_is_counted_from_its_own_reply_and_not_from_one_that_was_never_whole() {
+        let mut pauses = measured().await;
+        pauses.begin_reply();
+        assert!(next(&mut pauses, REST).is_some());
+        advance(Duration::from_secs(1)).await;
+        pauses.begin_reply();
+        let pause = next(&mut pauses, REST).unwrap();
+        assert!(pause > REST_TIME - 3 * TIMER_DELAY && pause < REST_TIME, "{pause:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_last_bytes_of_a_reply_are_awaited_without_a_pause() {
+        let mut pauses = measured().await;
+        pauses.begin_reply();
+        assert_eq!(next(&mut pauses, MIN_BYTES - 1), None);
+        assert!(next(&mut pauses, MIN_BYTES).is_some());
+    }
+}
