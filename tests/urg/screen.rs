@@ -60,6 +60,14 @@ impl Terminal {
         waited.unwrap_or_else(|_| panic!("{texts:?} not in {:?}", self.drawn));
     }
 
+    /// Waits until all these texts were drawn, in whatever order: a screen is drawn as its
+    /// changes, and what is known first depends on the machine.
+    async fn until_each(&mut self, texts: &[&str]) {
+        for text in texts {
+            self.until(&[text]).await;
+        }
+    }
+
     /// Waits for the end, and asserts that the terminal is as before.
     async fn end(mut self) -> Option<i32> {
         self.until(&["\x1b[?1049h", "\x1b[?1049l", "\x1b[?25h"]).await;
@@ -83,7 +91,7 @@ async fn stty(path: &str, arguments: &[&str]) -> String {
 #[tokio::test]
 async fn keys_work_and_the_terminal_is_restored_when_the_user_quits() {
     let mut terminal = Terminal::start("view emulated").await;
-    terminal.until(&["URG-04LX", "quit"]).await;
+    terminal.until_each(&["URG-04LX", "quit"]).await;
     terminal.user.write_all(b"?").await.unwrap();
     terminal.until(&["widen"]).await;
     terminal.user.write_all(b"q").await.unwrap();
@@ -95,7 +103,7 @@ async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such
     let nobody = super::program::Scratch::new("not-on-screen");
     let missing = format!("rear={}@-0.2,0,180", nobody.path());
     let mut terminal = Terminal::start(&format!("view front=emulated@0.2,0,0 {missing}")).await;
-    terminal.until(&["front", "connected", "rear", "closed", "--wait"]).await;
+    terminal.until_each(&["front", "connected", "rear", "closed", "--wait"]).await;
     terminal.user.write_all(b"\t").await.unwrap();
     terminal.until(&["of", "rear:"]).await;
     terminal.user.write_all(b"q").await.unwrap();
@@ -104,7 +112,7 @@ async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such
     // With --wait it comes when it comes.
     let arguments = format!("view front=emulated@0.2,0,0 {missing} --wait");
     let mut terminal = Terminal::start(&arguments).await;
-    terminal.until(&["front", "rear", "looking for it", "connected"]).await;
+    terminal.until_each(&["front", "rear", "looking for it", "connected"]).await;
     let _sensor = super::program::Emulated::start(&format!("--link {}", nobody.path()));
     terminal.user.write_all(b"\t").await.unwrap();
     terminal.until(&["rear", "URG-04LX"]).await;
@@ -205,7 +213,7 @@ async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
     let file = super::program::Scratch::with_extension("radar", ".mcap");
     super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
     let mut terminal = Terminal::start(&format!("view {}", file.path())).await;
-    terminal.until(&["URG-04LX", "playing", "END", "at the end"]).await;
+    terminal.until_each(&["URG-04LX", "playing", "END", "at the end"]).await;
     terminal.user.write_all(b",").await.unwrap();
     terminal.until(&["PAUSED", "paused"]).await;
     terminal.user.write_all(b"l").await.unwrap();
