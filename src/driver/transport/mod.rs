@@ -57,8 +57,8 @@ pub(crate) struct Timing {
 pub(crate) struct Transport {
     line: Line,
     codec: ScipCodec,
-    /// What came and was not judged yet. A frame is judged where it lies: one of its own
-    /// costs a fifth as much as decoding a scan (`benches/README.md`, item 1).
+    /// The bytes that have arrived and were not judged yet. A frame is judged where it lies:
+    /// to copy it out costs a fifth of decoding a scan (`benches/README.md`, item 1).
     input: BytesMut,
     /// The latest command as it was written.
     output: BytesMut,

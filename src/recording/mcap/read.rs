@@ -199,8 +199,8 @@ impl Sections {
     }
 
     /// Goes on behind the unwanted part in which the next record is, if it is in one.
-    /// Where nothing begins there, bytes of the file were lost or added after its index was
-    /// written: all of it is read.
+    /// If no record begins there, the file has lost or gained bytes since its index was
+    /// written: then nothing is left out.
     fn leave_out(&mut self) -> Result<(), FileError> {
         let here = self.offset;
         while let Some(part) = self.unwanted.front()

@@ -1,6 +1,6 @@
 //! The probe that shows that the router answers, and the count of scans that it may not
-//! have received: zenoh itself gives a silent router up after 10 s, and reports no message
-//! that was lost with it.
+//! have received: zenoh itself closes the link to a silent router only after 10 s, and does
+//! not report the messages that were lost with it.
 
 use std::sync::Arc;
 use std::time::Duration;

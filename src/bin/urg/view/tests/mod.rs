@@ -1,6 +1,7 @@
 //! The radar as it is on the screen, drawn into memory. Sensors are emulated,
 //! on the paused clock.
 
+mod help;
 mod playback;
 mod several;
 
@@ -123,7 +124,7 @@ async fn everything_is_there_in_80x24_and_in_160x50() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_narrow_screen_has_the_radar_and_the_main_figures_and_a_tiny_one_says_so() {
+async fn a_narrow_screen_has_the_radar_and_the_main_figures_and_a_tiny_one_a_message() {
     let model = watched(Emulator::builder().usb().build()).await;
     let narrow = screen(&model, 50, 20);
     assert!(narrow.contains("of 682 points, 10.0 Hz"), "{narrow}");
@@ -221,65 +222,6 @@ async fn zooming_changes_the_rings_between_its_ends() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn help_covers_the_radar_until_a_key_and_that_key_does_nothing_else() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    press(&mut model, KeyCode::Char('?'));
-    for (width, height) in [(80, 24), (160, 50), (40, 12)] {
-        let help = screen(&model, width, height);
-        assert!(help.contains("zoom in and out"), "{help}");
-    }
-    let help = screen(&model, 80, 24);
-    assert!(help.contains("too little light came back") && help.contains("Ctrl-C"), "{help}");
-    assert_eq!(press(&mut model, KeyCode::Char('l')), None);
-    assert!(!screen(&model, 80, 24).contains("zoom in and out"));
-    assert_eq!(press(&mut model, KeyCode::Char('l')), Some(Action::Laser(false)));
-}
-
-#[tokio::test(start_paused = true)]
-async fn on_a_small_screen_the_help_scrolls_and_the_key_to_quit_stays() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    let small = screen(&model, 40, 12);
-    assert!(small.contains("?  help") && small.contains("q  quit"), "{small}");
-    assert!(!small.contains("l  laser"), "{small}");
-    press(&mut model, KeyCode::Char('?'));
-    assert!(!screen(&model, 40, 12).contains("x none"));
-    for _ in 0..30 {
-        assert_eq!(press(&mut model, KeyCode::Down), None);
-    }
-    let end = screen(&model, 40, 12);
-    assert!(end.contains("x none") && end.contains("q  quit"), "{end}");
-    for _ in 0..30 {
-        press(&mut model, KeyCode::Up);
-    }
-    assert!(screen(&model, 40, 12).contains("zoom in and out"));
-}
-
-#[tokio::test(start_paused = true)]
-async fn the_help_scrolls_no_farther_than_its_end_on_any_screen() {
-    let mut model = watched(Emulator::builder().usb().build()).await;
-    press(&mut model, KeyCode::Char('?'));
-    let drawn = |model: &Model, width, height| {
-        let (mut terminal, mut help) =
-            (Terminal::new(TestBackend::new(width, height)).unwrap(), None);
-        terminal.draw(|frame| help = draw(frame, model, Palette::Many)).unwrap();
-        help
-    };
-    for _ in 0..3 {
-        press(&mut model, KeyCode::Down);
-        model.help = drawn(&model, 80, 60);
-        assert_eq!(model.help, Some(0), "all of it is on the screen");
-    }
-    for _ in 0..100 {
-        press(&mut model, KeyCode::Down);
-        model.help = drawn(&model, 40, 12);
-    }
-    assert!(screen(&model, 40, 12).contains("x none"));
-    let end = model.help.unwrap();
-    press(&mut model, KeyCode::Up);
-    assert_eq!(drawn(&model, 40, 12), Some(end - 1), "one key scrolls it back");
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_rate_that_is_not_known_yet_is_a_dash() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
     let mut model = model_for(&sensor).await;
@@ -311,7 +253,7 @@ fn dots_of(symbol: char) -> u32 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_paused_picture_stays_and_says_so() {
+async fn a_paused_picture_stays_and_is_marked() {
     let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut model = model_for(&sensor).await;
@@ -327,7 +269,7 @@ async fn a_paused_picture_stays_and_says_so() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn keys_ask_for_windows_pictures_and_the_end() {
+async fn keys_request_windows_pictures_and_the_end() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let steps = |action| match action {
         Some(Action::Watch(window)) => {
@@ -366,7 +308,7 @@ async fn any_number_of_arrows_leaves_a_window_that_the_sensor_has() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_link_is_said_as_long_as_it_lasts() {
+async fn a_lost_link_is_shown_as_long_as_it_lasts() {
     let emulator = Emulator::builder().baud_rate(BaudRate::B19200).build();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
