@@ -23,6 +23,7 @@ mod nth_failure;
 mod observer;
 mod opening;
 mod pauses;
+mod pending_input;
 mod polling;
 mod ports;
 #[cfg(all(unix, feature = "serial"))]

@@ -8,6 +8,7 @@ use std::task::{Context, Poll};
 use std::time::SystemTime;
 
 use crate::common::ConnectFn;
+use futures::FutureExt;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpListener;
 use tokio_scip::port::{EndpointConnector, StreamPort, TcpPort};
@@ -238,6 +239,19 @@ fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_as_documented() {
     let none = (None, false, false, None, false, false, false);
     assert_eq!(answers(&mut StreamPort::new(tokio::io::empty())), none);
     assert_eq!(ConnectFn(|| Ok(StreamPort::new(tokio::io::empty()))).name(), None);
+}
+
+#[tokio::test]
+async fn a_stream_port_flushes_and_shuts_down_its_stream() {
+    let (near, mut far) = tokio::io::duplex(64);
+    let mut port = StreamPort::new(tokio::io::BufStream::new(near));
+    let mut bytes = [0; 8];
+    port.write_all(b"V\n").await.unwrap();
+    assert!(far.read(&mut bytes).now_or_never().is_none(), "the stream holds it back");
+    port.flush().await.unwrap();
+    assert_eq!(far.read(&mut bytes).now_or_never().unwrap().unwrap(), 2);
+    port.shutdown().await.unwrap();
+    assert_eq!(far.read(&mut bytes).now_or_never().unwrap().unwrap(), 0);
 }
 
 #[tokio::test]

@@ -109,3 +109,38 @@ impl From<Refusal> for Error {
         Self::Refused { command, status }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use tokio::time::advance;
+
+    use super::*;
+    use crate::Window;
+    use crate::driver::fence::UniqueRequests;
+    use crate::observer::ReplyObserver;
+    use crate::port::StreamPort;
+    use crate::state::Telemetry;
+
+    #[tokio::test(start_paused = true)]
+    async fn the_laser_is_tried_again_at_the_instant_that_is_due_and_not_before() {
+        let (near, _silent) = tokio::io::duplex(4096);
+        let mut session = Session::new(
+            Box::new(StreamPort::new(near)),
+            None,
+            ReplyObserver::default(),
+            UniqueRequests::default(),
+            Arc::new(Telemetry::new(None)),
+        );
+        let refusal =
+            Refusal { command: Command::Distances(Window::FULL), status: Status::new(b'6') };
+        let mut recovery = LaserRecovery::new(7);
+        recovery.failed = Some((None, Instant::now() + Duration::from_nanos(1)));
+        let early = recovery.switch_on(&mut session, refusal).await;
+        assert!(matches!(early, Err(ExchangeError::Command(Error::Refused { .. }))), "{early:?}");
+        advance(Duration::from_nanos(1)).await;
+        let tried = recovery.switch_on(&mut session, refusal).await;
+        assert!(!matches!(tried, Err(ExchangeError::Command(Error::Refused { .. }))), "{tried:?}");
+    }
+}

@@ -45,3 +45,22 @@ impl PollTimer {
         let _ = pin!(unconstrained(ahead.as_mut())).poll(&mut Context::from_waker(Waker::noop()));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn the_companion_ends_with_the_wait_after_the_current_one() {
+        let second = |number| Instant::now() + Duration::from_secs(number);
+        let dues = [1, 2, 3, 4].map(second);
+        let mut timer = PollTimer::default();
+        for due in dues.windows(2) {
+            timer.wait(due[0], Some(due[1])).await;
+            assert_eq!(Instant::now(), due[0]);
+            assert_eq!(timer.ahead.as_ref().map(|ahead| ahead.deadline()), Some(due[1]));
+        }
+    }
+}

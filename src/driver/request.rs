@@ -151,3 +151,26 @@ impl RequestQueue {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use futures::FutureExt;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_request_that_waited_for_a_link_is_ready_when_there_is_one() {
+        let (sender, receiver) = mpsc::channel(2);
+        let mut queue = RequestQueue::new(receiver, None);
+        assert!(queue.ready().now_or_never().is_none(), "no request was sent");
+        let (responder, _answer) = oneshot::channel();
+        let expires = Instant::now() + Duration::from_secs(1);
+        let queued = Box::new(QueuedRequest { request: Request::Version(responder), expires });
+        assert!(sender.send(queued).await.is_ok());
+        assert!(queue.next_unlinked().now_or_never().is_none(), "it needs a link");
+        assert!(matches!(queue.ready().now_or_never(), Some(Ok(()))));
+        assert!(matches!(queue.pop(), Ok(Some(Request::Version(_)))));
+    }
+}

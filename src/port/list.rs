@@ -98,7 +98,7 @@ fn list_blocking() -> Result<Vec<PortInfo>, Error> {
     Ok(ports)
 }
 
-fn available() -> Result<Vec<SerialPortInfo>, Error> {
+pub(super) fn available() -> Result<Vec<SerialPortInfo>, Error> {
     // tokio_serial panics if this directory is missing, as in some containers.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     if !Path::new(SYS_CLASS_TTY).is_dir() {
@@ -174,13 +174,8 @@ pub(super) fn is_usb_sensor(path: &str) -> bool {
     likely_sensors().is_ok_and(|ports| ports.iter().any(|port| is_same(port, path)))
 }
 
-/// Returns true if the system lists `path`. Blocks.
-#[cfg(not(unix))]
-pub(super) fn is_listed(path: &str) -> bool {
-    available().is_ok_and(|ports| ports.iter().any(|port| is_same(&port.port_name, path)))
-}
-
-fn is_same(listed: &str, path: &str) -> bool {
+/// Returns true if `path` is a name of the port that is `listed`.
+pub(super) fn is_same(listed: &str, path: &str) -> bool {
     match (fs::canonicalize(listed), fs::canonicalize(path)) {
         (Ok(listed), Ok(path)) => listed == path,
         // On Windows ports are not files, and com3 and \\.\COM3 are names of COM3.

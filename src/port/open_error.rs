@@ -79,31 +79,28 @@ fn not_found(port: &str, error: io::Error) -> Error {
 #[cfg(unix)]
 fn node(port: &str) -> io::Result<Node> {
     use std::os::unix::fs::{FileTypeExt, MetadataExt};
+    use std::path::Path;
     use std::time::{SystemTime, UNIX_EPOCH};
 
     let metadata = std::fs::metadata(port)?;
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
     Ok(Node {
         is_device: metadata.file_type().is_char_device(),
-        group: group_to_join(metadata.mode(), metadata.gid(), &groups()),
+        group: group_to_join(metadata.mode(), metadata.gid(), Path::new("/etc/group")),
         is_new: is_new(metadata.ctime(), now),
     })
 }
 
-#[cfg(unix)]
-fn groups() -> String {
-    std::fs::read_to_string("/etc/group").unwrap_or_default()
-}
-
-/// Returns the group whose members may open a device: its name in `groups` (the text of
-/// /etc/group), or else its number, which `usermod` accepts, too. `None` if the group
+/// Returns the group whose members may open a device: its name in the file `groups`
+/// (/etc/group), or else its number, which `usermod` accepts, too. `None` if the group
 /// may not read and write, and for root's group.
 #[cfg(unix)]
-fn group_to_join(mode: u32, gid: u32, groups: &str) -> Option<String> {
+fn group_to_join(mode: u32, gid: u32, groups: &std::path::Path) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;
     if gid == 0 || mode & GROUP_READ_WRITE != GROUP_READ_WRITE {
         return None;
     }
+    let groups = std::fs::read_to_string(groups).unwrap_or_default();
     let name = groups.lines().find_map(|line| {
         let mut fields = line.split(':');
         let name = fields.next()?;
@@ -125,7 +122,9 @@ fn is_new(changed: i64, now: u64) -> bool {
 /// one that is in use: a port that is listed is in use.
 #[cfg(not(unix))]
 fn node(port: &str) -> io::Result<Node> {
-    if super::list::is_listed(port) {
+    use super::list::{available, is_same};
+
+    if available().is_ok_and(|ports| ports.iter().any(|listed| is_same(&listed.port_name, port))) {
         Ok(Node { is_device: true, group: None, is_new: false })
     } else {
         Err(io::ErrorKind::NotFound.into())
@@ -137,7 +136,6 @@ mod tests {
     use super::*;
 
     const PORT: &str = "/dev/ttyACM0";
-    const GROUPS: &str = "root:x:0:\nbroken\ndialout:x:20:ada,bob\nuucp:x:10:\n";
 
     fn device() -> Node {
         Node { is_device: true, group: Some("dialout".to_owned()), is_new: false }
@@ -194,6 +192,14 @@ mod tests {
     }
 
     #[test]
+    fn a_path_through_a_folder_that_may_not_be_searched_is_no_matter_of_groups() {
+        let error = not_found(PORT, io::ErrorKind::PermissionDenied.into());
+        assert!(matches!(error, Error::PermissionDenied { group: None, .. }), "{error}");
+        let error = not_found(PORT, io::ErrorKind::TimedOut.into());
+        assert!(matches!(error, Error::Open { .. }), "{error}");
+    }
+
+    #[test]
     fn a_failure_without_a_kind_of_its_own_keeps_its_cause() {
         let error = explain_with(PORT, unknown("I/O error"), Ok(device()));
         let source = std::error::Error::source(&error).map(ToString::to_string);
@@ -201,13 +207,19 @@ mod tests {
     }
 
     #[test]
-    fn the_group_is_named_where_joining_it_helps() {
-        let named = |mode, gid| group_to_join(mode, gid, GROUPS);
+    fn the_group_is_named_where_joining_it_helps() -> io::Result<()> {
+        let file = format!("tokio-scip-groups-{}", std::process::id());
+        let file = std::env::temp_dir().join(file);
+        std::fs::write(&file, "root:x:0:\nbroken\ndialout:x:20:ada,bob\nuucp:x:10:\n")?;
+        let named = |mode, gid| group_to_join(mode, gid, &file);
         assert_eq!(named(0o020_660, 20).as_deref(), Some("dialout"));
         assert_eq!(named(0o020_660, 10).as_deref(), Some("uucp"));
         assert_eq!(named(0o020_660, 977).as_deref(), Some("977"), "not in /etc/group");
         assert_eq!(named(0o020_620, 20), None, "the group may only write");
         assert_eq!(named(0o020_660, 0), None, "nobody is told to join root's group");
+        std::fs::remove_file(&file)?;
+        assert_eq!(named(0o020_660, 20).as_deref(), Some("20"), "there is no /etc/group");
+        Ok(())
     }
 
     #[test]

@@ -278,4 +278,33 @@ mod tests {
         assert_eq!(next(&mut search).await, "c");
         assert_eq!(start.elapsed(), 2 * OPEN_LIMIT);
     }
+
+    /// The system's own ports, while the one thread for blocking calls is busy, as with a
+    /// device that hangs.
+    #[test]
+    fn o25_a_port_whose_opening_hangs_is_busy_until_it_ends_and_no_other_one_is() {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .max_blocking_threads(1)
+            .build()
+            .unwrap();
+        runtime.block_on(async {
+            let (hang, end) = std::sync::mpsc::channel::<()>();
+            let hanging = spawn_blocking(move || end.recv());
+            let mut ports = SystemPorts::default();
+            let mut open = async |path: &str| ports.open(path).await.map(drop);
+            assert!(open("/dev/gone").now_or_never().is_none());
+            let again = open("/dev/gone").now_or_never();
+            assert!(matches!(again, Some(Err(Error::Busy { .. }))), "{again:?}");
+            assert!(open("/dev/lost").now_or_never().is_none(), "another port waits for itself");
+            drop(hang);
+            assert!(hanging.await.unwrap().is_err());
+            // The thread has begun this call after the openings, which have ended.
+            spawn_blocking(|| ()).await.unwrap();
+            for path in ["/dev/gone", "/dev/lost"] {
+                let error = open(path).await.unwrap_err();
+                assert!(matches!(error, Error::NoSuchPort { .. }), "{error}");
+            }
+        });
+    }
 }

@@ -80,25 +80,25 @@ impl SerialPort {
         #[cfg(unix)]
         let builder = builder.exclusive(true);
         let inner = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
-        let port = Self { inner, baud_rate, is_usb_sensor: list::is_usb_sensor(path) };
-        port.verify(baud_rate).map_err(|source| Error::open(path, source))?;
-        Ok(port)
-    }
-
-    /// Fails if the port does not run at `baud_rate`. Some adapters accept a baud rate
-    /// they do not have, and take the nearest one.
-    fn verify(&self, baud_rate: BaudRate) -> io::Result<()> {
-        let actual = self.inner.baud_rate()?;
-        if is_close(baud_rate, actual) {
-            Ok(())
-        } else {
-            Err(io::Error::other(format!("expected {baud_rate} baud, the port runs at {actual}")))
-        }
+        let actual = inner.baud_rate().map_err(io::Error::from);
+        let checked = actual.and_then(|actual| check_baud_rate(baud_rate, actual));
+        checked.map_err(|source| Error::open(path, source))?;
+        Ok(Self { inner, baud_rate, is_usb_sensor: list::is_usb_sensor(path) })
     }
 
     fn apply_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.inner.set_baud_rate(baud_rate.bits_per_second())?;
-        self.verify(baud_rate)
+        check_baud_rate(baud_rate, self.inner.baud_rate()?)
+    }
+}
+
+/// Fails if a port that runs at `actual` bits per second does not run at `baud_rate`. Some
+/// adapters accept a baud rate they do not have, and take the nearest one.
+fn check_baud_rate(baud_rate: BaudRate, actual: u32) -> io::Result<()> {
+    if is_close(baud_rate, actual) {
+        Ok(())
+    } else {
+        Err(io::Error::other(format!("expected {baud_rate} baud, the port runs at {actual}")))
     }
 }
 
@@ -261,5 +261,8 @@ mod tests {
         assert!(!is_close(BaudRate::B250000, 256_000));
         assert!(!is_close(BaudRate::B250000, 230_400));
         assert!(!is_close(BaudRate::B750000, 921_600));
+        assert!(check_baud_rate(BaudRate::B115200, 115_384).is_ok());
+        let error = check_baud_rate(BaudRate::B250000, 256_000).map_err(|error| error.to_string());
+        assert_eq!(error, Err("expected 250000 baud, the port runs at 256000".to_owned()));
     }
 }

@@ -147,3 +147,23 @@ impl Tty {
         }
     }
 }
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_read_that_fails_while_wake_ups_are_suspended_returns_the_error() -> io::Result<()> {
+        let (far, near) = serialport::TTYPort::pair()?;
+        // The far end of a pseudo-terminal reports a near end that is closed as an error.
+        let port = SerialStream::try_from(far)?;
+        let mut tty = Tty { readiness: None, port, runtime: Handle::current(), retry: None };
+        drop(near);
+        let mut bytes = [0; 8];
+        let mut buffer = ReadBuf::new(&mut bytes);
+        let mut cx = Context::from_waker(std::task::Waker::noop());
+        let read = Pin::new(&mut tty).poll_read(&mut cx, &mut buffer);
+        assert!(matches!(read, Poll::Ready(Err(_))), "{read:?}");
+        Ok(())
+    }
+}

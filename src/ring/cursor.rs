@@ -126,11 +126,10 @@ impl Place {
                 return Poll::Ready(Some(Err(error)));
             }
         }
-        if self.next < oldest {
-            self.missed += oldest - self.next;
-            inner.missed += oldest - self.next;
-            self.next = oldest;
-        }
+        let missed = oldest.saturating_sub(self.next);
+        self.missed += missed;
+        inner.missed += missed;
+        self.next += missed;
         // How far the next one is behind the oldest that the ring keeps.
         let behind = self.next + kept as u64 - inner.next;
         if let Some(scan) = inner.scans.get(behind as usize) {

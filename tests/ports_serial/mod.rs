@@ -1,6 +1,9 @@
 //! Serial ports on pseudo-terminals, and on files that are not serial ports. In real time,
-//! without sleeping: each wait is for bytes. `wakeups` counts what a read costs.
+//! without sleeping: each wait is for bytes. `wakeups` counts what a read costs, and `usb`
+//! lists pseudo-terminals as sensors on USB.
 
+#[cfg(target_os = "linux")]
+mod usb;
 mod wakeups;
 
 use std::path::PathBuf;

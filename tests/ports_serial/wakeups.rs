@@ -141,3 +141,34 @@ async fn a_line_that_hangs_up_while_wake_ups_are_suspended_is_noticed_by_the_nex
     let read = port.read(&mut [0; 8]).await;
     assert!(matches!(read, Ok(0) | Err(_)), "{read:?}");
 }
+
+#[tokio::test]
+async fn a_read_that_finds_nothing_wakes_its_reader_again() {
+    let Line { mut far, near: _near, path } = line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut bytes = [0; 8];
+    assert!(port.suspend_wakeups());
+    assert!(port.read(&mut bytes).now_or_never().is_none());
+    let (written, read) = tokio::join!(far.write_all(b"abc"), port.read(&mut bytes));
+    assert!(written.is_ok());
+    assert_eq!(read.unwrap(), 3);
+}
+
+/// A reply that is longer than the reader's buffer: what is left is there already, and
+/// nothing reports it.
+#[tokio::test]
+async fn a_read_that_fills_its_buffer_leaves_wake_ups_suspended() {
+    let Line { mut far, near, path } = line();
+    let mut port = SerialPort::open(&path).await.unwrap();
+    let mut bytes = [0; 3];
+    assert!(port.suspend_wakeups());
+    far.write_all(b"abcdefgh").await.unwrap();
+    while near.bytes_to_read().unwrap() < 8 {
+        tokio::task::yield_now().await;
+    }
+    for expected in [b"abc".as_slice(), b"def", b"gh"] {
+        // Without the runtime's report, for which this task would have to wait.
+        let read = port.read(&mut bytes).now_or_never().expect("the read waits for a report");
+        assert_eq!(&bytes[..read.unwrap()], expected);
+    }
+}

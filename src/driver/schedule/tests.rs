@@ -152,3 +152,11 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
     assert_eq!(count(&mut schedules, None), 2);
     assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);
 }
+
+#[test]
+fn a_new_block_has_room_for_the_points_of_a_poll_and_no_more() {
+    let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
+    let (mut schedules, _readers) = schedules(&[(window, rate)]);
+    let block = schedules.take_spare(DuePoll { window, rate });
+    assert_eq!(block.len(), window.points() + usize::from(Window::MAX_EXTRA_POINTS));
+}

@@ -72,36 +72,32 @@ impl Line {
     /// the end of the stream.
     pub(super) async fn drain(&mut self) -> io::Result<Option<u64>> {
         let before = self.received;
-        if let Some(end) = self.drain_now() {
-            return end.map(|open| open.then(|| self.received - before));
-        }
-        // The runtime polls the system for new input while this task yields.
-        tokio::task::yield_now().await;
-        let drained = poll_fn(|cx| {
-            let mut scratch = [0; SCRATCH_BYTES];
-            loop {
-                let mut buffer = ReadBuf::new(&mut scratch);
-                match Pin::new(&mut *self).poll_read(cx, &mut buffer) {
-                    Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
-                        return Poll::Ready(Ok(None));
-                    }
-                    Poll::Ready(Ok(())) => {}
-                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                    Poll::Pending => return Poll::Ready(Ok(Some(self.received - before))),
-                }
+        let is_open = match self.drop_bytes(|port, bytes| port.try_read(bytes)) {
+            Some(is_open) => is_open?,
+            None => {
+                // The runtime polls the system for new input while this task yields.
+                tokio::task::yield_now().await;
+                let dropped = poll_fn(|cx| {
+                    Poll::Ready(self.drop_bytes(|port, bytes| read_if_ready(port, cx, bytes)))
+                });
+                // Out of budget, a read returns `Pending` even if there are bytes; that must
+                // not pass for a quiet line.
+                unconstrained(dropped).await.unwrap_or(Ok(true))?
             }
-        });
-        // Out of budget, a read returns `Pending` even if there are bytes; that must not
-        // pass for a quiet line.
-        unconstrained(drained).await
+        };
+        Ok(is_open.then(|| self.received - before))
     }
 
-    /// Drops the bytes that the system has, if the port can read without waiting.
-    /// Returns whether the stream is still open, or `None` if the port cannot.
-    fn drain_now(&mut self) -> Option<io::Result<bool>> {
+    /// Drops the bytes that `read` returns until it would block, and again after a signal
+    /// has interrupted it. Returns whether the stream is still open, or `None` when `read`
+    /// returns that.
+    fn drop_bytes(
+        &mut self,
+        mut read: impl FnMut(&mut dyn Port, &mut [u8]) -> Option<io::Result<usize>>,
+    ) -> Option<io::Result<bool>> {
         let mut scratch = [0; SCRATCH_BYTES];
         loop {
-            match self.port.try_read(&mut scratch)? {
+            match read(&mut *self.port, &mut scratch)? {
                 Ok(0) => return Some(Ok(false)),
                 Ok(read) => {
                     if let Err(flood) = self.count(scratch.get(..read).unwrap_or_default()) {
@@ -188,6 +184,19 @@ pub(super) fn flood() -> io::Error {
     )
 }
 
+/// Reads the bytes that the port has, or returns `None` if it has none.
+fn read_if_ready(
+    port: &mut dyn Port,
+    cx: &mut Context<'_>,
+    bytes: &mut [u8],
+) -> Option<io::Result<usize>> {
+    let mut buffer = ReadBuf::new(bytes);
+    match Pin::new(port).poll_read(cx, &mut buffer) {
+        Poll::Ready(outcome) => Some(outcome.map(|()| buffer.filled().len())),
+        Poll::Pending => None,
+    }
+}
+
 /// Asks for another poll after a call that a signal interrupted, or that a port
 /// refuses for the moment without registering a waker.
 fn again_if_interrupted<T>(
@@ -232,23 +241,37 @@ mod tests {
 
     use super::*;
 
-    /// A port from which these reads come, one after the other, without waiting.
-    struct Script(VecDeque<Result<usize, ErrorKind>>);
+    /// A port from which these reads come, one after the other.
+    struct Script {
+        reads: VecDeque<Result<usize, ErrorKind>>,
+        /// True if the port can be read without waiting.
+        has_try_read: bool,
+    }
+
+    impl Script {
+        fn next(&mut self) -> io::Result<usize> {
+            let next = self.reads.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
+            next.map_err(io::Error::from)
+        }
+    }
 
     impl Port for Script {
         fn try_read(&mut self, _: &mut [u8]) -> Option<io::Result<usize>> {
-            let next = self.0.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
-            Some(next.map_err(io::Error::from))
+            self.has_try_read.then(|| self.next())
         }
     }
 
     impl AsyncRead for Script {
         fn poll_read(
-            self: Pin<&mut Self>,
+            mut self: Pin<&mut Self>,
             _: &mut Context<'_>,
-            _: &mut ReadBuf<'_>,
+            buffer: &mut ReadBuf<'_>,
         ) -> Poll<io::Result<()>> {
-            unreachable!("the port is read without waiting")
+            assert!(!self.has_try_read, "the port is read without waiting");
+            match self.next() {
+                Err(error) if error.kind() == ErrorKind::WouldBlock => Poll::Pending,
+                read => Poll::Ready(read.map(|read| buffer.advance(read))),
+            }
         }
     }
 
@@ -270,25 +293,45 @@ mod tests {
         }
     }
 
-    fn line(reads: impl IntoIterator<Item = Result<usize, ErrorKind>>) -> Line {
-        Line::new(Box::new(Script(reads.into_iter().collect())))
+    /// Returns two lines with these reads: one whose port can be read without waiting, and
+    /// one whose port cannot.
+    fn lines(reads: &[Result<usize, ErrorKind>]) -> [Line; 2] {
+        [true, false].map(|has_try_read| {
+            Line::new(Box::new(Script { reads: reads.iter().copied().collect(), has_try_read }))
+        })
     }
 
     #[tokio::test]
-    async fn bytes_behind_an_interrupted_read_are_dropped_and_each_time_counted_anew() {
+    async fn o15_bytes_behind_an_interrupted_read_are_dropped_and_each_time_counted_anew() {
         let quiet = Err(ErrorKind::WouldBlock);
         let interrupted = Err(ErrorKind::Interrupted);
-        let mut line =
-            line([Ok(100), interrupted, Ok(20), quiet, Ok(7), quiet, interrupted, Ok(0)]);
-        assert_eq!(line.drain().await.unwrap(), Some(120));
-        assert_eq!(line.drain().await.unwrap(), Some(7));
-        assert_eq!(line.drain().await.unwrap(), None);
-        assert_eq!(line.received(), 127);
+        let reads = [Ok(100), interrupted, Ok(20), quiet, Ok(7), quiet, interrupted, Ok(0)];
+        for mut line in lines(&reads) {
+            assert_eq!(line.drain().await.unwrap(), Some(120));
+            assert_eq!(line.drain().await.unwrap(), Some(7));
+            assert_eq!(line.drain().await.unwrap(), None);
+            assert_eq!(line.received(), 127);
+        }
     }
 
     #[tokio::test]
     async fn a_read_that_fails_ends_the_dropping_of_bytes_with_its_error() {
-        let mut line = line([Ok(100), Err(ErrorKind::BrokenPipe), Ok(20)]);
-        assert_eq!(line.drain().await.unwrap_err().kind(), ErrorKind::BrokenPipe);
+        for mut line in lines(&[Ok(100), Err(ErrorKind::BrokenPipe), Ok(20)]) {
+            assert_eq!(line.drain().await.unwrap_err().kind(), ErrorKind::BrokenPipe);
+        }
+    }
+
+    #[tokio::test]
+    async fn one_byte_more_than_64_kib_after_a_command_is_a_flood() {
+        let all_but_one: Vec<_> = (0..127).map(|_| Ok(512)).chain([Ok(511)]).collect();
+        let quiet = Err(ErrorKind::WouldBlock);
+        let reads = [all_but_one.as_slice(), &[Ok(1), quiet]].concat();
+        for mut line in lines(&reads) {
+            assert_eq!(line.drain().await.unwrap(), Some(FLOOD_BYTES));
+        }
+        let reads = [all_but_one.as_slice(), &[Ok(2), quiet]].concat();
+        for mut line in lines(&reads) {
+            assert_eq!(line.drain().await.unwrap_err().kind(), ErrorKind::InvalidData);
+        }
     }
 }

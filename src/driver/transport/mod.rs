@@ -8,6 +8,8 @@
 mod deadline;
 mod line;
 mod pause;
+#[cfg(test)]
+mod tests;
 
 use std::future::{Future, pending, poll_fn};
 use std::io;
@@ -203,14 +205,15 @@ impl Transport {
 
     /// Returns the bytes that [`exchange`](Self::exchange) would write for `command`.
     pub(crate) fn outgoing(&self, command: &Command) -> BytesMut {
-        let mut bytes = BytesMut::with_capacity(WRITE_BUFFER_BYTES);
-        if self.interrupted {
-            // Ends a command that the sensor may have in part.
-            bytes.put_u8(b'\n');
-        }
+        let mut bytes = BytesMut::from(self.leading_line_feed());
         bytes.put_slice(&command.bytes());
         bytes.put_u8(b'\n');
         bytes
+    }
+
+    /// Returns the LF that ends a command of which the sensor may have a part, or nothing.
+    fn leading_line_feed(&self) -> &'static [u8] {
+        if self.interrupted { b"\n" } else { b"" }
     }
 
     /// Waits while no command is outstanding until bytes arrive, and drops them.
@@ -300,10 +303,7 @@ impl Transport {
     /// took too long.
     async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, ExchangeError> {
         self.output.clear();
-        if self.interrupted {
-            // Ends a command that the sensor may have in part.
-            self.output.put_u8(b'\n');
-        }
+        self.output.put_slice(self.leading_line_feed());
         // Cannot fail: there is always room.
         let _ = self.codec.encode(command, &mut self.output);
         self.line.begin_command();

@@ -178,4 +178,15 @@ mod tests {
         assert_eq!(next(&mut pauses, MIN_BYTES - 1), None);
         assert!(next(&mut pauses, MIN_BYTES).is_some());
     }
+    #[tokio::test(start_paused = true)]
+    async fn scans_that_take_exactly_the_shortest_time_make_no_pause_shorter() {
+        let mut pauses = measured().await;
+        for _ in 0..=SHARES.len() {
+            pauses.begin_reply();
+            let pause = next(&mut pauses, REST).unwrap();
+            assert!(pause > REST_TIME - 3 * TIMER_DELAY, "{pause:?}");
+            advance(REST_TIME).await;
+            pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
+        }
+    }
 }
