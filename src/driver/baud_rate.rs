@@ -100,10 +100,10 @@ pub(crate) async fn change(
     }
     let Some(old) = old else {
         // USB: accepted without effect (C-42-3320-A p. 5).
-        return session.command_twice(command, |_| ()).await;
+        return session.command_twice(command, &mut |_| ()).await.map(drop);
     };
     session.set_baud_rate(old).map_err(lost)?;
-    let status = match session.command(command, |reply| reply.status()).await {
+    let status = match session.command(command, &mut |_| ()).await {
         Ok(status) => Some(status),
         // Without a reply the sensor may or may not have changed.
         Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => None,

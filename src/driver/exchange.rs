@@ -1,7 +1,30 @@
-//! [`ExchangeError`]: the failure of one exchange.
+//! An exchange, a command and its reply: its times, the judge of its frames, its failure.
+
+use std::time::SystemTime;
+
+use tokio::time::Instant;
 
 use crate::Error;
-use crate::protocol::Command;
+use crate::codec::Frame;
+use crate::protocol::{Command, Status};
+
+/// The times of a command and its reply.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Timing {
+    pub(crate) requested: Instant,
+    /// The time when the first byte was read.
+    pub(crate) began: Instant,
+    /// The time when the last byte was read.
+    pub(crate) received: Instant,
+    /// The wall-clock time when the first byte arrived.
+    pub(crate) stamp: SystemTime,
+}
+
+/// Judges the frames that come after a command: returns the status of the answer, the error
+/// with which the exchange ends, or `None` to wait for another frame. Not a type parameter:
+/// an exchange is compiled once, and not for each judge (`benches/README.md`, item 8).
+pub(crate) type Judge<'a> =
+    dyn FnMut(Frame<&[u8]>, Timing) -> Option<Result<Status, ExchangeError>> + Send + 'a;
 
 /// The failure of an exchange, sorted by what the driver has to do next.
 #[derive(Debug)]

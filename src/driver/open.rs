@@ -13,7 +13,7 @@ use super::fence::UniqueRequests;
 use super::laser::set_laser;
 use super::session::Session;
 use crate::port::{AnyConnect, Port};
-use crate::protocol::{Command, Text, Version};
+use crate::protocol::{Text, Version};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error};
 
@@ -196,13 +196,13 @@ impl Opener {
     /// twice in a row, [`IDENTITY_TRIES`] times at most. No checksum protects it:
     /// one flipped bit must neither reject a sensor nor be expected ever after.
     async fn confirm_identity(&mut self, session: &mut Session) -> Result<Version, ExchangeError> {
-        let mut version = ask_version(session).await?;
+        let mut version = session.version().await?;
         for _ in 1..IDENTITY_TRIES {
             if self.identity.as_ref() == Some(&version.serial_number) {
                 break;
             }
             let before = version.serial_number;
-            version = ask_version(session).await?;
+            version = session.version().await?;
             // An empty serial number never counts as confirmed where one is expected, and one
             // with a byte that no text has is malformed, even if it comes twice.
             let counts = before.is_printable() && (self.identity.is_none() || !before.is_empty());
@@ -234,8 +234,4 @@ impl Opener {
         }
         Ok(())
     }
-}
-
-async fn ask_version(session: &mut Session) -> Result<Version, ExchangeError> {
-    session.command_twice(Command::Version, Version::from_reply).await
 }

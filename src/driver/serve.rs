@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::baud_rate;
-use super::exchange::ExchangeError;
+use super::exchange::{ExchangeError, Timing};
 use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::open::Wanted;
 use super::poll_timer::PollTimer;
@@ -14,7 +14,6 @@ use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
 use super::session::{Polled, Session};
-use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::{ScheduleStats, Telemetry};

@@ -12,15 +12,18 @@ use std::time::Duration;
 
 use tracing::Instrument;
 
-use super::exchange::ExchangeError;
+use super::exchange::{ExchangeError, Timing};
 use super::fence::{Fence, UniqueRequests, Widened};
-use super::transport::{Timing, Transport};
+use super::transport::Transport;
 use crate::codec::Frame;
 use crate::observer::{RawReply, ReplyObserver};
 use crate::port::Port;
-use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
+use crate::protocol::{Command, Malformed, Reply, ReplyError, Status, Version};
 use crate::state::Telemetry;
 use crate::{BaudRate, Error, Window};
+
+/// A reader of replies. Not a type parameter: the driver is compiled once for all.
+type Read<'a> = dyn FnMut(&Reply<'_>) + Send + 'a;
 
 /// The result of a successful poll, besides its values.
 #[derive(Debug, Clone, Copy)]
@@ -148,7 +151,7 @@ impl Session {
             true => self.transport.least_wire_time(command.bytes().len() + 2),
             false => Duration::ZERO,
         };
-        let ((), timing) = self.exchange(command, least, values, |_| ()).await?;
+        let (_, timing) = self.exchange(command, least, values, &mut |_| ()).await?;
         if !repeats {
             self.transport.note_unique_reply(&command, Status::OK, timing);
         }
@@ -156,33 +159,41 @@ impl Session {
         Ok(Polled { timing, first: surplus })
     }
 
-    /// Sends `command` and reads its reply with `read`.
+    /// Reads the version of the sensor.
+    pub(crate) async fn version(&mut self) -> Result<Version, ExchangeError> {
+        let mut version = Version::default();
+        let mut read = |reply: &Reply<'_>| version = Version::from_reply(reply);
+        self.command_twice(Command::Version, &mut read).await?;
+        Ok(version)
+    }
+
+    /// Sends `command`, shows its reply to `read`, and returns its status.
     ///
     /// # Errors
     ///
     /// Any status but success is [`Error::Refused`].
-    pub(crate) async fn command<T>(
+    pub(crate) async fn command(
         &mut self,
         command: Command,
-        read: impl FnOnce(&Reply<'_>) -> T,
-    ) -> Result<T, ExchangeError> {
+        read: &mut Read<'_>,
+    ) -> Result<Status, ExchangeError> {
         self.settle().await.map_err(|error| error.of(command))?;
-        let (answer, _) = self.exchange(command, Duration::ZERO, &mut Arc::default(), read).await?;
-        Ok(answer)
+        let answer = self.exchange(command, Duration::ZERO, &mut Arc::default(), read).await?;
+        Ok(answer.0)
     }
 
     /// Like [`command`](Self::command), and once more if there was no answer:
     /// for commands that may be sent twice.
-    pub(crate) async fn command_twice<T>(
+    pub(crate) async fn command_twice(
         &mut self,
         command: Command,
-        read: impl Fn(&Reply<'_>) -> T,
-    ) -> Result<T, ExchangeError> {
-        match self.command(command, &read).await {
+        read: &mut Read<'_>,
+    ) -> Result<Status, ExchangeError> {
+        match self.command(command, read).await {
             Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
                 if !self.telemetry.is_closing() =>
             {
-                self.command(command, &read).await
+                self.command(command, read).await
             }
             outcome => outcome,
         }
@@ -193,17 +204,16 @@ impl Session {
     /// one would cost the whole deadline wherever the reply itself was damaged.
     ///
     /// A reply that begins sooner than `least` after its command is refused.
-    async fn exchange<T>(
+    async fn exchange(
         &mut self,
         command: Command,
         least: Duration,
         values: &mut Arc<[u16]>,
-        read: impl FnOnce(&Reply<'_>) -> T,
-    ) -> Result<(T, Timing), ExchangeError> {
+        read: &mut Read<'_>,
+    ) -> Result<(Status, Timing), ExchangeError> {
         let Self { transport, observer, telemetry, .. } = self;
         let latency = transport.latency(&command);
-        let mut read = Some(read);
-        let judge = |frame: Frame<&[u8]>, timing: Timing| {
+        let mut judge = |frame: Frame<&[u8]>, timing: Timing| {
             let after = timing.began - timing.requested;
             let outcome = match parse(&command, frame, timing, observer, values) {
                 Ok(_) if after < least => Err(Malformed::Early { after, least }.into()),
@@ -218,7 +228,8 @@ impl Session {
             }
             let error = match outcome {
                 Ok(reply) if reply.status().is_ok_for(&command) => {
-                    return Some(Ok((read.take()?(&reply), timing)));
+                    read(&reply);
+                    return Some(Ok(reply.status()));
                 }
                 Ok(reply) => Error::Refused { command, status: reply.status() },
                 Err(ReplyError::Malformed(source)) => Error::Malformed { command, source },
@@ -230,7 +241,8 @@ impl Session {
             Some(Err(ExchangeError::Command(error)))
         };
         let span = tracing::trace_span!("exchange", %command);
-        let answer = transport.exchange(&command, latency, judge).instrument(span.clone()).await;
+        let answer = transport.exchange(&command, latency, &mut judge);
+        let answer = answer.instrument(span.clone()).await;
         if let Err(ExchangeError::Command(error)) = &answer {
             tracing::trace!(parent: &span, %error, "no answer");
             match error {

@@ -13,8 +13,8 @@ use std::time::Duration;
 use tracing::Instrument;
 
 pub(crate) use self::unique_requests::{UniqueRequests, Widened};
-use super::exchange::ExchangeError;
-use super::transport::{Timing, Transport};
+use super::exchange::{ExchangeError, Timing};
+use super::transport::Transport;
 use crate::codec::Frame;
 use crate::observer::{RawReply, ReplyObserver};
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
@@ -111,21 +111,22 @@ impl Fence {
         let command = *command;
         let mut malformed = None;
         let sent = transport.outgoing(&command);
-        let judge = |frame: Frame<&[u8]>, timing| match self.judge(&command, frame, timing) {
-            Ok(_) if is_echoed(&sent, &command, frame) => {
-                Some(Err(ExchangeError::Lost(Error::Loopback { sensor: None })))
-            }
-            Ok(status) => Some(Ok((status, timing))),
-            Err(ReplyError::Scip2 { status }) => {
-                Some(Err(ExchangeError::Command(Error::WrongProtocol { sensor: None, status })))
-            }
-            Err(ReplyError::Malformed(source)) => {
-                malformed = Some(ExchangeError::Command(Error::Malformed { command, source }));
-                None
-            }
-            Err(_) => None,
-        };
-        let timeout = match transport.exchange(&command, latency, judge).await {
+        let mut judge =
+            |frame: Frame<&[u8]>, timing: Timing| match self.judge(&command, frame, timing) {
+                Ok(_) if is_echoed(&sent, &command, frame) => {
+                    Some(Err(ExchangeError::Lost(Error::Loopback { sensor: None })))
+                }
+                Ok(status) => Some(Ok(status)),
+                Err(ReplyError::Scip2 { status }) => {
+                    Some(Err(ExchangeError::Command(Error::WrongProtocol { sensor: None, status })))
+                }
+                Err(ReplyError::Malformed(source)) => {
+                    malformed = Some(ExchangeError::Command(Error::Malformed { command, source }));
+                    None
+                }
+                Err(_) => None,
+            };
+        let timeout = match transport.exchange(&command, latency, &mut judge).await {
             Ok((status, timing)) => {
                 transport.note_unique_reply(&command, status, timing);
                 return Ok(status);

@@ -16,7 +16,7 @@ use std::io;
 use std::pin::pin;
 use std::sync::Arc;
 use std::task::Poll;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use bytes::{Buf, BufMut, BytesMut};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -26,7 +26,7 @@ use tokio_util::codec::Encoder;
 use self::deadline::DeadlineTimer;
 use self::line::{Line, SCRATCH_BYTES, flood};
 use self::pause::Pauses;
-use super::exchange::ExchangeError;
+use super::exchange::{ExchangeError, Judge, Timing};
 use crate::codec::{Frame, ScipCodec, TERMINATOR};
 use crate::port::Port;
 use crate::protocol::{Command, Status};
@@ -42,18 +42,6 @@ const QUIET_TIME: Duration = Duration::from_millis(20);
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
-
-/// The times of a command and its reply.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Timing {
-    pub(crate) requested: Instant,
-    /// The time when the first byte was read.
-    pub(crate) began: Instant,
-    /// The time when the last byte was read.
-    pub(crate) received: Instant,
-    /// The wall-clock time when the first byte arrived.
-    pub(crate) stamp: SystemTime,
-}
 
 /// An open port, and the buffers in front of it.
 pub(crate) struct Transport {
@@ -250,7 +238,8 @@ impl Transport {
 
     /// Writes `command`, and passes each frame that comes to `judge` until that
     /// returns something: this is the only place that receives frames. A frame
-    /// that `judge` passes over is counted, and makes the link dirty.
+    /// that `judge` passes over is counted, and makes the link dirty. Returns the status of
+    /// the answer, and its times.
     ///
     /// The deadline is absolute: the bytes of the command and its reply at the
     /// port's baud rate, and `latency`.
@@ -258,12 +247,12 @@ impl Transport {
     /// # Errors
     ///
     /// [`Error::Timeout`] at the deadline, and those of `judge`.
-    pub(crate) async fn exchange<T>(
+    pub(crate) async fn exchange(
         &mut self,
         command: &Command,
         latency: Duration,
-        mut judge: impl FnMut(Frame<&[u8]>, Timing) -> Option<Result<T, ExchangeError>>,
-    ) -> Result<T, ExchangeError> {
+        judge: &mut Judge<'_>,
+    ) -> Result<(Status, Timing), ExchangeError> {
         let requested = Instant::now();
         let bytes = command.bytes().len() + 1 + command.reply_len();
         let wire = self.baud_rate().map_or(Duration::ZERO, |rate| rate.wire_time(bytes));
@@ -289,7 +278,7 @@ impl Transport {
                 self.remove_reply(length);
             }
             if let Some(verdict) = verdict {
-                return verdict;
+                return verdict.map(|status| (status, timing));
             }
             self.dirty = true;
             self.line.begin_reply();

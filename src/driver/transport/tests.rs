@@ -3,6 +3,7 @@
 
 use std::pin::Pin;
 use std::task::Context;
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::advance;
@@ -66,7 +67,7 @@ async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_
     {
         let limit = Duration::from_nanos(wire) + LATENCY;
         let (mut transport, start) = (transport(b""), Instant::now());
-        let outcome = transport.exchange(&command, LATENCY, |_, _| None::<Result<(), _>>).await;
+        let outcome = transport.exchange(&command, LATENCY, &mut |_, _| None).await;
         let Err(ExchangeError::Command(Error::Timeout { after, .. })) = outcome else {
             panic!("{outcome:?}")
         };
@@ -81,15 +82,15 @@ async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_
 async fn of_two_replies_in_one_read_the_second_one_counts_if_the_first_is_stale() {
     let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
     let mut stale = Vec::new();
-    let judge = |frame: Frame<&[u8]>, _| match frame {
-        Frame::Reply(b"L0\n0") => Some(Ok(())),
+    let mut judge = |frame: Frame<&[u8]>, _: Timing| match frame {
+        Frame::Reply(b"L0\n0") => Some(Ok(Status::OK)),
         Frame::Reply(other) => {
             stale.push(other.to_vec());
             None
         }
         Frame::Overlong { .. } => None,
     };
-    transport.exchange(&Command::LaserOff, LATENCY, judge).await.unwrap();
+    transport.exchange(&Command::LaserOff, LATENCY, &mut judge).await.unwrap();
     assert_eq!(stale, [b"L1\n0"]);
 }
 
@@ -121,8 +122,8 @@ async fn a_reply_disproves_the_baud_rate_if_it_comes_a_nanosecond_before_its_byt
 async fn a_copy_of_a_reply_may_come_for_less_than_20_ms() {
     let mut transport = transport(b"L0\n0\n\n");
     assert!(!transport.may_echo(), "there is nothing to copy");
-    let judge = |_: Frame<&[u8]>, _| Some(Ok(()));
-    transport.exchange(&Command::LaserOff, LATENCY, judge).await.unwrap();
+    let mut judge = |_: Frame<&[u8]>, _: Timing| Some(Ok(Status::OK));
+    transport.exchange(&Command::LaserOff, LATENCY, &mut judge).await.unwrap();
     advance(QUIET_TIME - NANOSECOND).await;
     assert!(transport.may_echo());
     advance(NANOSECOND).await;
