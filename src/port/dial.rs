@@ -3,12 +3,13 @@
 //! the one before, so that an address that never answers costs a fraction of a
 //! second and not the whole time limit.
 
-use std::future::Future;
+use std::future::{Future, poll_fn};
 use std::io;
 use std::net::SocketAddr;
+use std::pin::Pin;
+use std::task::Poll;
 use std::time::Duration;
 
-use tokio::task::JoinSet;
 use tokio::time::sleep;
 
 /// The time after which the next address is tried, too (RFC 8305, section 5).
@@ -18,7 +19,7 @@ const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 /// others are then dropped.
 ///
 /// Has no time limit: an address that neither accepts nor refuses keeps it waiting
-/// if no other accepts. Cancel-safe: dropping the future aborts all attempts.
+/// if no other accepts. Cancel-safe: dropping the future drops all attempts.
 ///
 /// # Errors
 ///
@@ -29,40 +30,56 @@ pub(super) async fn connect_first<T, F>(
     connect: impl Fn(SocketAddr) -> F,
 ) -> io::Result<T>
 where
-    T: Send + 'static,
-    F: Future<Output = io::Result<T>> + Send + 'static,
+    F: Future<Output = io::Result<T>>,
 {
     let mut untried = alternate_families(addresses).into_iter();
-    let mut attempts = JoinSet::new();
+    let mut attempts = Vec::new();
     let mut failures = Vec::new();
     loop {
         if let Some(address) = untried.next() {
-            let attempt = connect(address);
-            attempts.spawn(async move { (address, attempt.await) });
+            attempts.push((address, Box::pin(connect(address))));
+        }
+        if attempts.is_empty() {
+            return Err(all_failed(failures));
         }
         tokio::select! {
             biased;
-            ended = attempts.join_next() => match ended {
-                Some(Ok((_, Ok(connection)))) => return Ok(connection),
-                Some(Ok((address, Err(error)))) => failures.push((address, error)),
-                Some(Err(panicked_or_aborted)) => return Err(panicked_or_aborted.into()),
-                None => return Err(all_failed(failures)),
+            (address, outcome) = next_outcome(&mut attempts) => match outcome {
+                Ok(connection) => return Ok(connection),
+                Err(error) => failures.push((address, error)),
             },
             () = sleep(ATTEMPT_DELAY), if untried.len() > 0 => {}
         }
     }
 }
 
+/// Waits until one of the attempts has ended, removes it, and returns its outcome.
+async fn next_outcome<F: Future>(
+    attempts: &mut Vec<(SocketAddr, Pin<Box<F>>)>,
+) -> (SocketAddr, F::Output) {
+    poll_fn(|cx| {
+        for (index, (address, attempt)) in attempts.iter_mut().enumerate() {
+            if let Poll::Ready(outcome) = attempt.as_mut().poll(cx) {
+                let address = *address;
+                attempts.remove(index);
+                return Poll::Ready((address, outcome));
+            }
+        }
+        Poll::Pending
+    })
+    .await
+}
+
 /// Sorts addresses so that the two families alternate, beginning with the family of
 /// the first one (RFC 8305, section 4). One whole family may be unreachable.
-fn alternate_families(addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
-    let is_v6_first = addresses.first().is_some_and(SocketAddr::is_ipv6);
-    let (first, second): (Vec<_>, Vec<_>) =
-        addresses.into_iter().partition(|address| address.is_ipv6() == is_v6_first);
-    let mut second = second.into_iter();
-    let mut alternating: Vec<_> =
-        first.into_iter().flat_map(|address| [Some(address), second.next()]).flatten().collect();
-    alternating.extend(second);
+fn alternate_families(mut addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
+    let mut alternating: Vec<SocketAddr> = Vec::with_capacity(addresses.len());
+    while !addresses.is_empty() {
+        let before = alternating.last().map(SocketAddr::is_ipv6);
+        let other = addresses.iter().position(|address| before == Some(address.is_ipv4()));
+        // The first one at first, and where one family is used up.
+        alternating.push(addresses.remove(other.unwrap_or(0)));
+    }
     alternating
 }
 
@@ -76,9 +93,12 @@ fn all_failed(mut failures: Vec<(SocketAddr, io::Error)>) -> io::Error {
     {
         return only;
     }
-    let list: Vec<_> =
-        failures.iter().map(|(address, error)| format!("{address}: {error}")).collect();
-    io::Error::new(kind, list.join("; "))
+    let mut list = String::new();
+    for (address, error) in failures {
+        let separator = if list.is_empty() { "" } else { "; " };
+        list += &format!("{separator}{address}: {error}");
+    }
+    io::Error::new(kind, list)
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! [`list`] and [`PortInfo`]: the serial ports of this machine, and which of them are
 //! likely to have a sensor.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -89,12 +88,17 @@ pub async fn list() -> Result<Vec<PortInfo>, Error> {
 }
 
 /// The name of the port in an error of listing.
-pub(super) const THE_LIST: &str = "the list of serial ports";
+const THE_LIST: &str = "the list of serial ports";
 
 fn list_blocking() -> Result<Vec<PortInfo>, Error> {
-    let stable = stable_paths(Path::new("/dev/serial/by-path"));
-    let mut ports: Vec<_> = available()?.into_iter().map(|port| port_info(port, &stable)).collect();
-    ports.sort_by_cached_key(order);
+    let links = stable_paths(Path::new("/dev/serial/by-path"));
+    let mut ports = Vec::new();
+    for port in available()? {
+        let port = port_info(port, &links);
+        // Inserted, not sorted: a sort is more code than all of this module.
+        let place = ports.partition_point(|other| order(other) <= order(&port));
+        ports.insert(place, port);
+    }
     Ok(ports)
 }
 
@@ -122,25 +126,26 @@ fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
         .is_some_and(|kind| kind.trim() == UNKNOWN_UART)
 }
 
-/// Returns the targets of the links in `directory`, each with the names of its links.
-fn stable_paths(directory: &Path) -> BTreeMap<PathBuf, Vec<String>> {
-    let mut stable: BTreeMap<_, Vec<_>> = BTreeMap::new();
+/// Returns the names of the links in `directory`, sorted, each with its target.
+fn stable_paths(directory: &Path) -> Vec<(String, PathBuf)> {
+    let mut links = Vec::new();
     for link in fs::read_dir(directory).into_iter().flatten().flatten() {
         if let (Ok(target), Ok(name)) =
             (link.path().canonicalize(), link.path().into_os_string().into_string())
         {
-            stable.entry(target).or_default().push(name);
+            let place = links.partition_point(|(other, _)| *other <= name);
+            links.insert(place, (name, target));
         }
     }
-    stable.values_mut().for_each(|names| names.sort());
-    stable
+    links
 }
 
-fn port_info(port: SerialPortInfo, stable: &BTreeMap<PathBuf, Vec<String>>) -> PortInfo {
-    let stable_paths = fs::canonicalize(&port.port_name)
-        .ok()
-        .and_then(|target| stable.get(&target).cloned())
-        .unwrap_or_default();
+fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
+    let mut stable_paths = Vec::new();
+    if let Ok(port) = fs::canonicalize(&port.port_name) {
+        let to_it = links.iter().filter(|(_, target)| *target == port);
+        stable_paths.extend(to_it.map(|(name, _)| name.clone()));
+    }
     let path = port.port_name;
     match port.port_type {
         SerialPortType::UsbPort(usb) => PortInfo {
@@ -161,17 +166,12 @@ fn order(port: &PortInfo) -> (bool, bool, String, u64) {
     (!port.is_likely_sensor(), port.usb_id.is_none(), name.to_owned(), number.unwrap_or(0))
 }
 
-/// Returns the ports that a sensor on USB can be on. Blocks.
-pub(super) fn likely_sensors() -> Result<Vec<String>, Error> {
-    let ports = list_blocking()?;
-    Ok(ports.into_iter().filter(PortInfo::is_likely_sensor).map(|port| port.path).collect())
-}
-
 /// Returns true if `path` is the USB port of a sensor, by any of its names. Blocks.
 pub(super) fn is_usb_sensor(path: &str) -> bool {
     // If the list fails the port counts as a serial line, which only makes its
     // deadlines longer.
-    likely_sensors().is_ok_and(|ports| ports.iter().any(|port| is_same(port, path)))
+    let is_it = |port: &PortInfo| port.is_likely_sensor() && is_same(&port.path, path);
+    list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
 }
 
 /// Returns true if `path` is a name of the port that is `listed`.
@@ -234,7 +234,7 @@ mod tests {
         };
         let port_name = "/dev/ttyACM0".to_owned();
         let port = SerialPortInfo { port_name, port_type: SerialPortType::UsbPort(usb) };
-        let info = port_info(port, &BTreeMap::new());
+        let info = port_info(port, &[]);
         assert!(info.is_likely_sensor());
         let [product, maker] =
             [info.product, info.manufacturer].map(|text| text.map(|text| text.to_string()));

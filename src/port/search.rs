@@ -1,15 +1,14 @@
 //! The search for a sensor by its serial number: which port is opened next. The driver
 //! checks which sensor is there.
 
-use std::collections::{BTreeMap, VecDeque};
 use std::future::Future;
 use std::io;
 use std::time::Duration;
+use std::vec;
 
-use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 
-use super::list;
+use super::list::{self, PortInfo};
 use super::serial::{SerialOpener, SerialPort};
 use crate::Error;
 
@@ -37,29 +36,30 @@ pub(super) trait Ports: Send + 'static {
 /// The ports of this machine.
 #[derive(Debug, Default)]
 pub(super) struct SystemPorts {
-    /// One for each port, so that an opening that hangs keeps no other waiting.
-    openers: BTreeMap<String, SerialOpener>,
+    /// The port that was opened last, and its opener.
+    latest: Option<(String, SerialOpener)>,
+    /// Those before whose opening hangs in the system. Each port has an opener of its own,
+    /// so that one that hangs keeps no other waiting.
+    hanging: Vec<(String, SerialOpener)>,
 }
 
 impl Ports for SystemPorts {
     type Port = SerialPort;
 
     async fn candidates(&mut self) -> Result<Vec<String>, Error> {
-        match spawn_blocking(list::likely_sensors).await {
-            Ok(ports) => ports,
-            Err(panicked_or_cancelled) => {
-                Err(Error::open(list::THE_LIST, panicked_or_cancelled.into()))
-            }
-        }
+        let ports = list::list().await?;
+        Ok(ports.into_iter().filter(PortInfo::is_likely_sensor).map(|port| port.path).collect())
     }
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        self.openers.retain(|_, opener| opener.is_opening());
-        if self.openers.contains_key(path) {
-            // An earlier call hangs in the system. One thread for it is enough.
+        self.hanging.extend(self.latest.take());
+        self.hanging.retain(|(_, opener)| opener.is_opening());
+        if self.hanging.iter().any(|(hanging, _)| hanging == path) {
+            // One thread for it is enough.
             return Err(Error::Busy { port: path.to_owned() });
         }
-        self.openers.entry(path.to_owned()).or_default().open(path).await
+        let (_, opener) = self.latest.insert((path.to_owned(), SerialOpener::default()));
+        opener.open(path).await
     }
 }
 
@@ -73,7 +73,7 @@ pub(super) struct Search<P> {
 
 #[derive(Debug)]
 struct Pass {
-    untried: VecDeque<String>,
+    untried: vec::IntoIter<String>,
     busy: Vec<String>,
     /// The busy ones are tried for the second time.
     is_second_round: bool,
@@ -107,7 +107,7 @@ impl<P: Ports> Search<P> {
         let pass = match &mut self.pass {
             Some(pass) => pass,
             None => {
-                let untried = self.ports.candidates().await?.into();
+                let untried = self.ports.candidates().await?.into_iter();
                 self.pass.insert(Pass {
                     untried,
                     busy: Vec::new(),
@@ -117,7 +117,7 @@ impl<P: Ports> Search<P> {
             }
         };
         loop {
-            while let Some(path) = pass.untried.pop_front() {
+            while let Some(path) = pass.untried.next() {
                 let limited = timeout(OPEN_LIMIT, self.ports.open(&path));
                 let opened = limited.await.unwrap_or_else(|_| {
                     Err(Error::open(path.as_str(), io::ErrorKind::TimedOut.into()))
@@ -137,7 +137,7 @@ impl<P: Ports> Search<P> {
                 break;
             }
             sleep(BUSY_RETRY_DELAY).await;
-            pass.untried = std::mem::take(&mut pass.busy).into();
+            pass.untried = std::mem::take(&mut pass.busy).into_iter();
             pass.is_second_round = true;
         }
         let denied = self.pass.take().and_then(|pass| pass.denied);
@@ -159,6 +159,7 @@ impl Pass {
 #[cfg(test)]
 mod tests {
     use futures::FutureExt;
+    use tokio::task::spawn_blocking;
     use tokio::time::Instant;
 
     use super::*;

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpSocket, TcpStream, lookup_host};
+use tokio::net::{TcpStream, lookup_host};
 
 use super::dial::connect_first;
 use super::{Endpoint, Port};
@@ -87,12 +87,8 @@ async fn connect(host: &str, port: u16) -> io::Result<TcpStream> {
 }
 
 async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
-    let socket = match address {
-        SocketAddr::V4(_) => TcpSocket::new_v4()?,
-        SocketAddr::V6(_) => TcpSocket::new_v6()?,
-    };
-    keep_alive(&SockRef::from(&socket), &keepalive());
-    let stream = socket.connect(address).await?;
+    let stream = TcpStream::connect(address).await?;
+    keep_alive(&SockRef::from(&stream), &keepalive());
     // Without it a command, which is one small segment, may wait for the
     // acknowledgement of the one before.
     stream.set_nodelay(true)?;
@@ -177,6 +173,9 @@ impl AsyncWrite for TcpPort {
 
 #[cfg(test)]
 mod tests {
+    #[cfg(target_os = "linux")]
+    use tokio::net::TcpSocket;
+
     use super::*;
 
     #[tokio::test]
