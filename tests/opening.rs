@@ -2,6 +2,8 @@
 //! fail.
 
 use std::collections::HashSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use crate::common::{builder, ms, truthful};
@@ -299,6 +301,8 @@ struct Several {
     emulator: Emulator,
     left: usize,
     opens: bool,
+    /// The number of times that the right sensor was found.
+    found: Arc<AtomicU64>,
 }
 
 impl tokio_scip::Connect for Several {
@@ -323,16 +327,23 @@ impl tokio_scip::Connect for Several {
     fn has_more(&self) -> bool {
         true
     }
+
+    fn found(&mut self) {
+        self.found.fetch_add(1, Relaxed);
+    }
 }
 
 #[tokio::test(start_paused = true)]
-async fn several_ports_are_tried_in_turn() {
+async fn several_ports_are_tried_in_turn_until_one_is_accepted() {
     for opens in [true, false] {
         let emulator = truthful().build();
-        let several = Several { emulator: emulator.clone(), left: 2, opens };
-        let sensor = builder().connect(several).await.unwrap();
+        let found = Arc::new(AtomicU64::new(0));
+        let connect =
+            Several { emulator: emulator.clone(), left: 2, opens, found: Arc::clone(&found) };
+        let sensor = builder().connect(connect).await.unwrap();
         sensor.scan(Window::FULL).await.unwrap();
         assert!(emulator.is_connected());
+        assert_eq!(found.load(Relaxed), 1);
     }
 }
 

@@ -2,6 +2,8 @@
 
 use futures::FutureExt;
 use std::future::poll_fn;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::task::{Context, Wake, Waker};
 use tokio::time::Instant;
 
 use super::*;
@@ -194,6 +196,28 @@ fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
     assert_eq!(ring.readers(), 1);
     drop(clone);
     assert_eq!(ring.readers(), 0);
+}
+
+#[test]
+fn a_reader_that_moves_to_another_task_is_woken_there_and_not_where_it_was() {
+    #[derive(Default)]
+    struct Woken(AtomicBool);
+
+    impl Wake for Woken {
+        fn wake(self: Arc<Self>) {
+            self.0.store(true, Relaxed);
+        }
+    }
+
+    let ring = Ring::new();
+    let mut reader = ring.subscribe(1);
+    let [former, latter] = [(); 2].map(|()| Arc::new(Woken::default()));
+    for task in [&former, &latter] {
+        let waker = Waker::from(Arc::clone(task));
+        assert!(reader.poll_next(&mut Context::from_waker(&waker)).is_pending());
+    }
+    ring.push(scan(7));
+    assert_eq!([former, latter].map(|task| task.0.load(Relaxed)), [false, true]);
 }
 
 #[tokio::test]
