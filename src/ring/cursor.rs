@@ -34,12 +34,12 @@ impl Ring {
 #[derive(Debug)]
 pub(crate) struct Cursor {
     ring: Arc<Ring>,
-    place: Place,
+    pub(super) place: Place,
 }
 
 /// The place of a reader in the sequence of scans.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+pub(super) struct Place {
     /// Its entry in `Inner::readers`.
     entry: usize,
     depth: usize,

@@ -2,6 +2,8 @@
 //! streams, each of which reads at a place and to a depth of its own.
 
 mod cursor;
+#[cfg(all(test, not(ring_model)))]
+mod interleavings;
 #[cfg(all(test, ring_model))]
 mod model;
 #[cfg(test)]
@@ -86,14 +88,7 @@ impl Ring {
 
     /// Adds a scan, and returns the one that it displaces if the ring is full.
     pub(crate) fn push(&self, scan: Scan) -> Option<Scan> {
-        let mut inner = self.lock();
-        let mut displaced = None;
-        while inner.scans.len() >= inner.depth {
-            displaced = inner.scans.pop_front();
-        }
-        inner.scans.push_back(scan);
-        inner.next += 1;
-        drop(inner);
+        let displaced = self.lock().push(scan);
         self.wake();
         displaced
     }
@@ -106,25 +101,16 @@ impl Ring {
     /// Replaces the latest error: each reader gets it behind the scans that are there
     /// and before the next one.
     pub(crate) fn report(&self, error: Error) {
-        let mut inner = self.lock();
-        inner.error(error);
-        drop(inner);
+        self.lock().report(error);
         self.wake();
     }
 
     /// Ends the ring: readers get what is left, `cause`, and then the end.
     pub(crate) fn end(&self, cause: Option<Error>) {
-        let mut inner = self.lock();
-        if inner.ended {
-            return;
+        let is_first = self.lock().end(cause);
+        if is_first {
+            self.wake();
         }
-        // With its cause: a reader on another thread must not see the end alone.
-        inner.ended = true;
-        if let Some(cause) = cause {
-            inner.error(cause);
-        }
-        drop(inner);
-        self.wake();
     }
 
     /// Returns the number of readers.
@@ -140,17 +126,26 @@ impl Ring {
 
     /// Wakes all readers, with the lock released: a waker may run anything.
     fn wake(&self) {
-        for entry in 0.. {
-            let mut inner = self.lock();
-            let Some(reader) = inner.readers.get_mut(entry) else { return };
-            if let ReaderState::Waiting(_) = reader.state {
-                let state = std::mem::replace(&mut reader.state, ReaderState::Busy);
-                drop(inner);
-                if let ReaderState::Waiting(waker) = state {
-                    waker.wake();
-                }
+        let mut entry = 0;
+        while let Some(waker) = self.take_waker(&mut entry) {
+            waker.wake();
+        }
+    }
+
+    /// Takes the waker of the first reader from `entry` on that waits, and sets `entry`
+    /// to the one behind it.
+    fn take_waker(&self, entry: &mut usize) -> Option<Waker> {
+        let mut inner = self.lock();
+        while let Some(reader) = inner.readers.get_mut(*entry) {
+            *entry += 1;
+            if matches!(reader.state, ReaderState::Waiting(_))
+                && let ReaderState::Waiting(waker) =
+                    std::mem::replace(&mut reader.state, ReaderState::Busy)
+            {
+                return Some(waker);
             }
         }
+        None
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -160,10 +155,33 @@ impl Ring {
 }
 
 impl Inner {
-    fn error(&mut self, error: Error) {
+    fn push(&mut self, scan: Scan) -> Option<Scan> {
+        let mut displaced = None;
+        while self.scans.len() >= self.depth {
+            displaced = self.scans.pop_front();
+        }
+        self.scans.push_back(scan);
+        self.next += 1;
+        displaced
+    }
+
+    fn report(&mut self, error: Error) {
         self.error = Some(error);
         self.error_at = self.next;
         self.errors += 1;
+    }
+
+    /// Returns false if the ring has ended before.
+    fn end(&mut self, cause: Option<Error>) -> bool {
+        if self.ended {
+            return false;
+        }
+        // With its cause: a reader on another thread must not see the end alone.
+        self.ended = true;
+        if let Some(cause) = cause {
+            self.report(cause);
+        }
+        true
     }
 
     fn enter(&mut self, depth: usize) -> usize {

@@ -128,11 +128,14 @@ async fn execute(
     }
 }
 
-/// A run: a driver, a call, a call that is dropped, a stream that is cloned, someone who
-/// watches the state, and the end.
-async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End) {
+/// A run: a driver, two calls in turn, a call that is dropped, a stream that is cloned,
+/// someone who watches the state, and the end. Without a stream nothing but a request wakes
+/// the driver.
+async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_streaming: bool) {
     let emulator = Emulator::builder().usb().pace(Pace::AtOnce).build();
     let builder = Sensor::builder().jitter_seed(1).reconnect(false).ring_depth(64);
+    // It would wake an idle driver, too.
+    let builder = builder.idle_probe(None);
     let (sensor, driver) = builder.build(emulator.clone());
     let window = Window::new(384..=384).unwrap();
     let (abort, aborted) = oneshot::channel::<()>();
@@ -154,7 +157,12 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End) {
     let check = |outcome: Result<(), Error>| outcome.unwrap_or_else(|error| end.check(&error));
     let scanning = {
         let sensor = sensor.clone();
-        async move { check(sensor.scan(window).await.map(drop)) }
+        async move {
+            // The driver waits by the time of the second one.
+            for _ in 0..2 {
+                check(sensor.scan(window).await.map(drop));
+            }
+        }
     };
     let dropping = {
         let sensor = sensor.clone();
@@ -168,8 +176,9 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End) {
     };
     let (items, errors, subscribed) = (&items, &errors, &subscribed);
     let reading = {
-        let sensor = sensor.clone();
+        let sensor = is_streaming.then(|| sensor.clone());
         async move {
+            let Some(sensor) = sensor else { return };
             let mut stream = match sensor.scans(window, Rate::hz(10.0)).await {
                 Ok(stream) => stream,
                 Err(error) => return end.check(&error),
@@ -221,7 +230,7 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End) {
         enumerated,
         vec![
             ("the driver", Box::pin(driving)),
-            ("a call", Box::pin(scanning)),
+            ("two calls", Box::pin(scanning)),
             ("a call that is dropped", Box::pin(dropping)),
             ("a stream", Box::pin(reading)),
             ("a watcher", Box::pin(watching)),
@@ -248,18 +257,26 @@ fn every_order_of_tasks_answers_each_call_and_ends_each_stream() {
     let length = setting("SCIP_ORDERS").unwrap_or(2);
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().unwrap();
-    for end in [End::Close, End::Abort, End::Unplug, End::Drop] {
+    for (end, is_streaming) in [
+        (End::Close, true),
+        (End::Abort, true),
+        (End::Unplug, true),
+        (End::Drop, true),
+        (End::Close, false),
+        (End::Drop, false),
+    ] {
         let mut runs = 0_u64;
         for start in 0..CHOICES {
             let mut chooser = Chooser::default();
             loop {
                 runs += 1;
-                runtime.block_on(run(&mut chooser, start..start + length, end));
+                let enumerated = start..start + length;
+                runtime.block_on(run(&mut chooser, enumerated, end, is_streaming));
                 if !chooser.advance() {
                     break;
                 }
             }
         }
-        println!("{end:?}: {runs} orders");
+        println!("{end:?}, {}: {runs} orders", if is_streaming { "a stream" } else { "no stream" });
     }
 }
