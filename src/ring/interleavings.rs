@@ -203,9 +203,8 @@ impl Model {
 
     /// Everything on which the next steps depend, and what was read.
     fn state(&self) -> String {
-        let whose = |waker: &Waker| {
-            self.readers.iter().position(|reader| waker.will_wake(&reader.waker()))
-        };
+        let whose =
+            |waker: &Waker| self.readers.iter().position(|reader| waker.will_wake(&reader.waker()));
         let inner = self.ring.lock();
         let entries = inner.readers.iter().map(|reader| match &reader.state {
             ReaderState::Gone => "gone".to_owned(),
@@ -219,9 +218,10 @@ impl Model {
             (inner.error.as_ref().map(Error::to_string), inner.error_at, inner.errors),
             entries.collect::<Vec<_>>(),
         );
-        let writers = self.writers.each_ref().map(|writer| {
-            (writer.writes.len(), writer.entry, writer.waker.as_ref().map(whose))
-        });
+        let writers = self
+            .writers
+            .each_ref()
+            .map(|writer| (writer.writes.len(), writer.entry, writer.waker.as_ref().map(whose)));
         let readers = self.readers.each_ref().map(|reader| {
             let places = [&reader.cursor, &reader.original]
                 .map(|cursor| cursor.as_ref().map(|cursor| cursor.place));
