@@ -195,9 +195,11 @@ impl Model {
     }
 
     fn step(&mut self, number: usize) {
-        match self.writers.get_mut(number) {
-            Some(writer) => writer.step(&self.ring),
-            None => self.readers[number - self.writers.len()].step(),
+        let reader = number.checked_sub(self.writers.len());
+        if let Some(writer) = self.writers.get_mut(number) {
+            writer.step(&self.ring);
+        } else if let Some(reader) = reader.and_then(|number| self.readers.get_mut(number)) {
+            reader.step();
         }
     }
 
@@ -281,8 +283,9 @@ impl Explorer {
 
 /// Explores the last writes of each writer: one, or as many as `SCIP_RING_WRITES` is.
 fn explore(writes: [&'static [Write]; 2], turns: [(usize, Turn); 3]) {
-    let count = std::env::var("SCIP_RING_WRITES").map_or(1, |text| text.parse().unwrap());
-    let writes = writes.map(|writes| &writes[writes.len() - count..]);
+    let setting = std::env::var("SCIP_RING_WRITES").ok();
+    let count: usize = setting.and_then(|text| text.parse().ok()).unwrap_or(1);
+    let writes = writes.map(|writes| writes.split_at(writes.len() - count).1);
     let mut explorer = Explorer::default();
     let orders = explorer.explore(&mut Vec::new(), writes, turns);
     println!("{orders} orders, {} states", explorer.orders.len());
