@@ -58,7 +58,7 @@
 //! ([`Scan::stamp`](crate::Scan::stamp)); the header of a scan has the time of its
 //! [first ray](crate::Scan::first_ray_stamp). Metadata of the name `tokio_scip`
 //! identifies the sensor. Nothing in a file is ever changed, so that it can be read
-//! wherever it was cut off. After 65,536 chunks, or earlier on request, a recording
+//! wherever it was cut off. After 65,000 chunks, or earlier on request, a recording
 //! goes on in a further file ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying

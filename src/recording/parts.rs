@@ -5,7 +5,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use super::mcap::MAX_INDEX_ENTRIES;
+/// A file ends at so many entries of its index: fewer than it may have, since it gets
+/// further chunks until it can be split.
+pub(super) const MAX_PART_ENTRIES: usize = 65_000;
 
 /// The file that is written.
 pub(super) type Output = Box<dyn Write + Send>;
@@ -40,7 +42,7 @@ impl Parts {
     /// Returns true if the current file should have no more messages.
     pub(super) fn is_full(&self, duration: Duration, bytes: u64, index_entries: usize) -> bool {
         self.path.is_some()
-            && (index_entries >= MAX_INDEX_ENTRIES
+            && (index_entries >= MAX_PART_ENTRIES
                 || self.limits.duration.is_some_and(|limit| duration >= limit)
                 || self.limits.bytes.is_some_and(|limit| bytes >= limit))
     }
@@ -84,10 +86,10 @@ mod tests {
         let parts = |path| Parts::new(limits, path, |file| Box::new(file));
         let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
         for (seconds, bytes, entries, is_full) in [
-            (8, 98, MAX_INDEX_ENTRIES - 1, false),
+            (8, 98, MAX_PART_ENTRIES - 1, false),
             (9, 0, 0, true),
             (0, 99, 0, true),
-            (0, 0, MAX_INDEX_ENTRIES, true),
+            (0, 0, MAX_PART_ENTRIES, true),
         ] {
             let duration = Duration::from_secs(seconds);
             assert_eq!(file.is_full(duration, bytes, entries), is_full);

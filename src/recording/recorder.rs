@@ -196,7 +196,7 @@ impl RecorderBuilder {
     /// file is overwritten. No scan is lost or doubled, and each file is complete:
     /// it has the metadata and a reply to `V`, and can be replayed alone.
     ///
-    /// Without a limit a recording is split after 65,536 chunks, which is 18 hours
+    /// Without a limit a recording is split after 65,000 chunks, which is 18 hours
     /// or more. The index of a file stays in memory until its end, 100 bytes for
     /// each chunk, and this bounds it.
     ///

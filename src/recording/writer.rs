@@ -229,6 +229,7 @@ fn start(out: Output) -> io::Result<McapWriter<Output>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::parts::{Limits, MAX_PART_ENTRIES};
     use super::*;
 
     #[test]
@@ -240,5 +241,35 @@ mod tests {
         assert_eq!(clock.log_time(steady + second), 1_001_000_000_000);
         // A scan that was received before the recorder was made.
         assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
+    }
+    /// A file waits for a scan behind which it can end, and gets further chunks meanwhile.
+    #[test]
+    fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
+        let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("run.mcap");
+        let files = |file| -> Output { Box::new(file) };
+        let parts = Parts::new(Limits::default(), Some(path.clone()), files);
+        let out = files(std::fs::File::create(&path).unwrap());
+        let clock = LogClock::starting_now();
+        let mut times = clock.began;
+        let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
+        while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
+            writer.metadata(BTreeMap::new()).unwrap();
+        }
+        // Each is in a chunk of its own.
+        for _ in 0..8 {
+            times.steady += CHUNK_SPAN;
+            writer.event("", times).unwrap();
+        }
+        writer.finish().unwrap();
+        let summary = |name| {
+            let file = std::fs::read(folder.join(name)).unwrap();
+            ::mcap::Summary::read(&file).unwrap().expect("no index").stats.unwrap()
+        };
+        let (first, second) = (summary("run.mcap"), summary("run_0002.mcap"));
+        assert_eq!(first.message_count + second.message_count, 8);
+        assert!(second.message_count > 0);
+        std::fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -55,7 +55,7 @@ pub(crate) struct Record {
     #[arg(long)]
     force: bool,
     /// Go on in a further file, run_0002.mcap and so on, after this time or size:
-    /// 1h, 30m, 500MB, 2GB [default: after 65,536 seconds of data]
+    /// 1h, 30m, 500MB, 2GB [default: after 65,000 seconds of data]
     ///
     /// Each file is complete and can be replayed alone. No scan is lost or doubled.
     /// Further files overwrite nothing: they take the next number that is free.
