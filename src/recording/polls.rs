@@ -1,6 +1,7 @@
 //! [`Polls`]: the recorded replies to polls. A replay sends them and
 //! [`Recording::scans`] decodes them, so that both have the same scans.
 
+use std::collections::VecDeque;
 use std::time::{Duration, SystemTime};
 
 use super::record::{Entry, Reply};
@@ -8,13 +9,19 @@ use super::{Recording, RecordingError};
 use crate::Window;
 use crate::protocol::{Command, Reply as ParsedReply, Version};
 
+/// The window of a stream is searched in so many polls. One of each four of a stream is
+/// not widened by the driver; polls of other streams may be between them.
+const WINDOW_SEARCH_POLLS: usize = 8;
+
 /// The replies to `G`, in the order in which they came.
 pub(super) struct Polls {
     recording: Recording,
-    /// The window of the stream: that of the metadata, else that of the first poll.
+    /// The window of the stream: that of the metadata, else that of the first polls.
     window: Option<Window>,
     /// The time of a revolution, from the sensor's latest reply to `V`.
     revolution: Option<Duration>,
+    /// Polls read in advance.
+    ahead: VecDeque<Result<PollReply, RecordingError>>,
 }
 
 /// A reply to `G`.
@@ -28,7 +35,8 @@ pub(super) struct PollReply {
 
 impl Polls {
     pub(super) fn new(recording: Recording) -> Self {
-        Self { window: recording.window(), recording, revolution: None }
+        let window = recording.window();
+        Self { recording, window, revolution: None, ahead: VecDeque::new() }
     }
 
     /// Returns the window of the stream, or `None` before the first poll if it is
@@ -53,15 +61,20 @@ impl Polls {
 
     /// Checks if `asked` is the stream's window, or that widened by the driver.
     pub(super) fn is_of_stream(&self, asked: Window) -> bool {
-        let widened = |extra| self.window?.widened(extra);
-        (0..=Window::MAX_EXTRA_POINTS).filter_map(widened).any(|(widened, _)| widened == asked)
+        self.window.is_some_and(|window| is_widened(window, asked))
     }
-}
 
-impl Iterator for Polls {
-    type Item = Result<PollReply, RecordingError>;
+    /// Finds the window of the stream to which the first poll belongs. That poll may be a
+    /// widened one: a part of a recording begins anywhere.
+    fn find_window(&mut self) {
+        self.ahead = std::iter::from_fn(|| self.read()).take(WINDOW_SEARCH_POLLS).collect();
+        let mut asked = self.ahead.iter().flatten().map(|poll| poll.asked);
+        let Some(first) = asked.next() else { return };
+        let narrower = asked.filter(|asked| is_widened(*asked, first));
+        self.window = narrower.chain([first]).min_by_key(Window::steps);
+    }
 
-    fn next(&mut self) -> Option<Self::Item> {
+    fn read(&mut self) -> Option<Result<PollReply, RecordingError>> {
         loop {
             let record = match self.recording.next()? {
                 Ok(record) => record,
@@ -70,7 +83,6 @@ impl Iterator for Polls {
             let Entry::Reply(reply) = record.entry else { continue };
             match reply.command {
                 Some(Command::Distances(asked)) => {
-                    self.window.get_or_insert(asked);
                     return Some(Ok(PollReply { at: record.at, asked, reply }));
                 }
                 Some(Command::Version) => {
@@ -82,6 +94,23 @@ impl Iterator for Polls {
                 _ => {}
             }
         }
+    }
+}
+
+/// Checks if the driver may ask for `asked` in order to get `window`.
+fn is_widened(window: Window, asked: Window) -> bool {
+    let widened = |extra| window.widened(extra);
+    (0..=Window::MAX_EXTRA_POINTS).filter_map(widened).any(|(widened, _)| widened == asked)
+}
+
+impl Iterator for Polls {
+    type Item = Result<PollReply, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.window.is_none() && self.ahead.is_empty() {
+            self.find_window();
+        }
+        self.ahead.pop_front().or_else(|| self.read())
     }
 }
 

@@ -5,6 +5,7 @@ mod crash_and_full_disk;
 mod events;
 mod file;
 mod hostile;
+mod parts;
 mod repair;
 mod replay;
 mod scans;

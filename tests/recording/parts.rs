@@ -1,0 +1,135 @@
+//! Parts of recordings: which scans they have, and what of the file is read for them.
+
+use std::io::Cursor;
+use std::time::Duration;
+
+use tokio_scip::recording::{Record, Recorder, Recording, RecordingError, ReplayPace};
+use tokio_scip::{Rate, Sensor, Window};
+
+use super::file::Folder;
+use super::sink::{Sink, record, sensor, window};
+
+/// Records eight scans, each in a chunk of its own, with metadata before the first and the
+/// sixth. Returns the file, and where its chunks begin.
+async fn eight_chunks() -> (Vec<u8>, Vec<usize>) {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer()).jitter_seed(7);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let rate = Rate::every(Duration::from_secs(2));
+    let mut scans = sensor.scans(window(380, 384, 1), rate).await.unwrap();
+    for number in 0..8 {
+        if number == 0 || number == 5 {
+            recorder.describe(&sensor, &scans).await.unwrap();
+        }
+        recorder.record(&scans.next().await.unwrap()).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let file = sink.bytes();
+    let index = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes;
+    let starts = index.iter().filter(|chunk| chunk.message_end_time > 0);
+    let starts: Vec<_> = starts.map(|chunk| chunk.chunk_start_offset as usize).collect();
+    assert!(starts.len() >= 8, "{starts:?}");
+    (file, starts)
+}
+
+type Items = Vec<Result<Record, RecordingError>>;
+
+/// Reads the last scan: the part from 13 s on.
+fn last_scan(recording: Recording) -> Items {
+    recording.range(Duration::from_secs(13)..).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_before_a_part_is_not_read_on_either_side_of_metadata() {
+    let (whole, starts) = eight_chunks().await;
+    let mut damaged = whole.clone();
+    // Those before the last one, except those with the first scan and what precedes it.
+    let left_out = &starts[starts.len() - 7..starts.len() - 1];
+    for start in left_out {
+        damaged[start + 100] ^= 1;
+    }
+    let read = |file: &[u8]| Recording::read(Cursor::new(file.to_vec())).unwrap();
+    let errors = last_scan(read(&damaged)).iter().filter(|item| item.is_err()).count();
+    assert_eq!(errors, left_out.len());
+    let folder = Folder::new("metadata-between");
+    let found = last_scan(Recording::open(folder.write(&damaged)).unwrap());
+    assert_eq!(format!("{found:?}"), format!("{:?}", last_scan(read(&whole))));
+    // A reply to `V`, the last reply and its scan.
+    assert_eq!(found.len(), 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_place_where_no_record_begins_leaves_nothing_out() {
+    let (whole, starts) = eight_chunks().await;
+    let last = starts[starts.len() - 1];
+    let folder = Folder::new("wrong-place");
+    for (name, head) in [
+        ("metadata of 2^64 - 1 bytes", [&[0x0c][..], &[0xff; 8]].concat()),
+        ("metadata of 2^62 bytes", [&[0x0c][..], &(1_u64 << 62).to_le_bytes()].concat()),
+        ("metadata that is none", [&[0x0c, 50][..], &[0; 7]].concat()),
+        ("a chunk of the wrong length", vec![0x06, 1]),
+        ("a record of no kind", vec![0]),
+    ] {
+        let mut file = whole.clone();
+        file[last..last + head.len()].copy_from_slice(&head);
+        // This damage is before the part, so that it shows whether that was read.
+        file[starts[starts.len() - 3] + 100] ^= 1;
+        let found = last_scan(Recording::open(folder.write(&file)).unwrap());
+        let expected = last_scan(Recording::read(Cursor::new(file)).unwrap());
+        assert_eq!(format!("{found:?}"), format!("{expected:?}"), "{name}");
+        assert_eq!(found.iter().filter(|item| item.is_err()).count(), 2, "{name}");
+    }
+}
+
+/// The driver asks for some points more in most polls. Without metadata only the polls
+/// themselves show which window the stream has.
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
+    for window in [Window::DETECTION, Window::FULL, window(2, 400, 1), window(40, 99, 3)] {
+        let sink = Sink::new();
+        let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+        let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64);
+        let sensor = builder.connect(sensor()).await.unwrap();
+        let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+        let mut delivered = Vec::new();
+        for _ in 0..20 {
+            let item = scans.next().await.unwrap();
+            recorder.record(&item).unwrap();
+            delivered.push(item.unwrap().values().to_vec());
+        }
+        recorder.finish().await.unwrap();
+        assert_eq!(sink.open().window(), None);
+        let mut recorded = sink.open().scans();
+        let mut places = Vec::new();
+        while recorded.next().is_some() {
+            places.push(recorded.position());
+        }
+        assert_eq!(places.len(), 20);
+        // Fewer than four scans may all be widened.
+        for (number, place) in places.into_iter().enumerate().take(17) {
+            let part = || sink.open().range(place..);
+            let values = part().scans().map(|scan| scan.unwrap().values().to_vec());
+            let rest = &delivered[number..];
+            assert!(values.eq(rest.iter().cloned()), "{window}, from {number}");
+            let replay = part().replay(ReplayPace::Max).unwrap();
+            let sensor = Sensor::builder().ring_depth(64).connect(replay).await.unwrap();
+            let mut scans = sensor.scans(window, Rate::MAX).await.unwrap();
+            let mut replayed = Vec::new();
+            while let Some(Ok(scan)) = scans.next().await {
+                replayed.push(scan.values().to_vec());
+            }
+            assert!(replayed == rest, "the replay of {window}, from {number}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_that_begins_with_the_file_is_read_from_there() {
+    let sink = Sink::new();
+    record(sensor(), &sink, window(380, 384, 1), 20).await;
+    let folder = Folder::new("from-zero");
+    let path = folder.write(&sink.bytes());
+    let part = Recording::open(&path).unwrap().range(..);
+    assert_eq!(part.collect::<Result<Vec<_>, _>>().unwrap(), sink.records());
+}
