@@ -18,8 +18,10 @@ use super::{METADATA, RecordingError};
 use crate::ros::{self, since_1970};
 use crate::{Event, Rate, Window};
 
-/// The metadata is searched in so many records: it stands near the beginning.
+/// The metadata is searched in so many records, and no further than in the section that
+/// reaches this place: it stands near the beginning, and what is read before it is kept.
 const METADATA_SEARCH_RECORDS: usize = 256;
+const METADATA_SEARCH_BYTES: u64 = 1 << 20;
 /// The reason of damage that no checksum covers.
 const MALFORMED: &str = "a message or channel is not of its form";
 
@@ -58,7 +60,7 @@ pub struct Recording {
 
 impl Recording {
     /// Opens a recording and reads up to its metadata, at most its first 256
-    /// messages.
+    /// messages and the chunk in which its first MiB ends.
     ///
     /// # Errors
     ///
@@ -94,10 +96,14 @@ impl Recording {
             range: TimeRange::new(&..),
             is_over: false,
         };
-        while recording.metadata.is_empty() && recording.ahead.len() < METADATA_SEARCH_RECORDS {
-            match recording.advance() {
-                Ok(None) => break,
-                Ok(Some(record)) => recording.ahead.push_back(Ok(record)),
+        while recording.metadata.is_empty()
+            && recording.ahead.len() < METADATA_SEARCH_RECORDS
+            && recording.records.offset() < METADATA_SEARCH_BYTES
+        {
+            match recording.step() {
+                Ok(Step::Record(record)) => recording.ahead.push_back(Ok(record)),
+                Ok(Step::Other) => {}
+                Ok(Step::End) => break,
                 Err(error @ RecordingError::Damaged { .. }) => {
                     recording.ahead.push_back(Err(error));
                 }
@@ -111,9 +117,10 @@ impl Recording {
     /// scan is in `range`, and the first reply to `V`, with which a replay begins.
     ///
     /// Nothing behind the part is read. Of a complete file that was opened by
-    /// [`open`](Self::open) the chunks before the part are not read either: its index,
-    /// at most 16 MiB of memory, has their places, and a checksum that proves it. Any other
-    /// file is read from its beginning.
+    /// [`open`](Self::open) the chunks before the part are not read either, except the
+    /// first ones, up to the metadata, a reply to `V` and a scan: its index, at most
+    /// 16 MiB of memory, has their places, and a checksum that proves it. Any other file
+    /// is read from its beginning.
     ///
     /// ```no_run
     /// use std::time::Duration;
@@ -175,45 +182,62 @@ impl Recording {
         Ok(())
     }
 
-    /// Returns the next record of a known kind. Only
+    /// Returns the next record of a recording. Only an error that is
     /// [`RecordingError::Damaged`] is followed by more.
-    fn advance(&mut self) -> Result<Option<Record>, RecordingError> {
-        if self.is_over {
-            return Ok(None);
+    fn advance(&mut self) -> Option<Result<Record, RecordingError>> {
+        loop {
+            return match self.step() {
+                Ok(Step::Record(record)) => Some(Ok(record)),
+                Ok(Step::Other) => continue,
+                Ok(Step::End) => None,
+                Err(error) => Some(Err(error)),
+            };
         }
-        let outcome = self.next_known();
-        self.is_over = !matches!(outcome, Ok(Some(_)) | Err(RecordingError::Damaged { .. }));
+    }
+
+    fn step(&mut self) -> Result<Step, RecordingError> {
+        if self.is_over {
+            return Ok(Step::End);
+        }
+        let outcome = self.next_step();
+        let goes_on = matches!(
+            outcome,
+            Ok(Step::Record(_) | Step::Other) | Err(RecordingError::Damaged { .. })
+        );
+        self.is_over = !goes_on;
         outcome
     }
 
-    fn next_known(&mut self) -> Result<Option<Record>, RecordingError> {
-        loop {
-            let Some((kind, content)) = self.records.next()? else { return Ok(None) };
-            let parsed = match kind {
-                kind::CHANNEL => channel(content).map(|(id, topic)| {
-                    self.channels.insert(id, topic);
-                    None
-                }),
-                kind::METADATA => parse_metadata(content).map(|(name, pairs)| {
-                    if name == METADATA {
-                        let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
-                        self.metadata = pairs.into_iter().map(owned).collect();
-                    }
-                    None
-                }),
-                kind::MESSAGE => message(content, &mut self.channels),
-                _ => Some(None),
-            };
-            match parsed {
-                Some(None) => {}
-                Some(record) => return Ok(record),
-                None => {
-                    let (offset, reason) = (self.records.offset(), MALFORMED);
-                    return Err(RecordingError::Damaged { offset, reason });
+    fn next_step(&mut self) -> Result<Step, RecordingError> {
+        let Some((kind, content)) = self.records.next()? else { return Ok(Step::End) };
+        let parsed = match kind {
+            kind::CHANNEL => channel(content).map(|(id, topic)| {
+                self.channels.insert(id, topic);
+                Step::Other
+            }),
+            kind::METADATA => parse_metadata(content).map(|(name, pairs)| {
+                if name == METADATA {
+                    let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
+                    self.metadata = pairs.into_iter().map(owned).collect();
                 }
-            }
-        }
+                Step::Other
+            }),
+            kind::MESSAGE => message(content, &mut self.channels),
+            _ => Some(Step::Other),
+        };
+        parsed.ok_or_else(|| {
+            let (offset, reason) = (self.records.offset(), MALFORMED);
+            RecordingError::Damaged { offset, reason }
+        })
     }
+}
+
+/// The outcome of reading one record of the file.
+enum Step {
+    Record(Record),
+    /// A record that is no item of a recording.
+    Other,
+    End,
 }
 
 impl Iterator for Recording {
@@ -221,7 +245,7 @@ impl Iterator for Recording {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let item = self.ahead.pop_front().or_else(|| self.advance().transpose())?;
+            let item = self.ahead.pop_front().or_else(|| self.advance())?;
             let Ok(record) = &item else { return Some(item) };
             let place = self.range.place(record);
             if let Some(begin) = self.range.take_begin()
@@ -258,14 +282,13 @@ fn channel(content: &[u8]) -> Option<(u16, Option<Topic>)> {
 
 /// Parses a message: a record if it is of a topic of a recording. A channel that
 /// the file does not define is reported once.
-#[expect(clippy::option_option, reason = "malformed, somebody else's, or ours")]
-fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option<Option<Record>> {
+fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option<Step> {
     let (header, data) = MessageHeader::parse(content)?;
     let Some(topic) = channels.get(&header.channel) else {
         channels.insert(header.channel, None);
         return None;
     };
-    let Some(topic) = topic else { return Some(None) };
+    let Some(topic) = topic else { return Some(Step::Other) };
     let entry = match topic {
         Topic::Scans => Entry::Scan(ros::read_scan(data)?),
         Topic::Events => {
@@ -279,7 +302,7 @@ fn message(content: &[u8], channels: &mut HashMap<u16, Option<Topic>>) -> Option
             Entry::Reply(Reply { command, bytes, stamp: time(header.publish_time) })
         }
     };
-    Some(Some(Record { at: time(header.log_time), sequence: header.sequence, entry }))
+    Some(Step::Record(Record { at: time(header.log_time), sequence: header.sequence, entry }))
 }
 
 fn time(nanos: u64) -> SystemTime {
