@@ -266,12 +266,40 @@ mod tests {
 
     use super::*;
 
+    fn times() -> Times {
+        Times { steady: Instant::now(), wall: SystemTime::now() }
+    }
+
+    #[test]
+    fn an_item_takes_the_bytes_of_its_content_until_it_is_written() {
+        let scan = Scan::builder(crate::Window::DETECTION, [0; 682]).build().unwrap();
+        let (command, bytes) = (String::from("V"), Box::from([0; 1000]));
+        for (item, content) in [
+            (WriteItem::Scan(scan), 2 * 682),
+            (WriteItem::Reply { command, bytes, times: times() }, 1000),
+            (WriteItem::Event { json: "x".repeat(50), times: times() }, 50),
+            (WriteItem::Metadata(BTreeMap::new()), 0),
+        ] {
+            let (queue, items) = Queue::new();
+            queue.push(item);
+            assert_eq!(*queue.waiting.borrow(), Some(128 + content));
+            let parts = Parts::new(Limits::default(), None, |file| Box::new(file));
+            let (out, clock) = (Box::new(io::sink()), LogClock::starting_now());
+            let writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
+            let _finished = queue.finish();
+            write_all(writer, &items, &queue).unwrap();
+            assert_eq!(*queue.waiting.borrow(), Some(0));
+        }
+    }
+
     /// The thread is marked as ended before its end of the channel closes.
     #[test]
     fn ready_returns_for_items_pushed_while_the_thread_ends() {
         let (queue, _receiver) = Queue::new();
-        let times = Times { steady: Instant::now(), wall: SystemTime::now() };
-        let push = || queue.push(WriteItem::Event { json: "x".repeat(LOW_WATER_BYTES), times });
+        let push = || {
+            let json = "x".repeat(LOW_WATER_BYTES);
+            queue.push(WriteItem::Event { json, times: times() });
+        };
         push();
         push();
         assert!(queue.ready().now_or_never().is_none());

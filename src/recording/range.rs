@@ -89,38 +89,86 @@ mod tests {
     use super::*;
     use crate::Event;
 
+    fn seconds(seconds: u64) -> Duration {
+        Duration::from_secs(seconds)
+    }
+
+    fn at(number: u64) -> SystemTime {
+        SystemTime::UNIX_EPOCH + seconds(number)
+    }
+
+    /// A reply to a poll if `bytes` are empty, else to `V`.
+    fn reply(number: u64, bytes: &[u8]) -> Record {
+        let poll = Command::Distances(crate::Window::DETECTION);
+        let command = Some(if bytes.is_empty() { poll } else { Command::Version });
+        let (bytes, stamp) = (bytes.to_vec(), SystemTime::UNIX_EPOCH);
+        let entry = Entry::Reply(crate::recording::Reply { command, bytes, stamp });
+        Record { at: at(number), sequence: 0, entry }
+    }
+
+    fn event(number: u64) -> Record {
+        let entry = Entry::Event(Event::Unknown { text: String::new() });
+        Record { entry, ..reply(number, POLL) }
+    }
+
+    const VERSION: &[u8] = b"V\n0\nSERI:1\n\n";
+    const REFUSED: &[u8] = b"V\n1\n\n";
+    const POLL: &[u8] = b"";
+
     #[test]
     fn the_first_scan_is_at_zero_and_both_limits_are_kept() {
-        let poll = Command::Distances(crate::Window::DETECTION);
-        let reply = |seconds, command| Record {
-            at: SystemTime::UNIX_EPOCH + Duration::from_secs(seconds),
-            sequence: 0,
-            entry: Entry::Reply(crate::recording::Reply {
-                command,
-                bytes: Vec::new(),
-                stamp: SystemTime::UNIX_EPOCH,
-            }),
-        };
-        let event = |seconds| Record {
-            entry: Entry::Event(Event::Unknown { text: String::new() }),
-            ..reply(seconds, None)
-        };
-        let seconds = Duration::from_secs;
         let mut range = TimeRange::new(&(seconds(2)..seconds(4)));
-        assert_eq!(range.place(&reply(90, Some(Command::Version))), RecordPlace::Inside);
+        assert_eq!(range.place(&reply(90, VERSION)), RecordPlace::Inside);
         assert_eq!(range.place(&event(95)), RecordPlace::Outside);
-        for (at, expected) in [
+        for (number, expected) in [
             (100, RecordPlace::Outside),
             (101, RecordPlace::Outside),
             (102, RecordPlace::Inside),
             (103, RecordPlace::Inside),
             (104, RecordPlace::Behind),
         ] {
-            assert_eq!(range.place(&reply(at, Some(poll))), expected, "{at}");
+            assert_eq!(range.place(&reply(number, POLL)), expected, "{number}");
         }
         let mut all = TimeRange::new(&(..=seconds(1)));
-        assert_eq!(all.place(&reply(5, Some(poll))), RecordPlace::Inside);
+        assert_eq!(all.place(&reply(5, POLL)), RecordPlace::Inside);
         assert_eq!(all.place(&event(6)), RecordPlace::Inside);
         assert_eq!(all.place(&event(7)), RecordPlace::Behind);
+    }
+
+    #[test]
+    fn only_the_replies_to_v_up_to_the_first_successful_one_are_of_every_part() {
+        let mut range = TimeRange::new(&(seconds(2)..));
+        for (bytes, expected) in [
+            (REFUSED, RecordPlace::Inside),
+            (VERSION, RecordPlace::Inside),
+            (VERSION, RecordPlace::Outside),
+            (REFUSED, RecordPlace::Outside),
+            (VERSION, RecordPlace::Outside),
+        ] {
+            assert_eq!(range.place(&reply(90, bytes)), expected);
+        }
+    }
+
+    #[test]
+    fn the_beginning_is_known_once_behind_the_first_scan_and_the_first_version() {
+        for range in [
+            (Bound::Included(seconds(2)), Bound::Unbounded),
+            (Bound::Excluded(seconds(2)), Bound::Unbounded),
+        ] {
+            for (first, second) in [(POLL, VERSION), (VERSION, POLL)] {
+                let mut range = TimeRange::new(&range);
+                range.place(&reply(90, REFUSED));
+                assert_eq!(range.take_begin(), None);
+                range.place(&reply(90, first));
+                assert_eq!(range.take_begin(), None);
+                range.place(&reply(90, second));
+                assert_eq!(range.take_begin(), Some(at(92)));
+                assert_eq!(range.take_begin(), None);
+            }
+        }
+        let mut all = TimeRange::new(&..);
+        all.place(&reply(90, VERSION));
+        all.place(&reply(90, POLL));
+        assert_eq!(all.take_begin(), None);
     }
 }

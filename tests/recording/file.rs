@@ -1,6 +1,6 @@
 //! The content of a recorded file.
 
-use std::fmt::Write;
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -147,6 +147,40 @@ async fn a_recorder_that_is_dropped_ends_its_file_by_itself() {
         .unwrap();
     assert_eq!(sink.records(), []);
     drop(tap);
+}
+
+/// A file whose bytes reach it when they are flushed.
+struct Buffered {
+    sink: Sink,
+    bytes: Vec<u8>,
+}
+
+impl std::io::Write for Buffered {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.bytes.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        let bytes = std::mem::take(&mut self.bytes);
+        std::io::Write::write_all(&mut self.sink, &bytes)
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_writer_with_a_buffer_is_flushed_at_the_beginning_and_at_the_end() {
+    let sink = Sink::new();
+    let buffered = Buffered { sink: sink.clone(), bytes: Vec::new() };
+    let mut recorder = Recorder::builder().write_to(buffered).unwrap();
+    // The definitions of the channels, without which nothing can be read.
+    assert!(sink.bytes().len() > 1000);
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
+    recorder.finish().await.unwrap();
+    assert_eq!(sink.records().len(), 1);
+    let mut recording = sink.open();
+    recording.by_ref().for_each(drop);
+    assert!(!recording.is_truncated());
 }
 
 #[tokio::test(start_paused = true)]

@@ -4,9 +4,12 @@
 mod crash_and_full_disk;
 mod events;
 mod file;
+mod foreign;
 mod hostile;
+mod index;
 mod memory;
 mod parts;
+mod pieces;
 mod raw;
 mod repair;
 mod replay;

@@ -5,6 +5,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::protocol::Command;
 use tokio_scip::recording::{Entry, Record, Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Scan, Sensor, State, Window};
 
@@ -169,6 +170,24 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     assert!(matches!(end, Err(Error::Closed)), "{end:?}");
     let again = Sensor::builder().connect(emulator).await;
     assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_version_of_the_first_reply_that_is_one() {
+    let sink = Sink::new();
+    let emulator = sensor();
+    // Behind a fence. The line feed behind the status is lost.
+    emulator.set_faults(Faults::none().at(1, Fault::Drop(3..4)));
+    record(emulator, &sink, Window::DETECTION, 3).await;
+    let first = sink.records().into_iter().find_map(|record| match record.entry {
+        Entry::Reply(reply) if reply.command == Some(Command::Version) => Some(reply.bytes),
+        _ => None,
+    });
+    assert!(first.unwrap().starts_with(b"V\n0VEND"));
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let sensor = Sensor::builder().connect(replay).await.unwrap();
+    let version = sensor.version().await.unwrap();
+    assert_eq!(version.vendor.to_string(), sink.open().metadata()["vendor"]);
 }
 
 #[tokio::test(start_paused = true)]

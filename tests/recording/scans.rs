@@ -4,7 +4,7 @@ use std::io::Cursor;
 use std::path::Path;
 use std::time::Duration;
 
-use tokio_scip::emulator::{Fault, Faults};
+use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::recording::{
     Entry, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
 };
@@ -54,6 +54,44 @@ async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_sc
     let expected: Vec<_> = delivered.iter().flatten().map(|scan| scan.values().to_vec()).collect();
     assert_eq!(values, expected);
     assert!(scans.next().is_none() && !scans.is_truncated());
+}
+
+#[tokio::test(start_paused = true)]
+async fn recorded_scans_have_the_time_of_a_revolution_that_the_sensor_reports() {
+    for (firmware, seconds) in [("FIRM:1(300[rpm])", 0.2), ("FIRM:1", 0.1)] {
+        let lines = ["VEND:x", firmware, "SERI:42"];
+        let sink = Sink::new();
+        let emulator = Emulator::builder().version_lines(lines).build();
+        let delivered = record(emulator, &sink, Window::DETECTION, 3).await;
+        let scans: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+        assert_eq!(delivered[2].as_ref().unwrap().scan_time(), seconds);
+        assert_eq!(scans.iter().map(Scan::scan_time).collect::<Vec<_>>(), [seconds; 3]);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_scans_of_a_file_without_its_end_are_read_and_the_missing_end_is_known() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 10).await;
+    let whole = sink.bytes();
+    for (missing, is_truncated) in [(0, false), (1, true), (30, true)] {
+        let file = whole[..whole.len() - missing].to_vec();
+        let mut scans = Recording::read(Cursor::new(file)).unwrap().scans();
+        assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 10);
+        assert_eq!(scans.is_truncated(), is_truncated, "{missing} bytes");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_is_debugged_by_its_metadata_and_its_scans_by_their_number() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 3).await;
+    let recording = sink.open();
+    let text = format!("{recording:?}");
+    assert!(text.starts_with("Recording {") && text.contains("H0713090"), "{text}");
+    let mut scans = recording.scans();
+    scans.by_ref().take(2).for_each(drop);
+    assert_eq!(format!("{scans:?}"), "RecordedScans { sequence: 2, .. }");
 }
 
 #[tokio::test(start_paused = true)]

@@ -27,6 +27,11 @@ impl Sink {
         Self::with_room(usize::MAX)
     }
 
+    /// A file of these bytes.
+    pub(crate) fn with_bytes(bytes: &[u8]) -> Self {
+        Self { bytes: Arc::new(Mutex::new(bytes.to_vec())), ..Self::new() }
+    }
+
     pub(crate) fn bytes(&self) -> Vec<u8> {
         self.bytes.lock().unwrap().clone()
     }

@@ -247,7 +247,7 @@ mod tests {
     #[test]
     fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
         let writer = chunks(1000, 1000);
-        assert_eq!(writer.index().entries(), 1000);
+        assert_eq!(writer.index_entries(), 1000);
         // A recording has three channels, of 10 bytes each here.
         assert!(writer.index().chunk_indexes.len() <= 1000 * (106 - 20));
         let file = writer.finish().unwrap();

@@ -5,11 +5,9 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::Range;
 
-use super::form::{record_head, split_record};
-use super::{FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
+use super::form::split_record;
+use super::{FILE_END, FOOTER_BYTES, Fields, RECORD_HEAD, kind};
 
-/// A footer and the magic behind it.
-const END_BYTES: u64 = (RECORD_HEAD + FOOTER_BYTES + MAGIC.len()) as u64;
 /// A longer index is not read: the longest that is written here has 7 MB.
 const MAX_INDEX_BYTES: u64 = 16 << 20;
 
@@ -94,26 +92,20 @@ impl Read for Input {
 /// Reads the index at the end of a file; `None` if it is not whole, or has no checksum that
 /// proves it: a wrong place would leave out what is wanted.
 fn index(file: &mut File) -> Option<FileIndex> {
-    let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(END_BYTES)?;
+    let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(FILE_END as u64)?;
     file.seek(SeekFrom::Start(end)).ok()?;
-    let mut footer = [0; END_BYTES as usize];
+    let mut footer = [0; FILE_END];
     file.read_exact(&mut footer).ok()?;
-    let (kind, length) = record_head(&footer)?;
     let mut fields = Fields(footer.get(RECORD_HEAD..)?);
     let (start, _offsets, crc) = (fields.u64()?, fields.u64()?, fields.u32()?);
-    let length_found = end.checked_sub(start)?;
-    let is_right = kind == kind::FOOTER
-        && length == FOOTER_BYTES as u64
-        && fields.0 == MAGIC
-        && start > 0
-        && length_found <= MAX_INDEX_BYTES;
-    if !is_right {
+    let length = end.checked_sub(start)?;
+    if length > MAX_INDEX_BYTES {
         return None;
     }
     file.seek(SeekFrom::Start(start)).ok()?;
     let mut index = Vec::new();
-    file.take(length_found).read_to_end(&mut index).ok()?;
-    // The checksum covers the footer up to itself.
+    file.take(length).read_to_end(&mut index).ok()?;
+    // The checksum covers the footer up to itself, so nothing else of it is checked.
     let mut checked = crc32fast::Hasher::new();
     checked.update(&index);
     checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
@@ -128,11 +120,12 @@ fn chunk(content: &[u8]) -> Option<(Range<u64>, u64)> {
     let (start, length) = (fields.u64()?, fields.u64()?);
     let (_places, lists) = (fields.bytes()?, fields.u64()?);
     let end = start.checked_add(length)?.checked_add(lists)?;
-    (start < end).then_some((start..end, last))
+    Some((start..end, last))
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::{MAGIC, put_record};
     use super::*;
 
     /// The index of a chunk of 10 bytes with 5 of lists at `start`.
@@ -156,6 +149,25 @@ mod tests {
         let index = FileIndex(index);
         assert_eq!(index.parts_before(4), [10..55, 60..75]);
         assert_eq!(index.parts_before(1), []);
+    }
+
+    /// With a checksum that is right. The memory for it is limited all the same.
+    #[test]
+    fn an_index_of_16_mib_is_read_and_none_that_is_longer() {
+        let path = std::env::temp_dir().join(format!("scip-index-{}", std::process::id()));
+        let longest = MAX_INDEX_BYTES as usize;
+        for (length, is_read) in [(longest, true), (longest + 1, false)] {
+            // All of the file is its index.
+            let mut bytes = vec![0; length];
+            put_record(&mut bytes, kind::FOOTER, |out| out.extend_from_slice(&[0; 16]));
+            let crc = crc32fast::hash(&bytes);
+            bytes.extend_from_slice(&crc.to_le_bytes());
+            bytes.extend_from_slice(&MAGIC);
+            std::fs::write(&path, &bytes).unwrap();
+            let found = index(&mut File::open(&path).unwrap());
+            assert_eq!(found.map(|index| index.0.len()), is_read.then_some(length));
+        }
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

@@ -6,7 +6,7 @@
 //! sans-IO reader panics at a claim of 2^63 bytes unless a limit is set; here a length
 //! is checked against the bytes that are there. It does not search for the next chunk
 //! behind a damaged length. Its writer keeps an entry for each chunk however many
-//! there are; here a file ends at 65,536. The tests read with that crate what is
+//! there are; here an index has at most 65,536. The tests read with that crate what is
 //! written here.
 
 mod form;
@@ -29,8 +29,13 @@ pub(super) use self::write::{McapWriter, header};
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 /// The kind of a record, and the length of its content.
 const RECORD_HEAD: usize = 1 + 8;
+/// The record of an uncompressed chunk up to its records: start, end, size, CRC, the
+/// empty name of the compression, length of the records.
+const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
 /// The content of a footer.
 const FOOTER_BYTES: usize = 20;
+/// The end of a file: its footer, and the magic behind it.
+const FILE_END: usize = RECORD_HEAD + FOOTER_BYTES + MAGIC.len();
 /// The longest chunk, or message outside of a chunk, that is read.
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
 /// The longest record of another kind that is read.
@@ -66,8 +71,6 @@ pub(super) struct MessageHeader {
 }
 
 impl MessageHeader {
-    const BYTES: usize = 2 + 4 + 8 + 8;
-
     /// Splits the content of a message into its header and its data.
     pub(super) fn parse(content: &[u8]) -> Option<(Self, &[u8])> {
         let mut fields = Fields(content);

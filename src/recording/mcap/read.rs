@@ -12,14 +12,14 @@ use std::ops::Range;
 use super::form::{fields_length, is_well_formed, record_head};
 use super::input::FileIndex;
 use super::{
-    FOOTER_BYTES, Fields, Input, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES, RECORD_HEAD, kind,
+    CHUNK_HEAD, FILE_END, FOOTER_BYTES, Fields, Input, MAGIC, MAX_CHUNK_BYTES, MAX_RECORD_BYTES,
+    RECORD_HEAD, kind,
 };
 
-/// A chunk's head, behind the record's, up to the name of its compression: start,
-/// end, size, CRC, length of that name.
-const CHUNK_FIELDS: usize = 8 + 8 + 8 + 4 + 4;
 /// The longest name of a compression.
 const MAX_COMPRESSION_NAME: usize = 16;
+/// A chunk's record up to its records, compressed or not.
+const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 /// The bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
 /// The record that ends the data, up to its content.
@@ -70,7 +70,8 @@ pub(in super::super) struct Sections {
 /// The head of a chunk whose lengths agree with each other.
 struct ChunkHead {
     crc: u32,
-    compression: Range<usize>,
+    /// The name of the compression, empty for none.
+    compression: String,
     /// From the beginning of the chunk's record.
     records: Range<usize>,
 }
@@ -137,7 +138,7 @@ impl Sections {
         loop {
             self.drop_used();
             self.leave_out()?;
-            let head = self.peek(RECORD_HEAD + CHUNK_FIELDS + MAX_COMPRESSION_NAME + 8)?;
+            let head = self.peek(MAX_CHUNK_HEAD)?;
             let Some((kind, length)) = record_head(head) else {
                 return Ok(self.end_early());
             };
@@ -154,7 +155,7 @@ impl Sections {
                     false
                 }
                 // A cut-off head has no agreeing lengths, nor has a damaged one.
-                kind::CHUNK if content.len() < CHUNK_FIELDS + 8 => return Ok(self.end_early()),
+                kind::CHUNK if head.len() < CHUNK_HEAD => return Ok(self.end_early()),
                 kind::CHUNK => false,
                 kind::MESSAGE_INDEX => {
                     let mut fields = Fields(content);
@@ -172,7 +173,7 @@ impl Sections {
                 return self.resynchronise("a record's kind or length is wrong");
             }
             if matches!(kind, kind::ATTACHMENT | kind::MESSAGE_INDEX | 0x10..) {
-                if !self.skip(RECORD_HEAD as u64, length)? {
+                if !self.skip(length)? {
                     return Ok(self.end_early());
                 }
                 continue;
@@ -203,13 +204,12 @@ impl Sections {
     /// written: then nothing is left out.
     fn leave_out(&mut self) -> Result<(), FileError> {
         let here = self.offset;
-        while let Some(part) = self.unwanted.front()
+        while let Some(part) = self.unwanted.front().cloned()
             && part.start <= self.offset
         {
-            let end = part.end;
             self.unwanted.pop_front();
-            if end > self.offset {
-                self.continue_at(end)?;
+            if part.contains(&self.offset) {
+                self.continue_at(part.end)?;
                 if !self.begins_here()? {
                     self.unwanted.clear();
                     return self.continue_at(here);
@@ -228,7 +228,7 @@ impl Sections {
 
     /// Returns true if a chunk, metadata or the end of the data begins here.
     fn begins_here(&mut self) -> Result<bool, FileError> {
-        let head = self.peek(RECORD_HEAD + CHUNK_FIELDS + MAX_COMPRESSION_NAME + 8)?;
+        let head = self.peek(MAX_CHUNK_HEAD)?;
         match record_head(head) {
             Some((kind::CHUNK, _)) => Ok(chunk_head(head).is_some()),
             Some((kind::METADATA, length)) if length <= MAX_RECORD_BYTES => {
@@ -243,8 +243,7 @@ impl Sections {
     fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {
         let ChunkHead { crc, compression, records } = head;
         if !compression.is_empty() {
-            let name = self.peek(compression.end)?.get(compression).unwrap_or_default();
-            return Err(FileError::Compressed(name.escape_ascii().to_string()));
+            return Err(FileError::Compressed(compression));
         }
         let chunk = self.peek(records.end)?;
         let is_whole = chunk.len() >= records.end;
@@ -269,32 +268,31 @@ impl Sections {
     /// Skips to the next chunk, or to the end of the data.
     fn resynchronise(&mut self, reason: &'static str) -> Result<Option<Section>, FileError> {
         let error = self.damaged(reason);
-        let mut skipped = 1;
+        // The first byte begins nothing.
+        self.used = 1;
         loop {
-            let bytes = self.peek(skipped + READ_BYTES)?;
-            let rest = bytes.get(skipped..).unwrap_or_default();
+            self.drop_used();
+            let bytes = self.peek(READ_BYTES)?;
             let is_next = |at: &usize| {
-                let rest = rest.get(*at..).unwrap_or_default();
+                let rest = bytes.get(*at..).unwrap_or_default();
                 match rest.first() {
                     Some(&kind::CHUNK) => chunk_head(rest).is_some(),
                     Some(&kind::DATA_END) => rest.starts_with(&DATA_END_HEAD),
                     _ => false,
                 }
             };
-            if let Some(next) = (0..rest.len()).find(is_next) {
-                self.used = skipped + next;
-                return Err(error);
-            }
-            if rest.len() < READ_BYTES {
+            let next = (0..bytes.len()).find(is_next);
+            let is_end = bytes.len() < READ_BYTES;
+            self.used = match next {
+                Some(next) => next,
                 // The next call finds the end of the file.
-                self.used = bytes.len();
+                None if is_end => bytes.len(),
+                // A head may begin in what was read and end behind it.
+                None => bytes.len().saturating_sub(MAX_CHUNK_HEAD),
+            };
+            if next.is_some() || is_end {
                 return Err(error);
             }
-            // A head may begin in what was read and end behind it.
-            let tail = RECORD_HEAD + CHUNK_FIELDS + 8;
-            self.used = skipped + rest.len() - tail;
-            self.drop_used();
-            skipped = 0;
         }
     }
 
@@ -302,13 +300,13 @@ impl Sections {
     /// end, other readers do not open it.
     fn has_end(&mut self) -> Result<bool, FileError> {
         loop {
-            let head = self.peek(RECORD_HEAD + FOOTER_BYTES + MAGIC.len())?;
+            let head = self.peek(FILE_END)?;
             let Some((kind, length)) = record_head(head) else { return Ok(false) };
             if kind == kind::FOOTER {
-                let end = head.get(RECORD_HEAD + FOOTER_BYTES..).unwrap_or_default();
-                return Ok(length == FOOTER_BYTES as u64 && end.starts_with(&MAGIC));
+                let is_whole = head.get(..FILE_END).is_some_and(|end| end.ends_with(&MAGIC));
+                return Ok(is_whole && length == FOOTER_BYTES as u64);
             }
-            if !self.skip(RECORD_HEAD as u64, length)? {
+            if !self.skip(length)? {
                 return Ok(false);
             }
         }
@@ -323,10 +321,10 @@ impl Sections {
         None
     }
 
-    /// Skips a record's content, however long it is. Returns false if the file
-    /// ends in it.
-    fn skip(&mut self, head: u64, length: u64) -> Result<bool, FileError> {
-        let mut rest = head.saturating_add(length);
+    /// Skips a record, however long its content is. Returns false if the file ends
+    /// in it.
+    fn skip(&mut self, length: u64) -> Result<bool, FileError> {
+        let mut rest = length.saturating_add(RECORD_HEAD as u64);
         while rest > 0 {
             let next = rest.min(READ_BYTES as u64) as usize;
             if self.peek(next)?.len() < next {
@@ -369,17 +367,14 @@ fn chunk_head(bytes: &[u8]) -> Option<ChunkHead> {
     let crc = fields.u32()?;
     let name = fields.bytes()?;
     let records = fields.u64()?;
-    let before = CHUNK_FIELDS + name.len() + 8;
+    let start = CHUNK_HEAD + name.len();
     let agrees = name.len() <= MAX_COMPRESSION_NAME
         && length <= MAX_CHUNK_BYTES
-        && length.checked_sub(before as u64) == Some(records)
+        && length.checked_sub((start - RECORD_HEAD) as u64) == Some(records)
         && (!name.is_empty() || size == records);
-    let compression = RECORD_HEAD + CHUNK_FIELDS;
-    let start = RECORD_HEAD + before;
     let end = start.checked_add(usize::try_from(records).ok()?)?;
-    agrees.then_some(ChunkHead {
-        crc,
-        compression: compression..compression + name.len(),
-        records: start..end,
+    agrees.then(|| {
+        let compression = name.escape_ascii().to_string();
+        ChunkHead { crc, compression, records: start..end }
     })
 }

@@ -5,13 +5,10 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 use super::index::{ChunkMessages, ChunkPlace, Index};
-use super::{MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
+use super::{CHUNK_HEAD, MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
 
 /// A chunk of about this size is written without waiting for its end.
 const CHUNK_BYTES: usize = 768 << 10;
-/// A chunk's record up to its records: head, start, end, size, CRC, the empty
-/// name of no compression, length.
-const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
 
 /// Writes an MCAP file without compression.
 pub(in super::super) struct McapWriter<W> {
@@ -106,7 +103,6 @@ impl<W: Write> McapWriter<W> {
         self.chunk.begin(&self.index);
         self.chunk.messages.add(header, self.chunk.record.len() - CHUNK_HEAD);
         put_record(&mut self.chunk.record, kind::MESSAGE, |out| {
-            out.reserve(MessageHeader::BYTES + data.len());
             out.extend_from_slice(&header.channel.to_le_bytes());
             out.extend_from_slice(&header.sequence.to_le_bytes());
             out.extend_from_slice(&header.log_time.to_le_bytes());
@@ -257,6 +253,29 @@ impl OpenChunk {
         if self.record.is_empty() {
             self.record.resize(CHUNK_HEAD, 0);
             index.channels().for_each(|channel| self.record.extend_from_slice(channel));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The bytes of a message besides its data.
+    const MESSAGE_HEAD: usize = RECORD_HEAD + 22;
+
+    #[test]
+    fn a_chunk_has_at_most_768_kib_before_its_last_message() {
+        let header = MessageHeader { channel: 0, sequence: 0, log_time: 0, publish_time: 0 };
+        let first = CHUNK_BYTES / 2;
+        for (longer, chunks) in [(0, 1), (1, 2)] {
+            let mut writer = McapWriter::start(Vec::new(), &super::header("", ""), 9).unwrap();
+            writer.message(header, &vec![0; first]).unwrap();
+            // With its data the chunk has the limit exactly, or a byte more.
+            let rest = CHUNK_BYTES - CHUNK_HEAD - MESSAGE_HEAD - first + longer;
+            writer.message(header, &vec![0; rest]).unwrap();
+            writer.flush().unwrap();
+            assert_eq!(writer.index_entries(), chunks);
         }
     }
 }
