@@ -142,7 +142,7 @@ fn stable_paths(directory: &Path) -> Vec<(String, PathBuf)> {
 
 fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
     let mut stable_paths = Vec::new();
-    if let Ok(port) = fs::canonicalize(&port.port_name) {
+    if let Some(port) = device(&port.port_name) {
         let to_it = links.iter().filter(|(_, target)| *target == port);
         stable_paths.extend(to_it.map(|(name, _)| name.clone()));
     }
@@ -174,11 +174,18 @@ pub(super) fn is_usb_sensor(path: &str) -> bool {
     list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
 }
 
+/// Returns the device that `path` leads to. `None` on Windows, where ports are not files,
+/// and where `canonicalize` opens the port: one on Bluetooth then connects to its device,
+/// and a board on another may restart.
+fn device(path: &str) -> Option<PathBuf> {
+    if cfg!(windows) { None } else { fs::canonicalize(path).ok() }
+}
+
 /// Returns true if `path` is a name of the port that is `listed`.
 pub(super) fn is_same(listed: &str, path: &str) -> bool {
-    match (fs::canonicalize(listed), fs::canonicalize(path)) {
-        (Ok(listed), Ok(path)) => listed == path,
-        // On Windows ports are not files, and com3 and \\.\COM3 are names of COM3.
+    match (device(listed), device(path)) {
+        (Some(listed), Some(path)) => listed == path,
+        // On Windows com3 and \\.\COM3 are names of COM3.
         _ => listed.eq_ignore_ascii_case(path.strip_prefix(r"\\.\").unwrap_or(path)),
     }
 }
