@@ -1,5 +1,5 @@
-//! Ctrl-C, SIGTERM and a terminal that is closed: each ends the program in good
-//! order.
+//! Ctrl-C, SIGTERM, Ctrl-Break on Windows, and a terminal that is closed: each ends the
+//! program in good order.
 
 #[cfg(unix)]
 use std::future::poll_fn;
@@ -106,10 +106,20 @@ fn report_file_size_limit() -> io::Result<()> {
     signal(SignalKind::from_raw(exceeded)).map(drop)
 }
 
+/// Returns a future that ends with the first event since this call. Ctrl-Break is what
+/// one program can send to another. After a closed console, or when it shuts down, the
+/// system ends the program after five seconds.
 #[cfg(windows)]
 fn signalled() -> io::Result<impl Future<Output = ()>> {
-    let mut ctrl_c = tokio::signal::windows::ctrl_c()?;
+    use tokio::signal::windows::{ctrl_break, ctrl_c, ctrl_close, ctrl_shutdown};
+    let (mut ctrl_c, mut ctrl_break) = (ctrl_c()?, ctrl_break()?);
+    let (mut closed, mut shutdown) = (ctrl_close()?, ctrl_shutdown()?);
     Ok(async move {
-        ctrl_c.recv().await;
+        tokio::select! {
+            _ = ctrl_c.recv() => {}
+            _ = ctrl_break.recv() => {}
+            _ = closed.recv() => {}
+            _ = shutdown.recv() => {}
+        }
     })
 }

@@ -44,7 +44,13 @@ use crate::output::stderr;
 /// 0 when done or stopped by Ctrl-C, 1 on failure, 2 for an invalid command line.
 /// RUST_LOG=debug logs what the driver does.
 #[derive(Debug, Parser)]
-#[command(name = "urg", version, arg_required_else_help = true, after_help = help())]
+#[command(
+    name = "urg",
+    bin_name = "urg",
+    version,
+    arg_required_else_help = true,
+    after_help = help()
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -183,7 +189,7 @@ fn start_log(command: &Command) {
         Ok(targets) => {
             let lines = tracing_subscriber::fmt::layer()
                 .with_writer(|| stderr::LogWriter)
-                .with_ansi(io::stderr().is_terminal());
+                .with_ansi(stderr::accepts_escape_codes());
             tracing_subscriber::registry().with(lines).with(targets).init();
         }
         Err(error) => notice(format_args!("no log: RUST_LOG is invalid: {error}")),

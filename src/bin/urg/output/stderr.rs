@@ -23,12 +23,22 @@ pub(crate) fn write(text: &[u8]) {
 }
 
 /// Shows a line that the next output overwrites. Does nothing unless standard
-/// error is a terminal.
+/// error accepts escape codes.
 #[cfg_attr(not(feature = "mcap"), expect(dead_code, reason = "only recording has progress"))]
 pub(crate) fn show(line: impl FnOnce() -> String) {
-    if io::stderr().is_terminal() {
+    if accepts_escape_codes() {
         STDERR.show(line());
     }
+}
+
+/// Returns true if standard error is a terminal that interprets escape codes. A console
+/// of Windows prints them as text until a program switches that on, which this does.
+pub(crate) fn accepts_escape_codes() -> bool {
+    #[cfg(windows)]
+    let is_interpreted = crossterm::ansi_support::supports_ansi;
+    #[cfg(not(windows))]
+    let is_interpreted = || true;
+    io::stderr().is_terminal() && is_interpreted()
 }
 
 /// Waits until the queue is written. Abandons only a reader that takes nothing
