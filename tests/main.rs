@@ -41,6 +41,6 @@ mod simulation;
 #[cfg(all(unix, feature = "serial"))]
 mod terminal;
 mod unique_polls;
-#[cfg(all(unix, feature = "cli"))]
+#[cfg(feature = "cli")]
 mod urg;
 mod wire;

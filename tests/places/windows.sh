@@ -60,6 +60,34 @@ expect '"sequence":19' stream emulated --count 20
 expect 'not a terminal' view emulated
 expect 'plug the sensor in' info COM9
 
+# Ctrl-C. Wine has a console only in a terminal, and sends it to all programs there.
+cat >"$work/ctrl_c.c" <<'EOF'
+#include <windows.h>
+static BOOL WINAPI ignore(DWORD event) { return TRUE; }
+int main(int count, char **arguments) {
+    STARTUPINFOA start = {.cb = sizeof start};
+    PROCESS_INFORMATION urg;
+    WIN32_FILE_ATTRIBUTE_DATA file = {0};
+    DWORD code = 1;
+    SetConsoleCtrlHandler(ignore, TRUE);
+    if (!CreateProcessA(NULL, arguments[1], NULL, NULL, TRUE, 0, NULL, NULL, &start, &urg)) return 1;
+    while (!GetFileAttributesExA(arguments[2], GetFileExInfoStandard, &file) || !file.nFileSizeLow)
+        Sleep(100);
+    GenerateConsoleCtrlEvent(CTRL_C_EVENT, 0);
+    if (WaitForSingleObject(urg.hProcess, 20000)) TerminateProcess(urg.hProcess, 1);
+    WaitForSingleObject(urg.hProcess, INFINITE);
+    GetExitCodeProcess(urg.hProcess, &code);
+    return code;
+}
+EOF
+x86_64-w64-mingw32-gcc -o "$work/ctrl_c.exe" "$work/ctrl_c.c"
+file=$(winepath --windows "$work/run.mcap")
+recording="$(winepath --windows "$urg") record emulated $file"
+timeout 60 script --quiet --return --command "wine '$work/ctrl_c.exe' '$recording' '$file'" \
+    /dev/null </dev/null >"$work/terminal" ||
+    { cat "$work/terminal" >&2 && echo "urg record: expected success after Ctrl-C" >&2 && failed=1; }
+expect '"complete":true' info "$file" --format json
+
 here=$(cargo build --locked --features mcap,web --bin urg --message-format json |
     grep -o '"executable":"[^"]*/urg"' | tail -n 1 | cut -d'"' -f4)
 "$here" emulate --tcp 0 2>"$work/tcp" &
@@ -74,6 +102,26 @@ stty -F "$work/sensor" 19200
 wine reg add 'HKLM\Software\Wine\Ports' /v COM1 /d "$work/sensor"
 wineserver --wait || true
 expect 'COM1' list
+# A port that is only listed must not be opened: prints how often a file was opened.
+opens() {
+    python3 - "$@" <<'EOF'
+import ctypes, os, subprocess, sys
+libc, IN_OPEN = ctypes.CDLL(None), 0x20
+notices = libc.inotify_init1(os.O_NONBLOCK)
+libc.inotify_add_watch(notices, sys.argv[1].encode(), IN_OPEN)
+subprocess.run(sys.argv[2:], capture_output=True)
+try:
+    print(len(os.read(notices, 1 << 16)) // 16)
+except BlockingIOError:
+    print(0)
+EOF
+}
+for arguments in list 'info COM9'; do
+    count=$(opens "$work/sensor" wine "$urg" $arguments)
+    [ "$count" = 0 ] && echo "ok: urg $arguments opens no port" && continue
+    echo "urg $arguments: expected COM1 not to be opened, found $count opens" >&2
+    failed=1
+done
 expect 'baud rate      19200' info COM1
 expect 'is 115200 baud' baud COM1 115200
 expect '"sequence":4' stream '\\.\com1' --count 5

@@ -3,7 +3,7 @@
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 
-use super::program::{Emulated, Running, Scratch, run, shell};
+use super::program::{Emulated, Running, Scratch, run};
 use crate::common::instant_sensor;
 
 #[test]
@@ -100,7 +100,8 @@ fn a_signal_ends_an_emulator_and_removes_its_symbolic_link() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_stream_that_ignores_hang_up_outlives_its_terminal() {
-    let mut stream = Running::spawn(shell("trap '' HUP; exec $urg stream emulated --count 5"));
+    let script = "trap '' HUP; exec $urg stream emulated --count 5";
+    let mut stream = Running::spawn(super::program::shell(script));
     stream.read();
     stream.line();
     stream.signal("HUP");

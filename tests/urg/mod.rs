@@ -15,6 +15,7 @@ mod program;
 mod recorded;
 #[cfg(feature = "mcap")]
 mod repaired;
+#[cfg(unix)]
 mod screen;
 mod served;
 #[cfg(feature = "web")]

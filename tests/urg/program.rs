@@ -3,11 +3,13 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+#[cfg(unix)]
 use std::sync::LazyLock;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::Duration;
 
+#[cfg(unix)]
 use tokio::signal::unix::{SignalKind, signal};
 
 use crate::common::limit::limit;
@@ -33,11 +35,18 @@ pub(crate) const COMMANDS: &[&str] = &[
 
 const URG: &str = env!("CARGO_BIN_EXE_urg");
 
-/// Starts every child process with SIGHUP at its default, and limits the time of the test.
-/// Under `nohup` this process ignores SIGHUP, and a child inherits that; a handled signal
-/// is reset to its default in a child.
+/// Limits the time of the test, and prepares this process for its children.
 fn prepare() {
     limit();
+    #[cfg(unix)]
+    reset_hangup();
+}
+
+/// Starts every child process with SIGHUP at its default. Under `nohup` this process
+/// ignores SIGHUP, and a child inherits that; a handled signal is reset to its default in
+/// a child.
+#[cfg(unix)]
+fn reset_hangup() {
     static HANDLER: LazyLock<()> = LazyLock::new(|| {
         let install = || {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
