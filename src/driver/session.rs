@@ -94,8 +94,11 @@ impl Session {
 
     /// Waits while no command is outstanding until bytes arrive, and drops them.
     /// Cancel-safe.
-    pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
-        self.transport.idle().await
+    ///
+    /// Like other methods that only pass on a future, it is not `async`: that would wrap it in
+    /// another one, which is compiled and kept, too.
+    pub(crate) fn idle(&mut self) -> impl Future<Output = Result<(), ExchangeError>> {
+        self.transport.idle()
     }
 
     /// Drops pending input, and raises a fence if one is needed. Returns the status of its
@@ -114,18 +117,21 @@ impl Session {
     }
 
     /// Drops pending input: it is older than the next command.
-    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
-        self.transport.discard_pending().await
+    pub(crate) fn discard_pending(&mut self) -> impl Future<Output = Result<(), ExchangeError>> {
+        self.transport.discard_pending()
     }
 
     /// Sends fences until one is answered, and returns the status of its answer.
-    pub(crate) async fn fence(&mut self) -> Result<Status, ExchangeError> {
-        self.fence.raise(&mut self.transport).await
+    pub(crate) fn fence(&mut self) -> impl Future<Output = Result<Status, ExchangeError>> {
+        self.fence.raise(&mut self.transport)
     }
 
     /// Sends one fence, to be answered within `latency`.
-    pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
-        self.fence.raise_once(&mut self.transport, latency).await
+    pub(crate) fn fence_once(
+        &mut self,
+        latency: Duration,
+    ) -> impl Future<Output = Result<Status, ExchangeError>> {
+        self.fence.raise_once(&mut self.transport, latency)
     }
 
     /// Polls `window`. The reply is decoded into `values`.

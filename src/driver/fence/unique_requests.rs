@@ -81,7 +81,8 @@ impl UniqueRequests {
     }
 
     fn note(&mut self, window: Window) {
-        self.recent.rotate_right(1);
+        let older = self.recent.len() - 1;
+        self.recent.copy_within(..older, 1);
         if let Some(newest) = self.recent.first_mut() {
             *newest = Some(window);
         }
