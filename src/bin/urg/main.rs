@@ -46,6 +46,7 @@ use crate::output::stderr;
 #[derive(Debug, Parser)]
 #[command(
     name = "urg",
+    // Not `urg.exe`.
     bin_name = "urg",
     version,
     arg_required_else_help = true,
