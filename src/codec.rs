@@ -7,10 +7,10 @@
 //! command determines, and only a reply that does not end there is searched. There
 //! is one kind of frame either way, and one parser for it.
 
-#[cfg(feature = "codec")]
-mod framed;
+use std::io;
 
 use bytes::{Buf, BufMut, BytesMut};
+use tokio_util::codec::{Decoder, Encoder};
 
 use crate::protocol::{Command, Window};
 
@@ -47,15 +47,14 @@ impl<B: AsRef<[u8]>> Frame<B> {
     }
 }
 
-/// The framing of SCIP 1.1: a reply ends with two LF (C-42-3320-A p. 3), a command with
-/// one. With the feature `codec` it implements [`Decoder`](tokio_util::codec::Decoder) and
-/// [`Encoder`](tokio_util::codec::Encoder), for [`Framed`](tokio_util::codec::Framed).
+/// The framing of SCIP 1.1, for [`tokio_util::codec::Framed`]: a reply ends
+/// with two LF (C-42-3320-A p. 3), a command with one.
 ///
-/// All input becomes frames: only I/O can make a `Framed` with this codec fail, so it
+/// All input becomes items: only I/O can make this decoder fail, so a `Framed`
 /// never ends because of what a sensor sent. NULs in front of a reply, which a
 /// line that changes its speed or breaks leaves behind, are skipped.
 ///
-/// After a `G` was written, a frame with its echo, status `0` and a terminator
+/// After a `G` was encoded, a frame with its echo, status `0` and a terminator
 /// exactly where its reply must end is not searched for an earlier terminator;
 /// a reply with one inside is malformed, and
 /// [`Reply::parse`](crate::protocol::Reply::parse) rejects it.
@@ -64,7 +63,6 @@ impl<B: AsRef<[u8]>> Frame<B> {
 /// by reading, and holds at most [`MAX_FRAME`] of them and half a terminator.
 ///
 /// ```
-/// # #[cfg(feature = "codec")] {
 /// use bytes::BytesMut;
 /// use tokio_scip::codec::{Frame, ScipCodec};
 /// use tokio_util::codec::Decoder;
@@ -74,7 +72,6 @@ impl<B: AsRef<[u8]>> Frame<B> {
 /// assert_eq!(codec.decode(&mut bytes)?, None);
 /// bytes.extend_from_slice(b"\nL0");
 /// assert_eq!(codec.decode(&mut bytes)?, Some(Frame::Reply("L1\n0".into())));
-/// # }
 /// # Ok::<(), std::io::Error>(())
 /// ```
 #[derive(Debug, Clone, Default)]
@@ -116,22 +113,9 @@ impl ExpectedScan {
 }
 
 impl ScipCodec {
-    /// Appends `command`, as it is sent, to `buffer`. The next frame is expected to be its
-    /// reply.
-    pub fn put_command(&mut self, command: &Command, buffer: &mut BytesMut) {
-        let bytes = command.bytes();
-        buffer.reserve(bytes.len() + 1);
-        buffer.put_slice(&bytes);
-        buffer.put_u8(b'\n');
-        self.expected = match command {
-            Command::Distances(window) => Some(ExpectedScan::new(window)),
-            _ => None,
-        };
-    }
-
     /// Finds the first frame in `buffer` and leaves it there, for a reader that validates a
-    /// reply where it lies: [`decode`](tokio_util::codec::Decoder::decode) is this and a
-    /// buffer for the frame, which costs a fifth as much as decoding a scan.
+    /// reply where it lies: [`decode`](Decoder::decode) is this and a buffer for the frame,
+    /// which costs a fifth as much as decoding a scan.
     ///
     /// A reply has the returned number of bytes, at the front of `buffer`, and the two LFs
     /// of its terminator behind them. The caller removes both. Bytes that are in no reply
@@ -199,6 +183,48 @@ impl ScipCodec {
         let from = self.searched.saturating_sub(1);
         let found = buffer.get(from..).and_then(find_terminator);
         found.map(|at| from + at)
+    }
+}
+
+impl Decoder for ScipCodec {
+    type Item = Frame;
+    type Error = io::Error;
+
+    fn decode(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
+        Ok(self.find(buffer).map(|frame| match frame {
+            Frame::Reply(length) => {
+                let mut reply = buffer.split_to(length + TERMINATOR);
+                reply.truncate(length);
+                Frame::Reply(reply)
+            }
+            Frame::Overlong { bytes } => Frame::Overlong { bytes },
+        }))
+    }
+
+    fn decode_eof(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
+        let frame = self.decode(buffer)?;
+        if frame.is_none() {
+            // The rest of a reply cannot come after the end of the stream.
+            buffer.clear();
+            self.reset();
+        }
+        Ok(frame)
+    }
+}
+
+impl Encoder<&Command> for ScipCodec {
+    type Error = io::Error;
+
+    fn encode(&mut self, command: &Command, buffer: &mut BytesMut) -> io::Result<()> {
+        let bytes = command.bytes();
+        buffer.reserve(bytes.len() + 1);
+        buffer.put_slice(&bytes);
+        buffer.put_u8(b'\n');
+        self.expected = match command {
+            Command::Distances(window) => Some(ExpectedScan::new(window)),
+            _ => None,
+        };
+        Ok(())
     }
 }
 

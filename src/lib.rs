@@ -82,7 +82,6 @@
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
 //! | `serde` | scans, windows, versions, states and counters as data |
-//! | `codec` | the framing with tokio-util's `Framed`, for programs without the driver |
 //! | `emulator` | a sensor in software, to test a service without hardware |
 //! | `ros` | scans and diagnostics as ROS 2 messages (CDR) |
 //! | `mcap` | recordings that ROS 2's tools open, and their replay |

@@ -21,6 +21,7 @@ use std::time::Duration;
 use bytes::{Buf, BufMut, BytesMut};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
+use tokio_util::codec::Encoder;
 
 use self::deadline::DeadlineTimer;
 use self::line::{Line, SCRATCH_BYTES, flood};
@@ -292,7 +293,8 @@ impl Transport {
     async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, ExchangeError> {
         self.output.clear();
         self.output.put_slice(self.leading_line_feed());
-        self.codec.put_command(command, &mut self.output);
+        // Cannot fail: there is always room.
+        let _ = self.codec.encode(command, &mut self.output);
         self.line.begin_command();
         self.pauses.begin_reply();
         // Stays set if this future is dropped half way.
