@@ -122,6 +122,9 @@ impl Recording {
     /// 16 MiB of memory, has their places, and a checksum that proves it. Any other file
     /// is read from its beginning.
     ///
+    /// An [`Entry::Scan`] that its consumer recorded late stands behind later replies, and
+    /// may be missing at the end of a part. [`scans`](Self::scans) has it, from its reply.
+    ///
     /// ```no_run
     /// use std::time::Duration;
     /// use tokio_scip::recording::Recording;

@@ -68,6 +68,13 @@ fn a_chunk_behind_a_long_damaged_part_is_found_wherever_it_begins() {
         let file = [MAGIC, &vec![0; length], &chunk, &chunk, &end()].concat();
         assert_eq!(read(&file), (vec![8], 2, false), "{length} bytes");
     }
+    // Behind the first damaged byte there is exactly what is read at once.
+    for before in 0..80 {
+        let damaged = vec![0; READ_BYTES + 1 - before];
+        let file = [MAGIC, &filler(8, 1), &damaged, &chunk, &chunk, &end()].concat();
+        let place = READ_BYTES as u64 - 1;
+        assert_eq!(read(&file), (vec![place], 2, false), "{before} bytes before");
+    }
 }
 
 #[test]
