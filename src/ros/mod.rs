@@ -176,6 +176,14 @@ mod tests {
     }
 
     #[test]
+    fn a_type_has_the_names_and_the_hash_that_ros_2_knows_it_by() {
+        let scan = MessageType::LASER_SCAN;
+        assert_eq!(scan.name(), "sensor_msgs/msg/LaserScan");
+        assert_eq!(scan.dds_name(), "sensor_msgs::msg::dds_::LaserScan_");
+        assert_eq!(scan.hash(), hash(&scan));
+    }
+
+    #[test]
     fn each_type_has_the_hash_of_its_definition() {
         for message in [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY] {
             assert_eq!(hash(&message), message.hash, "{}", message.name);

@@ -130,10 +130,11 @@ impl Sections {
         if !self.is_started {
             self.is_started = true;
             let magic = self.peek(MAGIC.len())?;
-            if !MAGIC.starts_with(magic.get(..MAGIC.len()).unwrap_or(magic)) {
+            let magic = magic.get(..MAGIC.len()).unwrap_or(magic);
+            if !MAGIC.starts_with(magic) {
                 return Err(FileError::NotMcap);
             }
-            self.used = MAGIC.len();
+            self.used = magic.len();
         }
         loop {
             self.drop_used();
@@ -352,7 +353,7 @@ impl Sections {
     }
 
     fn drop_used(&mut self) {
-        let used = std::mem::take(&mut self.used).min(self.window.len() - self.start);
+        let used = std::mem::take(&mut self.used);
         self.start += used;
         self.offset += used as u64;
     }
