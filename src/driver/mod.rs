@@ -128,11 +128,8 @@ impl Client {
 /// Returns a driver that does not run yet, and the first handle to it.
 pub(crate) fn new(connect: Box<dyn AnyConnect>, config: Config) -> (Client, Driver) {
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
-    let span = match &name {
-        // Enabled wherever anything is: a warning without a name is of little use.
-        Some(name) => tracing::error_span!("sensor", %name),
-        None => tracing::error_span!("sensor"),
-    };
+    // Enabled wherever anything is: a warning without a name is of little use.
+    let span = tracing::error_span!("sensor", name = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
     let telemetry = Arc::new(Telemetry::new(name.clone()));
     let (request_timeout, ring_depth) = (config.open_timeout, config.ring_depth);
