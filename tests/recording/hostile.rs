@@ -119,6 +119,16 @@ fn a_wrong_length_of_metadata_costs_the_metadata_and_no_chunk() {
 }
 
 #[test]
+fn malformed_metadata_of_the_right_length_does_not_hide_the_chunk_that_begins_in_it() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    // Of a map of 40 bytes the last 31 are missing, and what is there is no pair.
+    let metadata = [&text("tokio_scip")[..], &claims(40), &[0xff; 9]].concat();
+    let metadata = record(0x0c, metadata.len() as u64 + 31, &metadata);
+    let file = [MAGIC, &metadata, &chunk, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
+}
+
+#[test]
 fn a_damaged_last_record_does_not_hide_the_end_of_the_file() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let mut damaged = chunk.clone();

@@ -192,6 +192,10 @@ impl Sections {
                     return self.resynchronise("a record is shorter than its fields");
                 }
                 _ if found.len() < end => return Ok(self.end_early()),
+                // The length of a malformed record may reach into the next chunk.
+                _ if !is_well_formed(kind, content) => {
+                    return self.resynchronise("a record is not of its form");
+                }
                 _ => {}
             }
             self.used = end;
