@@ -178,6 +178,7 @@ mod tests {
         assert_eq!(next(&mut pauses, MIN_BYTES - 1), None);
         assert!(next(&mut pauses, MIN_BYTES).is_some());
     }
+
     #[tokio::test(start_paused = true)]
     async fn scans_that_take_exactly_the_shortest_time_make_no_pause_shorter() {
         let mut pauses = measured().await;
