@@ -30,20 +30,19 @@ const NOT_ALLOWED: i32 = 77;
 
 /// Makes the file systems, in a folder, and runs a program: FOLDER PROGRAM ARGUMENTS.
 const MAKE: &str = r#"
-set -e
 dev=$1
 shift
 {
-    mount -t tmpfs none /sys/class
-    mount -t tmpfs none "$dev"
-    mkdir "$dev/pts"
-    mount -t devpts -o newinstance,ptmxmode=0666 none "$dev/pts"
-    ln -s pts/ptmx "$dev/ptmx"
-    touch "$dev/null"
-    mount --bind /dev/null "$dev/null"
-    mount --rbind "$dev" /dev
+    mount -t tmpfs none /sys/class &&
+        mount -t tmpfs none "$dev" &&
+        mkdir "$dev/pts" &&
+        mount -t devpts -o newinstance,ptmxmode=0666 none "$dev/pts" &&
+        ln -s pts/ptmx "$dev/ptmx" &&
+        touch "$dev/null" &&
+        mount --bind /dev/null "$dev/null" &&
+        mount --rbind "$dev" /dev &&
+        mkdir /sys/class/tty
 } || exit 77
-mkdir /sys/class/tty
 exec "$@"
 "#;
 
