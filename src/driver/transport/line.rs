@@ -236,68 +236,17 @@ impl AsyncWrite for Line {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::VecDeque;
     use std::io::ErrorKind;
 
+    use super::super::scripted_port::ScriptedPort;
     use super::*;
 
-    /// A port from which these reads come, one after the other.
-    struct Script {
-        reads: VecDeque<Result<usize, ErrorKind>>,
-        /// True if the port can be read without waiting.
-        has_try_read: bool,
-    }
-
-    impl Script {
-        fn next(&mut self) -> io::Result<usize> {
-            let next = self.reads.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
-            next.map_err(io::Error::from)
-        }
-    }
-
-    impl Port for Script {
-        fn try_read(&mut self, _: &mut [u8]) -> Option<io::Result<usize>> {
-            self.has_try_read.then(|| self.next())
-        }
-    }
-
-    impl AsyncRead for Script {
-        fn poll_read(
-            mut self: Pin<&mut Self>,
-            _: &mut Context<'_>,
-            buffer: &mut ReadBuf<'_>,
-        ) -> Poll<io::Result<()>> {
-            assert!(!self.has_try_read, "the port is read without waiting");
-            match self.next() {
-                Err(error) if error.kind() == ErrorKind::WouldBlock => Poll::Pending,
-                read => Poll::Ready(read.map(|read| buffer.advance(read))),
-            }
-        }
-    }
-
-    impl AsyncWrite for Script {
-        fn poll_write(
-            self: Pin<&mut Self>,
-            _: &mut Context<'_>,
-            _: &[u8],
-        ) -> Poll<io::Result<usize>> {
-            unreachable!("nothing is written")
-        }
-
-        fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-            unreachable!("nothing is written")
-        }
-
-        fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-            unreachable!("nothing is written")
-        }
-    }
-
-    /// Returns two lines with these reads: one whose port can be read without waiting, and
-    /// one whose port cannot.
+    /// Returns two lines with reads of these lengths: one whose port can be read without
+    /// waiting, and one whose port cannot.
     fn lines(reads: &[Result<usize, ErrorKind>]) -> [Line; 2] {
         [true, false].map(|has_try_read| {
-            Line::new(Box::new(Script { reads: reads.iter().copied().collect(), has_try_read }))
+            let reads = reads.iter().map(|read| read.map(|length| vec![0; length])).collect();
+            Line::new(Box::new(ScriptedPort { reads, has_try_read, ..ScriptedPort::default() }))
         })
     }
 

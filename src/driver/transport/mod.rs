@@ -9,6 +9,8 @@ mod deadline;
 mod line;
 mod pause;
 #[cfg(test)]
+mod scripted_port;
+#[cfg(test)]
 mod tests;
 
 use std::future::{Future, pending, poll_fn};

@@ -1,62 +1,23 @@
 //! Tests of a transport on a line in memory, to the byte and to the nanosecond: the time
 //! limit of a command, and the replies that disprove a baud rate.
 
-use std::pin::Pin;
-use std::task::Context;
 use std::time::SystemTime;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::advance;
 
+use super::scripted_port::ScriptedPort;
 use super::*;
 use crate::Window;
 
 const LATENCY: Duration = Duration::from_millis(100);
 const NANOSECOND: Duration = Duration::from_nanos(1);
 
-/// A line at 19,200 baud that accepts any command, and delivers these bytes in one piece.
-struct Rs232(&'static [u8]);
-
-impl Port for Rs232 {
-    fn baud_rate(&self) -> Option<BaudRate> {
-        Some(BaudRate::B19200)
-    }
-}
-
-impl AsyncRead for Rs232 {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
-        if self.0.is_empty() {
-            return Poll::Pending;
-        }
-        buffer.put_slice(std::mem::take(&mut self.0));
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl AsyncWrite for Rs232 {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
-        Poll::Ready(Ok(bytes.len()))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        unreachable!("the driver never flushes")
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        unreachable!("the driver never shuts down")
-    }
-}
-
-fn transport(input: &'static [u8]) -> Transport {
-    Transport::new(Box::new(Rs232(input)), None, Arc::new(Telemetry::new(None)))
+/// Returns a transport at 19,200 baud, to which these bytes come in one piece.
+fn transport(input: &[u8]) -> Transport {
+    let reads = (!input.is_empty()).then(|| Ok(input.to_vec())).into_iter().collect();
+    let baud_rate = Some(BaudRate::B19200);
+    let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
+    Transport::new(Box::new(port), None, Arc::new(Telemetry::new(None)))
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,0 +1,71 @@
+//! [`ScriptedPort`]: a port in memory for tests, with a list of the reads that come from it.
+
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind};
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+
+use crate::BaudRate;
+use crate::port::Port;
+
+/// A port from which these reads come, one after the other, and then none. It accepts
+/// whatever is written.
+#[derive(Debug, Default)]
+pub(super) struct ScriptedPort {
+    pub(super) reads: VecDeque<Result<Vec<u8>, ErrorKind>>,
+    pub(super) baud_rate: Option<BaudRate>,
+    /// True if it is read without waiting, and in no other way.
+    pub(super) has_try_read: bool,
+}
+
+impl ScriptedPort {
+    fn next(&mut self, buffer: &mut ReadBuf<'_>) -> io::Result<()> {
+        let next = self.reads.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
+        next.map(|bytes| buffer.put_slice(&bytes)).map_err(io::Error::from)
+    }
+}
+
+impl Port for ScriptedPort {
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.baud_rate
+    }
+
+    fn try_read(&mut self, bytes: &mut [u8]) -> Option<io::Result<usize>> {
+        let mut buffer = ReadBuf::new(bytes);
+        self.has_try_read.then(|| self.next(&mut buffer).map(|()| buffer.filled().len()))
+    }
+}
+
+impl AsyncRead for ScriptedPort {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        assert!(!self.has_try_read, "the port is read without waiting");
+        match self.next(buffer) {
+            Err(error) if error.kind() == ErrorKind::WouldBlock => Poll::Pending,
+            outcome => Poll::Ready(outcome),
+        }
+    }
+}
+
+impl AsyncWrite for ScriptedPort {
+    fn poll_write(
+        self: Pin<&mut Self>,
+        _: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        Poll::Ready(Ok(bytes.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        unreachable!("the driver never flushes")
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        unreachable!("the driver never shuts down")
+    }
+}
