@@ -18,7 +18,7 @@ fn cause() -> Error {
     Error::Loopback { sensor: None }
 }
 
-/// What a writer does.
+/// An operation of a writer.
 #[derive(Debug, Clone, Copy)]
 enum Write {
     Push(u64),
@@ -67,20 +67,20 @@ impl Writer {
     }
 }
 
-/// What a reader does besides reading to the end.
+/// A change in the life of a reader, which otherwise reads to the end.
 #[derive(Debug, Clone, Copy)]
-enum Turn {
-    /// Nothing more.
-    Stay,
-    /// Goes on with a clone of itself, once it has read so many items.
+enum Change {
+    /// None, or none any more.
+    None,
+    /// It goes on with a clone of itself, once it has read so many items.
     Clone(usize),
-    /// Begins anew with what comes from then on, once it has read so many items.
+    /// It subscribes anew and reads from there, once it has read so many items.
     Renew(usize),
-    /// Leaves, once it has read so many items.
+    /// It is dropped, once it has read so many items.
     Leave(usize),
-    /// Goes to another task after its first poll.
+    /// It moves to another task after its first poll.
     Move,
-    /// Is on its way there: nothing needs to wake it.
+    /// It is on its way there: the other task polls it without a wake-up.
     Moving,
 }
 
@@ -99,22 +99,22 @@ struct Reader {
     cursor: Option<Cursor>,
     /// The one that was cloned, and is dropped next.
     original: Option<Cursor>,
-    turn: Turn,
-    /// Whether it may leave before the end, or begin after the end.
+    change: Change,
+    /// True if it may be dropped before the end, or subscribe after the end.
     may_miss_cause: bool,
-    /// Whether its task runs, or was woken.
+    /// True if its task runs, or was woken.
     woken: Arc<Woken>,
     scans: Vec<u64>,
     errors: Vec<String>,
 }
 
 impl Reader {
-    fn new(cursor: Cursor, turn: Turn) -> Self {
+    fn new(cursor: Cursor, change: Change) -> Self {
         Self {
             cursor: Some(cursor),
             original: None,
-            turn,
-            may_miss_cause: matches!(turn, Turn::Leave(_) | Turn::Renew(_)),
+            change,
+            may_miss_cause: matches!(change, Change::Leave(_) | Change::Renew(_)),
             woken: Arc::new(Woken(AtomicBool::new(true))),
             scans: Vec::new(),
             errors: Vec::new(),
@@ -127,17 +127,17 @@ impl Reader {
 
     fn step(&mut self) {
         let items = self.scans.len() + self.errors.len();
-        match self.turn {
+        match self.change {
             _ if self.original.is_some() => self.original = None,
-            Turn::Leave(after) if after == items => self.cursor = None,
-            Turn::Clone(after) if after == items => self.go_on_with(Cursor::clone),
-            Turn::Renew(after) if after == items => self.go_on_with(Cursor::resubscribe),
-            Turn::Moving => {
-                self.turn = Turn::Stay;
+            Change::Leave(after) if after == items => self.cursor = None,
+            Change::Clone(after) if after == items => self.go_on_with(Cursor::clone),
+            Change::Renew(after) if after == items => self.go_on_with(Cursor::resubscribe),
+            Change::Moving => {
+                self.change = Change::None;
                 self.woken = Arc::new(Woken(AtomicBool::new(true)));
             }
-            Turn::Move => {
-                self.turn = Turn::Moving;
+            Change::Move => {
+                self.change = Change::Moving;
                 self.poll();
             }
             _ => self.poll(),
@@ -145,14 +145,14 @@ impl Reader {
     }
 
     fn go_on_with(&mut self, another: impl FnOnce(&Cursor) -> Cursor) {
-        self.turn = Turn::Stay;
+        self.change = Change::None;
         let next = self.cursor.as_ref().map(another);
         self.original = std::mem::replace(&mut self.cursor, next);
     }
 
     fn is_ready(&self) -> bool {
         let is_woken = self.woken.0.load(Ordering::Relaxed);
-        self.cursor.is_some() && (is_woken || matches!(self.turn, Turn::Moving))
+        self.cursor.is_some() && (is_woken || matches!(self.change, Change::Moving))
     }
 
     fn poll(&mut self) {
@@ -177,10 +177,14 @@ struct Model {
 }
 
 impl Model {
-    fn after(steps: &[usize], writes: [&'static [Write]; 2], turns: [(usize, Turn); 3]) -> Self {
+    fn after(
+        steps: &[usize],
+        writes: [&'static [Write]; 2],
+        changes: [(usize, Change); 3],
+    ) -> Self {
         let ring = Ring::new();
         let writers = writes.map(|writes| Writer { writes, entry: None, waker: None });
-        let readers = turns.map(|(depth, turn)| Reader::new(ring.subscribe(depth), turn));
+        let readers = changes.map(|(depth, change)| Reader::new(ring.subscribe(depth), change));
         let mut model = Self { ring, writers, readers };
         steps.iter().for_each(|step| model.step(*step));
         model
@@ -228,7 +232,7 @@ impl Model {
             let places = [&reader.cursor, &reader.original]
                 .map(|cursor| cursor.as_ref().map(|cursor| cursor.place));
             let is_woken = reader.woken.0.load(Ordering::Relaxed);
-            (places, reader.turn, is_woken, &reader.scans, &reader.errors)
+            (places, reader.change, is_woken, &reader.scans, &reader.errors)
         });
         format!("{shared:?}{writers:?}{readers:?}")
     }
@@ -259,9 +263,9 @@ impl Explorer {
         &mut self,
         steps: &mut Vec<usize>,
         writes: [&'static [Write]; 2],
-        turns: [(usize, Turn); 3],
+        changes: [(usize, Change); 3],
     ) -> u128 {
-        let model = Model::after(steps, writes, turns);
+        let model = Model::after(steps, writes, changes);
         let state = model.state();
         if let Some(orders) = self.orders.get(&state) {
             return *orders;
@@ -273,7 +277,7 @@ impl Explorer {
         let mut orders = u128::from(ready.is_empty());
         for number in ready {
             steps.push(number);
-            orders += self.explore(steps, writes, turns);
+            orders += self.explore(steps, writes, changes);
             steps.pop();
         }
         self.orders.insert(state, orders);
@@ -282,12 +286,12 @@ impl Explorer {
 }
 
 /// Explores the last writes of each writer: one, or as many as `SCIP_RING_WRITES` is.
-fn explore(writes: [&'static [Write]; 2], turns: [(usize, Turn); 3]) {
+fn explore(writes: [&'static [Write]; 2], changes: [(usize, Change); 3]) {
     let setting = std::env::var("SCIP_RING_WRITES").ok();
     let count: usize = setting.and_then(|text| text.parse().ok()).unwrap_or(1);
     let writes = writes.map(|writes| writes.split_at(writes.len() - count).1);
     let mut explorer = Explorer::default();
-    let orders = explorer.explore(&mut Vec::new(), writes, turns);
+    let orders = explorer.explore(&mut Vec::new(), writes, changes);
     println!("{orders} orders, {} states", explorer.orders.len());
 }
 
@@ -295,7 +299,7 @@ fn explore(writes: [&'static [Write]; 2], turns: [(usize, Turn); 3]) {
 fn three_readers_come_to_the_end_of_two_writers_in_every_order() {
     explore(
         [&[Write::Push(0), Write::Push(1)], &[Write::Report, Write::End]],
-        [(1, Turn::Stay), (2, Turn::Stay), (1, Turn::Move)],
+        [(1, Change::None), (2, Change::None), (1, Change::Move)],
     );
 }
 
@@ -303,6 +307,6 @@ fn three_readers_come_to_the_end_of_two_writers_in_every_order() {
 fn readers_that_clone_themselves_or_leave_keep_none_of_the_others_waiting_in_every_order() {
     explore(
         [&[Write::Push(0), Write::Push(1)], &[Write::Report, Write::End]],
-        [(1, Turn::Renew(0)), (2, Turn::Clone(0)), (1, Turn::Leave(1))],
+        [(1, Change::Renew(0)), (2, Change::Clone(0)), (1, Change::Leave(1))],
     );
 }
