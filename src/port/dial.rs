@@ -93,12 +93,9 @@ fn all_failed(mut failures: Vec<(SocketAddr, io::Error)>) -> io::Error {
     {
         return only;
     }
-    let mut list = String::new();
-    for (address, error) in failures {
-        let separator = if list.is_empty() { "" } else { "; " };
-        list += &format!("{separator}{address}: {error}");
-    }
-    io::Error::new(kind, list)
+    let list: Vec<_> =
+        failures.iter().map(|(address, error)| format!("{address}: {error}")).collect();
+    io::Error::new(kind, list.join("; "))
 }
 
 #[cfg(test)]

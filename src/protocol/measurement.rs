@@ -156,17 +156,13 @@ pub(super) const fn is_character(byte: u8) -> bool {
 ///
 /// The code has no branch that depends on a value, so that the compiler can use
 /// vector instructions.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Decoder {
     /// The decoded pairs of each column, combined by OR.
     seen: [u16; 32],
 }
 
 impl Decoder {
-    pub(super) fn new() -> Self {
-        Self { seen: [0; 32] }
-    }
-
     /// Decodes a full line.
     pub(super) fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
         // A local copy stays in registers.

@@ -183,7 +183,7 @@ fn decode(data: &[u8], values: &mut [u16]) -> bool {
     let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
         return false;
     };
-    let (mut decoder, mut ends) = (measurement::Decoder::new(), 0);
+    let (mut decoder, mut ends) = (measurement::Decoder::default(), 0);
     for ([line @ .., end], values) in lines.iter().zip(whole.as_chunks_mut().0) {
         decoder.line(line, values);
         ends |= end ^ b'\n';

@@ -81,8 +81,7 @@ impl UniqueRequests {
     }
 
     fn note(&mut self, window: Window) {
-        let older = self.recent.len() - 1;
-        self.recent.copy_within(..older, 1);
+        self.recent.rotate_right(1);
         if let Some(newest) = self.recent.first_mut() {
             *newest = Some(window);
         }
