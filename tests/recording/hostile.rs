@@ -5,8 +5,8 @@ use std::io::Cursor;
 use tokio_scip::recording::{Recording, RecordingError, repair};
 
 use super::raw::{
-    MAGIC, channel, channel_content, chunk, chunk_of, claims, damaged_at, end, event, of_kind,
-    read, record, text,
+    MAGIC, channel, channel_content, chunk, chunk_of, claims, damaged_at, end, event, metadata,
+    of_kind, read, record, text,
 };
 
 #[test]
@@ -83,7 +83,10 @@ fn a_malformed_record_in_a_chunk_is_reported_by_the_reader_and_left_out_by_a_rep
         ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
         ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
         ("bytes behind a map", of_kind(0x0c, &[&text("a")[..], &[0; 4], b"more"].concat())),
-        ("bytes behind a channel", of_kind(0x04, &[&channel_content()[..], b"more"].concat())),
+        (
+            "bytes behind a channel",
+            of_kind(0x04, &[&channel_content(0, "/scip/events")[..], b"more"].concat()),
+        ),
         ("a short schema", of_kind(0x03, &[0; 4])),
         ("a short message", of_kind(0x05, &[0; 21])),
     ] {
@@ -149,9 +152,7 @@ fn a_file_that_lacks_one_byte_of_its_end_is_truncated() {
 
 #[test]
 fn metadata_is_read_from_a_file_that_ends_right_behind_it() {
-    let pair = [text("rate"), text("10 Hz")].concat();
-    let content = [&text("tokio_scip")[..], &(pair.len() as u32).to_le_bytes(), &pair].concat();
-    let file = [MAGIC, &of_kind(0x0c, &content)].concat();
+    let file = [MAGIC, &metadata()].concat();
     let recording = Recording::read(Cursor::new(file)).unwrap();
     assert_eq!(recording.metadata()["rate"], "10 Hz");
 }

@@ -6,7 +6,7 @@ use allocation_counter::measure;
 use tokio_scip::Rate;
 use tokio_scip::recording::{Recording, RecordingError};
 
-use super::raw::{MAGIC, channel, chunk_of, event, of_kind, text};
+use super::raw::{MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, text};
 
 /// A file that consists of a beginning, and of one part many times.
 struct Endless {
@@ -46,7 +46,7 @@ fn other_message(length: usize) -> Vec<u8> {
 
 /// Makes the record of a channel of another topic.
 fn other_channel() -> Vec<u8> {
-    of_kind(0x04, &[&[1, 0, 0, 0][..], &text("/camera"), &text("cdr"), &[0; 4]].concat())
+    of_kind(0x04, &channel_content(1, "/camera"))
 }
 
 #[test]
@@ -67,10 +67,10 @@ fn reply(length: usize) -> Vec<u8> {
 }
 
 fn reply_channel() -> Vec<u8> {
-    of_kind(0x04, &[&[0; 4][..], &text("/scip/replies"), &text("cdr"), &[0; 4]].concat())
+    of_kind(0x04, &channel_content(0, "/scip/replies"))
 }
 
-/// What is read in search of metadata is kept, so that search has an end.
+/// Everything that is read in the search for metadata is kept, so the search has a limit.
 #[test]
 fn long_messages_without_metadata_do_not_fill_the_memory() {
     let part = chunk_of(&[reply_channel(), reply(1_500_000)].concat());
@@ -80,12 +80,6 @@ fn long_messages_without_metadata_do_not_fill_the_memory() {
         assert_eq!(recording.map(Result::unwrap).count(), 20);
     });
     assert!(counted.bytes_max < 9_000_000, "{} bytes in memory", counted.bytes_max);
-}
-
-fn metadata() -> Vec<u8> {
-    let pair = [text("rate"), text("10 Hz")].concat();
-    let content = [&text("tokio_scip")[..], &(pair.len() as u32).to_le_bytes(), &pair].concat();
-    of_kind(0x0c, &content)
 }
 
 #[test]

@@ -40,12 +40,19 @@ pub(super) fn chunk_of(records: &[u8]) -> Vec<u8> {
 
 /// Makes the record of channel 0, which has events.
 pub(super) fn channel() -> Vec<u8> {
-    of_kind(0x04, &channel_content())
+    of_kind(0x04, &channel_content(0, "/scip/events"))
 }
 
-/// Makes the content of the record of channel 0.
-pub(super) fn channel_content() -> Vec<u8> {
-    [&[0; 4][..], &text("/scip/events"), &text("cdr"), &[0; 4]].concat()
+/// Makes the content of the record of a channel.
+pub(super) fn channel_content(number: u8, topic: &str) -> Vec<u8> {
+    [&[number, 0, 0, 0][..], &text(topic), &text("cdr"), &[0; 4]].concat()
+}
+
+/// Makes the metadata of a recording at 10 Hz.
+pub(super) fn metadata() -> Vec<u8> {
+    let pair = [text("rate"), text("10 Hz")].concat();
+    let content = [&text("tokio_scip")[..], &claims(pair.len() as u32), &pair].concat();
+    of_kind(0x0c, &content)
 }
 
 /// Makes an event on a channel.
