@@ -1,5 +1,5 @@
-//! What it costs that pending input is dropped before each command: one read of the port,
-//! on the paused clock with a sensor in memory.
+//! The cost of dropping pending input before each command: one read of the port, counted on
+//! the paused clock with a sensor in memory.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};

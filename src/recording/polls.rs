@@ -59,7 +59,7 @@ impl Polls {
         self.recording.is_truncated()
     }
 
-    /// Checks if `asked` is the stream's window, or that widened by the driver.
+    /// Returns true if `asked` is the stream's window, or that widened by the driver.
     pub(super) fn is_of_stream(&self, asked: Window) -> bool {
         self.window.is_some_and(|window| is_widened(window, asked))
     }
@@ -97,7 +97,7 @@ impl Polls {
     }
 }
 
-/// Checks if the driver may ask for `asked` in order to get `window`.
+/// Returns true if the driver may request `asked` in order to get `window`.
 fn is_widened(window: Window, asked: Window) -> bool {
     let widened = |extra| window.widened(extra);
     (0..=Window::MAX_EXTRA_POINTS).filter_map(widened).any(|(widened, _)| widened == asked)

@@ -242,6 +242,7 @@ mod tests {
         // A scan that was received before the recorder was made.
         assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
     }
+
     /// A file waits for a scan behind which it can end, and gets further chunks meanwhile.
     #[test]
     fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
