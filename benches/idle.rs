@@ -38,8 +38,7 @@ async fn watch(endpoint: Endpoint, mode: &str, span: Duration) {
     let mut states = sensor.state();
     let mut was_lost = false;
     while let Ok(changed) = timeout(span.saturating_sub(start.elapsed()), states.changed()).await {
-        changed.unwrap();
-        let state = states.borrow_and_update().clone();
+        let state = changed.unwrap();
         println!("{:6.1} s: {state:?}", start.elapsed().as_secs_f64());
         let is_connected = matches!(state, State::Connected { .. });
         if was_lost && is_connected {

@@ -4,7 +4,7 @@
 # is noticed. The server is `urg emulate` in a network namespace; it disappears when all
 # that it sends is dropped there (a blackhole route), and comes back after 60 s.
 #
-#   cargo build --release --features web && bash benches/idle.sh target/release/urg
+#   cargo build --release -p urg && bash benches/idle.sh target/release/urg
 #
 # Needs root and iproute2 (Linux). SECONDS_IDLE=60 shortens the first part.
 set -euo pipefail

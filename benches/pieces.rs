@@ -22,7 +22,7 @@ use support::{cpu_time, median, percentile, terminal, us, wake_ups};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::runtime::Builder;
 use tokio::time::{sleep_until, timeout};
-use tokio_scip::port::{Connect, Port, SerialPort};
+use tokio_scip::port::{Connect, Port, PortHints, SerialPort};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
 use tokio_serial::SerialStream;
 
@@ -298,8 +298,14 @@ impl Port for Unpaused {
         self.port().set_baud_rate(baud_rate)
     }
 
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for Unpaused {
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
-        self.port().try_read(buffer)
+        self.port().hints()?.try_read(buffer)
     }
 }
 

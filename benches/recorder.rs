@@ -35,7 +35,7 @@ async fn record(path: &Path, seconds: u64) {
     let began = Instant::now();
     let mut recorder = Recorder::create(path).unwrap();
     let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce);
-    let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
     let sensor = builder.connect(emulator.log_capacity(0).build()).await.unwrap();
     let mut scans = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();

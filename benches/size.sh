@@ -75,13 +75,15 @@ for name in bare service; do
 done
 
 echo "features     crates    build     CPU"
-for features in serial serial,serde serial,emulator serial,mcap cli cli,mcap web web,mcap ros2 zenoh all; do
+for features in serial serial,serde serial,emulator serial,mcap urg urg,ros2 urg,zenoh; do
     cd "$crate"
-    with=(--no-default-features --features "$features")
-    if [ "$features" = all ]; then with=(--all-features); fi
+    case $features in
+    urg*) with=(-p urg --features "${features#urg}") ;;
+    *) with=(-p tokio-scip --no-default-features --features "$features") ;;
+    esac
     export CARGO_TARGET_DIR="$work/features"
     crates=$(cargo tree "${with[@]}" --edges normal --prefix none --no-dedupe | sort -u | wc -l)
-    read -r seconds cpu < <({ time cargo build --quiet --release --locked --offline --lib --bins "${with[@]}"; } 2>&1)
+    read -r seconds cpu < <({ time cargo build --quiet --release --locked --offline "${with[@]}"; } 2>&1)
     rm -rf "$CARGO_TARGET_DIR"
     printf '%-15s %3d %7.0f s %6.0f s\n' "$features" $((crates - 1)) "$seconds" "$cpu"
 done

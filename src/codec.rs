@@ -1,11 +1,10 @@
-//! [`ScipCodec`]: finds where replies end, and writes commands. Which reply is a
-//! good one is decided by [`protocol`](crate::protocol).
+//! [`ScipCodec`]: finds where replies end, and writes commands.
+//! [`protocol`](crate::protocol) validates the replies.
 //!
-//! A search for the two LFs of a full scan costs half as much again as decoding it
-//! (887 instructions, and 1,609 for all else; `.ci/callgrind`). So the codec
-//! remembers the last command: a reply of success to a `G` ends at a place that the
-//! command determines, and only a reply that does not end there is searched. There
-//! is one kind of frame either way, and one parser for it.
+//! Searching a full scan for its two LFs takes 887 instructions, and everything else about it
+//! 1,609 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
+//! successful reply to a `G` ends. Only a reply that does not end there is
+//! searched. Both ways yield the same kind of frame, for the same parser.
 
 use std::io;
 
@@ -14,53 +13,50 @@ use tokio_util::codec::{Decoder, Encoder};
 
 use crate::protocol::{Command, Window};
 
-/// The longest reply in bytes, its terminator not counted; the longest that a
-/// sensor sends has 1,574.
+/// Longest reply in bytes, without its terminator. A sensor's longest reply has 1,574.
+#[doc(hidden)] // For tests.
 pub const MAX_FRAME: usize = 4096;
-/// The length of a terminator, two LFs.
+/// Length of a terminator, two LFs.
 pub(crate) const TERMINATOR: usize = 2;
 
-/// The bytes between two terminators: in a buffer of their own, as a slice (`&[u8]`), or
-/// only their number (`usize`).
+/// Bytes between two terminators: in a buffer of their own, as a slice (`&[u8]`), or only
+/// their number (`usize`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Frame<B = BytesMut> {
-    /// A reply without its terminator. It may be anything:
+    /// Reply without its terminator. It may hold anything:
     /// [`Reply::parse`](crate::protocol::Reply::parse) validates it.
     Reply(B),
-    /// More than [`MAX_FRAME`] bytes without a terminator, dropped up to and
-    /// with the next one.
+    /// More than [`MAX_FRAME`] bytes without a terminator, dropped up to and including the
+    /// next terminator.
     Overlong {
-        /// The number of bytes dropped, the terminator not counted.
+        /// Number of bytes dropped, without the terminator.
         bytes: usize,
     },
 }
 
-impl<B: AsRef<[u8]>> Frame<B> {
-    /// Returns how many bytes the frame had on the wire, its terminator included.
+impl Frame<usize> {
+    /// Number of bytes on the wire, terminator included.
     pub(crate) fn wire_len(&self) -> u64 {
-        let length = match self {
-            Self::Reply(reply) => reply.as_ref().len(),
-            Self::Overlong { bytes } => *bytes,
-        };
-        (length + TERMINATOR) as u64
+        let (Self::Reply(bytes) | Self::Overlong { bytes }) = self;
+        (bytes + TERMINATOR) as u64
     }
 }
 
-/// The framing of SCIP 1.1, for [`tokio_util::codec::Framed`]: a reply ends
-/// with two LF (C-42-3320-A p. 3), a command with one.
+/// SCIP 1.1 framing for [`tokio_util::codec::Framed`]: a reply ends with two LFs
+/// (C-42-3320-A p. 3), a command with one.
 ///
-/// All input becomes items: only I/O can make this decoder fail, so a `Framed`
-/// never ends because of what a sensor sent. NULs in front of a reply, which a
-/// line that changes its speed or breaks leaves behind, are skipped.
+/// Turns all input into items. Only I/O can fail, so your `Framed` never ends because of
+/// what a sensor sent. The decoder skips NULs in front of a reply: a serial line leaves
+/// them behind when it changes its speed or breaks.
 ///
-/// After a `G` was encoded, a frame with its echo, status `0` and a terminator
-/// exactly where its reply must end is not searched for an earlier terminator;
-/// a reply with one inside is malformed, and
-/// [`Reply::parse`](crate::protocol::Reply::parse) rejects it.
+/// After you encode a `G`, the decoder looks for the echo, status `0` and a terminator
+/// exactly where the reply must end. It does not search such a frame for an earlier
+/// terminator: [`Reply::parse`](crate::protocol::Reply::parse) rejects a reply with one
+/// inside.
 ///
-/// Looks at each byte a constant number of times, however the bytes are cut up
-/// by reading, and holds at most [`MAX_FRAME`] of them and half a terminator.
+/// Reads can cut the bytes up in any way: the decoder looks at each byte a constant number
+/// of times. It holds at most [`MAX_FRAME`] bytes and half a terminator.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -76,20 +72,20 @@ impl<B: AsRef<[u8]>> Frame<B> {
 /// ```
 #[derive(Debug, Clone, Default)]
 pub struct ScipCodec {
-    /// The number of bytes at the front of the buffer that hold no terminator.
+    /// Number of bytes at the front of the buffer that are known to hold no terminator.
     searched: usize,
-    /// The number of bytes of an over-long frame that were dropped already.
+    /// Number of bytes of an over-long frame dropped so far.
     skipped: Option<usize>,
-    /// The reply of success to the last command, if that was a `G`.
+    /// Expected successful reply, if the last command was a `G`.
     expected: Option<ExpectedScan>,
 }
 
-/// The beginning and the length of a reply of success to a `G`.
+/// Beginning and length of a successful reply to a `G`.
 #[derive(Debug, Clone, Copy)]
 struct ExpectedScan {
-    /// The echo and the status.
+    /// Echo and status.
     head: [u8; ExpectedScan::HEAD],
-    /// The length with the terminator.
+    /// Length including the terminator.
     length: usize,
 }
 
@@ -104,8 +100,8 @@ impl ExpectedScan {
         Self { head, length: window.reply_len() }
     }
 
-    /// Returns the length of the frame if `buffer` begins with the expected
-    /// reply, judged by its head and its end.
+    /// Checks whether `buffer` begins with the expected reply, by its head and its end.
+    /// Returns the length of the frame.
     fn find(&self, buffer: &[u8]) -> Option<usize> {
         let frame = buffer.get(..self.length)?.strip_suffix(b"\n\n")?;
         (frame.first_chunk() == Some(&self.head)).then_some(frame.len())
@@ -113,13 +109,14 @@ impl ExpectedScan {
 }
 
 impl ScipCodec {
-    /// Finds the first frame in `buffer` and leaves it there, for a reader that validates a
-    /// reply where it lies: [`decode`](Decoder::decode) is this and a buffer for the frame,
-    /// which costs a fifth as much as decoding a scan.
+    /// Finds the first frame in `buffer` and leaves it there. Use this instead of
+    /// [`decode`](Decoder::decode) to validate a reply in place: `decode` also copies the
+    /// frame, which costs a fifth as much as decoding a scan.
     ///
-    /// A reply has the returned number of bytes, at the front of `buffer`, and the two LFs
-    /// of its terminator behind them. The caller removes both. Bytes that are in no reply
-    /// are removed: NULs in front of it, and an over-long frame with its terminator.
+    /// For a reply, returns its length. The reply is at the front of `buffer`, followed by
+    /// the two LFs of its terminator: remove both yourself. Bytes that belong to no reply
+    /// are removed for you: NULs in front of a reply, and an over-long frame with its
+    /// terminator.
     ///
     /// ```
     /// use bytes::{Buf, BytesMut};
@@ -133,6 +130,7 @@ impl ScipCodec {
     /// assert_eq!(codec.find(&mut buffer), None);
     /// assert_eq!(buffer[..], *b"L0");
     /// ```
+    #[doc(hidden)] // For the driver and benches.
     pub fn find(&mut self, buffer: &mut BytesMut) -> Option<Frame<usize>> {
         if self.searched == 0 && self.skipped.is_none() && buffer.first() == Some(&0) {
             let nulls = buffer.iter().take_while(|&&byte| byte == 0).count();
@@ -140,7 +138,7 @@ impl ScipCodec {
         }
         let Some(length) = self.find_end(buffer) else {
             self.searched = buffer.len();
-            // Half a terminator is no part of the frame.
+            // The first LF of a split terminator does not count towards the frame.
             let half = usize::from(buffer.ends_with(b"\n"));
             if buffer.len() - half > MAX_FRAME || self.skipped.is_some() && buffer.len() > 1 {
                 let useless = buffer.len() - 1;
@@ -159,27 +157,35 @@ impl ScipCodec {
         Some(Frame::Overlong { bytes: skipped.unwrap_or(0) + length })
     }
 
-    /// Forgets what was searched or skipped, for when the buffer was emptied.
+    /// Forgets all progress. Call it after you empty the buffer.
     pub fn reset(&mut self) {
         *self = Self { expected: self.expected, ..Self::default() };
     }
 
-    /// Returns the number of bytes that are missing in `buffer`, if it begins with a reply
-    /// of success to the last command, and that was a `G`.
+    /// Remembers `command` as sent, as [`encode`](Encoder::encode) does.
+    pub(crate) fn expect(&mut self, command: &Command) {
+        self.expected = match command {
+            Command::Distances(window) => Some(ExpectedScan::new(window)),
+            _ => None,
+        };
+    }
+
+    /// Number of bytes missing from `buffer`, if it begins with a successful reply to the
+    /// last command and that was a `G`.
     pub(crate) fn missing(&self, buffer: &[u8]) -> Option<usize> {
         let scan = self.expected.filter(|scan| buffer.first_chunk() == Some(&scan.head))?;
         scan.length.checked_sub(buffer.len()).filter(|missing| *missing > 0)
     }
 
-    /// Returns the length of the first frame in `buffer`, its terminator not
-    /// counted, if all of it is there.
+    /// Finds the end of the first frame in `buffer`. Returns the length without the
+    /// terminator, or `None` if the frame is incomplete.
     fn find_end(&self, buffer: &[u8]) -> Option<usize> {
         if self.skipped.is_none()
             && let Some(length) = self.expected.as_ref().and_then(|scan| scan.find(buffer))
         {
             return Some(length);
         }
-        // The terminator may lie across what was searched and what is new.
+        // A terminator may straddle the searched and the new bytes.
         let from = self.searched.saturating_sub(1);
         let found = buffer.get(from..).and_then(find_terminator);
         found.map(|at| from + at)
@@ -204,7 +210,8 @@ impl Decoder for ScipCodec {
     fn decode_eof(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
         let frame = self.decode(buffer)?;
         if frame.is_none() {
-            // The rest of a reply cannot come after the end of the stream.
+            // No more bytes follow the end of the stream: an incomplete reply stays
+            // incomplete.
             buffer.clear();
             self.reset();
         }
@@ -220,34 +227,31 @@ impl Encoder<&Command> for ScipCodec {
         buffer.reserve(bytes.len() + 1);
         buffer.put_slice(&bytes);
         buffer.put_u8(b'\n');
-        self.expected = match command {
-            Command::Distances(window) => Some(ExpectedScan::new(window)),
-            _ => None,
-        };
+        self.expect(command);
         Ok(())
     }
 }
 
-/// Returns the place of the first two LFs in a row.
+/// Finds the first two LFs in a row.
 fn find_terminator(bytes: &[u8]) -> Option<usize> {
-    // Large steps first, then smaller ones to where they stopped.
+    // Large blocks first, then small blocks from where the large ones stopped.
     let mut at = skip::<128>(bytes, 0);
     at = skip::<16>(bytes, at);
     let pairs = bytes.get(at..)?.windows(2);
     pairs.into_iter().position(|pair| pair == b"\n\n").map(|found| at + found)
 }
 
-/// Skips as many whole blocks from `at` as no terminator begins in, and returns
-/// the place behind them.
+/// Skips whole blocks from `at` until a terminator begins in one. Returns the position of
+/// that block.
 fn skip<const BLOCK: usize>(bytes: &[u8], at: usize) -> usize {
     if bytes.len() - at <= BLOCK {
-        // Bytes that come one by one are searched one by one.
+        // Bytes that arrive one at a time are searched one at a time.
         return at;
     }
     let blocks = |from: usize| bytes.get(from..).unwrap_or_default().as_chunks::<BLOCK>().0;
     let free = blocks(at).iter().zip(blocks(at + 1)).take_while(|(first, second)| {
-        // Zero where both are LF. Without a branch inside, the compiler emits
-        // vector instructions.
+        // Zero where both bytes are LF. Without a branch, the compiler emits vector
+        // instructions.
         let pairs = first.iter().zip(second.iter());
         pairs.fold(u8::MAX, |least, (a, b)| least.min((a ^ b'\n') | (b ^ b'\n'))) != 0
     });

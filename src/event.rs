@@ -1,60 +1,78 @@
-//! [`Event`]: what happens to a stream besides its scans, and its form as JSON.
-//! [`Events`] derives the events from the items of a stream.
+//! What a log or a recording contains besides scans: [`Event`] for what happened to a
+//! stream, and [`RawReply`] for the bytes of each reply.
+//!
+//! [`Events`] derives the events from the items of a stream:
+//!
+//! ```no_run
+//! # async fn run(mut scans: tokio_scip::ScanStream) {
+//! use tokio_scip::event::Events;
+//!
+//! let mut events = Events::new();
+//! while let Some(item) = scans.next().await {
+//!     for event in events.of(&item) {
+//!         println!("{event}"); // such as {"event":"missed","scans":3}
+//!     }
+//! }
+//! # }
+//! ```
 
 use std::fmt::{self, Write};
 use std::str::FromStr;
+use std::time::SystemTime;
 
+use tokio::time::Instant;
+
+use crate::protocol::Command;
 use crate::{Error, Scan};
 
-/// Something that happened to a stream besides its scans. `Display` writes a JSON
-/// object, such as `{"event":"disconnected","error":"..."}`, which also stands in
-/// recordings; `FromStr` parses it.
+/// Event in the life of a stream. `Display` writes a JSON object, such as
+/// `{"event":"disconnected","error":"..."}`, as in recordings. `FromStr` parses
+/// it.
 ///
 /// ```
-/// use tokio_scip::Event;
+/// use tokio_scip::event::Event;
 ///
 /// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
 /// assert_eq!(event, Event::Missed { scans: 3 });
-/// # Ok::<(), tokio_scip::InvalidEvent>(())
+/// # Ok::<(), tokio_scip::event::InvalidEvent>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Event {
     /// The link to the sensor was lost.
     Disconnected {
-        /// The reason.
+        /// Reason of the loss.
         error: String,
     },
-    /// The first scan after a lost link came.
+    /// The link is back. Precedes the next scan.
     Reconnected,
     /// A poll failed, or the driver has ended.
     Error {
-        /// The reason.
+        /// Reason of the failure.
         error: String,
     },
-    /// Scans were overwritten before their consumer read them. A recording has their
+    /// Scans were overwritten before their consumer read them. A recording still has their
     /// replies.
     Missed {
-        /// The number of scans.
+        /// Number of scans.
         scans: u64,
     },
-    /// A text that is no event of this version: of a later one, or written by
-    /// somebody else.
+    /// Text of no known event: from a later version, or from another program.
     Unknown {
-        /// The text, unchanged.
+        /// Unchanged text.
         text: String,
     },
 }
 
-/// The error of parsing a text that no [`Event`] writes.
+/// Error for a text that is not an [`Event`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "not an event of a recording: expected a JSON object as `Event` writes it, such as {{\"event\":\"reconnected\"}}"
 )]
 pub struct InvalidEvent;
 
-/// Returns [`Event::Disconnected`] for a lost link, [`Event::Error`] for all else, with the
-/// error and its causes as one line.
+/// Converts a lost link to [`Event::Disconnected`] and any other error to [`Event::Error`],
+/// with the error and its causes on one line.
 impl From<&Error> for Event {
     fn from(error: &Error) -> Self {
         let text = error.chain().to_string();
@@ -65,36 +83,23 @@ impl From<&Error> for Event {
     }
 }
 
-/// The events of one stream, derived from its items.
-///
-/// ```no_run
-/// # async fn run(mut scans: tokio_scip::ScanStream) {
-/// use tokio_scip::Events;
-///
-/// let mut events = Events::new();
-/// while let Some(item) = scans.next().await {
-///     for event in events.of(&item) {
-///         println!("{event}"); // such as {"event":"missed","scans":3}
-///     }
-/// }
-/// # }
-/// ```
+/// Derives the events of one stream from its items.
 #[derive(Debug, Clone, Default)]
 pub struct Events {
-    /// The number of the scan that comes next if none is missed.
+    /// Number of the next scan if none is missed.
     expected: Option<u64>,
     is_disconnected: bool,
 }
 
 impl Events {
-    /// Returns the events of a stream of which no item was read.
+    /// Starts before the first item of a stream.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Returns the events that the next item of the stream stands for: an error is one
-    /// itself; before a scan, the sensor may have come [back](Event::Reconnected), and
-    /// scans may have been [missed](Event::Missed).
+    /// Returns the events of the stream's next item. An error is an event itself. Before a
+    /// scan, the sensor may have come [back](Event::Reconnected), and scans may have been
+    /// [missed](Event::Missed).
     pub fn of(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
         let events = match item {
             Ok(scan) => {
@@ -131,7 +136,7 @@ impl fmt::Display for Event {
     }
 }
 
-/// Parses what `Display` writes, byte for byte; other JSON is not interpreted.
+/// Parses exactly what `Display` writes; does not interpret other JSON.
 impl FromStr for Event {
     type Err = InvalidEvent;
 
@@ -149,14 +154,14 @@ impl FromStr for Event {
                 }
                 _ => return None,
             };
-            // Whoever writes it again must get the same bytes.
+            // Writing it again must give the same bytes.
             (event.to_string() == text).then_some(event)
         };
         parse().ok_or(InvalidEvent)
     }
 }
 
-/// A JSON string.
+/// JSON string.
 struct Quoted<'a>(&'a str);
 
 impl fmt::Display for Quoted<'_> {
@@ -173,7 +178,7 @@ impl fmt::Display for Quoted<'_> {
     }
 }
 
-/// Returns the text of a JSON string as [`Quoted`] writes it.
+/// Undoes [`Quoted`].
 fn unquote(json: &str) -> Option<String> {
     let mut rest = json.strip_prefix('"')?.strip_suffix('"')?;
     let mut text = String::new();
@@ -190,6 +195,26 @@ fn unquote(json: &str) -> Option<String> {
     }
     text.push_str(rest);
     Some(text)
+}
+
+/// Frame that the sensor sent after a command. The observers of
+/// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) and
+/// [`Sensor::observe_replies`](crate::Sensor::observe_replies) receive it. Bytes that
+/// arrive at other times are dropped and form no frame.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct RawReply<'a> {
+    /// Command that the frame answers, even if the reply is malformed. `None` for the reply
+    /// to a fence and for a frame with another echo.
+    pub command: Option<Command>,
+    /// Bytes as received, without the two LFs at the end and without NULs at the front.
+    pub bytes: &'a [u8],
+    /// When the last byte was read, on tokio's clock. Equal to the time of its [`Scan`] to
+    /// within microseconds.
+    pub received_at: Instant,
+    /// Wall clock when the first byte arrived, the same as
+    /// [`Scan::stamp`](crate::Scan::stamp).
+    pub stamp: SystemTime,
 }
 
 #[cfg(test)]
@@ -209,10 +234,16 @@ mod tests {
         assert_eq!(of(scan(7)), []); // a stream of which no scan was read misses none
         assert_eq!(of(scan(8)), []);
         assert_eq!(of(scan(11)), [Event::Missed { scans: 2 }]);
-        assert_eq!(of(Err(Error::Closed)), [Event::from(&Error::Closed)]);
+        assert_eq!(
+            of(Err(Error::Closed { sensor: None })),
+            [Event::from(&Error::Closed { sensor: None })]
+        );
         assert_eq!(of(scan(12)), []);
         assert_eq!(of(Err(lost())), [Event::Disconnected { error: lost().to_string() }]);
-        assert_eq!(of(Err(Error::Closed)), [Event::Error { error: Error::Closed.to_string() }]);
+        assert_eq!(
+            of(Err(Error::Closed { sensor: None })),
+            [Event::Error { error: Error::Closed { sensor: None }.to_string() }]
+        );
         assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
         assert_eq!(of(scan(15)), []);
     }

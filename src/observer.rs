@@ -1,74 +1,104 @@
-//! [`RawReply`]: a frame of the sensor as it came, and the observer that gets it.
+//! [`ReplyObservers`]: what receives each reply unchanged. Handles add to the list and remove
+//! from it while the driver runs.
 
-use std::any::Any;
 use std::fmt;
-use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::{Arc, OnceLock};
-use std::time::SystemTime;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-use tokio::time::Instant;
+use crate::event::RawReply;
 
-use crate::protocol::Command;
+type Observer = dyn Fn(RawReply<'_>) + Send + Sync;
+type Observers = Arc<[Arc<Observer>]>;
 
-/// A frame that came from the sensor after a command, passed to the observer of
-/// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply). Bytes that come at
-/// other times are dropped before they are a frame.
-#[derive(Debug, Clone, Copy)]
-#[non_exhaustive]
-pub struct RawReply<'a> {
-    /// The command that it answers, well or badly (a reply may be malformed), or
-    /// `None` for the reply to a fence and for a frame with another echo.
-    pub command: Option<Command>,
-    /// The bytes as they came, without the two LFs that end a frame and without
-    /// NULs before it.
-    pub bytes: &'a [u8],
-    /// The time when its last byte was read, on tokio's clock; the same as that of its
-    /// [`Scan`](crate::Scan) to within microseconds.
-    pub received_at: Instant,
-    /// The wall clock when its first byte arrived, the same as
-    /// [`Scan::stamp`](crate::Scan::stamp).
-    pub stamp: SystemTime,
+/// Observers of all replies, in the order of their calls.
+#[derive(Default)]
+pub(crate) struct ReplyObservers {
+    /// False while the list is empty, so that a driver without observers takes no lock.
+    is_used: AtomicBool,
+    list: Mutex<Observers>,
 }
 
-/// The observer of all replies, if there is one.
-#[derive(Clone, Default)]
-pub(crate) struct ReplyObserver(Option<Arc<Observer>>);
-
-struct Observer {
-    call: Box<dyn Fn(RawReply<'_>) + Send + Sync>,
-    /// The message of its panic, which ends the driver.
-    panic: OnceLock<String>,
-}
-
-impl ReplyObserver {
-    pub(crate) fn new(call: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
-        Self(Some(Arc::new(Observer { call: Box::new(call), panic: OnceLock::new() })))
+impl ReplyObservers {
+    pub(crate) fn add(&self, call: impl Fn(RawReply<'_>) + Send + Sync + 'static) {
+        self.add_shared(Arc::new(call));
     }
 
-    /// Passes `reply` on, which is built only if there is an observer.
-    pub(crate) fn observe<'a>(&self, reply: impl FnOnce() -> RawReply<'a>) {
-        let Some(observer) = &self.0 else { return };
-        // Nothing of the observer is used again after its panic.
-        if let Err(panic) = catch_unwind(AssertUnwindSafe(|| (observer.call)(reply()))) {
-            let _ = observer.panic.set(message(&*panic));
-            resume_unwind(panic)
+    /// Adds an observer until the observation is dropped.
+    pub(crate) fn observe_until_dropped(
+        self: &Arc<Self>,
+        call: impl Fn(RawReply<'_>) + Send + Sync + 'static,
+    ) -> ReplyObservation {
+        let observer: Arc<Observer> = Arc::new(call);
+        self.add_shared(Arc::clone(&observer));
+        ReplyObservation { observers: Arc::downgrade(self), observer }
+    }
+
+    fn add_shared(&self, observer: Arc<Observer>) {
+        let mut list = self.locked();
+        *list = list.iter().cloned().chain([observer]).collect();
+        self.is_used.store(true, Ordering::Relaxed);
+    }
+
+    fn remove(&self, observer: &Arc<Observer>) {
+        let mut list = self.locked();
+        let others = list.iter().filter(|other| !Arc::ptr_eq(other, observer));
+        let others: Observers = others.cloned().collect();
+        self.is_used.store(!others.is_empty(), Ordering::Relaxed);
+        // Dropped after the lock, because an observer may own an observation.
+        let _before = std::mem::replace(&mut *list, others);
+        drop(list);
+    }
+
+    /// Passes `reply` to each observer. Builds it only if there is one.
+    pub(crate) fn pass<'a>(&self, reply: impl FnOnce() -> RawReply<'a>) {
+        if !self.is_used.load(Ordering::Relaxed) {
+            return;
+        }
+        // Called without the lock, so that an observer may add and remove others.
+        let list = Arc::clone(&*self.locked());
+        let reply = reply();
+        list.iter().for_each(|observer| observer(reply));
+    }
+
+    fn locked(&self) -> MutexGuard<'_, Observers> {
+        // No code that holds the lock can panic.
+        self.list.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Copies the list: what is added to the clone is not added to the original.
+impl Clone for ReplyObservers {
+    fn clone(&self) -> Self {
+        let list = Arc::clone(&*self.locked());
+        Self { is_used: AtomicBool::new(!list.is_empty()), list: Mutex::new(list) }
+    }
+}
+
+impl fmt::Debug for ReplyObservers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("ReplyObservers").field(&self.locked().len()).finish()
+    }
+}
+
+/// Observer that a handle has added to a running driver, by
+/// [`Sensor::observe_replies`](crate::Sensor::observe_replies). Drop it to end the observation.
+/// Keeps no driver running.
+#[must_use = "dropping an observation ends it"]
+pub struct ReplyObservation {
+    observers: Weak<ReplyObservers>,
+    observer: Arc<Observer>,
+}
+
+impl Drop for ReplyObservation {
+    fn drop(&mut self) {
+        if let Some(observers) = self.observers.upgrade() {
+            observers.remove(&self.observer);
         }
     }
-
-    /// Returns the message with which the observer has panicked.
-    pub(crate) fn panic_message(&self) -> Option<String> {
-        self.0.as_ref()?.panic.get().cloned()
-    }
 }
 
-/// Returns the message of a panic.
-fn message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or(panic.downcast_ref::<&str>().copied()).unwrap_or("no message").to_owned()
-}
-
-impl fmt::Debug for ReplyObserver {
+impl fmt::Debug for ReplyObservation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("ReplyObserver").field(&self.0.is_some()).finish()
+        f.debug_struct("ReplyObservation").finish_non_exhaustive()
     }
 }

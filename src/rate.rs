@@ -4,20 +4,20 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// The timer's resolution is a millisecond.
+/// Resolution of the timer: a millisecond.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
 const LONGEST_PERIOD: Duration = Duration::from_secs(24 * 60 * 60);
 /// Enough decimals to distinguish periods of a day that differ by a nanosecond.
 const MAX_DECIMALS: usize = 20;
 
-/// The number of scans a second that a stream asks for.
+/// Number of scans per second that a stream asks for.
 ///
-/// A URG makes ten revolutions a second: [`Rate::hz(10.0)`](Rate::hz) is a scan of
-/// each. The line may carry fewer, see
+/// A URG makes ten revolutions per second: ask for [`Rate::hz(10.0)`](Rate::hz) to get a
+/// scan of each. The line may carry fewer, see
 /// [`Window::wire_time`](crate::Window::wire_time).
 ///
-/// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. Read from
-/// data it may also be a number, or a text without the unit.
+/// As text and as data (feature `serde`) it is `10 Hz`, `0.5 Hz` or `max`. In data, you
+/// may also write a number, or a text without the unit.
 ///
 /// ```
 /// use std::time::Duration;
@@ -33,15 +33,22 @@ impl Rate {
     /// As fast as the sensor answers.
     pub const MAX: Self = Self(None);
 
-    /// Returns the rate of `hz` scans a second, held within 1,000 a second and one a
-    /// day. NaN and numbers below 0 become one a day. To reject such input instead,
-    /// parse it: `"10".parse::<Rate>()`.
+    /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. Raises less
+    /// than one scan a day to one a day.
+    ///
+    /// # Panics
+    ///
+    /// Panics on NaN, on 0 and less, and above 1,000. For a number that does not come from
+    /// your own source code use [`Rate::try_from`], or parse a text:
+    /// `"10".parse::<Rate>()`.
+    #[track_caller]
     pub fn hz(hz: f64) -> Self {
-        let period = if hz > 0.0 { Duration::try_from_secs_f64(1.0 / hz).ok() } else { None };
-        Self::every(period.unwrap_or(LONGEST_PERIOD))
+        let rate = valid(hz);
+        assert!(rate.is_some(), "invalid rate {hz} Hz: expected more than 0 and at most 1000 Hz");
+        rate.unwrap_or(Self::MAX)
     }
 
-    /// Returns the rate of a scan each `period`, held within 1 ms and a day.
+    /// Creates a rate of one scan per `period`, clamped to 1 ms and a day.
     pub const fn every(period: Duration) -> Self {
         let nanos = period.as_nanos();
         if nanos < SHORTEST_PERIOD.as_nanos() {
@@ -53,16 +60,25 @@ impl Rate {
         }
     }
 
-    /// Returns the time between two scans, or `None` for [`Rate::MAX`].
+    /// Time between two scans, or `None` for [`Rate::MAX`].
     pub const fn period(self) -> Option<Duration> {
         self.0
     }
 }
 
-/// The same as [`Rate::every`].
+/// Same as [`Rate::every`].
 impl From<Duration> for Rate {
     fn from(period: Duration) -> Self {
         Self::every(period)
+    }
+}
+
+/// Same as [`Rate::hz`], for any number.
+impl TryFrom<f64> for Rate {
+    type Error = InvalidRate;
+
+    fn try_from(hz: f64) -> Result<Self, InvalidRate> {
+        valid(hz).ok_or_else(|| InvalidRate { found: hz.to_string() })
     }
 }
 
@@ -77,15 +93,15 @@ impl fmt::Display for Rate {
     }
 }
 
-/// The error of a text or a number that is no [`Rate`].
+/// Error for a text or a number that is no [`Rate`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid rate {found:?}: expected more than 0 and at most 1000 Hz, such as 10, or max")]
 pub struct InvalidRate {
     found: String,
 }
 
-/// Parses scans a second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`,
-/// or `max`.
+/// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or
+/// `max`.
 impl FromStr for Rate {
     type Err = InvalidRate;
 
@@ -99,9 +115,10 @@ impl FromStr for Rate {
     }
 }
 
-/// Returns the rate of so many scans a second, if there is one.
+/// Creates the rate of `hz` scans per second, if `hz` is valid.
 fn valid(hz: f64) -> Option<Rate> {
-    (hz > 0.0 && hz <= 1000.0).then(|| Rate::hz(hz))
+    let period = Duration::try_from_secs_f64(1.0 / hz).unwrap_or(LONGEST_PERIOD);
+    (hz > 0.0 && hz <= 1000.0).then(|| Rate::every(period))
 }
 
 #[cfg(feature = "serde")]
@@ -139,7 +156,7 @@ impl serde::de::Visitor<'_> for TextOrNumber {
     }
 
     fn visit_f64<E: serde::de::Error>(self, hz: f64) -> Result<Rate, E> {
-        valid(hz).ok_or_else(|| E::custom(InvalidRate { found: hz.to_string() }))
+        Rate::try_from(hz).map_err(E::custom)
     }
 
     fn visit_u64<E: serde::de::Error>(self, hz: u64) -> Result<Rate, E> {
@@ -170,9 +187,23 @@ mod tests {
     }
 
     #[test]
+    fn a_number_that_is_no_rate_is_refused() {
+        for hz in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, -0.0, 0.0, 1000.1] {
+            assert!(Rate::try_from(hz).is_err(), "{hz}");
+            assert!(std::panic::catch_unwind(|| Rate::hz(hz)).is_err(), "{hz}");
+        }
+        assert_eq!(Rate::try_from(1e-300), Ok(Rate::every(LONGEST_PERIOD)));
+        assert_eq!(Rate::try_from(1000.0), Ok(Rate::every(SHORTEST_PERIOD)));
+        let error = Rate::try_from(-1.0).map_err(|error| error.to_string());
+        let text =
+            "invalid rate \"-1\": expected more than 0 and at most 1000 Hz, such as 10, or max";
+        assert_eq!(error, Err(text.to_owned()));
+    }
+
+    #[test]
     fn a_rate_as_text_is_the_same_rate_again() {
         let nanos = (SHORTEST_PERIOD.as_nanos() as u64, LONGEST_PERIOD.as_nanos() as u64);
-        // From one end to the other, all orders of magnitude alike.
+        // All orders of magnitude from one end to the other, evenly.
         let between = (0..5000).map(|n| {
             let part = f64::from(n) / 5000.0;
             (nanos.0 as f64 * (nanos.1 as f64 / nanos.0 as f64).powf(part)) as u64

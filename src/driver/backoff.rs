@@ -1,9 +1,9 @@
-//! [`Backoff`]: how long to wait before something that failed is tried again.
+//! [`Backoff`]: how long to wait before retrying something that failed.
 
 use std::time::Duration;
 
-/// Waits that double, each with a random part, so that many drivers that lost a
-/// bus together do not come back together.
+/// Delays that double, with jitter: drivers that lost their links together, as on one USB hub,
+/// do not retry together.
 pub(crate) struct Backoff {
     shortest: Duration,
     longest: Duration,
@@ -16,23 +16,24 @@ impl Backoff {
         Self { shortest, longest, next: shortest, seed }
     }
 
-    /// Notes how long a link lasted. Only one that outlasts the next wait starts
-    /// over with the shortest wait: a link that comes and goes is not reopened in
-    /// a hurry.
+    /// Notes how long a link lasted. Starts over with the shortest delay only if the link
+    /// outlasted the next delay: a flapping link keeps backing off.
     pub(crate) fn note_uptime(&mut self, up: Duration) {
         if up > self.next {
             self.restart();
         }
     }
 
-    /// Starts over with the shortest wait.
+    /// Starts over with the shortest delay.
     pub(crate) fn restart(&mut self) {
         self.next = self.shortest;
     }
 
-    /// Returns the next wait: up to a tenth longer than half of the one after it.
+    /// Returns the current delay plus up to 10 % jitter, then doubles it. The jitter may
+    /// exceed the longest delay.
     pub(crate) fn next(&mut self) -> Duration {
-        // A step of a linear congruential generator; its upper bits are good.
+        // One step of a linear congruential generator. Only its upper bits are random
+        // enough.
         self.seed = self.seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         let jitter = 1.0 + 0.1 * (self.seed >> 40) as f64 / f64::from(1 << 24);
         let wait = self.next;

@@ -1,45 +1,50 @@
-//! The laser: switched, confirmed, and switched on again where somebody else
-//! switched it off. A status alone is never believed.
+//! Switches the laser and confirms it. Switches it on again if something else switched it
+//! off. Never trusts a status alone.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::backoff::Backoff;
-use super::exchange::ExchangeError;
+use super::failure::ExchangeError;
 use super::session::Session;
 use crate::Error;
 use crate::protocol::{Command, Status};
 
-/// Waits between two attempts to switch a laser on that stays off.
+/// Shortest and longest delay between attempts to switch on a laser that stays off.
 const RETRY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 
-/// Switches the laser, and confirms it by a fence: a `G` is refused if and only
+/// Switches the laser and confirms it with a fence: the sensor refuses a `G` if and only
 /// if the laser is off.
 pub(crate) async fn set_laser(session: &mut Session, on: bool) -> Result<(), ExchangeError> {
     let command = if on { Command::LaserOn } else { Command::LaserOff };
     let mut tries = 2;
     loop {
         tries -= 1;
-        let status = session.command_twice(command, &mut |_| ()).await?;
-        // The caller asked for `command`, and knows nothing of fences.
+        let (status, _) = session.command_twice(command, &mut |_| ()).await?;
+        // The caller asked for `command` and knows nothing of fences.
         let measured = session.fence().await.map_err(|error| error.of(command))?;
         if measured.is_ok() == on {
             return Ok(());
         }
         if tries == 0 {
             let (status, refusal) = (Some(status), Some(measured).filter(|_| on));
-            return Err(ExchangeError::Command(Error::NotConfirmed { command, status, refusal }));
+            return Err(ExchangeError::Command(Error::NotConfirmed {
+                sensor: None,
+                command,
+                status,
+                refusal,
+            }));
         }
     }
 }
 
-/// Switches on a laser that is off though nobody here switched it off, with
-/// back-off: a laser that stays off would otherwise cost two commands a poll.
+/// Switches the laser back on if this driver did not switch it off. Backs off, because a
+/// laser that stays off would otherwise cost two commands for each poll.
 pub(crate) struct LaserRecovery {
     backoff: Backoff,
-    /// The result of the last attempt, and the time of the next one. With an error the
-    /// laser stays off; with none the sensor refuses though its laser is on.
+    /// Result of the last attempt, and time of the next one. `Some(error)`: the laser
+    /// stays off. `None`: the sensor refuses to measure although its laser is on.
     failed: Option<(Option<Error>, Instant)>,
 }
 
@@ -48,20 +53,20 @@ impl LaserRecovery {
         Self { backoff: Backoff::new(RETRY, seed), failed: None }
     }
 
-    /// Notes that the laser is on: scans come.
+    /// Notes that the laser is on, because a scan was received.
     pub(crate) fn note_scan(&mut self) {
         if self.failed.take().is_some() {
             self.backoff.restart();
         }
     }
 
-    /// Switches the laser on after a poll was refused with `refusal`: sources do
-    /// not agree on the status of a `G` while the laser is off.
+    /// Switches the laser on after the sensor refused a poll. Ignores which status it
+    /// refused with: sources disagree on the status of a `G` while the laser is off.
     ///
     /// # Errors
     ///
-    /// [`Error::NotConfirmed`] with both statuses if it stays off. Until the next
-    /// attempt is due: the same again, or the refusal if that is not the laser's.
+    /// [`Error::NotConfirmed`] with both statuses if the laser stays off. Before the next
+    /// attempt is due, the last error again, or `refusal` if the laser was on.
     pub(crate) async fn switch_on(
         &mut self,
         session: &mut Session,
@@ -76,22 +81,22 @@ impl LaserRecovery {
         let error = match set_laser(session, true).await {
             Ok(()) => {
                 let status = refusal.status;
-                tracing::info!(%status, "the sensor refused a poll: its laser is switched on");
+                tracing::info!(%status, "the sensor refused a poll: switched its laser on");
                 return Ok(());
             }
-            Err(ExchangeError::Command(Error::Refused { command, status })) => {
+            Err(ExchangeError::Command(Error::Refused { command, status, .. })) => {
                 let (status, refusal) = (Some(status), Some(refusal.status));
-                Error::NotConfirmed { command, status, refusal }
+                Error::NotConfirmed { sensor: None, command, status, refusal }
             }
             Err(ExchangeError::Command(error @ Error::NotConfirmed { .. })) => error,
-            // Nothing is known of the laser.
+            // The laser's state is unknown.
             Err(error) => return Err(error),
         };
         self.failed = Some((Some(error.clone()), Instant::now() + self.backoff.next()));
         Err(ExchangeError::Command(error))
     }
 
-    /// Notes that the sensor refuses to measure though its laser is on.
+    /// Notes that the sensor refuses to measure although its laser is on.
     pub(crate) fn note_refusal(&mut self) {
         self.failed = Some((None, Instant::now() + self.backoff.next()));
     }
@@ -106,7 +111,7 @@ pub(crate) struct Refusal {
 
 impl From<Refusal> for Error {
     fn from(Refusal { command, status }: Refusal) -> Self {
-        Self::Refused { command, status }
+        Self::Refused { sensor: None, command, status }
     }
 }
 
@@ -118,8 +123,8 @@ mod tests {
 
     use super::*;
     use crate::Window;
-    use crate::driver::fence::UniqueRequests;
-    use crate::observer::ReplyObserver;
+    use crate::driver::session::UniqueRequests;
+    use crate::observer::ReplyObservers;
     use crate::port::StreamPort;
     use crate::state::Telemetry;
 
@@ -129,9 +134,8 @@ mod tests {
         let mut session = Session::new(
             Box::new(StreamPort::new(near)),
             None,
-            ReplyObserver::default(),
             UniqueRequests::default(),
-            Arc::new(Telemetry::new(None)),
+            Arc::new(Telemetry::new(None, ReplyObservers::default())),
         );
         let refusal =
             Refusal { command: Command::Distances(Window::FULL), status: Status::new(b'6') };

@@ -1,21 +1,20 @@
-//! The task that owns the port. Handles send it requests and get one answer
-//! each; streams read the rings that it fills.
+//! Driver task, which owns the port. Handles send it requests and receive one answer for each;
+//! streams read the rings that it fills.
 //!
-//! The way of a scan, up: `transport` (bytes, frames), `session` (the answer to
-//! its command, or an error), `serve`, `schedule`, which pushes it into a ring.
-//! The way of a request, down: [`Client::ask`], `request` (the queue), `serve`,
-//! `session`, or `laser` and `baud_rate` on top of it; its answer returns through
-//! the request's own oneshot channel. `fence` proves that no older reply can be taken for a new one;
-//! `supervisor` and `open` keep a session open.
+//! `src/guide/design.md` follows a scan and a request through these files. `supervisor` and `open`
+//! keep a session open, and `serve` uses it. `session::fence` proves that no older reply can be
+//! mistaken for a new one.
 
 mod backoff;
 mod baud_rate;
 mod config;
-mod exchange;
-mod fence;
+mod failure;
 mod laser;
+mod motor_clock;
 mod open;
+mod panic;
 mod poll_timer;
+mod probe;
 mod rate_meter;
 mod request;
 mod schedule;
@@ -43,18 +42,22 @@ use crate::Error;
 use crate::port::AnyConnect;
 use crate::state::Telemetry;
 
-/// Requests that the queue holds before the callers have to wait.
+/// Number of queued requests before callers have to wait.
 const QUEUE_CAPACITY: usize = 16;
 
-/// The driver of one sensor: a future that has to be spawned or polled for its
-/// [`Sensor`](crate::Sensor) handles and streams to get anything done.
+/// Driver of one sensor: a future to spawn or poll. Its [`Sensor`](crate::Sensor) handles and
+/// streams make no progress until you do.
 ///
-/// It returns `Ok` when the last handle and stream are gone or after
-/// [`Sensor::close`](crate::Sensor::close), and the cause when the link is lost
-/// for good. Dropping it closes the port; handles and streams then end with
-/// [`Error::Closed`]. If it panics they end with [`Error::Panicked`].
+/// Returns `Ok` after [`Sensor::close`](crate::Sensor::close), or when you have dropped the last
+/// handle and stream. Returns the cause if the link is lost permanently. Drop the driver to close
+/// the port; handles and streams then end with [`Error::Closed`]. If the driver panics, they end
+/// with [`Error::Panicked`].
 ///
-/// It needs tokio's timer; without it, tokio panics when it is first polled.
+/// # Panics
+///
+/// Needs tokio's timer: without one, tokio panics when you first poll the driver. Poll it in one
+/// runtime only. Its timers and its port belong to the runtime that first used them, and tokio
+/// panics once that runtime has ended.
 #[must_use = "a driver does nothing unless it is spawned or polled"]
 pub struct Driver {
     run: Pin<Box<dyn Future<Output = Result<(), Error>> + Send>>,
@@ -74,19 +77,18 @@ impl fmt::Debug for Driver {
     }
 }
 
-/// The handles' end of the queue. The driver runs while one is left.
+/// Sending end of the request queue. The driver runs while a clone exists.
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
     sender: mpsc::Sender<Box<QueuedRequest>>,
     telemetry: Arc<Telemetry>,
     request_timeout: Duration,
-    ring_depth: usize,
+    depth: usize,
 }
 
 impl Client {
-    /// Sends a request and waits for its answer. If this future is dropped the
-    /// request is skipped, or, when it is on the wire already, its answer is
-    /// read and dropped.
+    /// Sends a request and waits for its answer. Dropping this future skips the request; if the
+    /// command is on the wire already, its answer is read and dropped.
     pub(crate) async fn ask<T>(
         &self,
         request: impl FnOnce(Responder<T>) -> Request,
@@ -95,14 +97,14 @@ impl Client {
         let expires = Instant::now() + self.request_timeout;
         let queued = Box::new(QueuedRequest { request: request(responder), expires });
         if self.sender.send(queued).await.is_err() {
-            return Err(self.telemetry.cause());
+            return Err(self.telemetry.closed().await);
         }
         self.wait_for(answer).await
     }
 
-    /// Waits for the answer to a request that is in the queue, or for the driver's end: a
-    /// request that another thread sends while the queue is dropped stays in it, unanswered,
-    /// for as long as there is a handle.
+    /// Waits for the answer to a queued request, or for the end of the driver. Waiting for the
+    /// answer alone could hang: a request that another thread sends while the queue is dropped
+    /// stays in the channel, unanswered, while a handle exists.
     async fn wait_for<T>(
         &self,
         mut answer: oneshot::Receiver<Result<T, Error>>,
@@ -112,12 +114,16 @@ impl Client {
             outcome = &mut answer => outcome.ok(),
             () = self.sender.closed() => answer.try_recv().ok(),
         };
-        outcome.unwrap_or_else(|| Err(self.telemetry.cause()))
+        match outcome {
+            Some(outcome) => outcome.map_err(|error| self.telemetry.named(error)),
+            // The driver drops a request in progress before it stores the cause.
+            None => Err(self.telemetry.closed().await),
+        }
     }
 
-    /// Returns the depth of streams that set none.
-    pub(crate) fn ring_depth(&self) -> usize {
-        self.ring_depth
+    /// Default depth of streams.
+    pub(crate) fn depth(&self) -> usize {
+        self.depth
     }
 
     pub(crate) fn telemetry(&self) -> &Telemetry {
@@ -125,17 +131,18 @@ impl Client {
     }
 }
 
-/// Returns a driver that does not run yet, and the first handle to it.
+/// Creates a driver that is not running yet, and the first handle to it.
 pub(crate) fn new(connect: Box<dyn AnyConnect>, config: Config) -> (Client, Driver) {
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
-    // Enabled wherever anything is: a warning without a name is of little use.
+    // At error level, so that every enabled message has it: a warning without a name is of little
+    // use.
     let span = tracing::error_span!("sensor", name = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
-    let telemetry = Arc::new(Telemetry::new(name.clone()));
-    let (request_timeout, ring_depth) = (config.open_timeout, config.ring_depth);
+    let telemetry = Arc::new(Telemetry::new(name, config.observers.clone()));
+    let (request_timeout, depth) = (config.request_timeout, config.depth);
     let supervisor =
-        Supervisor::new(connect, config, RequestQueue::new(receiver, name), Arc::clone(&telemetry));
-    let client = Client { sender, telemetry, request_timeout, ring_depth };
+        Supervisor::new(connect, config, RequestQueue::new(receiver), Arc::clone(&telemetry));
+    let client = Client { sender, telemetry, request_timeout, depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }
 
@@ -167,6 +174,6 @@ mod tests {
         place.send(Box::new(QueuedRequest { request, expires: Instant::now() }));
 
         let outcome = timeout(Duration::from_secs(60), client.wait_for(answer)).await;
-        assert!(matches!(outcome, Ok(Err(Error::Closed))), "{outcome:?}");
+        assert!(matches!(outcome, Ok(Err(Error::Closed { .. }))), "{outcome:?}");
     }
 }

@@ -1,50 +1,53 @@
-//! From a port's name to a sensor that is set as the service wants it.
+//! Opens a port, finds the sensor behind it, and applies the settings of the service.
 
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::{Instant, timeout};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use super::baud_rate;
 use super::config::Config;
-use super::exchange::ExchangeError;
-use super::fence::UniqueRequests;
+use super::failure::{ExchangeError, LinkError};
 use super::laser::set_laser;
-use super::session::Session;
+use super::session::{Session, UniqueRequests};
 use crate::port::{AnyConnect, Port};
-use crate::protocol::{Text, Version};
-use crate::state::Telemetry;
+use crate::protocol::Text;
+use crate::state::{Telemetry, VersionReply};
 use crate::{BaudRate, Error};
 
-/// A revolution of a URG's motor at 600 rpm.
+/// One revolution of a URG's motor at 600 rpm.
 const REVOLUTION: Duration = Duration::from_millis(100);
-/// The number of times a sensor is asked for its serial number, if no two answers
-/// in a row agree. The last answer then counts.
+/// Number of candidates to try before backing off. No machine has as many ports, but a
+/// [`Connect`](crate::port::Connect) may always promise another one.
+const MAX_CANDIDATES: usize = 64;
+/// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
+/// [`MAX_CANDIDATES`] times this is longer.
+const CANDIDATE_TIME: Duration = Duration::from_millis(40);
+/// Number of times to ask a sensor for its serial number until two answers in a row agree.
+/// If they never do, the last answer counts.
 const IDENTITY_TRIES: usize = 4;
 
-/// Opens the port, and restores how the sensor behind it was set.
+/// Opens the port, and restores the settings of the sensor behind it.
 pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
     config: Config,
     telemetry: Arc<Telemetry>,
     wanted: Wanted,
-    /// The baud rate at which the sensor was found last.
+    /// Baud rate of the sensor when it was last found.
     found: Option<BaudRate>,
-    /// The sensor that is expected: the one asked for, or the first one found.
+    /// Expected sensor: the one asked for, or the first one found.
     identity: Option<Text>,
-    /// The serial number of the sensor that was found last.
+    /// Serial number of the sensor that was last found.
     serial_number: Option<Text>,
-    /// The requests of earlier sessions: the system keeps bytes that arrive while a
-    /// port is closed, so the next session may read replies to them.
+    /// Requests of earlier sessions. The system keeps bytes that arrive while a port is
+    /// closed, so the next session may read replies to them.
     unique_requests: UniqueRequests,
-    /// True after a sensor was opened once.
     opened: bool,
     scan_time: Duration,
 }
 
-/// The settings that the service has asked for, restored whenever the sensor may
-/// have lost them.
+/// Settings that the service asked for, restored whenever the sensor may have lost them.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wanted {
     pub(crate) laser: Option<bool>,
@@ -53,11 +56,12 @@ pub(crate) struct Wanted {
 
 impl Opener {
     pub(crate) fn new(
-        connect: Box<dyn AnyConnect>,
+        mut connect: Box<dyn AnyConnect>,
         config: Config,
         telemetry: Arc<Telemetry>,
     ) -> Self {
-        let asked = connect.expected_serial_number().map(Text::from);
+        let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
+        let asked = asked.map(Text::from);
         Self {
             wanted: Wanted { laser: None, baud_rate: config.baud_rate },
             found: None,
@@ -76,91 +80,121 @@ impl Opener {
         &mut self.wanted
     }
 
-    /// The serial number of the sensor that was found last.
     pub(crate) fn serial_number(&self) -> Text {
         self.serial_number.clone().unwrap_or_default()
     }
 
-    /// The time of a revolution of the motor, as the sensor's version reports it.
+    /// Time of one revolution of the motor, from the sensor's version.
     pub(crate) fn scan_time(&self) -> Duration {
         self.scan_time
     }
 
-    /// Opens the port and finds the sensor, trying one port after another where
-    /// there are several.
-    pub(crate) async fn open(&mut self) -> Result<Session, Error> {
+    /// Opens the port and finds the sensor. If there are several ports, tries one after
+    /// another.
+    pub(crate) async fn open(&mut self) -> Result<Session, LinkError> {
+        let mut candidates = 1;
         loop {
-            let outcome = match timeout(self.config.open_timeout, self.connect.connect()).await {
-                Ok(Ok(port)) => self.open_on(port).await,
+            let started = Instant::now();
+            let error = match timeout(self.config.open_timeout, self.connect.connect()).await {
+                Ok(Ok(port)) => match self.open_on(port).await {
+                    Ok(session) => return Ok(session),
+                    Err(ended @ LinkError::Ended(_)) => {
+                        return Err(ended);
+                    }
+                    Err(failure) => failure.into_error(),
+                },
                 Ok(Err(error)) => return Err(self.fail(error)),
                 Err(_) => {
                     let port = self.connect.name().unwrap_or("the port");
-                    Err(Error::open(port, io::ErrorKind::TimedOut.into()))
+                    Error::open(port, io::ErrorKind::TimedOut.into())
                 }
             };
-            match outcome {
-                Err(error) if self.connect.has_more() => {
-                    tracing::trace!(error = %error.chain(), "port skipped");
-                }
-                outcome => return outcome.map_err(|error| self.fail(error)),
+            let has_more = self.connect.hints().is_some_and(|hints| hints.has_more());
+            if candidates == MAX_CANDIDATES || !has_more {
+                return Err(self.fail(error));
             }
+            tracing::trace!(error = %error.chain(), "port skipped");
+            candidates += 1;
+            sleep_until(started + CANDIDATE_TIME).await;
         }
     }
 
-    /// Logs the error of an attempt, and returns it with the name of the sensor. At
-    /// trace: a driver that waits for its sensor tries once a second, and the state logs
-    /// each reason once.
-    fn fail(&self, error: Error) -> Error {
+    /// Logs the error of an attempt, at trace: the default back-off makes one attempt a
+    /// second, and the state logs each reason once.
+    fn fail(&self, error: Error) -> LinkError {
         tracing::trace!(error = %error.chain(), "opening failed");
-        error.named(self.telemetry.name())
+        LinkError::Lost(error)
     }
 
-    async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, Error> {
+    async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, LinkError> {
         let telemetry = Arc::clone(&self.telemetry);
         let unique_requests = std::mem::take(&mut self.unique_requests);
-        let Config { observer, reply_latency, .. } = &self.config;
-        let observer = observer.clone();
-        let mut session = Session::new(port, *reply_latency, observer, unique_requests, telemetry);
+        let reply_latency = self.config.reply_latency;
+        let mut session = Session::new(port, reply_latency, unique_requests, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
-            Err(error) => {
+            Err(failure) => {
                 self.close(session);
-                Err(error)
+                Err(failure)
             }
         }
     }
 
-    /// Closes the port of a session.
     pub(crate) fn close(&mut self, session: Session) {
         self.unique_requests = session.close();
     }
 
     /// Finds the sensor again on a port that is still open.
-    pub(crate) async fn find_again(&mut self, session: &mut Session) -> Result<(), Error> {
-        // One pass over the baud rates; a port that brings nothing is reopened.
-        self.find(session, self.config.open_timeout / 2).await
+    pub(crate) async fn find_again(&mut self, session: &mut Session) -> Result<(), LinkError> {
+        // One pass over the baud rates; then the port is reopened. Without baud rates to search,
+        // half the time: twice as many fences went unanswered before.
+        let searchable =
+            session.transport.is_adjustable() && session.transport.baud_rate().is_some();
+        let share = if searchable { 1 } else { 2 };
+        self.find(session, self.config.recovery_timeout / share).await
     }
 
-    async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), Error> {
-        let outcome = async {
-            baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
-            let version = self.identify(session).await?;
-            self.restore(session).await?;
-            Ok(version)
-        };
-        let version = outcome.await.map_err(ExchangeError::into_error)?;
-        let before = self.serial_number.replace(version.serial_number.clone());
-        if let Some(before) = before.filter(|before| *before != version.serial_number) {
-            tracing::warn!(%before, now = %version.serial_number, "another sensor has taken its place");
-        }
-        self.telemetry.set_version(version);
-        self.connect.found();
-        self.found = session.baud_rate();
-        self.opened = true;
+    async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), LinkError> {
+        baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
+        let (reply, is_confirmed) = self.identify(session).await?;
+        self.restore(session).await?;
+        self.accept(reply, is_confirmed);
+        self.found = session.transport.baud_rate();
         Ok(())
     }
 
-    /// Returns all six, the likeliest first.
+    /// Accepts the sensor, now that it has the service's settings. From now on expects no
+    /// other sensor.
+    fn accept(&mut self, reply: VersionReply, is_confirmed: bool) {
+        let version = &reply.version;
+        let now = &version.serial_number;
+        if is_confirmed && !self.config.any_sensor {
+            self.identity.get_or_insert_with(|| now.clone());
+        }
+        let before = self.serial_number.replace(now.clone());
+        let is_another = before.as_ref().is_some_and(|before| before != now);
+        if let Some(before) = before.filter(|_| is_another) {
+            tracing::warn!(%before, %now, "another sensor has taken its place");
+        }
+        // A flipped bit that spoils a version does not change the motor speed of a known
+        // sensor.
+        let motor_speed = version.specification.as_ref().and_then(|it| it.motor_speed);
+        match motor_speed {
+            Some(revolutions_per_minute) => {
+                let revolutions_per_minute = u32::from(revolutions_per_minute.max(1));
+                self.scan_time = Duration::from_secs(60) / revolutions_per_minute;
+            }
+            None if is_another => self.scan_time = REVOLUTION,
+            None => {}
+        }
+        self.telemetry.set_version(reply);
+        if let Some(hints) = self.connect.hints() {
+            hints.found();
+        }
+        self.opened = true;
+    }
+
+    /// Lists all six baud rates, likeliest first.
     fn baud_rates(&self) -> Vec<BaudRate> {
         let likely = self.found.into_iter().chain(self.wanted.baud_rate).chain([BaudRate::B19200]);
         let mut baud_rates = Vec::with_capacity(BaudRate::ALL.len());
@@ -172,57 +206,53 @@ impl Opener {
         baud_rates
     }
 
-    /// Reads the sensor's version, and fails if it is another sensor.
-    async fn identify(&mut self, session: &mut Session) -> Result<Version, ExchangeError> {
-        let version = self.confirm_identity(session).await?;
-        let found = &version.serial_number;
+    /// Reads the sensor's version, and fails if it is another sensor. Also returns whether the
+    /// serial number is certain.
+    async fn identify(
+        &mut self,
+        session: &mut Session,
+    ) -> Result<(VersionReply, bool), ExchangeError> {
+        let (reply, is_confirmed) = self.confirm_identity(session).await?;
+        let found = &reply.version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
-            return Err(ExchangeError::Lost(Error::AnotherSensor {
-                sensor: None,
-                expected,
-                found,
-            }));
+            let error = Error::AnotherSensor { sensor: None, expected, found };
+            return Err(LinkError::Lost(error).into());
         }
-        let motor_speed =
-            version.specification.as_ref().and_then(|specification| specification.motor_speed);
-        if let Some(revolutions_per_minute) = motor_speed {
-            self.scan_time = Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1));
-        }
-        Ok(version)
+        Ok((reply, is_confirmed))
     }
 
-    /// Reads the version until its serial number is the expected one or comes
-    /// twice in a row, [`IDENTITY_TRIES`] times at most. No checksum protects it:
-    /// one flipped bit must neither reject a sensor nor be expected ever after.
-    async fn confirm_identity(&mut self, session: &mut Session) -> Result<Version, ExchangeError> {
-        let mut version = session.version().await?;
+    /// Reads the version until its serial number is the expected one or repeats, up to
+    /// [`IDENTITY_TRIES`] times. No checksum protects it: one flipped bit must neither reject
+    /// a sensor nor become the expected number.
+    async fn confirm_identity(
+        &mut self,
+        session: &mut Session,
+    ) -> Result<(VersionReply, bool), ExchangeError> {
+        let mut reply = session.version().await?;
         for _ in 1..IDENTITY_TRIES {
-            if self.identity.as_ref() == Some(&version.serial_number) {
-                break;
+            if self.identity.as_ref() == Some(&reply.version.serial_number) {
+                return Ok((reply, true));
             }
-            let before = version.serial_number;
-            version = session.version().await?;
-            // An empty serial number never counts as confirmed where one is expected, and one
-            // with a byte that no text has is malformed, even if it comes twice.
+            let before = reply.version.serial_number;
+            reply = session.version().await?;
+            // An empty serial number never confirms an expected one. A serial number with
+            // unprintable bytes is malformed, even if it repeats.
             let counts = before.is_printable() && (self.identity.is_none() || !before.is_empty());
-            if counts && version.serial_number == before {
-                if !before.is_empty() && !self.config.any_sensor {
-                    self.identity.get_or_insert(before);
-                }
-                break;
+            if counts && reply.version.serial_number == before {
+                return Ok((reply, !before.is_empty()));
             }
         }
-        Ok(version)
+        Ok((reply, false))
     }
 
-    /// Restores the settings that the service has asked for.
+    /// Restores the settings that the service asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         if let Some(baud_rate) = self.wanted.baud_rate
-            && session.baud_rate().is_some_and(|now| now != baud_rate)
+            && session.transport.baud_rate().is_some_and(|now| now != baud_rate)
         {
             match baud_rate::change(session, baud_rate).await {
-                // Scans at another baud rate are better than none.
+                // Scans at another baud rate are better than no scans.
                 Err(ExchangeError::Command(error)) if self.opened => {
                     tracing::warn!(error = %error.chain(), "the baud rate is not restored");
                 }

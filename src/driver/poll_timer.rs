@@ -1,10 +1,10 @@
 //! [`PollTimer`]: waits for the next poll without needless system calls.
 //!
-//! If a timer is registered that ends before all others, tokio writes to an eventfd to wake
-//! its thread, even from that thread, and `epoll_wait` returns for nothing: two of the eight
-//! system calls of a scan. So this timer has a companion that is always one poll ahead: it
-//! is moved there while the wait for the next poll is registered, which costs nothing, and
-//! when the next wait begins it is the earliest timer already.
+//! When a timer becomes the earliest one, tokio writes to an eventfd to wake its thread,
+//! even from that thread. `epoll_wait` then returns for nothing: two of the eight system
+//! calls of a scan. So this timer has a companion that is always one poll ahead. Moving the
+//! companion is free while the wait for the next poll is registered. When the next wait
+//! begins, the companion already is the earliest timer.
 
 use std::future::{Future, poll_fn};
 use std::pin::{Pin, pin};
@@ -13,20 +13,20 @@ use std::task::{Context, Poll, Waker};
 use tokio::task::coop::unconstrained;
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// A timer for one poll after another.
+/// Timer for one poll after another.
 #[derive(Debug, Default)]
 pub(crate) struct PollTimer {
-    /// Ends with the wait after the current one. Wakes nobody.
+    /// Fires at the end of the wait after the current one. Wakes no task.
     ahead: Option<Pin<Box<Sleep>>>,
 }
 
 impl PollTimer {
-    /// Waits until `due`. The wait after this one is expected to end at `next`, which may be
-    /// wrong: then it takes the two system calls. Cancel-safe.
+    /// Waits until `due`. `next` is when the following wait should end; if it is wrong, that
+    /// wait costs the two system calls. Cancel-safe.
     pub(crate) async fn wait(&mut self, due: Instant, next: Option<Instant>) {
         let mut sleep = pin!(sleep_until(due));
         poll_fn(|cx| {
-            // First: it must be registered while the companion still ends with it.
+            // First, while the companion still fires at the same time.
             let is_due = sleep.as_mut().poll(cx);
             if let (Poll::Pending, Some(next)) = (is_due, next) {
                 self.move_ahead(next);

@@ -1,46 +1,46 @@
-//! [`RateMeter`]: the rate that a schedule reaches, and whether it falls short
-//! because of its link's capacity or because of failures.
+//! [`RateMeter`]: the rate that a schedule reaches. Tells whether a shortfall comes from
+//! the link's capacity or from failures.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// The span that the rate is averaged over.
+/// Span to average the rate over.
 const RATE_SPAN: Duration = Duration::from_secs(3);
-/// The share of the rate asked for that counts as reached.
+/// Fraction of the requested rate that counts as reached.
 const REACHED: f64 = 0.95;
-/// A shortfall is reported again after so many spans without it, a minute. For as
-/// long after a loss nothing is reported as slow: fences and deadlines cost time.
+/// Number of spans without a shortfall (a minute) before it is reported again. For the
+/// same time after a loss, slowness is not reported: fences and deadlines cost time.
 const SPANS_BETWEEN_REPORTS: u32 = 20;
 
-/// Measures the rate that is reached, span by span.
+/// Measures the achieved rate, span by span.
 #[derive(Debug)]
 pub(crate) struct RateMeter {
     since: Instant,
     scans: u32,
     failures: u32,
-    /// The latest span that is over.
-    span: Span,
-    /// The number of spans since each kind of shortfall was last there.
+    /// Latest finished span since the link was found.
+    span: Option<Span>,
+    /// Number of spans since each kind of shortfall last occurred.
     since_slow: u32,
     since_loss: u32,
 }
 
-/// The result of one span.
+/// Result of one span.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Span {
-    /// Scans a second.
+    /// Scans per second.
     pub(crate) reached: f64,
     /// Polls that failed.
     pub(crate) failed: u32,
 }
 
-/// The cause of a rate that is not reached.
+/// Why a rate is not reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shortfall {
     /// Every poll succeeded: the line or the sensor cannot keep up.
     Slow,
-    /// Polls failed. The rate that the line could carry is then unknown.
+    /// Polls failed, so the capacity of the line is unknown.
     Loss,
 }
 
@@ -50,13 +50,13 @@ impl RateMeter {
             since: now,
             scans: 0,
             failures: 0,
-            span: Span::default(),
+            span: None,
             since_slow: SPANS_BETWEEN_REPORTS,
             since_loss: SPANS_BETWEEN_REPORTS,
         }
     }
 
-    pub(crate) fn span(&self) -> Span {
+    pub(crate) fn span(&self) -> Option<Span> {
         self.span
     }
 
@@ -75,13 +75,13 @@ impl RateMeter {
             return None;
         }
         let reached = f64::from(self.scans) / span.as_secs_f64();
-        self.span = Span { reached, failed: self.failures };
+        self.span = Some(Span { reached, failed: self.failures });
         self.restart(now);
-        Some(self.span)
+        self.span
     }
 
-    /// Returns the cause if a span falls short of one poll each `period`, unless the same
-    /// cause was found within the last [`SPANS_BETWEEN_REPORTS`].
+    /// Returns the cause if a span falls short of one poll per `period`. Stays silent
+    /// about a cause found within the last [`SPANS_BETWEEN_REPORTS`].
     pub(crate) fn report(&mut self, span: Span, period: Duration) -> Option<Shortfall> {
         let is_short = span.reached * period.as_secs_f64() < REACHED;
         let shortfall = match (is_short, span.failed) {
@@ -104,9 +104,9 @@ impl RateMeter {
         news
     }
 
-    /// Forgets the latest span: the link is lost.
+    /// Forgets the latest span, because the link is lost.
     pub(crate) fn clear(&mut self) {
-        self.span = Span::default();
+        self.span = None;
     }
 
     /// Starts a new span.

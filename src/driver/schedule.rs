@@ -1,82 +1,83 @@
-//! [`Schedules`]: the polls of all streams, and the times at which they are due. Knows
-//! no ports and no replies.
+//! [`Schedules`]: the polls of all streams, and when each is due. Knows nothing of ports
+//! and replies.
 
 #[cfg(test)]
 mod tests;
 
 use std::iter::repeat_n;
 use std::mem::{Discriminant, discriminant};
-use std::sync::{Arc, Weak};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::rate_meter::{RateMeter, Shortfall};
-use crate::ring::{Cursor, Ring};
+use crate::ring::{Cursor, Pushed, Ring};
 use crate::scan::{Scan, ScanMeta};
-use crate::state::{Audience, ScheduleStats, Telemetry};
+use crate::state::Telemetry;
+use crate::stats::ScheduleStats;
 use crate::{Error, Rate, Window};
 
-/// Everything that is polled.
+/// All schedules of a driver.
 #[derive(Debug, Default)]
 pub(crate) struct Schedules {
     all: Vec<Schedule>,
-    /// The number of scans that were overwritten before a consumer read them.
+    /// Number of scans overwritten before a consumer read them.
     missed: u64,
     /// True if the published statistics are out of date.
     changed: bool,
 }
 
-/// One window at one rate, and the streams that want it.
+/// One window at one rate, for all streams that want it.
 #[derive(Debug)]
 struct Schedule {
     window: Window,
     rate: Rate,
     ring: Arc<Ring>,
-    /// The next place on the grid; or, as fast as possible, when the last poll
-    /// ended.
+    /// Next grid point. At [`Rate::MAX`], the end of the last poll.
     due: Instant,
     sequence: u64,
-    /// The values of the latest scan that the ring has dropped: the next reply is decoded
-    /// into their block, if nobody else holds them.
+    /// Values of the latest scan that the ring has dropped. The next reply is decoded into
+    /// the same block unless another owner still holds it.
     spare: Option<Arc<[u16]>>,
-    /// The number of scans that its readers had missed by its latest poll.
+    /// Number of scans that readers had missed by the latest poll.
     missed: u64,
-    /// The kind of the last error since the last scan.
+    /// Kind of the last error since the last scan.
     condition: Option<Discriminant<Error>>,
     speed: RateMeter,
 }
 
-/// A poll that is due.
+/// Poll that is due.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct DuePoll {
     pub(crate) window: Window,
     pub(crate) rate: Rate,
 }
 
-/// The changes at the end of a poll.
+/// What the end of a poll changed.
 #[derive(Debug)]
 struct Ended {
-    /// The number of scans that readers have missed since the poll before.
+    /// Number of scans that readers have missed since the previous poll.
     missed: u64,
-    /// True if a span of the rate's measurement is over.
+    /// True if a span of the rate meter is over.
     changed: bool,
-    /// The reason why its rate falls short, if that is news.
+    /// Why the rate falls short, if that is news.
     shortfall: Option<Shortfall>,
 }
 
-/// The result of a poll.
+/// Result of a poll.
 #[derive(Debug, Default)]
 pub(crate) struct Delivered {
-    /// Its values are the same as those before.
+    /// True if the values equal the previous ones.
     pub(crate) repeat: bool,
-    /// The rate is not reached, which is reported once.
+    /// Why the rate is not reached, reported once.
     pub(crate) shortfall: Option<Shortfall>,
 }
 
 impl Schedules {
-    /// Returns a reader of the scans of `window` at `rate`, from the next one on. Equal
-    /// subscriptions share a schedule. `trouble`, if any, is reported to it first.
+    /// Returns a reader of the scans of `window` at `rate`, starting with the next one.
+    /// Equal subscriptions share a schedule. Reports `trouble` to a new schedule only: an
+    /// existing one has already told its readers.
     pub(crate) fn subscribe(
         &mut self,
         window: Window,
@@ -86,19 +87,22 @@ impl Schedules {
     ) -> Cursor {
         self.drop_unread();
         if let Some(schedule) = self.find(window, rate) {
-            return schedule.subscribe(depth, trouble);
+            return schedule.ring.subscribe(depth);
         }
         let mut schedule = Schedule::new(window, rate);
-        let reader = schedule.subscribe(depth, trouble);
-        // Most sensors have one.
+        if let Some(error) = trouble {
+            schedule.report(error);
+        }
+        let reader = schedule.ring.subscribe(depth);
+        // Most sensors have one schedule.
         self.all.reserve_exact(1);
         self.all.push(schedule);
         self.changed = true;
         reader
     }
 
-    /// Continues after a time without polls. The places on the grid that went by do not
-    /// count as skipped, and rates are measured anew.
+    /// Resumes polling. Does not count the grid points missed meanwhile as skipped, and
+    /// restarts rate measurement.
     pub(crate) fn resume(&mut self, now: Instant) {
         for schedule in &mut self.all {
             schedule.catch_up(now);
@@ -106,13 +110,12 @@ impl Schedules {
         }
     }
 
-    /// Returns the time at which the next poll is due.
+    /// When the next poll is due.
     pub(crate) fn next_due(&self) -> Option<Instant> {
         self.all.iter().map(|schedule| schedule.due).min()
     }
 
-    /// Returns the time at which the poll after the next one is due, if the next one is on
-    /// a grid.
+    /// When the poll after the next one is due, if the next one is on a grid.
     pub(crate) fn due_after_next(&self) -> Option<Instant> {
         let next = self.all.iter().min_by_key(|schedule| schedule.due)?;
         let others = self.all.iter().filter(|schedule| !std::ptr::eq(*schedule, next));
@@ -125,10 +128,9 @@ impl Schedules {
         self.all.is_empty()
     }
 
-    /// Takes the poll that has been due for longest, and how many places on its
-    /// grid went by unused. Schedules without readers end when they are due: a poll looks
-    /// at the readers of its own schedule only, so that its cost does not grow with the
-    /// number of all.
+    /// Takes the poll that has been due longest. Also returns the number of grid points
+    /// skipped. Drops unread schedules only when they are due: a poll checks only its own
+    /// schedule's readers, so its cost does not grow with the number of schedules.
     pub(crate) fn take_due(&mut self, now: Instant) -> Option<(DuePoll, u64)> {
         loop {
             let schedule = self.all.iter_mut().min_by_key(|schedule| schedule.due)?;
@@ -143,16 +145,16 @@ impl Schedules {
         }
     }
 
-    /// Takes the block to decode the reply to `poll` into.
+    /// Takes the block for decoding the reply to `poll`.
     pub(crate) fn take_spare(&mut self, poll: DuePoll) -> Arc<[u16]> {
-        // Room for what a poll asks for beside its window.
+        // Room for the extra points of a widened request.
         let points = poll.window.points() + usize::from(Window::MAX_EXTRA_POINTS);
         let spare = self.find(poll.window, poll.rate).and_then(|schedule| schedule.spare.take());
         spare.unwrap_or_else(|| repeat_n(0, points).collect())
     }
 
-    /// Delivers the `values` that `poll` brought, of which those before `first` are not of
-    /// its window.
+    /// Delivers the `values` that `poll` received. Those before `first` are outside its
+    /// window.
     pub(crate) fn deliver(
         &mut self,
         poll: DuePoll,
@@ -164,14 +166,12 @@ impl Schedules {
         meta.sequence = schedule.sequence;
         schedule.sequence += 1;
         schedule.condition = None;
-        let fresh = values.get(first..).unwrap_or_default();
-        let latest = schedule.ring.latest();
-        meta.repeat = latest.is_some_and(|latest| fresh.starts_with(latest.values()));
-        let displaced = schedule.ring.push(Scan::new(poll.window, values, first, meta));
+        let scan = Scan::new(poll.window, values, first, meta);
+        let Pushed { displaced, repeats, missed } = schedule.ring.push(scan);
         schedule.spare = displaced.map(Scan::into_block);
         schedule.speed.count_scan();
-        let ended = schedule.end_poll();
-        Delivered { repeat: meta.repeat, shortfall: self.note_end(ended) }
+        let ended = schedule.end_poll(missed);
+        Delivered { repeat: repeats, shortfall: self.note_end(ended) }
     }
 
     /// Reports the error of one poll.
@@ -179,43 +179,47 @@ impl Schedules {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        let ended = schedule.end_poll();
+        let ended = schedule.end_poll(schedule.ring.missed());
         Delivered { repeat: false, shortfall: self.note_end(ended) }
     }
 
-    /// Adds up what the end of a poll brought, and returns its shortfall.
+    /// Adds the results of a finished poll to the totals, and returns its shortfall.
     fn note_end(&mut self, ended: Ended) -> Option<Shortfall> {
         self.changed |= ended.changed;
         self.missed += ended.missed;
         ended.shortfall
     }
 
-    /// Reports a lost link to all streams, and sets all rates to zero.
+    /// Reports a lost link to all streams.
     pub(crate) fn fail_all(&mut self, error: &Error) {
         for schedule in &mut self.all {
             schedule.report(error);
+        }
+    }
+
+    /// Pauses polling: all rates are zero until [`resume`](Self::resume).
+    pub(crate) fn pause(&mut self) {
+        for schedule in &mut self.all {
             schedule.speed.clear();
             self.changed = true;
         }
     }
 
-    /// Publishes the statistics of the schedules if they have changed.
+    /// Publishes the statistics if they have changed.
     pub(crate) fn note(&mut self, telemetry: &Telemetry) {
         if std::mem::take(&mut self.changed) {
-            telemetry.set_schedules(self.all.iter().map(|one| {
-                let audience: Weak<Ring> = Arc::downgrade(&one.ring);
-                (one.stats(), audience as Weak<dyn Audience>)
-            }));
+            let rings = self.all.iter().map(|one| (one.stats(), Arc::downgrade(&one.ring)));
+            telemetry.set_schedules(rings);
         }
     }
 
-    /// Returns what a schedule asked for and gets.
+    /// Requested and achieved rate of a schedule.
     pub(crate) fn stats(&mut self, poll: DuePoll) -> Option<ScheduleStats> {
         self.find(poll.window, poll.rate).map(|schedule| schedule.stats())
     }
 
-    /// Returns the number of scans that were overwritten before a consumer read them, as
-    /// each schedule knew it at its latest poll.
+    /// Number of scans overwritten before a consumer read them, as of each schedule's
+    /// latest poll.
     pub(crate) fn missed(&self) -> u64 {
         self.missed
     }
@@ -227,13 +231,13 @@ impl Schedules {
         }
     }
 
-    /// Ends the schedules that nobody reads any more.
+    /// Drops the schedules without readers.
     fn drop_unread(&mut self) {
         let Self { all, missed, changed, .. } = self;
         all.retain_mut(|schedule| {
             let read = schedule.ring.readers() > 0;
             if !read {
-                *missed += schedule.newly_missed();
+                *missed += schedule.newly_missed(schedule.ring.missed());
                 *changed = true;
             }
             read
@@ -261,23 +265,16 @@ impl Schedule {
         }
     }
 
-    fn subscribe(&mut self, depth: usize, trouble: Option<&Error>) -> Cursor {
-        if let Some(error) = trouble {
-            self.report(error);
-        }
-        self.ring.subscribe(depth)
-    }
-
-    /// Moves on to the first place on the grid behind `now`, so that a poll is
-    /// late at most once for being late; returns how many places that skips.
+    /// Advances to the first grid point after `now`, so that a late poll delays at most
+    /// one other. Returns the number of grid points skipped.
     fn advance(&mut self, now: Instant) -> u64 {
         let skipped = self.catch_up(now);
         self.due += self.rate.period().unwrap_or_default();
         skipped
     }
 
-    /// Moves on to the last place on the grid that is due, if any is; returns
-    /// how many places that skips.
+    /// Advances to the last grid point that is due, if any. Returns the number of grid
+    /// points skipped.
     fn catch_up(&mut self, now: Instant) -> u64 {
         let Some(period) = self.rate.period() else {
             self.due = self.due.max(now);
@@ -285,20 +282,19 @@ impl Schedule {
         };
         let late = now.saturating_duration_since(self.due).as_nanos();
         let period = period.as_nanos();
-        // A grid lasts as long as the stream: counted in u64 it would end after
-        // 584 years.
+        // Both casts are exact: u64 nanoseconds overflow after 584 years.
         let skipped = (late / period) as u64;
         self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);
         skipped
     }
 
-    /// Returns the number of scans that its readers missed since the latest call.
-    fn newly_missed(&mut self) -> u64 {
-        let before = std::mem::replace(&mut self.missed, self.ring.missed());
-        self.missed - before
+    /// Number of scans that readers missed since the last call. They missed `missed` in
+    /// total.
+    fn newly_missed(&mut self, missed: u64) -> u64 {
+        missed - std::mem::replace(&mut self.missed, missed)
     }
 
-    /// Passes `error` on if it is another kind than the last one since the last
+    /// Passes `error` on unless it is of the same kind as the last error since the last
     /// scan.
     fn report(&mut self, error: &Error) {
         let kind = discriminant(error);
@@ -309,12 +305,13 @@ impl Schedule {
 
     fn stats(&self) -> ScheduleStats {
         let span = self.speed.span();
-        ScheduleStats::new(self.window, self.rate, span.reached, span.failed)
+        let (reached, failed) = (span.map(|span| span.reached), span.map_or(0, |span| span.failed));
+        ScheduleStats::new(self.window, self.rate, reached, failed)
     }
 
-    /// Ends a poll: as fast as possible, the next one is due now.
-    fn end_poll(&mut self) -> Ended {
-        let (now, missed) = (Instant::now(), self.newly_missed());
+    /// Ends a poll. At [`Rate::MAX`] the next poll is due now.
+    fn end_poll(&mut self, missed: u64) -> Ended {
+        let (now, missed) = (Instant::now(), self.newly_missed(missed));
         if self.rate.period().is_none() {
             self.due = now;
         }

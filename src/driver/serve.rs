@@ -1,4 +1,4 @@
-//! An open session at work: requests and polls in turn.
+//! Serves an open session: requests and polls in turn.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,42 +6,37 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::baud_rate;
-use super::exchange::{ExchangeError, Timing};
+use super::failure::{ExchangeError, LinkError};
 use super::laser::{LaserRecovery, Refusal, set_laser};
+use super::motor_clock::{MotorClock, Revolution};
 use super::open::Wanted;
 use super::poll_timer::PollTimer;
+use super::probe::Probe;
 use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
 use super::session::{Polled, Session};
+use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
-use crate::state::{ScheduleStats, Telemetry};
+use crate::state::Telemetry;
+use crate::stats::ScheduleStats;
 use crate::{Error, Window};
 
-/// The reason for which a session is served no longer.
+/// Why a session is no longer served.
 #[derive(Debug)]
 pub(crate) enum Stop {
-    /// A handle asked for it.
+    /// A handle asked to close the driver.
     Closed(Responder<()>),
     /// All handles and streams are gone.
     Abandoned,
-    /// The sensor does not answer any more.
-    Silent(Error),
-    /// The link is lost: the port is of no use any more.
-    Lost(Error),
-    /// The port has ended, and no other one can follow: [`Error::Closed`], or the
-    /// error with which it ended.
-    Ended(Error),
+    /// The link failed.
+    Link(LinkError),
 }
 
-impl Stop {
-    /// Returns the error for the request that was being served.
-    fn cause(&self) -> Error {
-        match self {
-            Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => error.clone(),
-            Self::Closed(_) | Self::Abandoned => Error::Closed,
-        }
+impl From<LinkError> for Stop {
+    fn from(failure: LinkError) -> Self {
+        Self::Link(failure)
     }
 }
 
@@ -51,19 +46,21 @@ impl From<Abandoned> for Stop {
     }
 }
 
-/// Everything that serving needs besides the session.
+/// Everything needed to serve, besides the session.
 pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
     pub(crate) wanted: &'a mut Wanted,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
-    /// The time without an exchange after which a fence is raised.
-    pub(crate) idle_probe: Option<Duration>,
-    /// The number of times the sensor was found again before this session.
+    pub(crate) probe: Probe,
+    pub(crate) motor_clock: MotorClock,
+    /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
     pub(crate) laser_recovery: LaserRecovery,
     pub(crate) poll_timer: PollTimer,
+    /// True if scans are polled, as the state reports it.
+    pub(crate) streaming: bool,
 }
 
 impl Service<'_> {
@@ -79,16 +76,20 @@ impl Service<'_> {
         }
     }
 
-    /// Serves one request or one poll, or waits for either. They alternate when both
-    /// are due, so that neither can starve the other.
+    /// Serves one request or one poll, or waits for either. Alternates when both are due,
+    /// so that neither starves the other.
     async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
-        // A fence now, while nothing else is due, does not delay the next poll.
-        if session.is_dirty() {
+        let probe = self.probe.due(session.transport.received());
+        if probe.is_some_and(|due| due <= Instant::now()) {
+            session.transport.mark_dirty();
+        }
+        // Now, while nothing else is due, a fence delays no poll.
+        if session.transport.is_dirty() {
             let outcome = self.resynchronise(session).await;
-            self.ignore_command_errors(outcome)?;
+            ignore_command_errors(outcome)?;
         }
         let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
-        self.telemetry.set_streaming(polling);
+        self.note_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
         let poll_is_due = due.is_some_and(|due| due <= Instant::now());
         if !(*request_served && poll_is_due)
@@ -101,25 +102,19 @@ impl Service<'_> {
         if poll_is_due {
             return self.poll_due(session).await;
         }
-        let probe = self.idle_probe.map(|interval| Instant::now() + interval);
         let wake = due.into_iter().chain(probe).min();
         let next = self.schedules.due_after_next().filter(|_| polling);
         tokio::select! {
             biased;
-            outcome = session.idle() => self.ignore_command_errors(outcome)?,
+            outcome = session.transport.idle() => ignore_command_errors(outcome)?,
             outcome = self.queue.ready() => outcome?,
-            () = self.poll_timer.wait(wake.unwrap_or_else(Instant::now), next), if wake.is_some() => {
-                if wake == probe {
-                    // The fence is raised at the next turn.
-                    session.mark_dirty();
-                }
-            }
+            () = self.poll_timer.wait(wake.unwrap_or_else(Instant::now), next), if wake.is_some() => {}
         }
         Ok(())
     }
 
-    /// Raises a fence. If it is answered with a distance while the laser should
-    /// be off, the sensor was reset: its laser is switched off again.
+    /// Sends a fence. If the sensor answers with a distance although its laser should be
+    /// off, it was reset: switches the laser off again.
     async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         let status = session.settle().await?;
         if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
@@ -131,41 +126,46 @@ impl Service<'_> {
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
         match request {
             Request::Version(responder) => {
-                // It was read when the sensor was found.
-                let known = self.telemetry.version().ok_or(Error::Closed);
+                // The version was read when the sensor was found.
+                let known = self.telemetry.version().ok_or(Error::Closed { sensor: None });
                 let _ = responder.send(known);
                 Ok(())
             }
             Request::Laser { on, responder } => {
-                // Also if it fails: what was asked for is restored whenever the
-                // sensor is found again.
+                // Also on failure: the driver restores the setting whenever it finds the
+                // sensor again.
                 self.wanted.laser = Some(on);
+                self.telemetry.set_laser_off(!on);
                 let outcome = set_laser(session, on).await;
                 if on {
                     self.schedules.resume(Instant::now());
                 } else {
-                    self.telemetry.stats().failed(&Error::LaserOff);
+                    self.schedules.pause();
+                    self.note_schedules();
                 }
-                self.respond(responder, outcome)
+                Self::respond(responder, outcome)
             }
             Request::BaudRate { baud_rate, responder } => {
+                let before = session.transport.baud_rate();
                 let mut outcome = baud_rate::change(session, baud_rate).await;
                 if outcome.is_ok() {
                     self.wanted.baud_rate = Some(baud_rate);
                     if self.wanted.laser == Some(false) {
-                        // The sensor may have restarted unseen.
+                        // The sensor may have restarted unnoticed.
                         outcome = set_laser(session, false).await;
                     }
                 }
-                self.telemetry.set_baud_rate(session.baud_rate());
-                self.respond(responder, outcome)
+                if session.transport.baud_rate() != before {
+                    self.telemetry.set_baud_rate(session.transport.baud_rate());
+                }
+                Self::respond(responder, outcome)
             }
             Request::Scan { window, responder } => {
                 let outcome = self.scan(session, window).await;
-                self.respond(responder, outcome)
+                Self::respond(responder, outcome)
             }
             Request::Subscribe { window, rate, depth, responder } => {
-                // If nobody waits for it, this drops the stream.
+                // Drops the stream if no caller waits for it.
                 let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
                 self.note_schedules();
                 Ok(())
@@ -176,13 +176,13 @@ impl Service<'_> {
 
     async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
         if self.wanted.laser == Some(false) {
-            return Err(ExchangeError::Command(Error::LaserOff));
+            return Err(ExchangeError::Command(Error::LaserOff { sensor: None }));
         }
         let mut tries = 2;
         loop {
             tries -= 1;
             let mut values = Arc::default();
-            match self.poll(session, window, &mut values).await {
+            match self.poll(session, window, false, &mut values).await {
                 Ok(Polled { timing, first }) => {
                     return Ok(Scan::new(window, values, first, self.meta(timing)));
                 }
@@ -199,14 +199,17 @@ impl Service<'_> {
             return Ok(());
         };
         let mut values = self.schedules.take_spare(poll);
-        let (outcome, delivered) = match self.poll(session, poll.window, &mut values).await {
+        let (outcome, delivered) = match self
+            .poll(session, poll.window, poll.rate.period().is_some(), &mut values)
+            .await
+        {
             Ok(Polled { timing, first }) => {
                 let meta = self.meta(timing);
                 (Ok(()), self.schedules.deliver(poll, values, first, meta))
             }
-            Err(failure) => match self.command_error(failure) {
+            Err(failure) => match command_error(failure) {
                 Ok(error) => (Ok(()), self.schedules.fail(poll, &error)),
-                Err(stop) => (Err(stop), Delivered::default()),
+                Err(failure) => (Err(failure.into()), Delivered::default()),
             },
         };
         if let Some(shortfall) = delivered.shortfall
@@ -223,30 +226,35 @@ impl Service<'_> {
         outcome
     }
 
-    /// Polls, and records why there is no scan.
+    /// Polls, and records the scan or the reason why there is none.
     async fn poll(
         &mut self,
         session: &mut Session,
         window: Window,
+        can_wait: bool,
         values: &mut Arc<[u16]>,
     ) -> Result<Polled, ExchangeError> {
-        let outcome = self.poll_with_laser(session, window, values).await;
-        if let Err(failure) = &outcome {
-            self.telemetry.stats().failed(failure.error());
+        let outcome = self.poll_with_laser(session, window, can_wait, values).await;
+        match &outcome {
+            Ok(Polled { timing, .. }) => {
+                self.telemetry.stats().scanned(timing.requested, timing.received);
+            }
+            Err(failure) => self.telemetry.stats().failed(failure.error()),
         }
         outcome
     }
 
-    /// Polls; if the sensor refuses, once more after switching the laser on: it is
-    /// off, and nobody here switched it off.
+    /// Polls. If the sensor refuses because its laser is off, and this driver did not
+    /// switch it off, switches it on and polls once more.
     async fn poll_with_laser(
         &mut self,
         session: &mut Session,
         window: Window,
+        can_wait: bool,
         values: &mut Arc<[u16]>,
     ) -> Result<Polled, ExchangeError> {
-        let refusal = match session.poll(window, values).await {
-            Err(ExchangeError::Command(Error::Refused { command, status })) => {
+        let refusal = match session.poll(window, can_wait, values).await {
+            Err(ExchangeError::Command(Error::Refused { command, status, .. })) => {
                 Refusal { command, status }
             }
             outcome => {
@@ -257,64 +265,73 @@ impl Service<'_> {
             }
         };
         self.laser_recovery.switch_on(session, refusal).await?;
-        let outcome = session.poll(window, values).await;
+        let outcome = session.poll(window, can_wait, values).await;
         if let Err(ExchangeError::Command(Error::Refused { .. })) = &outcome {
             self.laser_recovery.note_refusal();
         }
         outcome
     }
 
-    /// Answers a request; a failure of the line is also a reason to stop.
-    fn respond<T>(
-        &self,
-        responder: Responder<T>,
-        outcome: Result<T, ExchangeError>,
-    ) -> Result<(), Stop> {
+    /// Answers a request. Also returns a reason to stop if the line failed.
+    fn respond<T>(responder: Responder<T>, outcome: Result<T, ExchangeError>) -> Result<(), Stop> {
         let (answer, stop) = match outcome {
             Ok(answer) => (Ok(answer), Ok(())),
-            Err(failure) => match self.command_error(failure) {
+            Err(failure) => match command_error(failure) {
                 Ok(error) => (Err(error), Ok(())),
-                Err(stop) => (Err(stop.cause()), Err(stop)),
+                Err(failure) => (Err(failure.error().clone()), Err(failure.into())),
             },
         };
-        // If nobody waits for the answer, it is dropped.
+        // Drops the answer if no caller waits for it.
         let _ = responder.send(answer);
         stop
     }
 
-    fn meta(&self, timing: Timing) -> ScanMeta {
+    /// Returns the properties of a new scan, whose arrival tells about the motor.
+    fn meta(&mut self, timing: Timing) -> ScanMeta {
+        let revolution = match timing.is_replayed {
+            true => Revolution::default(),
+            false => self.motor_clock.observe(timing.requested, timing.began),
+        };
+        self.telemetry.stats().motor = self.motor_clock.stats();
         ScanMeta {
             sequence: 0,
             requested_at: timing.requested,
+            first_byte_at: timing.began,
             received_at: timing.received,
             stamp: timing.stamp,
+            lateness: revolution.lateness,
             repeat: false,
-            scan_time: self.scan_time,
+            scan_time: revolution.period.unwrap_or(self.scan_time),
+            nominal_scan_time: self.scan_time,
             reconnects: self.reconnects,
+        }
+    }
+
+    /// Updates the state only on a change, because a user may hold a borrow of it.
+    fn note_streaming(&mut self, now: bool) {
+        if std::mem::replace(&mut self.streaming, now) != now {
+            self.telemetry.set_streaming(now);
         }
     }
 
     fn note_schedules(&mut self) {
         self.schedules.note(self.telemetry);
     }
+}
 
-    /// Returns the error if only the command failed, or else the reason to stop.
-    fn command_error(&self, failure: ExchangeError) -> Result<Error, Stop> {
-        let name = self.telemetry.name();
-        match failure {
-            ExchangeError::Command(error) => Ok(error.named(name)),
-            ExchangeError::Silent(error) => Err(Stop::Silent(error.named(name))),
-            ExchangeError::Lost(error) => Err(Stop::Lost(error.named(name))),
-            ExchangeError::Ended(error) => Err(Stop::Ended(error.named(name))),
-        }
-    }
-
-    fn ignore_command_errors(&self, outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
-        outcome.or_else(|failure| self.command_error(failure).map(drop))
+/// Separates the error of a command from the failure of the link.
+fn command_error(failure: ExchangeError) -> Result<Error, LinkError> {
+    match failure {
+        ExchangeError::Command(error) => Ok(error),
+        ExchangeError::Link(failure) => Err(failure),
     }
 }
 
-/// Logs why the rate of a schedule is not reached.
+fn ignore_command_errors(outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
+    outcome.or_else(|failure| Ok(command_error(failure).map(drop)?))
+}
+
+/// Logs why a schedule falls short of its rate.
 fn warn_of(
     shortfall: Shortfall,
     poll: DuePoll,
@@ -323,11 +340,11 @@ fn warn_of(
     let DuePoll { window, rate } = poll;
     match shortfall {
         Shortfall::Slow => tracing::warn!(
-            %window, asked = %rate, reached,
+            %window, asked = %rate, reached = reached.unwrap_or_default(),
             "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
         ),
         Shortfall::Loss => tracing::warn!(
-            %window, asked = %rate, reached, failed,
+            %window, asked = %rate, reached = reached.unwrap_or_default(), failed,
             "replies are lost, malformed or refused: check the cable and the sensor's power"
         ),
     }

@@ -1,30 +1,35 @@
-//! Keeps a session open: connects, and whenever the link is lost recovers or
-//! reconnects, with what the service had asked for restored.
+//! Keeps a session open: connects, and after a lost link recovers or reconnects and
+//! restores the service's settings.
 
 use std::future::Future;
 use std::mem::discriminant;
+use std::panic::resume_unwind;
+use std::pin::pin;
 use std::sync::Arc;
 
 use tokio::time::{Instant, sleep};
 
 use super::backoff::Backoff;
 use super::config::Config;
+use super::failure::LinkError;
 use super::laser::LaserRecovery;
+use super::motor_clock::MotorClock;
 use super::open::Opener;
+use super::panic;
 use super::poll_timer::PollTimer;
+use super::probe::Probe;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
 use crate::Error;
-use crate::observer::ReplyObserver;
 use crate::port::AnyConnect;
 use crate::state::{State, Telemetry};
 
-/// The whole driver: opens a session, serves it, and replaces it when it is lost.
+/// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor {
-    /// Declared first, so dropped first: who waits for a driver that is dropped, even
-    /// one that never ran, gets the cause.
+    /// Declared, and so dropped, before the queue: a caller whose request is dropped finds
+    /// the cause, even if the driver never ran.
     _closing: Closing,
     opener: Opener,
     offline: OfflineQueue,
@@ -33,7 +38,7 @@ pub(crate) struct Supervisor {
     telemetry: Arc<Telemetry>,
 }
 
-/// The requests and schedules, which are served with and without a link.
+/// Requests and schedules, which outlive each link.
 struct OfflineQueue {
     queue: RequestQueue,
     schedules: Schedules,
@@ -51,10 +56,7 @@ impl Supervisor {
         let schedules = Schedules::default();
         let offline = OfflineQueue { queue, schedules, telemetry: Arc::clone(&telemetry) };
         Self {
-            _closing: Closing {
-                telemetry: Arc::clone(&telemetry),
-                observer: config.observer.clone(),
-            },
+            _closing: Closing(Arc::clone(&telemetry)),
             opener,
             offline,
             backoff: Backoff::new(config.backoff, config.seed()),
@@ -63,26 +65,44 @@ impl Supervisor {
         }
     }
 
-    /// Runs until the driver is closed or abandoned, or the link is lost for good.
+    /// Runs until the driver is closed or abandoned, or the link is lost permanently.
     pub(crate) async fn run(mut self) -> Result<(), Error> {
-        let (error, responder) = match self.supervise().await {
-            Stop::Closed(responder) => (None, Some(responder)),
-            Stop::Abandoned | Stop::Ended(Error::Closed) => (None, None),
-            Stop::Silent(error) | Stop::Lost(error) | Stop::Ended(error) => (Some(error), None),
-        };
-        self.telemetry.enter(State::Closed { error: error.clone() });
-        self.offline.schedules.end(error.as_ref());
-        if let Some(responder) = responder {
-            // The driver is closed even if the caller no longer waits.
-            let _ = responder.send(Ok(()));
+        let outcome = panic::catch(pin!(self.supervise())).await;
+        match outcome {
+            Ok(Stop::Closed(responder)) => {
+                self.end(None);
+                // The driver is closed even if the caller no longer waits.
+                let _ = responder.send(Ok(()));
+                Ok(())
+            }
+            Ok(Stop::Abandoned | Stop::Link(LinkError::Ended(Error::Closed { .. }))) => {
+                self.end(None);
+                Ok(())
+            }
+            Ok(Stop::Link(failure)) => {
+                let error = failure.into_error();
+                self.end(Some(&error));
+                Err(self.telemetry.named(error))
+            }
+            Err(payload) => {
+                let message = panic::message(&*payload);
+                self.end(Some(&Error::Panicked { sensor: None, message }));
+                resume_unwind(payload)
+            }
         }
-        error.map_or(Ok(()), Err)
     }
 
-    /// Returns why the driver has to end.
+    /// Enters the final state, and ends all streams.
+    fn end(&mut self, error: Option<&Error>) {
+        self.offline.pause();
+        self.telemetry.enter(State::Closed { error: error.cloned() });
+        self.offline.schedules.end(error);
+    }
+
+    /// Opens, serves and reopens sessions until there is a reason to end.
     async fn supervise(&mut self) -> Stop {
-        // Boxed are the futures that only opening and recovering need: they are larger
-        // than that of serving, which would keep their room for good.
+        // The futures for opening and recovering are boxed because they are larger than
+        // the one for serving. Inline, they would hold that memory permanently.
         let mut session = match Box::pin(self.open_first()).await {
             Ok(session) => session,
             Err(stop) => return stop,
@@ -92,9 +112,13 @@ impl Supervisor {
             let stop = self.serve(&mut session).await;
             self.backoff.note_uptime(since.elapsed());
             let next = match stop {
-                Stop::Closed(_) | Stop::Abandoned | Stop::Ended(_) => return stop,
-                Stop::Silent(error) => Box::pin(self.recover(session, error)).await,
-                Stop::Lost(error) => Box::pin(self.reconnect(session, error)).await,
+                Stop::Link(LinkError::Silent(error)) => {
+                    Box::pin(self.recover(session, error)).await
+                }
+                Stop::Link(LinkError::Lost(error)) => {
+                    Box::pin(self.reconnect(session, error)).await
+                }
+                _ => return stop,
             };
             session = match next {
                 Ok(session) => session,
@@ -104,11 +128,12 @@ impl Supervisor {
     }
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
-        let baud_rate = session.baud_rate();
+        let baud_rate = session.transport.baud_rate();
         let serial_number = self.opener.serial_number();
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
-        let idle_probe = self.config.idle_probe.interval(session.can_die_silently());
+        let probe =
+            Probe::new(self.config.idle_probe.interval(session.transport.can_die_silently()));
         let reconnects = self.telemetry.stats().reconnects;
         let mut service = Service {
             queue: &mut self.offline.queue,
@@ -116,36 +141,44 @@ impl Supervisor {
             wanted: self.opener.wanted(),
             telemetry: &self.telemetry,
             scan_time,
-            idle_probe,
+            probe,
+            motor_clock: MotorClock::new(scan_time),
             reconnects,
             laser_recovery: LaserRecovery::new(self.config.seed()),
             poll_timer: PollTimer::default(),
+            streaming: false,
         };
-        service.run(session).await
+        let stop = service.run(session).await;
+        self.offline.pause();
+        // What is known about the motor belongs to the session.
+        self.telemetry.stats().motor = None;
+        stop
     }
 
     async fn open_first(&mut self) -> Result<Session, Stop> {
         let mut latest: Option<Error> = None;
         loop {
-            let error = match self.offline.attend(latest.as_ref(), self.opener.open()).await? {
+            // Streams see no error yet; the state has the reason.
+            let error = match self.offline.attend(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
-                Err(error) => error,
+                Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
+                Err(failure) => failure.into_error(),
             };
-            // udev may not have set the owner of a port yet: fails only if the
-            // error repeats. Another sensor may be replaced by the right one.
+            // Give up only if the error repeats: udev may not have set the owner of a new
+            // port yet. The wrong sensor may still be replaced by the right one.
             let again = latest.is_some_and(|last| discriminant(&last) == discriminant(&error));
             let may_pass = error.is_transient() || matches!(error, Error::AnotherSensor { .. });
             if !self.config.wait_for_sensor || again && !may_pass {
-                return Err(Stop::Lost(error));
+                return Err(LinkError::Lost(error).into());
             }
             self.telemetry.enter(State::Connecting { error: Some(error.clone()) });
-            self.offline.attend(Some(&error), sleep(self.backoff.next())).await?;
+            self.offline.attend(None, sleep(self.backoff.next())).await?;
             latest = Some(error);
         }
     }
 
-    /// Looks for a silent sensor on the port that is open; it may have been
-    /// reset, and speak at another speed.
+    /// Looks for a silent sensor on the open port. It may have been reset to
+    /// another baud rate.
     async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
         let found = self.offline.attend(Some(&error), self.opener.find_again(&mut session)).await?;
@@ -154,27 +187,26 @@ impl Supervisor {
                 self.telemetry.stats().reconnects += 1;
                 Ok(session)
             }
-            Err(cause) => {
-                tracing::debug!(error = %cause.chain(), "the sensor was not found at any baud rate");
+            Err(ended @ LinkError::Ended(_)) => Err(ended.into()),
+            Err(failure) => {
+                tracing::debug!(error = %failure.error().chain(), "the sensor was not found at any baud rate");
                 self.reconnect(session, error).await
             }
         }
     }
 
     async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, Stop> {
-        // First: the system cannot reuse the name of a port that is still open.
+        // First, because the system cannot reuse the name of a port that is still open.
         self.opener.close(session);
         let error = match cause {
             Error::Disconnected { .. } => cause,
             _ => Error::disconnected(None),
         };
-        let error = error.named(self.telemetry.name());
         self.telemetry.stats().disconnects += 1;
         if !self.config.reconnect {
-            return Err(Stop::Lost(error));
+            return Err(LinkError::Lost(error).into());
         }
         self.offline.schedules.fail_all(&error);
-        self.offline.schedules.note(&self.telemetry);
         let since = Instant::now();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
@@ -185,21 +217,28 @@ impl Supervisor {
                     self.telemetry.stats().reconnects += 1;
                     return Ok(session);
                 }
-                Err(error) => error,
+                Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
+                Err(failure) => failure.into_error(),
             };
-            if discriminant(&error) != discriminant(&latest) {
-                self.telemetry.enter(State::Disconnected { since, error: error.clone() });
-            } else if !error.is_transient() {
-                // An error that repeats and cannot pass by itself is reported.
+            if discriminant(&error) == discriminant(&latest) && !error.is_transient() {
+                // The error repeats, and waiting cannot cure it: tell the streams.
                 self.offline.schedules.fail_all(&error);
             }
+            self.telemetry.enter(State::Disconnected { since, error: error.clone() });
             latest = error;
         }
     }
 }
 
 impl OfflineQueue {
-    /// Runs `work` while there is no link, and serves the requests that need none.
+    /// Notes that polling has stopped, so that no schedule shows a rate.
+    fn pause(&mut self) {
+        self.schedules.pause();
+        self.schedules.note(&self.telemetry);
+    }
+
+    /// Runs `work` while there is no link, and serves the requests that need none. New
+    /// schedules begin with `trouble`, if any.
     async fn attend<T>(
         &mut self,
         trouble: Option<&Error>,
@@ -213,7 +252,7 @@ impl OfflineQueue {
                 request = self.queue.next_unlinked() => match request {
                     Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
                         let stream = self.schedules.subscribe(window, rate, depth, trouble);
-                        // If nobody waits for it, this drops the stream.
+                        // Drops the stream if no caller waits for it.
                         let _ = responder.send(Ok(stream));
                     }
                     Ok(Unlinked::Close(responder)) => return Err(Stop::Closed(responder)),
@@ -225,29 +264,23 @@ impl OfflineQueue {
 }
 
 impl Drop for OfflineQueue {
-    /// Ends all streams with the cause, when the driver is dropped. Requests need none:
-    /// whoever waits for the answer to one that is dropped looks for the cause.
+    /// Ends all streams with the cause when the driver is dropped. Requests need no such
+    /// end: a caller whose request is dropped looks up the cause itself.
     fn drop(&mut self) {
+        self.pause();
         let cause = self.telemetry.cause();
         self.schedules.end(Some(&cause));
     }
 }
 
-/// Enters the last state when a driver is dropped, so that nobody waits for another.
-struct Closing {
-    telemetry: Arc<Telemetry>,
-    observer: ReplyObserver,
-}
+/// Enters the final state when a driver is dropped, so that no caller waits for another
+/// state.
+struct Closing(Arc<Telemetry>);
 
 impl Drop for Closing {
     fn drop(&mut self) {
-        if self.telemetry.is_closed() {
-            return;
+        if !self.0.is_closed() {
+            self.0.enter(State::Closed { error: None });
         }
-        let error = std::thread::panicking().then(|| {
-            let elsewhere = || "its message is on standard error".to_owned();
-            Error::Panicked { message: self.observer.panic_message().unwrap_or_else(elsewhere) }
-        });
-        self.telemetry.enter(State::Closed { error });
     }
 }

@@ -1,4 +1,4 @@
-//! [`Builder`]: the settings of an [`Emulator`], with their defaults.
+//! [`EmulatorBuilder`]: the settings of an [`Emulator`], with their defaults.
 
 use std::fmt;
 use std::time::Duration;
@@ -8,6 +8,7 @@ use tokio::time::Instant;
 use super::faults::{FaultInjector, Faults};
 use super::handle::Emulator;
 use super::journal::Journal;
+use super::motor::Motor;
 use super::playback::Playback;
 #[cfg(feature = "mcap")]
 use super::playback::{PlaybackPace, Script};
@@ -17,11 +18,13 @@ use super::timing::{DeviceTiming, Pace};
 use super::world::{Room, World};
 use crate::BaudRate;
 
-/// A builder of an [`Emulator`]. The default of each setting stands at its method.
+/// Builder of an [`Emulator`]. Each method documents its default.
 #[must_use = "a builder does nothing until `build`"]
-pub struct Builder {
+pub struct EmulatorBuilder {
     device: Device,
     timing: DeviceTiming,
+    revolution: Duration,
+    drift: f64,
     world: Option<Box<dyn World>>,
     playback: Option<Playback>,
     faults: Faults,
@@ -29,18 +32,20 @@ pub struct Builder {
     log_capacity: usize,
 }
 
-impl fmt::Debug for Builder {
+impl fmt::Debug for EmulatorBuilder {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Builder")
+        f.debug_struct("EmulatorBuilder")
             .field("device", &self.device)
             .field("timing", &self.timing)
+            .field("revolution", &self.revolution)
+            .field("drift", &self.drift)
             .field("faults", &self.faults)
             .field("seed", &self.seed)
             .finish_non_exhaustive()
     }
 }
 
-impl Default for Builder {
+impl Default for EmulatorBuilder {
     fn default() -> Self {
         Self {
             device: Device {
@@ -56,12 +61,14 @@ impl Default for Builder {
             },
             timing: DeviceTiming {
                 pace: Pace::default(),
-                revolution: Duration::from_millis(100),
                 latency: Duration::ZERO,
                 boot: Duration::ZERO,
+                frame: Duration::ZERO,
                 stray_byte: true,
                 instant_line: false,
             },
+            revolution: Duration::from_millis(100),
+            drift: 0.0,
             world: None,
             playback: None,
             faults: Faults::none(),
@@ -72,34 +79,35 @@ impl Default for Builder {
 }
 
 impl Emulator {
-    /// Returns a builder with the default settings.
-    pub fn builder() -> Builder {
-        Builder::default()
+    /// Creates a builder with the default settings.
+    pub fn builder() -> EmulatorBuilder {
+        EmulatorBuilder::default()
     }
 }
 
 impl Default for Emulator {
-    /// Powers up a sensor on USB with the default settings of [`Builder`].
+    /// Powers up a sensor on USB with the default settings of [`EmulatorBuilder`].
     fn default() -> Self {
         Self::builder().build()
     }
 }
 
-impl Builder {
-    /// Sets the firmware to play: [`Firmware::V3`] unless set.
+impl EmulatorBuilder {
+    /// Sets the firmware to play. Default: [`Firmware::V3`].
     pub fn firmware(mut self, firmware: Firmware) -> Self {
         self.device.firmware = firmware;
         self
     }
 
-    /// Sets the serial number in the reply to `V`: `H0713090` unless set.
+    /// Sets the serial number in the reply to `V`. Default: `H0713090`.
     pub fn serial_number(mut self, serial_number: impl Into<String>) -> Self {
         self.device.serial_number = serial_number.into();
         self
     }
 
-    /// Sets the lines of the reply to `V`, without line feeds, in place of those of
+    /// Sets the lines of the reply to `V`, without line feeds. They replace the lines of
     /// the firmware and the serial number.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn version_lines<L: Into<Vec<u8>>>(mut self, lines: impl IntoIterator<Item = L>) -> Self {
         self.device.version_lines = Some(lines.into_iter().map(Into::into).collect());
         self
@@ -111,107 +119,124 @@ impl Builder {
         self
     }
 
-    /// Puts the sensor on RS-232, at this baud rate until the first power cycle;
-    /// after one it is at 19,200 baud.
+    /// Puts the sensor on RS-232, at this baud rate until the first power cycle, and at
+    /// 19,200 baud afterwards.
     pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
         self.device.baud_rate = Some(baud_rate);
         self
     }
 
-    /// Sets whether the laser is on: true unless set, as after every power-up.
+    /// Sets whether the laser is on. Default: true, as after every power-up.
     pub fn laser(mut self, on: bool) -> Self {
         self.device.is_laser_on = on;
         self
     }
 
-    /// Sets the status of the answer to `L` if the laser already is in that state:
-    /// [`RepeatedLaser::Status2`] unless set.
+    /// Sets the status of the answer to `L` if the laser already is in that state.
+    /// Default: [`RepeatedLaser::Status0`].
     pub fn repeated_laser(mut self, status: RepeatedLaser) -> Self {
         self.device.repeated_laser = status;
         self
     }
 
-    /// Sets the protocol that it speaks until the next power cycle: [`Mode::Scip1`]
-    /// unless set.
+    /// Sets the protocol to speak until the next power cycle. Default: [`Mode::Scip1`].
+    #[doc(hidden)] // For the tests of this crate.
     pub fn mode(mut self, mode: Mode) -> Self {
         self.device.mode = mode;
         self
     }
 
-    /// Sets the answer to a terminator without a command: [`EmptyCommand::Silence`]
-    /// unless set.
+    /// Sets the answer to a terminator without a command. Default:
+    /// [`EmptyCommand::Silence`].
+    #[doc(hidden)] // For the tests of this crate.
     pub fn empty_command(mut self, answer: EmptyCommand) -> Self {
         self.device.empty_command = answer;
         self
     }
 
-    /// Sets the number of points too many (or, negative, too few) at the end of a
-    /// scan, before clustering: 0 unless set.
+    /// Sets the number of excess points (or, negative, missing points) at the end of a
+    /// scan, before clustering. Default: 0.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn miscount(mut self, points: i8) -> Self {
         self.device.miscount = points;
         self
     }
 
-    /// Sets the time at which it answers: [`Pace::PerRevolution`] unless set.
+    /// Sets when the sensor answers. Default: [`Pace::PerRevolution`].
     pub fn pace(mut self, pace: Pace) -> Self {
         self.timing.pace = pace;
         self
     }
 
-    /// Sets the duration of one revolution of its motor: 100 ms unless set, at least
-    /// 1 ms.
+    /// Sets the duration of one revolution of the motor, at least 1 ms. Default: 100 ms.
     pub fn revolution(mut self, revolution: Duration) -> Self {
-        self.timing.revolution = revolution.max(Duration::from_millis(1));
+        self.revolution = revolution.max(Duration::from_millis(1));
         self
     }
 
-    /// Sets a delay of the first byte of each reply, after the time that the pace
-    /// demands: zero unless set.
+    /// Sets how much longer or shorter a revolution becomes in an hour, as a fraction of
+    /// at most 1 %. A real motor warms up. Default: zero.
+    pub fn drift(mut self, an_hour: f64) -> Self {
+        self.drift = an_hour;
+        self
+    }
+
+    /// Lets replies begin only at multiples of this interval, as USB's frames of one millisecond
+    /// do. Default: zero, a reply can begin at any time.
+    pub fn frame(mut self, frame: Duration) -> Self {
+        self.timing.frame = frame;
+        self
+    }
+
+    /// Sets a delay of the first byte of each reply, in addition to the pace. Default:
+    /// zero.
     pub fn latency(mut self, latency: Duration) -> Self {
         self.timing.latency = latency;
         self
     }
 
-    /// Sets the time for which it is silent after power-up, the first one included:
-    /// zero unless set; a real sensor needs some seconds.
+    /// Sets how long the sensor is silent after each power-up, including the first. A
+    /// real sensor needs some seconds. Default: zero.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn boot_time(mut self, boot: Duration) -> Self {
         self.timing.boot = boot;
         self
     }
 
-    /// Sets whether it sends one byte 0x00 when its baud rate has changed: true
-    /// unless set.
+    /// Sets whether the sensor sends one byte 0x00 when its baud rate has changed.
+    /// Default: true.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn stray_byte(mut self, stray_byte: bool) -> Self {
         self.timing.stray_byte = stray_byte;
         self
     }
 
-    /// Sets its surroundings: a [`Room`] made from the seed unless set.
+    /// Sets the surroundings of the sensor. Default: a [`Room`] made from the seed.
     pub fn world(mut self, world: impl World + 'static) -> Self {
         self.world = Some(Box::new(world));
         self
     }
 
-    /// Sets the faults: none unless set.
+    /// Sets the faults. Default: no faults.
     pub fn faults(mut self, faults: Faults) -> Self {
         self.faults = faults;
         self
     }
 
-    /// Sets the seed of the room, and of random faults that have none of their own:
-    /// 0 unless set.
+    /// Sets the seed of the room, and of random faults without a seed. Default: 0.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// Sets the number of command lines that [`Emulator::log`] keeps: 32 unless set.
+    /// Sets the number of command lines that [`Emulator::log`] keeps. Default: 32.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn log_capacity(mut self, commands: usize) -> Self {
         self.log_capacity = commands;
         self
     }
 
-    /// Plays a script in place of a world. With [`PlaybackPace::Immediate`] bytes take
+    /// Plays a script in place of a world. With [`PlaybackPace::Immediate`], bytes take
     /// no time on the line.
     #[cfg(feature = "mcap")]
     pub(crate) fn script(mut self, script: impl Script + 'static, pace: PlaybackPace) -> Self {
@@ -224,11 +249,14 @@ impl Builder {
     /// Powers up the sensor.
     #[must_use]
     pub fn build(self) -> Emulator {
-        let Self { device, timing, world, playback, faults, seed, log_capacity } = self;
+        let Self { device, timing, revolution, drift, world, playback, faults, seed, log_capacity } =
+            self;
         let world = world.unwrap_or_else(|| Box::new(Room::new(seed)));
         let faults = FaultInjector::new(faults, seed);
         let journal = Journal::new(log_capacity);
-        let mut sensor = TimedDevice::new(device, world, timing, faults, journal, Instant::now());
+        let now = Instant::now();
+        let motor = Motor::new(revolution, drift, now);
+        let mut sensor = TimedDevice::new(device, world, timing, motor, faults, journal, now);
         sensor.playback = playback;
         Emulator::new(sensor)
     }

@@ -1,24 +1,26 @@
 //! [`Emulator`]: the handle to an emulated sensor.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::faults::{FaultCounts, Faults};
-use super::journal::{Counts, Received};
+use super::journal::{Counts, Received, SentScan};
 use super::link::{HostBaudRate, Link};
 use super::scip::Mode;
 use super::shared::{Plugged, Shared};
 use super::timed_device::TimedDevice;
-use crate::{BaudRate, Connect, Error};
+use crate::port::Connect;
+use crate::{BaudRate, Error};
 
-/// A handle to an emulated sensor.
+/// Handle to an emulated sensor.
 ///
-/// Clones are handles to the same sensor, which lives as long as any of them or
-/// of its links. It runs no task and no thread: each read, write or call of a
-/// method brings it up to date first. Without a link it costs nothing.
+/// Clones are handles to the same sensor, which lives while a handle or a link exists. It runs
+/// no task and no thread: each read, write or method call first brings it up to date. Without a
+/// link it costs nothing.
 ///
-/// Methods that are not `async` never wait. They also work outside of a runtime.
+/// Methods that are not `async` never wait, and work outside of a runtime, too.
 #[derive(Debug, Clone)]
 pub struct Emulator {
     shared: Arc<Shared>,
@@ -29,12 +31,11 @@ impl Emulator {
         Self { shared: Arc::new(Shared::new(sensor)) }
     }
 
-    /// Opens a link in memory. A link that is already open is hung up: there is one
-    /// cable.
+    /// Opens a link in memory. Hangs up a link that is already open: there is one cable.
     ///
-    /// With a sensor on RS-232 the link is at 19,200 baud until
-    /// [`set_baud_rate`](crate::Port::set_baud_rate). While the sensor is unplugged
-    /// the link is hung up from the start.
+    /// To a sensor on RS-232, the link is at 19,200 baud until you call
+    /// [`set_baud_rate`](crate::port::Port::set_baud_rate). While the sensor is unplugged, the
+    /// link is hung up from the start.
     pub fn link(&self) -> Link {
         self.open(match self.baud_rate() {
             Some(_) => HostBaudRate::Set(BaudRate::B19200),
@@ -42,8 +43,9 @@ impl Emulator {
         })
     }
 
-    /// Opens a link as [`link`](Self::link) does, through a bridge whose baud rate
-    /// cannot be changed by the host.
+    /// Opens a link like [`link`](Self::link), through a bridge whose baud rate the host cannot
+    /// change.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn bridge(&self, baud_rate: BaudRate) -> Link {
         self.open(HostBaudRate::Fixed(baud_rate))
     }
@@ -68,7 +70,7 @@ impl Emulator {
         Link::new(Arc::clone(&self.shared), id, baud_rate)
     }
 
-    /// Changes the sensor after all that was due before, and wakes the reader.
+    /// Changes the sensor after everything that was due earlier, and wakes the reader.
     fn change(&self, change: impl FnOnce(&mut Plugged, Instant)) {
         let mut plugged = self.shared.lock_now();
         change(&mut plugged, Instant::now());
@@ -79,10 +81,9 @@ impl Emulator {
         }
     }
 
-    /// Pulls the cable. The open link is hung up, connecting fails with
-    /// [`Error::NoSuchPort`], and bytes on their way are lost. The sensor itself
-    /// keeps its power; for one that is powered by its cable call
-    /// [`power_cycle`](Self::power_cycle), too.
+    /// Pulls the cable. The open link is hung up, connecting fails with [`Error::NoSuchPort`],
+    /// and bytes on their way are lost. The sensor keeps its power. If its cable powers it,
+    /// also call [`power_cycle`](Self::power_cycle).
     pub fn unplug(&self) {
         self.change(|plugged, now| {
             plugged.plugged_in = false;
@@ -92,11 +93,11 @@ impl Emulator {
         self.shared.link_changed.notify_waiters();
     }
 
-    /// Puts the cable back. Links that were hung up stay so.
+    /// Plugs the cable in again. Links that were hung up stay so.
     pub fn plug_in(&self) {
         self.change(|plugged, now| {
             if !plugged.plugged_in {
-                // Drops what the sensor has sent in between.
+                // Drops the bytes that the sensor has sent in between.
                 plugged.sensor.unplug(now);
             }
             plugged.plugged_in = true;
@@ -104,30 +105,31 @@ impl Emulator {
         self.shared.link_changed.notify_waiters();
     }
 
-    /// Interrupts the power: from now on 19,200 baud, laser on, SCIP 1.1, and silent
-    /// for the boot time. An open link stays open.
+    /// Interrupts the power. The sensor restarts at 19,200 baud, laser on, in SCIP 1.1, and is
+    /// silent for the boot time. An open link stays open.
     pub fn power_cycle(&self) {
         self.change(|plugged, now| plugged.sensor.power_cycle(now));
     }
 
-    /// Replaces the faults from the next reply on, which is number 0 for the new
-    /// ones. The counts of faults are kept.
+    /// Replaces the faults, starting with the next reply, which becomes number 0. Keeps the
+    /// counts of faults.
     pub fn set_faults(&self, faults: Faults) {
         self.change(|plugged, _| plugged.sensor.set_faults(faults));
     }
 
-    /// Changes the serial number in the reply to `V`, as if another sensor had been
-    /// put in the place of this one.
+    /// Changes the serial number in the reply to `V`, as if you had replaced the sensor by
+    /// another one.
     pub fn set_serial_number(&self, serial_number: impl Into<String>) {
         self.change(|plugged, _| plugged.sensor.device.serial_number = serial_number.into());
     }
 
     /// Changes the protocol that the sensor speaks.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn set_mode(&self, mode: Mode) {
         self.change(|plugged, now| plugged.sensor.set_mode(mode, now));
     }
 
-    /// Sends bytes that were not asked for, behind those that are being sent.
+    /// Sends unsolicited bytes, after those on their way.
     pub fn inject(&self, bytes: impl Into<Vec<u8>>) {
         self.change(|plugged, now| plugged.sensor.send_unasked(now, bytes.into()));
     }
@@ -137,31 +139,53 @@ impl Emulator {
         self.shared.lock_now().sensor.device.is_laser_on
     }
 
-    /// Returns the sensor's baud rate, `None` on USB.
+    /// Baud rate of the sensor, or `None` on USB.
     pub fn baud_rate(&self) -> Option<BaudRate> {
         self.shared.lock_now().sensor.device.baud_rate
     }
 
-    /// Returns whether a link is open and not hung up.
+    /// Returns true if a link is open and not hung up.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn is_connected(&self) -> bool {
         let plugged = self.shared.lock_now();
         plugged.link.is_some() && !plugged.sensor.is_hung_up
     }
 
-    /// Returns the counters of commands and replies.
+    /// Counters of commands and replies.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn counts(&self) -> Counts {
         self.shared.lock_now().sensor.journal.counts
     }
 
-    /// Returns the number of faults injected so far, by kind.
+    /// Number of faults injected so far, by kind.
+    #[doc(hidden)] // For the tests of this crate.
     pub fn fault_counts(&self) -> FaultCounts {
         self.shared.lock_now().sensor.faults.counts
     }
 
-    /// Returns the last command lines that arrived, oldest first. Their number is
-    /// limited by [`Builder::log_capacity`](super::Builder::log_capacity).
+    /// Latest command lines received, oldest first. Set their number with
+    /// [`EmulatorBuilder::log_capacity`](super::EmulatorBuilder::log_capacity).
+    #[doc(hidden)] // For the tests of this crate.
     pub fn log(&self) -> Vec<Received> {
         self.shared.lock_now().sensor.journal.log()
+    }
+
+    /// Latest scans sent, oldest first, with the true times of their revolutions. A
+    /// [fence](crate::Stats::fences) is a scan, too. Set their number with
+    /// [`EmulatorBuilder::log_capacity`](super::EmulatorBuilder::log_capacity).
+    pub fn sent_scans(&self) -> Vec<SentScan> {
+        self.shared.lock_now().sensor.journal.scans()
+    }
+
+    /// Delays the motor once: from now on its revolutions end later by this time.
+    pub fn delay_motor(&self, by: Duration) {
+        self.change(|plugged, now| plugged.sensor.motor.delay(now, by));
+    }
+
+    /// Changes the [drift](super::EmulatorBuilder::drift) of the motor, starting from its
+    /// present period. A power cycle restores the drift at power-up.
+    pub fn set_drift(&self, an_hour: f64) {
+        self.change(|plugged, now| plugged.sensor.motor.set_drift(now, an_hour));
     }
 
     #[cfg(all(unix, feature = "serial"))]

@@ -1,4 +1,4 @@
-//! The record of what the sensor has received and done, for tests.
+//! What the sensor has received and done, for tests.
 
 use std::collections::VecDeque;
 
@@ -6,40 +6,55 @@ use tokio::time::Instant;
 
 use super::scip::{ArrivedCommand, HostCommand};
 
-/// The kind of a command line.
+/// Kind of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub enum Verdict {
-    /// A whole command of SCIP 1.1 with parameters that exist.
+    /// Complete command of SCIP 1.1 with valid parameters.
     WellFormed,
-    /// A terminator and nothing before it.
+    /// Terminator without a command.
     Empty,
     /// Anything else.
     Malformed,
 }
 
-/// A command line that reached the sensor.
+/// Command line that reached the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub struct Received {
-    /// The time at which its terminator had arrived.
+    /// When its terminator had arrived.
     pub at: Instant,
-    /// The line without its terminator, at most 64 bytes.
+    /// Line without its terminator, at most 64 bytes.
     pub line: Vec<u8>,
-    /// The result of parsing it as a command of SCIP 1.1.
+    /// Result of parsing it as a command of SCIP 1.1.
     pub verdict: Verdict,
     /// True if the two ends of the line had different baud rates.
     pub garbled: bool,
-    /// True if its first byte arrived before the end of the reply to an earlier
-    /// command (empty commands excepted).
+    /// True if its first byte arrived before the reply to an earlier command had ended
+    /// (except for empty commands).
     pub overlapping: bool,
+}
+
+/// Scan that the sensor sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SentScan {
+    /// When the terminator of its `G` had arrived. Lies between
+    /// [`Scan::requested_at`](crate::Scan::requested_at) and
+    /// [`Scan::received_at`](crate::Scan::received_at).
+    pub requested_at: Instant,
+    /// End of the revolution that measured its distances.
+    pub revolution_end: Instant,
 }
 
 /// Counters since the emulated sensor was built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub struct Counts {
-    /// Command lines of any kind that arrived.
+    /// Received command lines of any kind.
     pub commands: u64,
     /// Lines that were garbled because of a wrong baud rate.
     pub garbled: u64,
@@ -60,17 +75,18 @@ pub struct Counts {
     pub resets: u64,
 }
 
-/// The counters, and the last command lines.
+/// Counters, latest command lines and latest scans.
 #[derive(Debug)]
 pub(super) struct Journal {
     pub(super) counts: Counts,
     log: VecDeque<Received>,
+    scans: VecDeque<SentScan>,
     capacity: usize,
 }
 
 impl Journal {
     pub(super) fn new(capacity: usize) -> Self {
-        Self { counts: Counts::default(), log: VecDeque::new(), capacity }
+        Self { counts: Counts::default(), log: VecDeque::new(), scans: VecDeque::new(), capacity }
     }
 
     pub(super) fn record(&mut self, arrived: &ArrivedCommand) {
@@ -103,6 +119,21 @@ impl Journal {
             garbled: arrived.garbled,
             overlapping: arrived.overlapping,
         });
+    }
+
+    pub(super) fn record_scan(&mut self, scan: SentScan) {
+        self.counts.scans += 1;
+        if self.capacity == 0 {
+            return;
+        }
+        if self.scans.len() == self.capacity {
+            self.scans.pop_front();
+        }
+        self.scans.push_back(scan);
+    }
+
+    pub(super) fn scans(&self) -> Vec<SentScan> {
+        self.scans.iter().copied().collect()
     }
 
     pub(super) fn log(&self) -> Vec<Received> {

@@ -1,8 +1,8 @@
 //! [`Link`]: a line to an emulated sensor in memory. `serve` puts it on streams, TCP
 //! connections and terminals.
 //!
-//! A link needs as much time as the real line, and garbles bytes while the baud rates
-//! of its two ends differ.
+//! A link takes as much time as the real line. It garbles bytes while the baud rates of
+//! its two ends differ.
 
 use std::fmt;
 use std::future::Future;
@@ -18,17 +18,18 @@ use tokio::time::{Instant, Sleep};
 use super::playback::Playback;
 use super::shared::Shared;
 use super::timed_device::TimedDevice;
-use crate::{BaudRate, Port};
+use crate::BaudRate;
+use crate::port::{Port, PortHints};
 
-/// The baud rate of the host's end of the line.
+/// Baud rate of the host's end of the line.
 pub(super) enum HostBaudRate {
-    /// Always that of the sensor.
+    /// Always the sensor's baud rate.
     FollowsSensor,
     /// Set by the host.
     Set(BaudRate),
     /// Not changeable, as behind a bridge.
     Fixed(BaudRate),
-    /// Read from the terminal whenever it is needed, in bits per second.
+    /// Read from the terminal whenever needed, in bits per second.
     #[cfg_attr(not(all(unix, feature = "serial")), allow(dead_code))]
     Probed(Box<dyn Fn() -> Option<u32> + Send + Sync>),
 }
@@ -43,21 +44,20 @@ impl HostBaudRate {
     }
 }
 
-/// The host's end of a line to an emulated sensor, in memory.
+/// Host's end of a line to an emulated sensor, in memory.
 ///
-/// Bytes written arrive at the sensor, and its replies can be read, after the
-/// time that they need on the line. All times are `tokio::time`'s, so that a
-/// paused clock works. A sensor on RS-232 receives and sends garbage while
-/// this end has another baud rate; as a [`Port`] the link starts at 19,200 baud.
+/// Your bytes arrive at the sensor, and its replies become readable, after the time they
+/// need on the line. All times are `tokio::time`'s, so you can pause the clock. A sensor
+/// on RS-232 receives and sends garbage while this end has another baud rate. As a
+/// [`Port`] the link starts at 19,200 baud.
 ///
-/// The end of the stream (`Ok(0)`) means that the link was hung up: the sensor
-/// was unplugged, a newer link was opened, or a fault hung it up. Writes then
-/// fail with [`BrokenPipe`](io::ErrorKind::BrokenPipe). Flushing and shutting
-/// down have no effect.
+/// The end of the stream (`Ok(0)`) means that the link was hung up: the sensor was
+/// unplugged, a newer link was opened, or a fault hung it up. Writes then fail with
+/// [`BrokenPipe`](io::ErrorKind::BrokenPipe). Flushing and shutting down have no effect.
 ///
-/// Reads and writes are cancel-safe. Dropping the link leaves the sensor as it
-/// is; half a command stays in the sensor's line buffer, and bytes that the sensor
-/// still sends wait for the next link, as in an operating system's buffer.
+/// Reads and writes are cancel-safe. Dropping the link leaves the sensor as it is. Half a
+/// command stays in the sensor's line buffer. Bytes that the sensor still sends wait for
+/// the next link, as in the buffer of an operating system.
 pub struct Link {
     shared: Arc<Shared>,
     id: u64,
@@ -92,8 +92,8 @@ impl AsyncRead for Link {
         if buffer.remaining() == 0 {
             return Poll::Ready(Ok(()));
         }
-        // Takes part in tokio's budget, so that a link that always has bytes lets
-        // other tasks run.
+        // Takes part in tokio's budget, so that a link that always has bytes lets other
+        // tasks run.
         let budget = ready!(tokio::task::coop::poll_proceed(context));
         loop {
             let host = self.baud_rate.bits_per_second();
@@ -128,7 +128,7 @@ impl AsyncRead for Link {
     }
 }
 
-/// Returns the result of reading from a link that the sensor has hung up.
+/// Result of reading from a link that the sensor has hung up.
 fn end_of_stream(sensor: &TimedDevice) -> io::Result<()> {
     let ended = sensor.playback.as_ref().filter(|_| sensor.is_gone);
     ended.map_or(Ok(()), Playback::end)
@@ -151,7 +151,7 @@ impl AsyncWrite for Link {
         plugged.host = host;
         plugged.sensor.advance(now, host);
         plugged.sensor.receive(now, bytes, host);
-        // It may have found nothing to wait for.
+        // It may have found no event to wait for.
         let reader = plugged.reader.take();
         drop(plugged);
         if let Some(reader) = reader {
@@ -170,7 +170,7 @@ impl AsyncWrite for Link {
 }
 
 impl Port for Link {
-    /// Returns this end's baud rate, `None` if the sensor is on USB.
+    /// Baud rate of this end, or `None` if the sensor is on USB.
     fn baud_rate(&self) -> Option<BaudRate> {
         match self.baud_rate {
             HostBaudRate::Set(baud_rate) | HostBaudRate::Fixed(baud_rate) => Some(baud_rate),
@@ -178,14 +178,14 @@ impl Port for Link {
         }
     }
 
-    /// Sets this end's baud rate. Has no effect on USB; on a
-    /// [`bridge`](super::Emulator::bridge) it fails as unsupported.
+    /// Sets this end's baud rate. No effect on USB. Fails as unsupported on a
+    /// [`bridge`](super::Emulator::bridge).
     fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         match self.baud_rate {
             HostBaudRate::Set(_) => {
                 let mut plugged = self.shared.lock();
                 if plugged.link == Some(self.id) {
-                    // Bytes that have arrived so far arrived at the old baud rate.
+                    // The bytes so far arrived at the old baud rate.
                     let before = plugged.host;
                     plugged.sensor.advance(Instant::now(), before);
                     plugged.host = Some(baud_rate.bits_per_second());
@@ -201,15 +201,21 @@ impl Port for Link {
         }
     }
 
-    /// Returns true after the last reply of a recording that is replayed.
-    fn is_over(&self) -> bool {
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for Link {
+    /// Returns true after the last reply of a replayed recording.
+    fn is_over(&mut self) -> bool {
         self.shared.lock().sensor.is_gone
     }
 
-    /// Returns the time of the recording if one is replayed, otherwise the system's.
-    fn wall_clock(&self) -> SystemTime {
+    /// Returns the time of the recording if one is replayed.
+    fn wall_clock(&mut self) -> Option<SystemTime> {
         let plugged = self.shared.lock();
-        plugged.sensor.playback.as_ref().map_or_else(SystemTime::now, Playback::wall_clock)
+        plugged.sensor.playback.as_ref().map(Playback::wall_clock)
     }
 }
 

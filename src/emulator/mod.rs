@@ -1,11 +1,10 @@
 //! An emulated sensor, to test a service without hardware (feature `emulator`).
 //!
-//! [`Emulator`] behaves as a URG sensor does, by the protocol text and by what is
-//! known of real sensors. It answers `V`, `L`, `S` and `G`, keeps its laser's state
-//! and its baud rate, measures a [`Room`] with people in it (or a [`Scene`] or
-//! [`World`] of yours), needs as much time as a real sensor, and injects [`Faults`] on demand.
-//! The same seed and the same commands at the same times have the same bytes as
-//! their result.
+//! [`Emulator`] behaves like a URG sensor, by the protocol text and by what is known of real
+//! sensors. It answers `V`, `L`, `S` and `G`, keeps the state of its laser and its baud rate,
+//! and needs as much time as a real sensor. It measures a [`Room`] with people in it, or your
+//! own [`Scene`] or [`World`]. It injects [`Faults`] on demand. The same seed and the same
+//! commands at the same times give the same bytes.
 //!
 //! ```
 //! use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -26,18 +25,18 @@
 //! # Ways to connect to it
 //!
 //! - [`Emulator::link`] opens a [`Link`] in memory, which is a
-//!   [`Port`](crate::Port) with a baud rate.
-//! - `Emulator` is a [`Connect`](crate::Connect): each connection is a new link to
-//!   the same sensor, which can be unplugged and plugged in again.
-//! - [`Emulator::serve`] serves it on any stream, [`Emulator::serve_tcp`] on TCP,
-//!   `Pty` on a pseudo-terminal (Unix, with feature `serial`).
-//! - [`FaultyLink`] wraps any stream and makes its calls fail as scripted.
+//!   [`Port`](crate::port::Port) with a baud rate.
+//! - `Emulator` is a [`Connect`](crate::port::Connect): each connection is a new link to the
+//!   same sensor. You can unplug it and plug it in again.
+//! - To serve it to other programs, use [`Emulator::serve`] on any stream,
+//!   [`Emulator::serve_tcp`] on TCP, or `Pty` on a pseudo-terminal (Unix, with feature
+//!   `serial`).
 //!
 //! # Answers that the protocol text leaves open
 //!
 //! | command | status |
 //! |---|---|
-//! | `L` for the state that the laser is in already | `2`, or `0` ([`RepeatedLaser`]) |
+//! | `L` for the state that the laser is in already | `0`, or `2` ([`RepeatedLaser`]) |
 //! | `S` for the baud rate that is set already, or on USB ([`Firmware::V3`]) | `3` |
 //! | `G` while the laser is off | `6` |
 //! | `SCIP2.0` ([`Firmware::V3`]; no answer from [`Firmware::Text`]) | `C` |
@@ -46,18 +45,18 @@
 //! | a control code, baud rate, step or cluster that does not exist | `4` |
 //! | starting point greater than end point | `5` |
 //!
-//! The first five are known from drivers that ran on real sensors. The other three
-//! are this emulator's choice, since the text only demands "an error status". It
-//! plays a sensor that knows SCIP 1.1 only: a client that tries SCIP 2 first sees
-//! its commands refused and falls back, as the URG driver of Player does, which reads
-//! all of its scans then. A cluster count of `00` works as `01`.
-//! Lines of more than 64 bytes are cut and refused.
+//! The first five come from drivers that ran on real sensors. The other three are this
+//! emulator's choice, because the text only demands "an error status". It plays a sensor that
+//! knows only SCIP 1.1. A client that tries SCIP 2 first sees its commands refused and falls
+//! back; the URG driver of Player does, and then reads all scans. A cluster count of `00`
+//! works as `01`. Lines of more than 64 bytes are cut and refused.
 
 mod builder;
 mod faults;
 mod handle;
 mod journal;
 mod link;
+mod motor;
 #[cfg_attr(not(feature = "mcap"), allow(dead_code, reason = "only recordings have scripts"))]
 mod playback;
 mod random;
@@ -69,12 +68,10 @@ mod timing;
 mod wire;
 mod world;
 
-pub use self::builder::Builder;
-pub use self::faults::{
-    Call, CallCounter, Fault, FaultCounts, Faults, FaultyLink, InvalidFaults, LinkFailure,
-};
+pub use self::builder::EmulatorBuilder;
+pub use self::faults::{Fault, FaultCounts, Faults, InvalidFaults};
 pub use self::handle::Emulator;
-pub use self::journal::{Counts, Received, Verdict};
+pub use self::journal::{Counts, Received, SentScan, Verdict};
 pub use self::link::Link;
 #[cfg(feature = "mcap")]
 pub(crate) use self::playback::{PlaybackPace, Script};

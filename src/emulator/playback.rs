@@ -1,5 +1,5 @@
-//! [`Playback`]: replies to `G` that are known in advance, such as those of a
-//! recording, sent in place of what a world would measure.
+//! [`Playback`]: sends replies to `G` that are known in advance, such as a recording,
+//! instead of measuring a world.
 //!
 //! The replies come from a [`Script`]; the recording module implements it.
 
@@ -11,35 +11,37 @@ use tokio::time::Instant;
 use super::scip::HostCommand;
 use super::world::Values;
 
-/// The longest time for which the sensor holds a reply back until it is due; an
-/// earlier `G` is not answered. It is less than the deadline of a driver.
+/// Longest time that the sensor holds back a reply until it is due. An earlier `G` gets
+/// no answer. Shorter than a driver's deadline.
 const MAX_HOLD: Duration = Duration::from_millis(400);
 
-/// A source of replies in a fixed order.
+/// Source of replies in a fixed order.
 pub(crate) trait Script: Send {
-    /// Returns the time from the first reply to the next one, `None` after the
-    /// last one.
+    /// Reads the next reply, once a command has arrived. May block.
+    fn prepare(&mut self);
+
+    /// Time from the first reply to the next one, or `None` after the last one.
     fn due(&self) -> Option<Duration>;
 
-    /// Returns true if a `G` for the single step `step` asks for the next reply,
-    /// and is not a fence.
+    /// Returns true if a `G` for the single step `step` asks for the next reply, and is
+    /// not a fence.
     fn is_single_step(&self, step: u16) -> bool;
 
-    /// Goes on to the next reply. Returns its bytes, as an answer to `command`, if
-    /// they cannot be encoded from distances.
+    /// Advances to the next reply. Returns its bytes, as an answer to `command`, if they
+    /// cannot be encoded from distances.
     fn advance(&mut self, command: &[u8]) -> Option<Vec<u8>>;
 
-    /// Returns the wall clock at which the latest reply arrived.
+    /// Wall clock of the latest reply's arrival.
     fn wall_clock(&self) -> SystemTime;
 
-    /// Returns the error that ended the script before its end, if any.
+    /// Error that ended the script early, if any.
     fn failure(&self) -> Option<io::Error>;
 
     /// Copies the latest value of each step that was ever measured.
     fn measure(&self, values: &mut Values);
 }
 
-/// The time at which replies are sent.
+/// When replies are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PlaybackPace {
     /// At the recorded times.
@@ -48,23 +50,23 @@ pub(crate) enum PlaybackPace {
     Immediate,
 }
 
-/// A script that is played.
+/// Script being played.
 pub(super) struct Playback {
     script: Box<dyn Script>,
     pace: PlaybackPace,
     started_at: Option<Instant>,
 }
 
-/// The script's answer to a command.
+/// Answer of the script to a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum NextReply {
-    /// The command is none of the script's: the device answers it.
+    /// The script does not answer the command, so the device does.
     NotScripted,
-    /// The script's next reply, not before this time.
+    /// Next reply of the script, not before this time.
     At(Instant),
-    /// No reply: the next one is due too far in the future.
+    /// No reply, because the next one is due too far in the future.
     TooEarly,
-    /// The script has ended: the sensor is unplugged.
+    /// End of the script: the sensor is unplugged.
     End,
 }
 
@@ -73,7 +75,12 @@ impl Playback {
         Self { script, pace, started_at: None }
     }
 
-    /// Returns the answer to `command` if it is served at `at`.
+    /// Reads the next reply of the script, if that was not done yet.
+    pub(super) fn prepare(&mut self) {
+        self.script.prepare();
+    }
+
+    /// Answer to `command` if it is served at `at`.
     pub(super) fn next_reply(&self, command: &HostCommand, at: Instant) -> NextReply {
         match *command {
             HostCommand::Scan { start, end, .. }
@@ -103,12 +110,12 @@ impl Playback {
         self.script.measure(values);
     }
 
-    /// Returns the wall clock at which the latest reply arrived.
+    /// Wall clock of the latest reply's arrival.
     pub(super) fn wall_clock(&self) -> SystemTime {
         self.script.wall_clock()
     }
 
-    /// Returns the result of reading from the sensor after the script's end.
+    /// Result of reading from the sensor after the script's end.
     pub(super) fn end(&self) -> io::Result<()> {
         self.script.failure().map_or(Ok(()), Err)
     }

@@ -1,7 +1,7 @@
 //! Random numbers that are the same on every machine and in every version.
 
-/// The splitmix64 generator (Steele, Lea and Flood, 2014): one word of state,
-/// any seed is a good one, and its whole definition is the function below.
+/// Splitmix64 generator (Steele, Lea and Flood, 2014): one word of state, any seed is
+/// good, and the function below is its whole definition.
 #[derive(Debug, Clone)]
 pub(super) struct Random(u64);
 
@@ -15,21 +15,21 @@ impl Random {
         mix(self.0)
     }
 
-    /// Returns a number in `0..bound`, or 0 if `bound` is 0.
+    /// Draws a number in `0..bound`, or 0 if `bound` is 0.
     pub(super) fn below(&mut self, bound: u64) -> u64 {
-        // The high word of the product; its bias of bound / 2^64 does not matter here.
+        // High word of the product. Its bias of bound / 2^64 does not matter here.
         ((u128::from(self.next()) * u128::from(bound)) >> 64) as u64
     }
 
-    /// Returns a number in `0.0..1.0`.
+    /// Draws a number in `0.0..1.0`.
     pub(super) fn fraction(&mut self) -> f64 {
         fraction(self.next())
     }
 }
 
-/// Hashes a number by splitmix64's output function: every bit of the input changes
-/// every bit of the output. Used for noise that depends on a step and a revolution
-/// but not on earlier draws.
+/// Hashes a number with splitmix64's output function: every bit of the input changes
+/// every bit of the output. For noise that depends on a step and a revolution but not on
+/// earlier draws.
 pub(super) fn mix(mut z: u64) -> u64 {
     z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
     z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

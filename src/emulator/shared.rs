@@ -1,4 +1,4 @@
-//! The state that the handles to one emulated sensor and its links share.
+//! State shared by the handles to one emulated sensor and its links.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
@@ -15,18 +15,18 @@ pub(super) struct Shared {
     pub(super) link_changed: Notify,
 }
 
-/// The sensor, and what is plugged into it.
+/// Sensor, and what is plugged into it.
 #[derive(Debug)]
 pub(super) struct Plugged {
     pub(super) sensor: TimedDevice,
     pub(super) plugged_in: bool,
-    /// The id of the open link.
+    /// Id of the open link.
     pub(super) link: Option<u64>,
-    /// The number of links opened so far.
+    /// Number of links opened so far.
     pub(super) links: u64,
-    /// The baud rate of the host's end when it was last used.
+    /// Baud rate of the host's end when it was last used.
     pub(super) host: Option<u32>,
-    /// The task that waits for bytes from the sensor.
+    /// Task that waits for bytes from the sensor.
     pub(super) reader: Option<Waker>,
 }
 
@@ -54,7 +54,8 @@ impl Shared {
     /// Waits until `condition` holds.
     pub(super) async fn wait_until(&self, condition: impl Fn(&Plugged) -> bool) {
         loop {
-            // Created before the check: a notification between the two is not lost.
+            // Created before the check, so that a notification between the two is not
+            // lost.
             let notified = self.link_changed.notified();
             if condition(&self.lock()) {
                 return;

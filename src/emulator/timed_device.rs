@@ -1,7 +1,7 @@
 //! [`TimedDevice`]: the sensor in time. Decides when a command has arrived, when it
 //! is served, when its reply is on the line, and what happens without a command.
 //!
-//! No I/O and no clock: each call passes the time.
+//! Does no I/O and reads no clock: you pass the time to each call.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -10,7 +10,8 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::faults::{Aftermath, Delivery, Fault, FaultInjector, Faults};
-use super::journal::Journal;
+use super::journal::{Journal, SentScan};
+use super::motor::Motor;
 use super::playback::{NextReply, Playback};
 use super::scip::{
     ArrivedCommand, Device, Effect, HostCommand, LineBuffer, Mode, scip2_scan, status_only,
@@ -20,11 +21,11 @@ use super::wire::{Transmitter, byte_time, garble};
 use super::world::{NON_MEASURABLE, STEPS, World, WorldTime};
 use crate::BaudRate;
 
-/// The number of commands that wait to be served; further ones are dropped. The
-/// input buffer of a real sensor is small, too.
+/// Number of commands that wait to be served; further ones are dropped. The input buffer
+/// of a real sensor is small, too.
 const MAX_WAITING: usize = 32;
 
-/// A change that happens at a set time, without a command.
+/// Change that happens at a set time, without a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum TimedEvent {
     BaudRate(BaudRate),
@@ -32,7 +33,7 @@ enum TimedEvent {
     HangUp,
 }
 
-/// The next thing that the sensor does.
+/// What the sensor does next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum NextAction {
     HandleEvent,
@@ -45,26 +46,27 @@ pub(super) struct TimedDevice {
     pub(super) journal: Journal,
     pub(super) faults: FaultInjector,
     pub(super) transmitter: Transmitter,
-    /// A fault, or the script's end, has hung up the link.
+    /// True if a fault, or the script's end, has hung up the link.
     pub(super) is_hung_up: bool,
-    /// The script has ended: the sensor never comes back.
+    /// True if the script has ended, so that the sensor never comes back.
     pub(super) is_gone: bool,
     world: Box<dyn World>,
     /// Replies to play in place of the world's.
     pub(super) playback: Option<Playback>,
     timing: DeviceTiming,
+    pub(super) motor: Motor,
     powered_at: Instant,
     line: LineBuffer,
-    /// The time at which the host's last byte is through.
+    /// When the host's last byte has arrived.
     receiving_until: Instant,
     waiting: VecDeque<ArrivedCommand>,
-    /// The time until which a command keeps the sensor busy.
+    /// When the sensor has finished its latest command.
     busy_until: Instant,
-    /// The time until which a reply is on its way.
+    /// Until when a reply is on its way.
     unanswered_until: Instant,
     /// Sorted by time.
     events: VecDeque<(Instant, TimedEvent)>,
-    /// The time from which on the next scan is streamed, in SCIP 2.
+    /// Earliest time of the next streamed scan, in SCIP 2.
     next_stream: Instant,
 }
 
@@ -79,6 +81,7 @@ impl TimedDevice {
         device: Device,
         world: Box<dyn World>,
         timing: DeviceTiming,
+        motor: Motor,
         faults: FaultInjector,
         journal: Journal,
         now: Instant,
@@ -94,6 +97,7 @@ impl TimedDevice {
             world,
             playback: None,
             timing,
+            motor,
             powered_at: now,
             line: LineBuffer::default(),
             receiving_until: now,
@@ -105,7 +109,7 @@ impl TimedDevice {
         }
     }
 
-    /// Receives `bytes`, which the host sends with its end at `host` baud.
+    /// Receives `bytes`, sent while the host's end is at `host` baud.
     pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], host: Option<u32>) {
         let own = self.baud_rate();
         let host = host.filter(|_| own.is_some());
@@ -136,6 +140,7 @@ impl TimedDevice {
                 self.journal.record(&arrived);
                 if self.waiting.len() < MAX_WAITING {
                     self.waiting.push_back(arrived);
+                    self.prepare_playback();
                 } else {
                     self.journal.counts.overrun += 1;
                 }
@@ -143,13 +148,13 @@ impl TimedDevice {
         }
     }
 
-    /// Sends bytes that were not asked for.
+    /// Sends unsolicited bytes.
     pub(super) fn send_unasked(&mut self, now: Instant, bytes: Vec<u8>) {
         self.transmitter.send(now, bytes, self.baud_rate(), None);
     }
 
-    /// Does everything that is due until `now`. The host's end of the line is at
-    /// `host` baud, or at the sensor's baud rate if that is `None`.
+    /// Does everything that is due until `now`. The host's end of the line is at `host`
+    /// baud, or at the sensor's baud rate if `host` is `None`.
     pub(super) fn advance(&mut self, now: Instant, host: Option<u32>) {
         while let Some((at, action)) = self.next_action()
             && at <= now
@@ -168,7 +173,7 @@ impl TimedDevice {
         self.transmitter.advance(now, self.baud_rate(), host);
     }
 
-    /// Returns the next time at which there is something to do or to read.
+    /// When there is next something to do or to read.
     pub(super) fn next_time(&self) -> Option<Instant> {
         let action = self.next_action().map(|(at, _)| at);
         action.into_iter().chain(self.transmitter.next_arrival()).min()
@@ -180,6 +185,7 @@ impl TimedDevice {
         self.journal.counts.resets += 1;
         self.transmitter.cut(now);
         self.powered_at = now;
+        self.motor.restart(now);
         self.line = LineBuffer::default();
         self.receiving_until = now;
         self.waiting.clear();
@@ -205,7 +211,7 @@ impl TimedDevice {
         self.faults.replace(faults);
     }
 
-    /// Returns the sensor's baud rate in bits per second, `None` on USB.
+    /// Sensor's baud rate in bits per second, or `None` on USB.
     fn baud_rate(&self) -> Option<u32> {
         self.device.baud_rate.map(BaudRate::bits_per_second)
     }
@@ -217,15 +223,15 @@ impl TimedDevice {
             let first = self.waiting.front();
             serve = first.map(|arrived| (self.serve_at(arrived), NextAction::ServeCommand));
             if self.device.mode == Mode::Scip2Streaming {
-                let at = self.timing.revolution_after(self.powered_at, self.next_stream);
+                let at = self.motor.next_end(self.next_stream);
                 stream = Some((at, NextAction::StreamScan));
             }
         }
-        // Of two at the same time the first one in this list is chosen.
+        // Of two events at the same time, the first in this list wins.
         event.into_iter().chain(serve).chain(stream).min_by_key(|(at, _)| *at)
     }
 
-    /// Returns whether a command that arrived before `at` is unanswered then.
+    /// Returns true if a command that arrived before `at` is unanswered at that time.
     fn is_answering(&self, at: Instant) -> bool {
         at < self.unanswered_until
             || self.waiting.iter().any(|waiting| waiting.command != HostCommand::Empty)
@@ -233,24 +239,29 @@ impl TimedDevice {
 
     fn serve_at(&self, arrived: &ArrivedCommand) -> Instant {
         let free = arrived.at.max(self.busy_until);
-        let start = self.timing.serve_at(self.powered_at, free);
+        let start = self.timing.serve_at(&self.motor, free);
         match self.next_reply(&arrived.command, start) {
             NextReply::At(due) => due,
             NextReply::NotScripted | NextReply::TooEarly | NextReply::End => start,
         }
     }
 
-    /// Returns the script's answer to a command.
+    fn prepare_playback(&mut self) {
+        if let Some(playback) = &mut self.playback {
+            playback.prepare();
+        }
+    }
+
+    /// Answer of the script to a command.
     fn next_reply(&self, command: &HostCommand, at: Instant) -> NextReply {
-        // With the laser off `G` is refused, whatever the script has.
+        // With the laser off, the sensor refuses `G`, whatever the script has.
         let playback = self.playback.as_ref().filter(|_| self.device.is_laser_on);
         playback.map_or(NextReply::NotScripted, |playback| playback.next_reply(command, at))
     }
 
     fn world_time(&self, at: Instant) -> WorldTime {
-        let finished = self.timing.finished_revolutions(self.powered_at, at);
-        let revolution = finished.saturating_sub(1);
-        let at = self.timing.duration_of(revolution + 1);
+        let revolution = self.motor.finished(at).saturating_sub(1);
+        let at = self.motor.end(revolution + 1).duration_since(self.powered_at);
         WorldTime { revolution, request: self.journal.counts.scans, at }
     }
 
@@ -279,6 +290,7 @@ impl TimedDevice {
         if !self.device.answers(&command.command) {
             return;
         }
+        self.prepare_playback();
         match self.next_reply(&command.command, at) {
             NextReply::NotScripted | NextReply::At(_) => {}
             NextReply::TooEarly => return,
@@ -297,7 +309,7 @@ impl TimedDevice {
         let mut duration = byte_time(self.baud_rate()) * reply.len() as u32;
         let mut at = at;
         if effect == Effect::LaserOn && self.timing.pace == Pace::PerRevolution {
-            at += self.timing.revolution;
+            at += self.motor.period();
         }
         let mut delivery = Delivery::new(reply);
         if self.timing.instant_line {
@@ -306,13 +318,13 @@ impl TimedDevice {
         for fault in faults {
             delivery.apply(fault, &mut random);
         }
-        let start = self.deliver(at, delivery);
+        let start = self.deliver(self.timing.frame_at(self.powered_at, at), delivery);
 
         // A late reply is delayed on its way, which does not keep the sensor busy.
         self.busy_until = at + duration;
         self.unanswered_until = start + duration;
         if let Effect::BaudRate(baud_rate) = effect {
-            let change = (at + self.timing.revolution).max(self.transmitter.free());
+            let change = (at + self.motor.period()).max(self.transmitter.free());
             self.schedule(change, TimedEvent::BaudRate(baud_rate));
             self.busy_until = change;
         }
@@ -345,7 +357,10 @@ impl TimedDevice {
             let measure = |values: &mut _| self.world.measure(time, values);
             self.device.execute(&command.bytes, &command.command, measure)
         };
-        self.journal.counts.scans += u64::from(effect == Effect::Scan);
+        if effect == Effect::Scan {
+            let revolution_end = self.powered_at + time.at;
+            self.journal.record_scan(SentScan { requested_at: command.at, revolution_end });
+        }
         (reply, effect)
     }
 
@@ -367,7 +382,7 @@ impl TimedDevice {
         start
     }
 
-    /// Sends a scan unasked, as in SCIP 2.
+    /// Sends an unsolicited scan, as in SCIP 2.
     fn stream_scan(&mut self, at: Instant) {
         let time = self.world_time(at);
         let mut values = [NON_MEASURABLE; STEPS];

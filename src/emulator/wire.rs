@@ -1,5 +1,5 @@
-//! The line from the sensor to the host: when each byte arrives, and what the
-//! host reads if its baud rate is not the sensor's.
+//! Line from the sensor to the host: when each byte arrives, and what the host reads if
+//! its baud rate is not the sensor's.
 //!
 //! `Transmitter` is the queue of bytes on their way; `byte_time` and `garble` are
 //! the physics of one serial line, used for both directions.
@@ -10,20 +10,20 @@ use std::time::Duration;
 use tokio::io::ReadBuf;
 use tokio::time::Instant;
 
-/// The throughput of a sensor on USB, measured on a URG-04LX.
+/// Throughput of a sensor on USB, measured on a URG-04LX.
 const USB_BYTES_PER_SECOND: u32 = 375_000;
 
-/// The number of unread bytes from which on the sensor sends nothing of its own
-/// and leaves commands waiting, so that a host that does not read costs no memory.
+/// While this many bytes are unread, the sensor sends nothing unsolicited and leaves commands
+/// waiting. So a host that does not read costs no memory.
 const HIGH_WATER_BYTES: usize = 16 * 1024;
 
-/// The longest time between two wake-ups of the reader while a reply arrives. The
-/// first and the last byte are on time whatever it is; in between it trades
-/// exact times for fewer wake-ups.
+/// Longest time between two wake-ups of the reader while a reply arrives. The first and
+/// the last byte are always on time. In between, a longer time means fewer wake-ups and
+/// less exact times.
 const WAKE_INTERVAL: Duration = Duration::from_millis(8);
 
-/// Returns the time that one byte takes at `baud_rate`, or on USB if that is
-/// `None`: 10 bits, one start, 8 data and one stop bit (C-42-3320-A p. 2).
+/// Time of one byte at `baud_rate`, or on USB if `None`: 10 bits, one start, 8 data and
+/// one stop bit (C-42-3320-A p. 2).
 pub(super) fn byte_time(baud_rate: Option<u32>) -> Duration {
     let per_second = match baud_rate {
         Some(bits) => bits.max(10) / 10,
@@ -32,13 +32,11 @@ pub(super) fn byte_time(baud_rate: Option<u32>) -> Duration {
     Duration::from_nanos(1_000_000_000 / u64::from(per_second.max(1)))
 }
 
-/// Returns the bytes that a receiver at one baud rate reads of bytes sent at
-/// another.
+/// Bytes that a receiver at one baud rate reads when they were sent at another.
 ///
-/// A model of the hardware: the receiver waits for a falling edge, then samples
-/// the middle of ten of its own bits. A faster receiver reads several bytes for
-/// one, a slower one misses most. A missing stop bit is not noticed, as on a
-/// terminal in raw mode.
+/// Models the hardware: the receiver waits for a falling edge, then samples the middle of
+/// ten of its own bits. A faster receiver reads several bytes for one, and a slower one
+/// misses most. A missing stop bit goes unnoticed, as on a terminal in raw mode.
 pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
     if sender == receiver || sender == 0 || receiver == 0 {
         return bytes.to_vec();
@@ -49,7 +47,7 @@ pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
         (Some(_), 0) => false,
         (Some(byte), n) => byte >> (n - 1) & 1 == 1,
     };
-    // The middle of the receiver's n-th bit, in bits of the sender.
+    // Middle of the receiver's n-th bit, in bits of the sender.
     let middle = |n: u64| ((2 * n + 1) * u64::from(sender) / (2 * u64::from(receiver))) as usize;
 
     let mut received = Vec::new();
@@ -77,26 +75,26 @@ pub(super) fn garble(bytes: &[u8], sender: u32, receiver: u32) -> Vec<u8> {
 /// Bytes sent without a pause between them.
 #[derive(Debug)]
 struct Segment {
-    /// The time of the first bit.
+    /// Time of the first bit.
     start: Instant,
     byte_time: Duration,
     bytes: Vec<u8>,
-    /// The number of bytes that were read.
+    /// Number of bytes read so far.
     taken: usize,
-    /// The number of bytes that had arrived at the latest read.
+    /// Number of bytes that had arrived at the latest read.
     seen: usize,
-    /// The sensor's baud rate. `None` once it was compared with the host's, which
+    /// Baud rate of the sensor. `None` once it was compared with the host's, which
     /// happens when the first bit is on the line.
     sent_at: Option<u32>,
 }
 
 impl Segment {
-    /// Returns the time at which so many bytes have arrived.
+    /// When this number of bytes has arrived.
     fn arrival(&self, bytes: usize) -> Instant {
         self.start + self.byte_time * bytes as u32
     }
 
-    /// Returns the number of bytes that have arrived.
+    /// Number of bytes that have arrived.
     fn arrived(&self, now: Instant) -> usize {
         let elapsed = now.saturating_duration_since(self.start).as_nanos();
         let bytes = elapsed.checked_div(self.byte_time.as_nanos()).unwrap_or(u128::MAX);
@@ -104,15 +102,15 @@ impl Segment {
     }
 }
 
-/// The bytes that the sensor has sent and the host has not read.
+/// Bytes that the sensor has sent and the host has not read.
 #[derive(Debug)]
 pub(super) struct Transmitter {
     segments: VecDeque<Segment>,
-    /// The number of bytes in `segments` that were not read.
+    /// Number of unread bytes in `segments`.
     unread: usize,
-    /// The time from which on the line is idle.
+    /// From when on the line is idle.
     free: Instant,
-    /// Bytes that are repeated for ever.
+    /// Bytes to repeat for ever.
     endless: Option<Vec<u8>>,
 }
 
@@ -122,7 +120,7 @@ impl Transmitter {
     }
 
     /// Sends `bytes` at `at`, or as soon as the line is free. `baud_rate` is the
-    /// sensor's, `None` on USB; `slowed` is the time of a byte where a fault sets it.
+    /// sensor's, `None` on USB. `slowed` is the time per byte if a fault sets it.
     pub(super) fn send(
         &mut self,
         at: Instant,
@@ -146,12 +144,12 @@ impl Transmitter {
         }
     }
 
-    /// Returns the time at which all bytes are through.
+    /// When the line is free.
     pub(super) fn free(&self) -> Instant {
         self.free
     }
 
-    /// Returns true if the host has left too much unread for anything more to be sent.
+    /// Returns true if the host has too many unread bytes for the sensor to send more.
     pub(super) fn is_full(&self) -> bool {
         self.unread >= HIGH_WATER_BYTES
     }
@@ -191,13 +189,13 @@ impl Transmitter {
         }
     }
 
-    /// Fills `buffer` with bytes that had arrived at the latest read, and returns true,
-    /// or leaves it as it is if there are too few. A host that reads in small pieces
-    /// does not look at the clock for each of them.
+    /// Fills `buffer` with bytes that had arrived at the latest read, and returns true.
+    /// If there are too few, changes nothing. So a host that reads in small pieces does
+    /// not look at the clock for each of them.
     pub(super) fn take_seen(&mut self, buffer: &mut ReadBuf<'_>) -> bool {
         let Some(segment) = self.segments.front_mut() else { return false };
         let seen = segment.bytes.get(segment.taken..segment.seen).unwrap_or_default();
-        // The last one is left to `take`, which goes on to the next segment.
+        // Leaves the last byte to `take`, which moves on to the next segment.
         let Some(bytes) = seen.get(..buffer.remaining()).filter(|bytes| bytes.len() < seen.len())
         else {
             return false;
@@ -208,8 +206,8 @@ impl Transmitter {
         true
     }
 
-    /// Moves the bytes that have arrived into `buffer`, as many as fit, and returns
-    /// their number. `advance` has to be called first: it garbles them.
+    /// Moves the bytes that have arrived into `buffer`, as far as they fit, and returns
+    /// their number. Call `advance` first: it garbles them.
     pub(super) fn take(&mut self, now: Instant, buffer: &mut ReadBuf<'_>) -> usize {
         let before = buffer.filled().len();
         while let Some(segment) = self.segments.front_mut() {
@@ -228,7 +226,7 @@ impl Transmitter {
         buffer.filled().len() - before
     }
 
-    /// Returns the time at which the reader is to be woken for more bytes.
+    /// When to wake the reader for more bytes.
     pub(super) fn next_arrival(&self) -> Option<Instant> {
         let Some(segment) = self.segments.front() else {
             return self.endless.as_ref().map(|_| self.free);
@@ -245,7 +243,7 @@ impl Transmitter {
         Some(segment.arrival(next.min(segment.bytes.len())))
     }
 
-    /// Cuts the sensor's power at `at`: bytes that were not sent by then are lost.
+    /// Cuts the sensor's power at `at`: bytes not sent by then are lost.
     pub(super) fn cut(&mut self, at: Instant) {
         self.endless = None;
         self.free = at;

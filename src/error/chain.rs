@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-/// An error and its causes, as one line: `Display` joins them with `: `.
+/// Error and its causes on one line: `Display` joins them with `: `.
 ///
-/// A cause whose text already ends the line is not repeated: some errors include
-/// the text of their cause in their own.
+/// Leaves out a cause whose text already ends the line: some errors include the text of their
+/// cause.
 #[derive(Debug, Clone, Copy)]
 pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
 
@@ -49,7 +49,12 @@ mod tests {
 
         let lost = Error::disconnected(Some(io::Error::other("device removed")));
         let text = "cannot start: the link to the sensor is lost: device removed";
+        let debug = "the link to the sensor is lost: device removed";
+        assert_eq!(format!("{lost:?}"), debug);
         assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
-        assert_eq!(Error::Closed.chain().to_string(), Error::Closed.to_string());
+        assert_eq!(
+            Error::Closed { sensor: None }.chain().to_string(),
+            Error::Closed { sensor: None }.to_string()
+        );
     }
 }

@@ -3,6 +3,7 @@
 
 mod chain;
 
+use std::fmt;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,42 +11,40 @@ use std::time::Duration;
 pub use self::chain::ErrorChain;
 use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
 
-/// The reason why an operation failed, and what to do about it.
+/// Why an operation failed, and what to do about it.
 ///
-/// `Display` writes one line without the cause, which is in
-/// [`source`](std::error::Error::source); a log wants [`chain`](Self::chain), which
-/// writes both. An error is cheap to clone, so that all who wait for the same thing
-/// get the same error.
+/// `Display` writes one line without the cause; [`source`](std::error::Error::source) returns it.
+/// In a log, write [`chain`](Self::chain), which has both. An error is cheap to clone: all callers
+/// that wait for the same event get the same error.
 ///
-/// A direction without a distance is not an error but a
-/// [`Measurement`](crate::Measurement).
+/// `Debug` writes the same as `chain`: a `main` that returns the error tells your user what to do.
 ///
-/// Kinds that a [`Connect`](crate::Connect) returns have all their fields, so that
-/// others can make them. The rest are `#[non_exhaustive]`: only the driver makes them,
-/// and they may get more fields.
-#[derive(Debug, Clone, thiserror::Error)]
+/// A direction without a distance is not an error but a [`Measurement`](crate::Measurement).
+///
+/// You can construct every variant that a [`Connect`](crate::port::Connect) returns. The other
+/// variants are `#[non_exhaustive]`: only the driver constructs them, and they may get more fields.
+#[derive(Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// The text is not an [`Endpoint`](crate::Endpoint).
     #[error("invalid port {text:?}: {reason}")]
+    #[non_exhaustive]
     InvalidEndpoint {
-        /// The text.
+        /// Text as passed.
         text: String,
-        /// The reason, and what was expected.
+        /// Reason, and what was expected.
         reason: &'static str,
     },
-    /// There is no such port.
-    #[error("no port {port}: plug the sensor in, or list the ports with `urg list`")]
+    /// No such port exists.
+    #[error("no port {port}: plug the sensor in, and check the name of the port")]
     NoSuchPort {
-        /// The port, as the caller named it.
+        /// Port, as the caller named it.
         port: String,
     },
-    /// The path exists and is not a serial port.
-    #[error(
-        "{port} is not a serial port: use a device such as /dev/ttyACM0 (`urg list` shows them)"
-    )]
+    /// The path exists but is not a serial port.
+    #[error("{port} is not a serial port: use a device such as /dev/ttyACM0")]
     NotASerialPort {
-        /// The port, as the caller named it.
+        /// Port, as the caller named it.
         port: String,
     },
     /// The user may not open the port.
@@ -57,9 +56,9 @@ pub enum Error {
         }
     )]
     PermissionDenied {
-        /// The port, as the caller named it.
+        /// Port, as the caller named it.
         port: String,
-        /// The group that owns the port, where that is known.
+        /// Group that owns the port, if known.
         group: Option<String>,
     },
     /// Another program has the port.
@@ -67,26 +66,26 @@ pub enum Error {
         "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
     )]
     Busy {
-        /// The port, as the caller named it.
+        /// Port, as the caller named it.
         port: String,
     },
-    /// The port cannot be opened, for another reason.
+    /// Opening the port failed for another reason.
     #[error("cannot open {port}")]
     Open {
-        /// The port, as the caller named it.
+        /// Port, as the caller named it.
         port: String,
-        /// The reason, from the system.
+        /// Error of the system.
         source: Arc<io::Error>,
     },
     /// No port leads to the sensor with this serial number.
     #[error(
-        "no sensor with serial number {serial_number} on any port: plug it in (`urg list` shows the ports that were looked through; busy ones are skipped)"
+        "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"
     )]
     NoSuchSensor {
-        /// The serial number, as the caller named it.
+        /// Serial number, as the caller named it.
         serial_number: String,
     },
-    /// The port is open, and no sensor answers.
+    /// The port is open, but no sensor answers.
     #[error(
         "{} does not answer{}: check its power and the wiring (after power-up it is silent for some seconds){}",
         or_sensor(sensor),
@@ -95,138 +94,190 @@ pub enum Error {
     )]
     #[non_exhaustive]
     NoAnswer {
-        /// The name of the sensor or its port, if it has one.
+        /// Name of the sensor or its port, if it has one.
         sensor: Option<Arc<str>>,
-        /// The only baud rate that was tried, where the port cannot change it.
+        /// Only baud rate that was tried, if the port cannot change it.
         baud_rate: Option<BaudRate>,
         /// True if all six baud rates were tried.
         searched: bool,
-        /// The number of bytes that came and made no reply.
+        /// Number of received bytes that are not part of a reply.
         bytes: u64,
     },
-    /// The port returns what is written to it.
+    /// The port sends back what the driver writes to it.
     #[error(
         "{} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port",
         or_sensor(sensor)
     )]
     #[non_exhaustive]
     Loopback {
-        /// The name of the sensor or its port, if it has one.
+        /// Name of the sensor or its port, if it has one.
         sensor: Option<Arc<str>>,
     },
     /// The sensor speaks SCIP 2.
     #[error(
-        "{} speaks SCIP 2 (status \"{status}\"): power-cycle it, a URG-04LX is back in SCIP 1.1 after a restart; a model that knows only SCIP 2 cannot be used",
+        "{} speaks SCIP 2 (status \"{status}\"): power-cycle it to return a URG-04LX to SCIP 1.1; models that know only SCIP 2 are not supported",
         or_sensor(sensor)
     )]
     #[non_exhaustive]
     WrongProtocol {
-        /// The name of the sensor or its port, if it has one.
+        /// Name of the sensor or its port, if it has one.
         sensor: Option<Arc<str>>,
-        /// The status line of three characters, which only SCIP 2 has.
+        /// Status line of three characters, which only SCIP 2 has.
         status: Text,
     },
-    /// Another sensor answers than the one that is expected.
+    /// A sensor other than the expected one answered.
     #[error(
         "{} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}",
         or_sensor(sensor)
     )]
     #[non_exhaustive]
     AnotherSensor {
-        /// The name of the sensor or its port, if it has one.
+        /// Name of the sensor or its port, if it has one.
         sensor: Option<Arc<str>>,
-        /// The serial number that was expected.
+        /// Expected serial number.
         expected: Text,
-        /// The serial number of the sensor that answers.
+        /// Serial number of the sensor that answered.
         found: Text,
     },
-    /// The link is gone: unplugged, hung up, or silent for good.
+    /// Link lost: unplugged, hung up, or silent for too long.
     #[error("the link to {} is lost", or_sensor(sensor))]
     #[non_exhaustive]
     Disconnected {
-        /// The name of the sensor or its port, if it has one.
+        /// Name of the sensor or its port, if it has one.
         sensor: Option<Arc<str>>,
-        /// The error of the port, if there was one.
+        /// Error of the port, if there was one.
         source: Option<Arc<io::Error>>,
     },
     /// The sensor did not answer in time.
-    #[error("the sensor did not answer {command} within {} ms", after.as_millis())]
+    #[error("{} did not answer {command} within {} ms", or_sensor(sensor), after.as_millis())]
     #[non_exhaustive]
     Timeout {
-        /// The command.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Command without a reply.
         command: Command,
-        /// The time from the command to the deadline.
+        /// Time from the command to the deadline.
         after: Duration,
     },
     /// The sensor refused the command.
     #[error(
-        "the sensor refused {command} with status {status}{}",
+        "{} refused {command} with status {status}{}",
+        or_sensor(sensor),
         match status.meaning(command) { Some(meaning) => format!(": {meaning}"), None => String::new() }
     )]
     #[non_exhaustive]
     Refused {
-        /// The command.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Refused command.
         command: Command,
-        /// The status of its reply.
+        /// Status of the reply.
         status: Status,
     },
-    /// The reply was malformed.
-    #[error("the reply to {command} is malformed")]
+    /// A reply was malformed.
+    #[error("the reply of {} to {command} is malformed", or_sensor(sensor))]
     #[non_exhaustive]
     Malformed {
-        /// The command.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Command of the malformed reply.
         command: Command,
-        /// The place, what was expected there, and what was found.
+        /// Position, what was expected there, and what was found.
         source: Malformed,
     },
-    /// The laser is off by request, so that there is no scan.
-    #[error("the laser is switched off: switch it on before asking for scans")]
-    LaserOff,
-    /// The sensor answered a command and did not act on it: its laser or its baud
-    /// rate stays as it was.
-    #[error("{}", not_confirmed(command, *status, *refusal))]
+    /// Your service switched the laser off, so there are no scans.
+    #[error(
+        "the laser of {} is switched off: switch it on before asking for scans",
+        or_sensor(sensor)
+    )]
+    #[non_exhaustive]
+    LaserOff {
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+    },
+    /// The sensor did not act on a command: its laser or baud rate stays as it was.
+    #[error("{}", not_confirmed(or_sensor(sensor), command, *status, *refusal))]
     #[non_exhaustive]
     NotConfirmed {
-        /// The command.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Command without effect.
         command: Command,
-        /// The status of its reply, or `None` if no reply came.
+        /// Status of the reply, or `None` if there was no reply.
         status: Option<Status>,
-        /// The status with which the sensor refuses to measure, where the laser
-        /// stays off.
+        /// Status with which the sensor refuses to measure, if the laser stays off.
         refusal: Option<Status>,
     },
-    /// The port cannot be set to this baud rate.
-    #[error("the port cannot be set to {baud_rate} baud{}", if source.is_some() { "" } else { ": its baud rate is fixed at the other end" })]
+    /// This port does not support the baud rate.
+    #[error("the port of {} cannot be set to {baud_rate} baud{}", or_sensor(sensor), if source.is_some() { "" } else { ": its baud rate is fixed at the other end" })]
+    #[non_exhaustive]
     UnsupportedBaudRate {
-        /// The baud rate, as the caller named it.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Baud rate, as the caller named it.
         baud_rate: BaudRate,
-        /// The reason, from the system.
+        /// Error of the system.
         #[source]
         source: Option<Arc<io::Error>>,
     },
-    /// The driver's task has panicked: in an observer, a `Connect` or a `Port` of the
-    /// caller, or in the driver itself.
-    #[error("the driver's task has panicked: {message}")]
+    /// The driver's task panicked: in your observer, `Connect` or `Port`, or in the driver itself.
+    #[error("the driver of {} has panicked: {message}", or_sensor(sensor))]
     #[non_exhaustive]
     Panicked {
-        /// The message of the panic.
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+        /// Message of the panic.
         message: String,
     },
     /// The driver has ended: it was closed, or its task was dropped.
-    #[error("the driver of the sensor has ended")]
-    Closed,
+    #[error("the driver of {} has ended", or_sensor(sensor))]
+    Closed {
+        /// Name of the sensor or its port, if it has one.
+        sensor: Option<Arc<str>>,
+    },
 }
 
-/// Returns the message of [`Error::NotConfirmed`].
-fn not_confirmed(command: &Command, status: Option<Status>, refusal: Option<Status>) -> String {
+/// Pattern of the errors that concern a link, and so the sensor behind it.
+macro_rules! of_a_link {
+    ($sensor:ident) => {
+        Error::NoAnswer { sensor: $sensor, .. }
+            | Error::Loopback { sensor: $sensor }
+            | Error::WrongProtocol { sensor: $sensor, .. }
+            | Error::AnotherSensor { sensor: $sensor, .. }
+            | Error::Disconnected { sensor: $sensor, .. }
+            | Error::Timeout { sensor: $sensor, .. }
+            | Error::Refused { sensor: $sensor, .. }
+            | Error::Malformed { sensor: $sensor, .. }
+            | Error::LaserOff { sensor: $sensor }
+            | Error::NotConfirmed { sensor: $sensor, .. }
+            | Error::UnsupportedBaudRate { sensor: $sensor, .. }
+            | Error::Panicked { sensor: $sensor, .. }
+            | Error::Closed { sensor: $sensor }
+    };
+}
+
+impl fmt::Debug for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Not `Debug` of the chain, which would come back here.
+        fmt::Display::fmt(&self.chain(), f)
+    }
+}
+
+/// Formats the message of [`Error::NotConfirmed`].
+fn not_confirmed(
+    sensor: &str,
+    command: &Command,
+    status: Option<Status>,
+    refusal: Option<Status>,
+) -> String {
     let mut text = match command {
-        Command::LaserOn => "the laser stays off".to_owned(),
-        Command::LaserOff => "the laser stays on".to_owned(),
-        _ => "the sensor keeps its baud rate".to_owned(),
+        Command::LaserOn => format!("the laser of {sensor} stays off"),
+        Command::LaserOff => format!("the laser of {sensor} stays on"),
+        _ => format!("{sensor} keeps its baud rate"),
     };
     text += &match status {
-        Some(status) => format!(": the sensor answered {command} with status {status}"),
-        None => format!(": the sensor did not answer {command}"),
+        Some(status) => format!(": it answered {command} with status {status}"),
+        None => format!(": it did not answer {command}"),
     };
     text += &match (refusal, command) {
         (Some(refusal), _) => format!(", and refuses to measure with status {refusal}"),
@@ -237,14 +288,13 @@ fn not_confirmed(command: &Command, status: Option<Status>, refusal: Option<Stat
 }
 
 impl Error {
-    /// Returns true if trying again later may help without doing anything else: the
-    /// link may come back, the next scan may be whole. This holds for [`NoSuchPort`](Self::NoSuchPort),
-    /// [`NoSuchSensor`](Self::NoSuchSensor), [`Busy`](Self::Busy),
-    /// [`Open`](Self::Open), [`NoAnswer`](Self::NoAnswer),
-    /// [`Disconnected`](Self::Disconnected), [`Timeout`](Self::Timeout),
-    /// [`Malformed`](Self::Malformed) and [`NotConfirmed`](Self::NotConfirmed).
-    /// The others need a change first, of the machine, the sensor or the program. A
-    /// driver that has ended stays ended, whatever the error.
+    /// Returns true if you can try again later without changing anything: the link may come back,
+    /// or the next scan may be whole. This applies to [`NoSuchPort`](Self::NoSuchPort),
+    /// [`NoSuchSensor`](Self::NoSuchSensor), [`Busy`](Self::Busy), [`Open`](Self::Open),
+    /// [`NoAnswer`](Self::NoAnswer), [`Disconnected`](Self::Disconnected),
+    /// [`Timeout`](Self::Timeout), [`Malformed`](Self::Malformed) and
+    /// [`NotConfirmed`](Self::NotConfirmed). For the others, change the machine, the sensor or the
+    /// program first. A driver that has ended stays ended, whatever the error.
     pub fn is_transient(&self) -> bool {
         match self {
             Self::NoSuchPort { .. }
@@ -263,10 +313,10 @@ impl Error {
             | Self::WrongProtocol { .. }
             | Self::AnotherSensor { .. }
             | Self::Refused { .. }
-            | Self::LaserOff
+            | Self::LaserOff { .. }
             | Self::Panicked { .. }
             | Self::UnsupportedBaudRate { .. }
-            | Self::Closed => false,
+            | Self::Closed { .. } => false,
         }
     }
 
@@ -284,7 +334,8 @@ impl Error {
         ErrorChain::new(self)
     }
 
-    pub(crate) fn open(port: impl Into<String>, source: io::Error) -> Self {
+    /// Creates an [`Error::Open`], for a [`Connect`](crate::port::Connect) of your own.
+    pub fn open(port: impl Into<String>, source: io::Error) -> Self {
         Self::Open { port: port.into(), source: Arc::new(source) }
     }
 
@@ -292,18 +343,30 @@ impl Error {
         Self::Disconnected { sensor: None, source: source.map(Arc::new) }
     }
 
-    /// Returns this error with the name of the sensor, in the kinds that have one.
+    /// Name of the sensor that this error concerns: the
+    /// [name](crate::SensorBuilder::name) given to it, or else its port. An error of opening
+    /// a port has the port or the serial number that was asked for. `None` for
+    /// [`InvalidEndpoint`](Self::InvalidEndpoint), and where neither sensor nor port has a
+    /// name, as with [`Sensor::attach`](crate::Sensor::attach).
+    pub fn sensor(&self) -> Option<&str> {
+        match self {
+            Self::NoSuchPort { port }
+            | Self::NotASerialPort { port }
+            | Self::PermissionDenied { port, .. }
+            | Self::Busy { port }
+            | Self::Open { port, .. } => Some(port),
+            Self::NoSuchSensor { serial_number } => Some(serial_number),
+            Self::InvalidEndpoint { .. } => None,
+            of_a_link!(sensor) => sensor.as_deref(),
+        }
+    }
+
+    /// Adds the name of the sensor, unless the error has one. The driver leaves names out:
+    /// handles, streams and states add them to all errors that they return.
     pub(crate) fn named(mut self, name: Option<&Arc<str>>) -> Self {
-        if let (
-            Self::NoAnswer { sensor, .. }
-            | Self::Loopback { sensor }
-            | Self::WrongProtocol { sensor, .. }
-            | Self::AnotherSensor { sensor, .. }
-            | Self::Disconnected { sensor, .. },
-            Some(name),
-        ) = (&mut self, name)
-        {
-            sensor.get_or_insert_with(|| Arc::clone(name));
+        let of_a_link!(sensor) = &mut self else { return self };
+        if sensor.is_none() {
+            *sensor = name.cloned();
         }
         self
     }
@@ -325,14 +388,16 @@ impl From<Error> for io::Error {
             Error::Open { source, .. } => source.kind(),
             Error::NoAnswer { .. } | Error::Timeout { .. } => io::ErrorKind::TimedOut,
             Error::Disconnected { source: Some(source), .. } => source.kind(),
-            Error::Disconnected { source: None, .. } | Error::Closed => io::ErrorKind::NotConnected,
+            Error::Disconnected { source: None, .. } | Error::Closed { .. } => {
+                io::ErrorKind::NotConnected
+            }
             Error::Malformed { .. } | Error::WrongProtocol { .. } => io::ErrorKind::InvalidData,
             Error::UnsupportedBaudRate { .. } => io::ErrorKind::Unsupported,
             Error::NotASerialPort { .. }
             | Error::Loopback { .. }
             | Error::AnotherSensor { .. }
             | Error::Refused { .. }
-            | Error::LaserOff
+            | Error::LaserOff { .. }
             | Error::Panicked { .. }
             | Error::NotConfirmed { .. } => io::ErrorKind::Other,
         };
@@ -362,6 +427,27 @@ mod tests {
         let silent = silent.named(Some(&name)).to_string();
         assert!(silent.starts_with("left does not answer at any baud rate: "), "{silent}");
         assert!(Error::Loopback { sensor: None }.to_string().starts_with("the sensor returns"));
+        let (command, baud_rate) = (Command::LaserOn, BaudRate::B115200);
+        let after = Duration::from_millis(500);
+        let errors = [
+            Error::Timeout { sensor: None, command, after },
+            Error::Refused { sensor: None, command, status: Status::OK },
+            Error::Malformed { sensor: None, command, source: Malformed::NoData },
+            Error::NotConfirmed { sensor: None, command, status: None, refusal: None },
+            Error::UnsupportedBaudRate { sensor: None, baud_rate, source: None },
+            Error::Panicked { sensor: None, message: String::new() },
+            Error::LaserOff { sensor: None },
+            Error::Closed { sensor: None },
+        ];
+        for error in errors {
+            assert!(
+                error.sensor().is_none() && error.to_string().contains("the sensor"),
+                "{error}"
+            );
+            let error = error.named(Some(&name));
+            assert_eq!(error.sensor(), Some("left"));
+            assert!(error.to_string().contains("left"), "{error}");
+        }
     }
 
     #[test]
@@ -374,6 +460,9 @@ mod tests {
         assert!(matches!(inner.as_deref(), Some(Error::Open { .. })));
         let missing = Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() };
         assert_eq!(io::Error::from(missing).kind(), io::ErrorKind::NotFound);
-        assert_eq!(io::Error::from(Error::Closed).kind(), io::ErrorKind::NotConnected);
+        assert_eq!(
+            io::Error::from(Error::Closed { sensor: None }).kind(),
+            io::ErrorKind::NotConnected
+        );
     }
 }

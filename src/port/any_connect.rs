@@ -1,25 +1,25 @@
-//! [`AnyConnect`]: a [`Connect`] of any type, behind a pointer.
+//! [`AnyConnect`]: a [`Connect`] of any type, behind a pointer, and [`BoxConnect`], which
+//! owns one.
 //!
-//! With it the driver has one type, and is compiled with this crate. Were it generic over the
-//! connector, each program that uses the crate would compile it again, which takes seconds of
-//! each of its builds (`benches/README.md`, item 8).
+//! With it the driver has one type, and is compiled with this crate. A driver generic over the
+//! connector would be compiled again in your program, which takes seconds of each build
+//! (`benches/README.md`, item 8).
 
+use std::fmt;
 use std::future::Future;
 use std::pin::Pin;
 
-use super::{Connect, Port};
+use super::{Connect, ConnectHints, Port};
 use crate::Error;
 
-/// The future of [`AnyConnect::connect`].
+/// Future of [`AnyConnect::connect`].
 type Connecting<'a> = Pin<Box<dyn Future<Output = Result<Box<dyn Port>, Error>> + Send + 'a>>;
 
-/// The methods of [`Connect`], on a trait object.
+/// Methods of [`Connect`], on a trait object.
 pub(crate) trait AnyConnect: Send {
     fn connect(&mut self) -> Connecting<'_>;
     fn name(&self) -> Option<&str>;
-    fn has_more(&self) -> bool;
-    fn found(&mut self);
-    fn expected_serial_number(&self) -> Option<&str>;
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints>;
 }
 
 impl<C: Connect> AnyConnect for C {
@@ -31,15 +31,50 @@ impl<C: Connect> AnyConnect for C {
         Connect::name(self)
     }
 
-    fn has_more(&self) -> bool {
-        Connect::has_more(self)
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
+        Connect::hints(self)
+    }
+}
+
+/// [`Connect`] of any type, made by [`Connect::boxed`].
+///
+/// ```
+/// # #[cfg(feature = "emulator")] {
+/// use tokio_scip::emulator::Emulator;
+/// use tokio_scip::port::{BoxConnect, Connect, Endpoint};
+///
+/// let tcp: Endpoint = "tcp://robot:10940?baud=115200".parse()?;
+/// let connectors: [BoxConnect; 2] = [tcp.into_connector().boxed(), Emulator::default().boxed()];
+/// # assert_eq!(connectors[0].name(), Some("tcp://robot:10940?baud=115200"));
+/// # }
+/// # Ok::<(), tokio_scip::Error>(())
+/// ```
+pub struct BoxConnect(Box<dyn AnyConnect>);
+
+impl BoxConnect {
+    pub(super) fn new(connect: impl Connect) -> Self {
+        Self(Box::new(connect))
+    }
+}
+
+impl Connect for BoxConnect {
+    type Port = Box<dyn Port>;
+
+    async fn connect(&mut self) -> Result<Box<dyn Port>, Error> {
+        self.0.connect().await
     }
 
-    fn found(&mut self) {
-        Connect::found(self);
+    fn name(&self) -> Option<&str> {
+        self.0.name()
     }
 
-    fn expected_serial_number(&self) -> Option<&str> {
-        Connect::expected_serial_number(self)
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
+        self.0.hints()
+    }
+}
+
+impl fmt::Debug for BoxConnect {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("BoxConnect").field("name", &self.0.name()).finish_non_exhaustive()
     }
 }

@@ -7,7 +7,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use super::{Connect, StreamPort};
 use crate::Error;
 
-/// A [`Connect`] that returns its stream once, and then fails.
+/// [`Connect`] that returns its stream once, and then fails.
 #[derive(Debug)]
 pub(crate) struct Attached<T>(Option<T>);
 

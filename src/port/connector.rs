@@ -1,7 +1,7 @@
 //! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each
 //! loss of the link.
 
-use super::{Connect, Endpoint, Port, TcpPort};
+use super::{Connect, ConnectHints, Endpoint, Port, TcpPort};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
@@ -9,22 +9,22 @@ use super::{
 };
 use crate::{BaudRate, Error};
 
-/// A [`Connect`] for the port that an [`Endpoint`] names, made by
+/// [`Connect`] for the port that an [`Endpoint`] names, made by
 /// [`Endpoint::into_connector`].
 ///
 /// # Serial numbers
 ///
-/// For [`Endpoint::SerialNumber`] each [`connect`](Connect::connect) opens the
-/// next port with the USB id of URG sensors. The caller checks whether the right
-/// sensor is there; while [`has_more`](Connect::has_more) is true another call opens
-/// the next candidate. A port that cannot be opened, or not within 2 s, is skipped; a
-/// busy one is tried once more half a second later. After the last candidate the
-/// error is [`Error::NoSuchSensor`], or [`Error::PermissionDenied`] if a port was
-/// skipped for that; the next call lists the ports again.
+/// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port
+/// with the USB id of URG sensors. Check whether it has the right sensor. If not, and
+/// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next
+/// candidate. It skips ports that cannot be opened within 2 s, and retries busy
+/// ones four times, every half second. After the last candidate the error is
+/// [`Error::NoSuchSensor`], or [`Error::PermissionDenied`] if you may not open one of the
+/// ports. The next call lists the ports again.
 #[derive(Debug)]
 pub struct EndpointConnector {
     route: Route,
-    /// The endpoint's text, for error messages.
+    /// Text of the endpoint, for error messages.
     name: String,
 }
 
@@ -45,8 +45,8 @@ enum Route {
 }
 
 impl Endpoint {
-    /// Converts the endpoint into a connector, which opens its port again after each
-    /// loss of the link.
+    /// Converts the endpoint into a connector, which reopens its port after each loss of
+    /// the link.
     pub fn into_connector(self) -> EndpointConnector {
         EndpointConnector::new(self)
     }
@@ -87,7 +87,13 @@ impl Connect for EndpointConnector {
         Some(&self.name)
     }
 
-    fn has_more(&self) -> bool {
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
+        Some(self)
+    }
+}
+
+impl ConnectHints for EndpointConnector {
+    fn has_more(&mut self) -> bool {
         match &self.route {
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => search.has_more(),
@@ -103,7 +109,7 @@ impl Connect for EndpointConnector {
         }
     }
 
-    fn expected_serial_number(&self) -> Option<&str> {
+    fn expected_serial_number(&mut self) -> Option<&str> {
         match &self.route {
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => Some(search.serial_number()),

@@ -1,7 +1,7 @@
-//! Connects to the first address of a host that accepts (RFC 8305, "Happy
-//! Eyeballs"): attempts start one after another without waiting for the failure of
-//! the one before, so that an address that never answers costs a fraction of a
-//! second and not the whole time limit.
+//! Connects to the first address of a host that accepts (RFC 8305, "Happy Eyeballs").
+//! Attempts start one after another without waiting for earlier ones to fail. So an
+//! address that never answers costs a fraction of a second instead of the whole time
+//! limit.
 
 use std::future::{Future, poll_fn};
 use std::io;
@@ -12,19 +12,19 @@ use std::time::Duration;
 
 use tokio::time::sleep;
 
-/// The time after which the next address is tried, too (RFC 8305, section 5).
+/// Delay before the next address is tried in parallel (RFC 8305, section 5).
 const ATTEMPT_DELAY: Duration = Duration::from_millis(250);
 
-/// Connects to each of `addresses` by `connect` until one attempt succeeds; the
-/// others are then dropped.
+/// Connects to each of `addresses` with `connect` until one attempt succeeds, and drops
+/// the others.
 ///
-/// Has no time limit: an address that neither accepts nor refuses keeps it waiting
-/// if no other accepts. Cancel-safe: dropping the future drops all attempts.
+/// Has no time limit: waits for an address that neither accepts nor refuses if no other
+/// accepts. Cancel-safe: dropping the future drops all attempts.
 ///
 /// # Errors
 ///
-/// Fails if every attempt has failed, with the error of the only address, or with
-/// one that lists all addresses and their errors.
+/// Fails after every attempt has failed, with the error of the only address, or with one
+/// that lists all addresses and their errors.
 pub(super) async fn connect_first<T, F>(
     addresses: Vec<SocketAddr>,
     connect: impl Fn(SocketAddr) -> F,
@@ -53,7 +53,7 @@ where
     }
 }
 
-/// Waits until one of the attempts has ended, removes it, and returns its outcome.
+/// Waits until one attempt ends, removes it, and returns its outcome.
 async fn next_outcome<F: Future>(
     attempts: &mut Vec<(SocketAddr, Pin<Box<F>>)>,
 ) -> (SocketAddr, F::Output) {
@@ -70,14 +70,14 @@ async fn next_outcome<F: Future>(
     .await
 }
 
-/// Sorts addresses so that the two families alternate, beginning with the family of
+/// Reorders addresses so that the two families alternate, beginning with the family of
 /// the first one (RFC 8305, section 4). One whole family may be unreachable.
 fn alternate_families(mut addresses: Vec<SocketAddr>) -> Vec<SocketAddr> {
     let mut alternating: Vec<SocketAddr> = Vec::with_capacity(addresses.len());
     while !addresses.is_empty() {
         let before = alternating.last().map(SocketAddr::is_ipv6);
         let other = addresses.iter().position(|address| before == Some(address.is_ipv4()));
-        // The first one at first, and where one family is used up.
+        // The very first address, and the rest of the other family once one is used up.
         alternating.push(addresses.remove(other.unwrap_or(0)));
     }
     alternating

@@ -7,7 +7,7 @@ use std::str::FromStr;
 
 use crate::{BaudRate, Error};
 
-/// The name of the port that a sensor is connected to.
+/// Name of the port that a sensor is connected to.
 ///
 /// | text | what it names |
 /// |---|---|
@@ -16,11 +16,12 @@ use crate::{BaudRate, Error};
 /// | `tcp://bridge:4001` | a raw TCP bridge to a serial port at 19,200 baud |
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
-/// The first two need the feature `serial`. An endpoint that was parsed is written by
-/// [`Display`](fmt::Display) as a text that parses to the same endpoint; one that was
-/// made of parts is not checked, so that its text may not parse.
+/// The first two need the feature `serial`. [`Display`](fmt::Display) writes a parsed endpoint as
+/// a text that parses to the same endpoint. Fields that you set yourself are not checked, and their
+/// text may not parse.
 ///
-/// A [`Path`](std::path::Path) always is a serial port. With feature `serde` an endpoint is its text.
+/// A [`Path`](std::path::Path) is always a serial port. With feature `serde`, an endpoint is
+/// serialised as its text.
 ///
 /// ```
 /// use tokio_scip::{BaudRate, Endpoint};
@@ -39,24 +40,22 @@ pub enum Endpoint {
     /// A serial port, by its path (Unix) or name (Windows).
     #[cfg(feature = "serial")]
     Serial(String),
-    /// The sensor with this serial number, on any port with the USB id of URG sensors.
-    /// Busy ports are skipped.
+    /// Sensor with this serial number, on any port with the USB id of URG sensors. Skips busy
+    /// ports.
     #[cfg(feature = "serial")]
     SerialNumber(String),
-    /// A TCP server that passes bytes to and from a sensor unchanged.
+    /// TCP server that passes bytes to and from a sensor unchanged.
     Tcp {
-        /// A host name or an address, IPv6 without its brackets.
+        /// Host name or address; IPv6 without brackets.
         host: String,
-        /// The TCP port.
+        /// TCP port.
         port: u16,
-        /// The baud rate of the serial line behind the server. It cannot be changed
-        /// from here.
+        /// Baud rate of the serial line behind the server. You cannot change it from here.
         baud_rate: BaudRate,
     },
 }
 
-/// The baud rate of a bridge's line if its address has none: that of a sensor after
-/// power-up.
+/// Baud rate of a bridge's line if its address has none: the baud rate of a sensor after power-up.
 const DEFAULT_BRIDGE_BAUD_RATE: BaudRate = BaudRate::B19200;
 
 impl fmt::Display for Endpoint {
@@ -86,8 +85,8 @@ impl FromStr for Endpoint {
 
     /// # Errors
     ///
-    /// Fails with [`Error::InvalidEndpoint`] and the reason. Whether the port exists is
-    /// not checked.
+    /// Fails with [`Error::InvalidEndpoint`] and the reason. Does not check whether the port
+    /// exists.
     fn from_str(text: &str) -> Result<Self, Error> {
         parse(text).map_err(|reason| Error::InvalidEndpoint { text: text.to_owned(), reason })
     }
@@ -117,14 +116,14 @@ impl TryFrom<String> for Endpoint {
     }
 }
 
-/// Takes a path for a serial port, whatever it looks like.
+/// Takes the path for a serial port, whatever it looks like.
 impl TryFrom<&Path> for Endpoint {
     type Error = Error;
 
     /// # Errors
     ///
-    /// Fails with [`Error::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a
-    /// control character, and without the feature `serial`.
+    /// Fails with [`Error::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a control
+    /// character, and without the feature `serial`.
     fn try_from(path: &Path) -> Result<Self, Error> {
         let endpoint = match path.to_str() {
             Some("") => Err(EMPTY),
@@ -189,7 +188,7 @@ fn parse(text: &str) -> Parsed {
     if let Some(number) = text.strip_prefix("serial:") {
         return serial_number(number);
     }
-    // HOST:PORT without tcp:// would otherwise be taken for a file name.
+    // Without this, HOST:PORT without tcp:// would pass for a file name.
     if !text.contains(['/', '\\']) && text.rsplit_once(':').is_some_and(|(_, end)| is_number(end)) {
         return Err("expected tcp://HOST:PORT for a TCP address");
     }
@@ -236,7 +235,7 @@ fn parse_tcp(address: &str) -> Parsed {
             let (host, rest) = bracketed
                 .split_once(']')
                 .ok_or("the closing bracket is missing, as in tcp://[::1]:4001")?;
-            // Which zones exist, as in fe80::1%eth0, only the system knows.
+            // Only the system knows which zones exist, as in fe80::1%eth0.
             let (address, zone) = host.split_once('%').unwrap_or((host, "0"));
             if address.parse::<Ipv6Addr>().is_err() || zone.is_empty() {
                 return Err("expected an IPv6 address in the brackets, as in tcp://[::1]:4001");
@@ -279,7 +278,7 @@ fn parse_query(query: &str) -> Result<BaudRate, &'static str> {
         .ok_or("expected one of 19200, 57600, 115200, 250000, 500000 and 750000 after baud=")
 }
 
-/// Returns true for digits only: `parse` alone accepts a sign, too.
+/// Returns true for digits only: `parse` alone also accepts a sign.
 fn is_number(text: &str) -> bool {
     !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit())
 }

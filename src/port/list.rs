@@ -11,17 +11,17 @@ use tokio_serial::{SerialPortInfo, SerialPortType};
 use crate::Error;
 use crate::protocol::Text;
 
-/// The vendor and product number of a USB device, written `15d1:0000`.
+/// Vendor and product number of a USB device, written `15d1:0000`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct UsbId {
-    /// The number of the vendor.
+    /// Number of the vendor.
     pub vendor: u16,
-    /// The vendor's number of the product.
+    /// Number that the vendor gave the product.
     pub product: u16,
 }
 
 impl UsbId {
-    /// The id of URG sensors. All models have the same.
+    /// Id of URG sensors, the same for all models.
     pub const URG: Self = Self { vendor: 0x15d1, product: 0x0000 };
 }
 
@@ -39,43 +39,43 @@ impl serde::Serialize for UsbId {
     }
 }
 
-/// A serial port of this machine, as the system describes it. The port was not
-/// opened for that.
+/// Serial port of this machine, as the system describes it. Listing does not open the
+/// port.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct PortInfo {
-    /// The path to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which
-    /// devices were plugged in.
+    /// Path to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which you plug
+    /// devices in.
     pub path: String,
-    /// The id of the USB device that the port belongs to, if any. A sensor on a USB
-    /// adapter has the id of the adapter.
+    /// Id of the USB device that the port belongs to, if any. A sensor on a USB adapter
+    /// has the id of the adapter.
     pub usb_id: Option<UsbId>,
-    /// The product name of the USB device.
+    /// Product name of the USB device.
     pub product: Option<Text>,
-    /// The manufacturer name of the USB device.
+    /// Manufacturer name of the USB device.
     pub manufacturer: Option<Text>,
-    /// The names of the same port that depend only on the USB socket, sorted: the
-    /// links in `/dev/serial/by-path` (Linux; empty elsewhere). Two sensors have
-    /// different ones. Their names in `/dev/serial/by-id` are equal, because a URG has
-    /// no USB serial number.
+    /// Names of the same port that depend only on the USB socket, sorted: the links in
+    /// `/dev/serial/by-path` (Linux; empty elsewhere). Use them to tell two sensors
+    /// apart. Their names in `/dev/serial/by-id` are equal, because a URG has no USB
+    /// serial number.
     pub stable_paths: Vec<String>,
 }
 
 impl PortInfo {
-    /// Returns true for the USB port of a URG sensor. The sensor may be of a model or
-    /// in a mode that speaks SCIP 2 only. A sensor on RS-232 cannot be recognised
-    /// without opening the port: false.
+    /// Returns true for the USB port of a URG sensor. The sensor may still speak only
+    /// SCIP 2, because of its model or its mode. Returns false for a sensor on RS-232,
+    /// which cannot be recognised without opening the port.
     pub fn is_likely_sensor(&self) -> bool {
         self.usb_id == Some(UsbId::URG)
     }
 }
 
-/// Returns the serial ports of this machine: likely sensors first, then other USB
-/// ports, then the rest, each sorted by path.
+/// Lists the serial ports of this machine: likely sensors first, then other USB ports,
+/// then the rest, each sorted by path.
 ///
-/// Pseudo-terminals are left out, and names without hardware (`/dev/ttyS1`). Runs on
-/// one of tokio's blocking threads. Cancel-safe.
+/// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on one of
+/// tokio's blocking threads. Cancel-safe.
 ///
 /// # Errors
 ///
@@ -87,7 +87,7 @@ pub async fn list() -> Result<Vec<PortInfo>, Error> {
     }
 }
 
-/// The name of the port in an error of listing.
+/// Name of the port in an error of listing.
 const THE_LIST: &str = "the list of serial ports";
 
 fn list_blocking() -> Result<Vec<PortInfo>, Error> {
@@ -95,7 +95,7 @@ fn list_blocking() -> Result<Vec<PortInfo>, Error> {
     let mut ports = Vec::new();
     for port in available()? {
         let port = port_info(port, &links);
-        // Inserted, not sorted: a sort is more code than all of this module.
+        // Inserted in order: sorting needs more code than the rest of this module.
         let place = ports.partition_point(|other| order(other) <= order(&port));
         ports.insert(place, port);
     }
@@ -103,7 +103,7 @@ fn list_blocking() -> Result<Vec<PortInfo>, Error> {
 }
 
 pub(super) fn available() -> Result<Vec<SerialPortInfo>, Error> {
-    // tokio_serial panics if this directory is missing, as in some containers.
+    // tokio_serial panics without this directory, as in some containers.
     #[cfg(any(target_os = "linux", target_os = "android"))]
     if !Path::new(SYS_CLASS_TTY).is_dir() {
         return Ok(Vec::new());
@@ -116,8 +116,8 @@ pub(super) fn available() -> Result<Vec<SerialPortInfo>, Error> {
 
 const SYS_CLASS_TTY: &str = "/sys/class/tty";
 
-/// Returns true if the kernel has reserved the name and found no UART. A PC with one
-/// UART has 4 or 32 such names.
+/// Returns true if the kernel has reserved the name but found no UART. A PC with one UART
+/// has 4 or 32 such names.
 fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
     const UNKNOWN_UART: &str = "0";
     Path::new(path)
@@ -126,7 +126,7 @@ fn is_without_hardware(path: &str, sys_class_tty: &Path) -> bool {
         .is_some_and(|kind| kind.trim() == UNKNOWN_UART)
 }
 
-/// Returns the names of the links in `directory`, sorted, each with its target.
+/// Reads the links in `directory`, sorted by name, each with its target.
 fn stable_paths(directory: &Path) -> Vec<(String, PathBuf)> {
     let mut links = Vec::new();
     for link in fs::read_dir(directory).into_iter().flatten().flatten() {
@@ -159,7 +159,7 @@ fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
     }
 }
 
-/// Returns the sort key of a port: sensors, USB, others; `ttyUSB9` before `ttyUSB10`.
+/// Sort key of a port: sensors, USB, others; `ttyUSB9` before `ttyUSB10`.
 fn order(port: &PortInfo) -> (bool, bool, String, u64) {
     let name = port.path.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = port.path.strip_prefix(name).and_then(|digits| digits.parse().ok());
@@ -168,20 +168,20 @@ fn order(port: &PortInfo) -> (bool, bool, String, u64) {
 
 /// Returns true if `path` is the USB port of a sensor, by any of its names. Blocks.
 pub(super) fn is_usb_sensor(path: &str) -> bool {
-    // If the list fails the port counts as a serial line, which only makes its
-    // deadlines longer.
+    // If listing fails, count the port as a serial line, which only makes its deadlines
+    // longer.
     let is_it = |port: &PortInfo| port.is_likely_sensor() && is_same(&port.path, path);
     list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
 }
 
-/// Returns the device that `path` leads to. `None` on Windows, where ports are not files,
-/// and where `canonicalize` opens the port: one on Bluetooth then connects to its device,
-/// and a board on another may restart.
+/// Resolves `path` to its device. `None` on Windows: ports are no files there, and
+/// `canonicalize` opens the port. Opening a Bluetooth port connects to its device, and
+/// opening a board's port may restart the board.
 fn device(path: &str) -> Option<PathBuf> {
     if cfg!(windows) { None } else { fs::canonicalize(path).ok() }
 }
 
-/// Returns true if `path` is a name of the port that is `listed`.
+/// Returns true if `path` is a name of the `listed` port.
 pub(super) fn is_same(listed: &str, path: &str) -> bool {
     match (device(listed), device(path)) {
         (Some(listed), Some(path)) => listed == path,

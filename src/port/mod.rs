@@ -1,11 +1,32 @@
-//! Ports, through which a driver reaches its sensor: the traits [`Port`] and
-//! [`Connect`], which opens one, and [`Endpoint`], which names one.
+//! Ports, through which a driver reaches its sensor. [`Connect`] opens a [`Port`], and
+//! [`Endpoint`] names one.
+//!
+//! You need none of this for serial ports and TCP: pass their name to
+//! [`Sensor::open`](crate::Sensor::open). For a transport of your own, open a stream in a
+//! closure:
+//!
+//! ```no_run
+//! use tokio::net::TcpStream;
+//! use tokio_scip::port::StreamPort;
+//! use tokio_scip::{Error, Sensor};
+//!
+//! # async fn open() -> Result<(), Error> {
+//! let sensor = Sensor::builder()
+//!     .connect(|| async {
+//!         let stream = TcpStream::connect("robot:10940").await;
+//!         Ok(StreamPort::new(stream.map_err(|error| Error::open("robot", error))?))
+//!     })
+//!     .await?;
+//! # Ok(())
+//! # }
+//! ```
 
 mod any_connect;
 mod attached;
 mod connector;
 mod dial;
 mod endpoint;
+mod hints;
 #[cfg(feature = "serial")]
 mod list;
 #[cfg(feature = "serial")]
@@ -21,16 +42,18 @@ mod tty;
 
 use std::future::Future;
 use std::io;
-use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use crate::{BaudRate, Error};
 
 pub(crate) use any_connect::AnyConnect;
+pub use any_connect::BoxConnect;
 pub(crate) use attached::Attached;
 pub use connector::EndpointConnector;
+#[doc(no_inline)]
 pub use endpoint::Endpoint;
+pub use hints::{ConnectHints, PortHints};
 #[cfg(feature = "serial")]
 pub use list::{PortInfo, UsbId, list};
 #[cfg(feature = "serial")]
@@ -38,86 +61,41 @@ pub use serial::SerialPort;
 pub use stream_port::StreamPort;
 pub use tcp::TcpPort;
 
-/// A byte stream to a sensor.
+/// Byte stream to a sensor.
 ///
 /// [`StreamPort`] turns any `AsyncRead + AsyncWrite` into one, and
 /// [`Sensor::attach`](crate::Sensor::attach) does so for you. Implement this trait if
-/// the stream has a baud rate that the driver should know or change.
+/// the stream has a baud rate that the driver should know or change. Everything else that
+/// a port may tell the driver is optional: [`PortHints`].
 ///
-/// The driver never calls `poll_flush`: a port has to send written bytes without it.
-/// After the first `Ok(0)` or error of a read the driver drops the port. All methods
-/// are called in the driver's task and must not block.
+/// The driver never calls `poll_flush`: send written bytes without it. After the first
+/// `Ok(0)` or error of a read, the driver drops the port. It calls all methods in its task,
+/// so they must not block.
 pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
-    /// Returns the baud rate of the serial line to the sensor, or `None` if the line
-    /// has none, as on USB. Deadlines are computed from it.
+    /// Baud rate of the serial line to the sensor, or `None` if the line has none, as on
+    /// USB. The driver computes deadlines from it.
     fn baud_rate(&self) -> Option<BaudRate> {
         None
     }
 
-    /// Sets this side's baud rate. The driver calls it when the sensor changes its
-    /// own, and to search for the baud rate of the sensor.
+    /// Sets this side's baud rate. The driver calls it when the sensor changes its own, and
+    /// to search for the sensor's baud rate.
     ///
     /// # Errors
     ///
-    /// Must fail if the baud rate is not in force afterwards. `ErrorKind::Unsupported`
-    /// (the default) means that this port cannot change its baud rate at all; the
-    /// driver then leaves that of the sensor alone, too.
+    /// Fail if the baud rate is not in force afterwards. `ErrorKind::Unsupported` (the
+    /// default) means that this port cannot change its baud rate at all; the driver then
+    /// does not change the sensor's, either.
     fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         let _ = baud_rate;
         Err(io::ErrorKind::Unsupported.into())
     }
 
-    /// Returns the wall clock at which the bytes that are read now arrived, for
-    /// [`Scan::stamp`](crate::Scan::stamp): the system's, unless the port replays
-    /// bytes of another time.
-    fn wall_clock(&self) -> SystemTime {
-        SystemTime::now()
-    }
-
-    /// Reads the bytes that the system has by now, without waiting for the runtime's
-    /// I/O driver to report them. Before each command the driver uses it to drop
-    /// pending bytes; without it, it has to yield to the runtime once. Returns `None`
-    /// (the default) if the port cannot do this.
-    ///
-    /// # Errors
-    ///
-    /// Fails with `ErrorKind::WouldBlock` if the system has no bytes, and otherwise as
-    /// a read does.
-    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
-        let _ = buffer;
+    /// What else the port can do for the driver, or `None` (the default) for a plain stream
+    /// of bytes.
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
         None
     }
-
-    /// Stops waking the driver for bytes that arrive, until the next `poll_read`. That
-    /// one must first read what the system has by then, and wake the driver for later
-    /// bytes again. Returns whether the port can do this; `false` is the default.
-    ///
-    /// The driver calls it, after a `poll_read` that returned `Pending`, while the rest
-    /// of a reply still takes some milliseconds. A serial line delivers a scan in 20 to
-    /// 100 pieces, each of which would wake the driver.
-    fn suspend_wakeups(&mut self) -> bool {
-        false
-    }
-
-    /// Returns true if the link can be lost without a failing read or write, as a TCP
-    /// connection or an RS-232 line. The driver then probes the sensor while it is idle
-    /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)). `false` is the
-    /// default.
-    fn can_die_silently(&self) -> bool {
-        false
-    }
-
-    /// Returns true if the link has come to its end for good, as that of a recording
-    /// behind its last scan. Called after a read or a write has failed or the stream has
-    /// ended. The driver then ends instead of reconnecting: after `Ok(0)` without an
-    /// error, otherwise with the error of the read or write. `false` is the default.
-    fn is_over(&self) -> bool {
-        false
-    }
-
-    /// Drops bytes that were written and are not on the line yet, so that closing the
-    /// port does not wait for them. Called once, before the port is dropped.
-    fn discard_output(&mut self) {}
 }
 
 impl<P: Port + ?Sized> Port for Box<P> {
@@ -129,33 +107,12 @@ impl<P: Port + ?Sized> Port for Box<P> {
         (**self).set_baud_rate(baud_rate)
     }
 
-    fn wall_clock(&self) -> SystemTime {
-        (**self).wall_clock()
-    }
-
-    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
-        (**self).try_read(buffer)
-    }
-
-    fn suspend_wakeups(&mut self) -> bool {
-        (**self).suspend_wakeups()
-    }
-
-    fn can_die_silently(&self) -> bool {
-        (**self).can_die_silently()
-    }
-
-    fn is_over(&self) -> bool {
-        (**self).is_over()
-    }
-
-    fn discard_output(&mut self) {
-        (**self).discard_output();
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        (**self).hints()
     }
 }
 
-/// A way to open a port: called once at first, and again after each loss of the
-/// link.
+/// Opens a port: at the start, and again after each loss of the link.
 ///
 /// ```
 /// # #[cfg(all(unix, feature = "emulator"))] {
@@ -201,42 +158,69 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// # }
 /// ```
 pub trait Connect: Send + 'static {
-    /// The type of the port.
+    /// Type of the port.
     type Port: Port;
 
     /// Opens the port. Must not send anything.
     ///
-    /// The future must be cancel-safe: it is dropped if the driver ends or the open
-    /// timeout has passed.
+    /// The future must be cancel-safe: the driver drops it when the open timeout has passed,
+    /// or when the driver itself ends.
     ///
     /// # Errors
     ///
-    /// Fails with an error of opening, such as [`Error::NoSuchPort`] or
-    /// [`Error::Open`]. If [`Error::is_transient`] is true for it, a driver that waits
-    /// for its sensor tries again.
+    /// Fails with an error of opening, such as [`Error::NoSuchPort`] or [`Error::Open`]. A
+    /// driver that waits for its first sensor gives up if an error that is not
+    /// [transient](Error::is_transient) repeats.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
-    /// Returns the name of the port for logs and error messages, if it has one.
+    /// Name of the port for logs and error messages, if it has one.
     fn name(&self) -> Option<&str> {
         None
     }
 
-    /// Returns whether there is another candidate, after the port that was opened last
-    /// turned out to have no sensor or another one. If true, the driver calls
-    /// [`connect`](Self::connect) again at once; if false (the default), it backs off
-    /// first.
-    fn has_more(&self) -> bool {
-        false
+    /// What else the connector knows, if it searches for a sensor on several ports.
+    /// Default: `None`.
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
+        None
     }
 
-    /// Accepts the port that was opened last: it has the right sensor. The next
-    /// [`connect`](Self::connect), after a loss of the link, begins with the first
-    /// candidate again.
-    fn found(&mut self) {}
+    /// Boxes the connector, so that connectors of different types have one type.
+    fn boxed(self) -> BoxConnect
+    where
+        Self: Sized,
+    {
+        BoxConnect::new(self)
+    }
+}
 
-    /// Returns the serial number (`SERI:`) that the sensor must have, or `None` (the
-    /// default) if any sensor is accepted.
-    fn expected_serial_number(&self) -> Option<&str> {
-        None
+/// Closure that opens a port.
+///
+/// ```
+/// # #[cfg(all(unix, feature = "emulator"))] {
+/// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+/// # async fn main() -> Result<(), tokio_scip::Error> {
+/// # let emulator = tokio_scip::emulator::Emulator::default();
+/// use tokio_scip::Sensor;
+///
+/// let sensor = Sensor::builder().connect(move || {
+///     let link = emulator.link();
+///     async { Ok(link) }
+/// });
+/// # assert_eq!(sensor.await?.version().await?.product, "SOKUIKI Sensor URG-04LX");
+/// # Ok(())
+/// # }
+/// # main().unwrap();
+/// # }
+/// ```
+impl<F, T, P> Connect for F
+where
+    F: FnMut() -> T + Send + 'static,
+    T: Future<Output = Result<P, Error>> + Send + 'static,
+    P: Port,
+{
+    type Port = P;
+
+    fn connect(&mut self) -> impl Future<Output = Result<P, Error>> + Send {
+        self()
     }
 }

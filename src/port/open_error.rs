@@ -1,5 +1,5 @@
-//! Converts a failure to open a serial port into an [`Error`] that names the remedy,
-//! from the system's error and the state of the device file.
+//! Converts a failure to open a serial port into an [`Error`] that names the remedy, from
+//! the system's error and the state of the device file.
 
 use std::io;
 
@@ -7,20 +7,20 @@ use tokio_serial::ErrorKind;
 
 use crate::Error;
 
-/// The device file at a port's path.
+/// Device file at a port's path.
 #[derive(Debug, Clone)]
 struct Node {
-    /// A serial port can be there.
+    /// True if it can be a serial port.
     is_device: bool,
-    /// The group whose members may open it, if joining it is good advice.
+    /// Group whose members may open it, if joining the group is good advice.
     group: Option<String>,
-    /// It appeared, or changed its owner, within the last seconds. A new device
+    /// True if it appeared, or changed its owner, within the last seconds. A new device
     /// belongs to root until udev has set its group.
     is_new: bool,
 }
 
-/// Fails if there is no serial port at `port`. Called before opening, because opening
-/// another kind of file or device can have side effects.
+/// Fails if `port` is not a serial port. Runs before opening, because opening another
+/// kind of file or device can have side effects.
 pub(super) fn check_before_opening(port: &str) -> Result<(), Error> {
     match node(port) {
         Ok(node) if node.is_device => Ok(()),
@@ -37,15 +37,15 @@ pub(super) fn explain(port: &str, error: tokio_serial::Error) -> Error {
 fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) -> Error {
     let node = match node {
         Ok(node) => node,
-        // Unplugged while it was opened: the first error does not matter.
+        // Unplugged while being opened: the first error does not matter.
         Err(error) => return not_found(port, error),
     };
     let port = port.to_owned();
-    // serialport keeps of an errno only the text of the nix crate, which is the same in
+    // Of an errno, serialport keeps only the text of the nix crate, which is the same in
     // every locale.
     match (error.kind(), error.description.as_str()) {
-        // EBUSY, or TIOCEXCL set by another process. On Windows access denied, which
-        // for an existing port means that it is open.
+        // EBUSY, or TIOCEXCL set by another process. On Windows access denied, which for
+        // an existing port means that it is open.
         (ErrorKind::NoDevice, _) => Error::Busy { port },
         (ErrorKind::Io(io::ErrorKind::NotFound), _)
         | (ErrorKind::Unknown, "No such device" | "No such device or address") => {
@@ -55,8 +55,8 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
         (ErrorKind::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
             Error::PermissionDenied { port, group: node.group }
         }
-        // EPERM: a container or a sandbox without access to the device, where joining
-        // a group has no effect.
+        // EPERM: a container or a sandbox without access to the device. Joining a group
+        // does not help there.
         (ErrorKind::Unknown, "Operation not permitted") => {
             Error::PermissionDenied { port, group: None }
         }
@@ -91,9 +91,9 @@ fn node(port: &str) -> io::Result<Node> {
     })
 }
 
-/// Returns the group whose members may open a device: its name in the file `groups`
-/// (/etc/group), or else its number, which `usermod` accepts, too. `None` if the group
-/// may not read and write, and for root's group.
+/// Group whose members may open a device: its name in the file `groups` (/etc/group), or
+/// its number, which `usermod` also accepts. `None` if the group may not read and write,
+/// and for root's group.
 #[cfg(unix)]
 fn group_to_join(mode: u32, gid: u32, groups: &std::path::Path) -> Option<String> {
     const GROUP_READ_WRITE: u32 = 0o060;
@@ -110,16 +110,16 @@ fn group_to_join(mode: u32, gid: u32, groups: &std::path::Path) -> Option<String
     Some(name.unwrap_or_else(|| gid.to_string()))
 }
 
-/// Returns true if the owner or mode of a device changed (at `changed`, in seconds
-/// since 1970) within the three seconds before `now`. udev needs some tens of
-/// milliseconds, and more on a small machine that is booting.
+/// Returns true if the owner or mode of a device changed (at `changed`, in seconds since
+/// 1970) within the three seconds before `now`. udev needs some tens of milliseconds, and
+/// more on a small machine that is booting.
 #[cfg(unix)]
 fn is_new(changed: i64, now: u64) -> bool {
     u64::try_from(changed).is_ok_and(|changed| (changed..=changed.saturating_add(3)).contains(&now))
 }
 
-/// Ports are not files here. The system has the same error for a missing port and for
-/// one that is in use: a port that is listed is in use.
+/// Ports are not files here. The system reports the same error for a missing port and for
+/// one in use: a listed port is in use.
 #[cfg(not(unix))]
 fn node(port: &str) -> io::Result<Node> {
     use super::list::{available, is_same};

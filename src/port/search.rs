@@ -1,45 +1,49 @@
-//! The search for a sensor by its serial number: which port is opened next. The driver
-//! checks which sensor is there.
+//! Searches for a sensor by its serial number: chooses the next port to open. The driver
+//! checks which sensor it has.
 
 use std::future::Future;
 use std::io;
 use std::time::Duration;
 use std::vec;
 
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, sleep_until, timeout};
 
 use super::list::{self, PortInfo};
 use super::serial::{SerialOpener, SerialPort};
 use crate::Error;
 
-/// The time after which a busy port is tried once more.
+/// Delay before the busy ports are retried.
 ///
-/// A service that opens two sensors at once tries each on the other's port: a port that
-/// is busy then is free again as soon as the other driver has found another sensor.
+/// A service that opens several sensors at once tries each on the others' ports. Such a busy port
+/// is free again as soon as the other driver has found that it has the wrong sensor.
 const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 
-/// The time after which a port that is still being opened is skipped. Opening takes
-/// milliseconds unless a device hangs; the others are to be tried within the open
-/// timeout, 5 s unless set.
+/// Number of times to retry the busy ports: each time, another search may hold the wanted one.
+/// Enough for five sensors. The search for a missing sensor takes 2 s if other ports stay busy.
+const BUSY_RETRIES: u32 = 4;
+
+/// Time after which a port that is still being opened is skipped. Opening takes milliseconds
+/// unless a device hangs. The others must get their turn within the open timeout, by default
+/// 5 s.
 const OPEN_LIMIT: Duration = Duration::from_secs(2);
 
-/// A source of ports. Tests have one without hardware.
+/// Source of ports. Tests have one without hardware.
 pub(super) trait Ports: Send + 'static {
     type Port;
 
-    /// Returns the ports that the sensor can be on.
+    /// Lists the ports that the sensor can be on.
     fn candidates(&mut self) -> impl Future<Output = Result<Vec<String>, Error>> + Send;
 
     fn open(&mut self, path: &str) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 }
 
-/// The ports of this machine.
+/// Serial ports of this machine.
 #[derive(Debug, Default)]
 pub(super) struct SystemPorts {
-    /// The port that was opened last, and its opener.
+    /// Last opened port, and its opener.
     latest: Option<(String, SerialOpener)>,
-    /// Those before whose opening hangs in the system. Each port has an opener of its own,
-    /// so that one that hangs keeps no other waiting.
+    /// Earlier ports whose opening hangs in the system. Each port has its own opener, so that
+    /// a hanging one blocks no other.
     hanging: Vec<(String, SerialOpener)>,
 }
 
@@ -63,7 +67,7 @@ impl Ports for SystemPorts {
     }
 }
 
-/// A search through the candidates, which opens one port a call.
+/// Search through the candidates, which opens one port per call.
 #[derive(Debug)]
 pub(super) struct Search<P> {
     serial_number: String,
@@ -75,10 +79,13 @@ pub(super) struct Search<P> {
 struct Pass {
     untried: vec::IntoIter<String>,
     busy: Vec<String>,
-    /// The busy ones are tried for the second time.
-    is_second_round: bool,
-    /// The error of a port that the user may not open. The sensor may be there, so
-    /// that it is reported in place of "no such sensor".
+    /// When to retry the busy ports. Kept here, so that a caller that drops its futures early
+    /// does not restart the delay with each call.
+    busy_until: Option<Instant>,
+    /// Number of times that the busy ports were retried.
+    retries: u32,
+    /// Error of a port that the user may not open. The sensor may be on it, so this is
+    /// reported instead of "no such sensor".
     denied: Option<Error>,
 }
 
@@ -91,7 +98,7 @@ impl<P: Ports> Search<P> {
         &self.serial_number
     }
 
-    /// Returns true until a call has reported that no candidate is left.
+    /// Returns true until a call has found no candidate left.
     pub(super) fn has_more(&self) -> bool {
         self.pass.is_some()
     }
@@ -101,8 +108,8 @@ impl<P: Ports> Search<P> {
         self.pass = None;
     }
 
-    /// Opens the next port that can be opened. A port that hangs is skipped after
-    /// `OPEN_LIMIT`, or if the future is dropped while it is being opened.
+    /// Opens the next port that can be opened. Skips a port that hangs for `OPEN_LIMIT`, and
+    /// one that was being opened when the future was dropped.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         let pass = match &mut self.pass {
             Some(pass) => pass,
@@ -111,7 +118,8 @@ impl<P: Ports> Search<P> {
                 self.pass.insert(Pass {
                     untried,
                     busy: Vec::new(),
-                    is_second_round: false,
+                    busy_until: None,
+                    retries: 0,
                     denied: None,
                 })
             }
@@ -136,9 +144,11 @@ impl<P: Ports> Search<P> {
             if pass.busy.is_empty() {
                 break;
             }
-            sleep(BUSY_RETRY_DELAY).await;
+            let until = pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_RETRY_DELAY);
+            sleep_until(*until).await;
+            pass.busy_until = None;
             pass.untried = std::mem::take(&mut pass.busy).into_iter();
-            pass.is_second_round = true;
+            pass.retries += 1;
         }
         let denied = self.pass.take().and_then(|pass| pass.denied);
         Err(denied
@@ -149,7 +159,7 @@ impl<P: Ports> Search<P> {
 impl Pass {
     fn note(&mut self, path: String, error: Error) {
         match error {
-            Error::Busy { .. } if !self.is_second_round => self.busy.push(path),
+            Error::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
             Error::PermissionDenied { .. } => self.denied = Some(error),
             _ => {}
         }
@@ -158,14 +168,18 @@ impl Pass {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
+    use std::sync::{Arc, Mutex};
+
     use futures::FutureExt;
+    use futures::future::join_all;
     use tokio::task::spawn_blocking;
-    use tokio::time::Instant;
+    use tokio::time::{Instant, sleep};
 
     use super::*;
 
-    /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens,
-    /// `b` is busy, `d` is denied, `g` is gone, `h` hangs; the last one is repeated.
+    /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens, `b`
+    /// is busy, `d` is denied, `g` is gone, `h` hangs. The last letter repeats.
     struct Fake {
         listed: Vec<(&'static str, &'static str)>,
         opened: Vec<String>,
@@ -193,6 +207,61 @@ mod tests {
                 Some('h') => std::future::pending().await,
                 _ => Err(Error::NoSuchPort { port }),
             }
+        }
+    }
+
+    /// Ports that several searches share. Each port is busy while a search holds it.
+    struct Shared {
+        count: usize,
+        held: Arc<Mutex<HashSet<String>>>,
+    }
+
+    struct Held(String, Arc<Mutex<HashSet<String>>>);
+
+    impl Drop for Held {
+        fn drop(&mut self) {
+            self.1.lock().unwrap().remove(&self.0);
+        }
+    }
+
+    impl Ports for Shared {
+        type Port = Held;
+
+        async fn candidates(&mut self) -> Result<Vec<String>, Error> {
+            Ok((0..self.count).map(|number| number.to_string()).collect())
+        }
+
+        async fn open(&mut self, path: &str) -> Result<Held, Error> {
+            let port = path.to_owned();
+            match self.held.lock().unwrap().insert(port.clone()) {
+                true => Ok(Held(port, Arc::clone(&self.held))),
+                false => Err(Error::Busy { port }),
+            }
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn searches_that_begin_at_once_find_a_sensor_each_in_whatever_order_they_are() {
+        for (count, shift) in (2..=5).flat_map(|count| (0..count).map(move |shift| (count, shift)))
+        {
+            let held = Arc::default();
+            let searches = (0..count).map(|sensor| {
+                let own = ((sensor + shift) % count).to_string();
+                let ports = Shared { count, held: Arc::clone(&held) };
+                let mut search = Search::new(own.clone(), ports);
+                async move {
+                    loop {
+                        let port = search.next_port().await?;
+                        // Asks the sensor for its serial number.
+                        sleep(Duration::from_millis(400)).await;
+                        if port.0 == own {
+                            return Ok::<_, Error>(port);
+                        }
+                    }
+                }
+            });
+            let found = join_all(searches).await;
+            assert!(found.iter().all(Result::is_ok), "{count} sensors, moved by {shift}");
         }
     }
 
@@ -240,7 +309,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_busy_port_is_tried_once_more_when_the_others_are_through() {
+    async fn a_busy_port_is_retried_when_the_others_are_through() {
         let mut search = search(&[("a", "bo"), ("b", "o"), ("c", "b")]);
         let start = Instant::now();
         assert_eq!(next(&mut search).await, "b");
@@ -248,7 +317,20 @@ mod tests {
         assert_eq!(next(&mut search).await, "a");
         assert_eq!(start.elapsed(), BUSY_RETRY_DELAY);
         assert_eq!(next(&mut search).await, "no H0713090");
-        assert_eq!(search.ports.opened, ["a", "b", "c", "a", "c"]);
+        assert_eq!(start.elapsed(), BUSY_RETRIES * BUSY_RETRY_DELAY);
+        assert_eq!(search.ports.opened, ["a", "b", "c", "a", "c", "c", "c", "c"]);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_busy_port_is_retried_also_by_calls_that_are_dropped_before() {
+        let mut search = search(&[("a", "bo")]);
+        let call = Duration::from_millis(20);
+        let mut calls = 1;
+        while timeout(call, search.next_port()).await.is_err() {
+            calls += 1;
+            assert!(call * calls <= BUSY_RETRY_DELAY + call, "the delay begins again and again");
+        }
+        assert_eq!(search.ports.opened, ["a", "a"]);
     }
 
     #[tokio::test(start_paused = true)]
@@ -266,10 +348,10 @@ mod tests {
         let mut search = search(&[("a", "h"), ("b", "b"), ("c", "o")]);
         assert!(search.next_port().now_or_never().is_none());
         assert_eq!(next(&mut search).await, "c");
-        // Dropped while waiting for the busy one, which is still tried again.
+        // Dropped while it waited for the busy port, which is still retried.
         assert!(search.next_port().now_or_never().is_none());
         assert_eq!(next(&mut search).await, "no H0713090");
-        assert_eq!(search.ports.opened, ["a", "b", "c", "b"]);
+        assert_eq!(search.ports.opened, ["a", "b", "c", "b", "b", "b", "b"]);
     }
 
     #[tokio::test(start_paused = true)]
@@ -280,7 +362,7 @@ mod tests {
         assert_eq!(start.elapsed(), 2 * OPEN_LIMIT);
     }
 
-    /// The system's own ports, while the one thread for blocking calls is busy, as with a
+    /// Tests the system's ports while the one thread for blocking calls is busy, as with a
     /// device that hangs.
     #[test]
     fn o25_a_port_whose_opening_hangs_is_busy_until_it_ends_and_no_other_one_is() {
@@ -300,7 +382,7 @@ mod tests {
             assert!(open("/dev/lost").now_or_never().is_none(), "another port waits for itself");
             drop(hang);
             assert!(hanging.await.unwrap().is_err());
-            // The thread has begun this call after the openings, which have ended.
+            // The thread begins this call only after the openings have ended.
             spawn_blocking(|| ()).await.unwrap();
             for path in ["/dev/gone", "/dev/lost"] {
                 let error = open(path).await.unwrap_err();

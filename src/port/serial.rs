@@ -14,39 +14,38 @@ use tokio_serial::{SerialPort as _, SerialStream as Tty};
 
 #[cfg(unix)]
 use super::tty::Tty;
-use super::{Port, list, open_error};
+use super::{Port, PortHints, list, open_error};
 use crate::{BaudRate, Error};
 
-/// A serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control
-/// (C-42-3320-A p. 2), locked for other programs while it is open.
+/// Serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control (C-42-3320-A p.
+/// 2), locked for other programs while it is open.
 ///
 /// It differs from other serial ports in three points:
 ///
-/// - `flush` and `shutdown` return at once. The system's call that waits for unsent
-///   output blocks the thread, and with it the runtime.
-/// - Dropping the port discards unsent output. Closing would wait for it, for up to
-///   half a minute. Only a reply proves that a command was sent.
-/// - Bytes that the system had received before the port was opened can be read.
+/// - `flush` and `shutdown` return at once. The system's call that waits for unsent output
+///   would block the thread, and with it the runtime.
+/// - Dropping the port discards unsent output. Closing would wait for it, for up to half a
+///   minute. Only a reply proves that your command was sent.
+/// - You can read bytes that the system had received before you opened the port.
 ///
-/// After a port was unplugged or hung up, reads return the end of the stream or fail
-/// with the system's error. Drop the port then, so that the system can assign the same
-/// name to the sensor when it is plugged in again.
+/// After a port was unplugged or hung up, reads return the end of the stream or fail with
+/// the system's error. Drop the port then, so that the system can assign the same name to
+/// the sensor when you plug it in again.
 #[derive(Debug)]
 pub struct SerialPort {
     inner: Tty,
     baud_rate: BaudRate,
-    /// It is the sensor's own USB port, where the baud rate has no effect, and not an
+    /// True for the sensor's own USB port, where the baud rate has no effect; false for an
     /// RS-232 adapter.
     is_usb_sensor: bool,
 }
 
 impl SerialPort {
-    /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the baud rate
-    /// of a sensor after power-up. Sends nothing.
+    /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the baud rate of
+    /// a sensor after power-up. Sends nothing.
     ///
-    /// Opening blocks, so it runs on one of tokio's blocking threads. Cancel-safe: if
-    /// the future is dropped, the port is closed as soon as it is open; until then it
-    /// is busy.
+    /// Opening blocks, so it runs on one of tokio's blocking threads. Cancel-safe: if you
+    /// drop the future, the port is closed as soon as it is open, and is busy until then.
     ///
     /// # Errors
     ///
@@ -105,23 +104,22 @@ fn check_baud_rate(baud_rate: BaudRate, actual: u32) -> io::Result<()> {
 /// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
 ///
 /// Adapters report the result of their divider (a CP2104 has 115,384 for 115,200). A
-/// receiver samples a byte correctly if both sides together are off by less than half
-/// a bit in ten, 5 %; 2 % leaves a share for the sensor. The nearest baud rate that an
-/// adapter may take instead, 256,000 for 250,000, is 2.4 % off.
+/// receiver samples a byte correctly if both sides together are off by less than half a
+/// bit in ten, 5 %; 2 % leaves a share for the sensor. An adapter that takes the nearest
+/// baud rate instead is at least 2.4 % off: 256,000 for 250,000.
 fn is_close(baud_rate: BaudRate, actual: u32) -> bool {
     let wanted = baud_rate.bits_per_second();
     u64::from(wanted.abs_diff(actual)) * 50 <= u64::from(wanted)
 }
 
 impl Port for SerialPort {
-    /// Returns the baud rate in force, `None` for the USB port of a sensor (id
-    /// 15d1:0000).
+    /// Baud rate in force, or `None` for the USB port of a sensor (id 15d1:0000).
     fn baud_rate(&self) -> Option<BaudRate> {
         if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }
 
-    /// Sets the baud rate and reads it back. After an error the former baud rate is
-    /// restored, if the port can still be set at all.
+    /// Sets the baud rate and reads it back. After an error it restores the former baud
+    /// rate, if the port can still be set at all.
     fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         match self.apply_baud_rate(baud_rate) {
             Ok(()) => {
@@ -138,9 +136,15 @@ impl Port for SerialPort {
         }
     }
 
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for SerialPort {
     /// Returns true for RS-232, where a sensor without power is silent. A sensor's own USB
     /// port disappears with it.
-    fn can_die_silently(&self) -> bool {
+    fn can_die_silently(&mut self) -> bool {
         !self.is_usb_sensor
     }
 
@@ -197,31 +201,31 @@ impl AsyncWrite for SerialPort {
     }
 }
 
-/// Opens a port on a blocking thread, at most one at a time.
+/// Opens ports on a blocking thread, one at a time.
 #[derive(Debug, Default)]
 pub(super) struct SerialOpener {
     earlier: Option<JoinHandle<()>>,
 }
 
 impl SerialOpener {
-    /// Returns true while an earlier call, whose future was dropped, has not ended.
+    /// Returns true while an earlier call, whose future was dropped, is still running.
     pub(super) fn is_opening(&self) -> bool {
         self.earlier.as_ref().is_some_and(|earlier| !earlier.is_finished())
     }
 
     /// Opens a port as [`SerialPort::open`] does. Waits first for an earlier call whose
-    /// future was dropped: its port would be busy, and calls that hang in the system
-    /// would each keep a thread.
+    /// future was dropped: its port would be busy, and calls that hang in the system would
+    /// each keep a thread.
     pub(super) async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
         if let Some(earlier) = &mut self.earlier {
-            // Its result was that call's.
+            // The result belonged to the earlier call.
             let _ = earlier.await;
             self.earlier = None;
         }
         let (result, opened) = oneshot::channel();
         let owned = path.to_owned();
         let task = self.earlier.insert(spawn_blocking(move || {
-            // If the receiver was dropped this drops the port, which closes it.
+            // Without a receiver this drops the port, which closes it.
             drop(result.send(SerialPort::open_blocking(&owned)));
         }));
         match opened.await {

@@ -10,8 +10,8 @@ use super::Port;
 
 /// Any stream of bytes as a [`Port`] without a baud rate.
 ///
-/// For your own [`Connect`](super::Connect), which has an example. Dropping the port
-/// drops the stream.
+/// Use it in your own [`Connect`](super::Connect), which has an example. Dropping the
+/// port drops the stream.
 #[derive(Debug)]
 pub struct StreamPort<T>(T);
 

@@ -11,38 +11,37 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpStream, lookup_host};
 
 use super::dial::connect_first;
-use super::{Endpoint, Port};
+use super::{Endpoint, Port, PortHints};
 use crate::{BaudRate, Error};
 
-/// The time without traffic after which the system probes a connection.
+/// Idle time after which the system probes a connection.
 const KEEPALIVE_TIME: Duration = Duration::from_secs(10);
-/// The time after which the system repeats an unanswered probe.
+/// Time after which the system repeats an unanswered probe.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(5);
-/// The number of unanswered probes after which the system resets the connection.
+/// Number of unanswered probes after which the system resets the connection.
 const KEEPALIVE_PROBES: u32 = 3;
 
-/// A TCP connection to a server that passes bytes to and from a sensor, such
-/// as `ser2net` in raw mode or `urg emulate --tcp`.
+/// TCP connection to a server that passes bytes to and from a sensor, such as `ser2net`
+/// in raw mode or `urg emulate --tcp`.
 ///
-/// A Telnet server does not pass bytes unchanged: it doubles the byte 0xFF and sends
-/// commands of its own. The baud rate of the line behind the server cannot be changed
-/// from here, so [`set_baud_rate`](Port::set_baud_rate) fails with
-/// [`io::ErrorKind::Unsupported`].
+/// Do not use a Telnet server: it doubles the byte 0xFF and sends commands of its own.
+/// You cannot change the baud rate of the line behind the server from here, so
+/// [`set_baud_rate`](Port::set_baud_rate) fails with [`io::ErrorKind::Unsupported`].
 ///
 /// Written bytes are sent at once (`TCP_NODELAY`).
 ///
 /// # A server that disappears
 ///
-/// A server that closes or resets the connection ends reads at once. One that
-/// disappears without a word (power cut, cable pulled) does not. While scans are
-/// polled, the driver notices it by a missed deadline. On an idle connection the
-/// system probes the server after 10 s without traffic and resets the connection
-/// after three probes without an answer, at most 25 s in all (`SO_KEEPALIVE`). The
-/// cost is six packets of 66 bytes a minute in each direction. The driver's own probe
+/// A server that closes or resets the connection ends reads at once. A server can also
+/// disappear silently (power cut, cable pulled). While scans are polled, the driver
+/// notices it by a missed deadline. On an idle connection the system probes the server
+/// after 10 s without traffic, and resets the connection after three probes without an
+/// answer, at most 25 s in all (`SO_KEEPALIVE`). The probes cost six packets of 66 bytes
+/// a minute in each direction. The driver's own probe
 /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)) also notices a
-/// server that lives while its sensor does not answer. On other systems than Android,
-/// FreeBSD, Linux, macOS and Windows the number and the interval of the probes are the
-/// system's, and so is the number on Windows before version 1703 of Windows 10.
+/// live server whose sensor does not answer. Android, FreeBSD, Linux, macOS and
+/// Windows use these settings. Other systems choose the number and the interval of the
+/// probes themselves; Windows before version 1703 of Windows 10 chooses the number.
 ///
 /// Dropping the port closes the connection without waiting.
 #[derive(Debug)]
@@ -52,24 +51,23 @@ pub struct TcpPort {
 }
 
 impl TcpPort {
-    /// Connects to `host` (a name or an address) and `port`, behind which is a
-    /// line at `baud_rate`.
+    /// Connects to `host` (a name or an address) and `port`, a server with a serial line
+    /// at `baud_rate`.
     ///
-    /// The addresses of a name are tried as RFC 8305 describes: IPv6 and IPv4 in
-    /// turn, the next one after 250 ms or after a failure, and the first one that
-    /// accepts is used.
+    /// Tries the addresses of a name as RFC 8305 describes: IPv6 and IPv4 in turn, the
+    /// next one after 250 ms or after a failure. Uses the first one that accepts.
     ///
-    /// There is no time limit but the system's, which is about two minutes on Linux; a
-    /// [`Sensor`](crate::Sensor) has its open timeout. Cancel-safe: dropping the
-    /// future closes all connections it has opened. The lookup of a name runs on one
-    /// of tokio's blocking threads, and ends there when the system returns, also if
-    /// the future was dropped.
+    /// Only the system limits the time, to about two minutes on Linux; a
+    /// [`Sensor`](crate::Sensor) has its open timeout. Cancel-safe: dropping the future
+    /// closes all connections it has opened. The lookup of a name runs on one of tokio's
+    /// blocking threads, and ends there when the system returns, even if you drop the
+    /// future.
     ///
     /// # Errors
     ///
     /// Fails with [`Error::Open`], which is transient. Its source is the system's error
-    /// (refused, unreachable, no such host), or the list of addresses with the error
-    /// of each.
+    /// (refused, unreachable, no such host), or the list of addresses with the error of
+    /// each.
     pub async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
         match connect(host, port).await {
             Ok(stream) => Ok(Self { stream, baud_rate }),
@@ -89,14 +87,15 @@ async fn connect(host: &str, port: u16) -> io::Result<TcpStream> {
 async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
     let stream = TcpStream::connect(address).await?;
     keep_alive(&SockRef::from(&stream), &keepalive());
-    // Without it a command, which is one small segment, may wait for the
-    // acknowledgement of the one before.
+    // Without it, a command, one small segment, may wait for the acknowledgement of the
+    // previous one.
     stream.set_nodelay(true)?;
     Ok(stream)
 }
 
-/// Makes the system probe an idle connection. Never fails: Windows before version 1703 of
-/// Windows 10 refuses the number of probes, and its own number is better than no sensor.
+/// Makes the system probe an idle connection. Ignores failures: Windows before version
+/// 1703 of Windows 10 refuses the number of probes, and its default is better than no
+/// sensor.
 fn keep_alive(socket: &SockRef<'_>, settings: &TcpKeepalive) {
     if let Err(error) = socket.set_tcp_keepalive(settings) {
         tracing::debug!(%error, "the system refuses a setting of TCP keepalive");
@@ -117,8 +116,8 @@ fn keepalive() -> TcpKeepalive {
         .with_retries(KEEPALIVE_PROBES)
 }
 
-/// Leaves the interval and the number of probes to the system: not every other system
-/// has them as settings of a socket.
+/// Leaves the interval and the number of probes to the system: some systems do not have
+/// these socket options.
 #[cfg(not(any(
     target_os = "android",
     target_os = "freebsd",
@@ -132,13 +131,18 @@ fn keepalive() -> TcpKeepalive {
 }
 
 impl Port for TcpPort {
-    /// Returns the baud rate of the endpoint's address.
+    /// Baud rate in the endpoint's address.
     fn baud_rate(&self) -> Option<BaudRate> {
         Some(self.baud_rate)
     }
 
-    /// Returns true.
-    fn can_die_silently(&self) -> bool {
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for TcpPort {
+    fn can_die_silently(&mut self) -> bool {
         true
     }
 }
@@ -207,8 +211,8 @@ mod tests {
         Ok(())
     }
 
-    /// A server whose queue of connections is full takes no part in the handshake,
-    /// as an address that is black-holed. Linux drops the SYN; other systems refuse.
+    /// A server with a full queue of connections does not take part in the handshake,
+    /// just like a black-holed address. Linux drops the SYN; other systems refuse.
     #[cfg(target_os = "linux")]
     #[tokio::test]
     async fn o24_a_host_is_reached_though_its_first_address_never_answers() -> io::Result<()> {

@@ -14,33 +14,33 @@ use tokio::runtime::Handle;
 use tokio::time::{Sleep, sleep};
 use tokio_serial::{ClearBuffer, SerialPort as _, SerialPortBuilder};
 
-/// The longest read. The buffer is initialised before each read, and no reply of a
-/// sensor is longer.
+/// Length of the longest read. The buffer is initialised before each read, and no reply of
+/// a sensor is longer.
 const MAX_READ_BYTES: usize = 2048;
-/// True where a short read proves that the system's buffer is empty and that new bytes
-/// re-arm readiness: terminals with edge-triggered epoll.
+/// True if a short read proves that the system's buffer is empty and that new bytes re-arm
+/// readiness: terminals with edge-triggered epoll.
 const SHORT_READ_IS_ALL: bool = cfg!(any(target_os = "linux", target_os = "android"));
-/// The time until a write is retried on a port whose buffer is full: about that of one
+/// Delay before retrying a write on a port with a full buffer: about the time of one
 /// command on the slowest line.
 const RETRY_INTERVAL: Duration = Duration::from_millis(5);
 
-/// A serial port that is registered for reading only.
+/// Serial port that is registered for reading only.
 ///
-/// tokio-serial's stream is registered for writing, too. The system then reports room
-/// to write after each write, and again when the line has sent it: two needless
-/// wake-ups for each command. A port's buffer practically always has room for a command;
-/// if it has not, the write is retried by a timer.
+/// tokio-serial's stream is registered for writing, too. The system then reports room to
+/// write after each write, and again when the line has sent it: two needless wake-ups per
+/// command. A port's buffer practically always has room for a command; if not, a timer
+/// retries the write.
 ///
-/// While wake-ups are suspended it is not registered at all: with edge-triggered epoll
-/// each piece of a reply wakes the runtime, even if no task waits for it. That costs two
-/// calls of `epoll_ctl`, less than one wake-up.
+/// While wake-ups are suspended, the port is not registered at all: with edge-triggered
+/// epoll each piece of a reply wakes the runtime, even if no task waits for it. That costs
+/// two calls of `epoll_ctl`, less than one wake-up.
 #[derive(Debug)]
 pub(super) struct Tty {
-    /// The registration with the runtime, `None` while wake-ups are suspended. Declared
+    /// Registration with the runtime, or `None` while wake-ups are suspended. Declared
     /// before the port, so dropped while the file is still open.
     readiness: Option<AsyncFd<RawFd>>,
     port: SerialStream,
-    /// The runtime that the port was opened in.
+    /// Runtime that the port was opened in.
     runtime: Handle,
     /// Runs after a write that found the port's buffer full.
     retry: Option<Pin<Box<Sleep>>>,
@@ -85,9 +85,9 @@ impl Tty {
         (&self.port).read(bytes)
     }
 
-    /// Reads as [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read). If wake-ups are
-    /// suspended, reads first and registers then: bytes that are there at registration
-    /// would be reported although they are read already.
+    /// Reads like [`AsyncRead::poll_read`](tokio::io::AsyncRead::poll_read). If wake-ups
+    /// are suspended, reads before it registers: registering first would report bytes that
+    /// are read already.
     pub(super) fn poll_read(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -127,7 +127,7 @@ impl Tty {
         }
     }
 
-    /// Writes as [`AsyncWrite::poll_write`](tokio::io::AsyncWrite::poll_write).
+    /// Writes like [`AsyncWrite::poll_write`](tokio::io::AsyncWrite::poll_write).
     pub(super) fn poll_write(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
@@ -155,7 +155,7 @@ mod tests {
     #[tokio::test]
     async fn a_read_that_fails_while_wake_ups_are_suspended_returns_the_error() -> io::Result<()> {
         let (far, near) = serialport::TTYPort::pair()?;
-        // The far end of a pseudo-terminal reports a near end that is closed as an error.
+        // The far end of a pseudo-terminal reports a closed near end as an error.
         let port = SerialStream::try_from(far)?;
         let mut tty = Tty { readiness: None, port, runtime: Handle::current(), retry: None };
         drop(near);

@@ -30,7 +30,7 @@ impl BaudRate {
     pub const ALL: [Self; 6] =
         [Self::B19200, Self::B57600, Self::B115200, Self::B250000, Self::B500000, Self::B750000];
 
-    /// Returns the number of bits per second.
+    /// Number of bits per second.
     pub const fn bits_per_second(self) -> u32 {
         match self {
             Self::B19200 => 19_200,
@@ -42,8 +42,7 @@ impl BaudRate {
         }
     }
 
-    /// Returns the six ASCII digits that the `S` command takes (p. 5): `057600` for
-    /// 57,600 bit/s.
+    /// Six ASCII digits for the `S` command (p. 5): `057600` for 57,600 bit/s.
     pub const fn digits(self) -> [u8; 6] {
         match self {
             Self::B19200 => *b"019200",
@@ -55,8 +54,8 @@ impl BaudRate {
         }
     }
 
-    /// Returns the time that `bytes` bytes take on the line: 10 bits each (8 data
-    /// bits, no parity, one start and one stop bit, p. 2).
+    /// Time that `bytes` bytes take on the line: 10 bits each (8 data bits, no parity,
+    /// one start and one stop bit, p. 2).
     pub const fn wire_time(self, bytes: usize) -> std::time::Duration {
         let bits = (bytes as u64).saturating_mul(10);
         let baud_rate = self.bits_per_second() as u64;
@@ -71,7 +70,7 @@ impl fmt::Display for BaudRate {
     }
 }
 
-/// The error of a number that is none of the six baud rates.
+/// Error for a number other than the six baud rates.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid baud rate {found:?}: expected 19200, 57600, 115200, 250000, 500000 or 750000")]
 pub struct UnknownBaudRate {

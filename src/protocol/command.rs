@@ -1,17 +1,17 @@
-//! The commands of SCIP 1.1 and their bytes.
+//! Commands of SCIP 1.1 and their bytes.
 
 use std::fmt;
 
 use super::{BaudRate, Window};
 
-/// The reserved digits of `S`: echoed, without influence on the sensor (p. 5).
+/// Reserved digits of `S`: echoed, without effect on the sensor (p. 5).
 const RESERVED: &[u8; 7] = b"0000000";
 
 /// One of the four commands, with its parameters (C-42-3320-A p. 3).
 ///
-/// A value of this type is always a command that a sensor knows: undefined
-/// commands are not answered (p. 8), so this type cannot represent one. SCIP 1.1 has
-/// these four and will get no more, so the enum is exhaustive.
+/// A value of this type is always a command that a sensor knows. Sensors do not answer
+/// undefined commands (p. 8), so this type cannot represent one. SCIP 1.1 has these four
+/// commands and will get no more, so the enum is exhaustive.
 ///
 /// ```
 /// use tokio_scip::protocol::{BaudRate, Command, Window};
@@ -23,7 +23,7 @@ const RESERVED: &[u8; 7] = b"0000000";
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Command {
-    /// `V`: return the sensor's identity (p. 4).
+    /// `V`: read the sensor's identity (p. 4).
     Version,
     /// `L1`: switch the laser on (p. 4).
     LaserOn,
@@ -31,13 +31,12 @@ pub enum Command {
     LaserOff,
     /// `S`: change the baud rate of RS-232 (p. 5).
     BaudRate(BaudRate),
-    /// `G`: return the distances in the sensor's memory (p. 5).
+    /// `G`: read the distances in the sensor's memory (p. 5).
     Distances(Window),
 }
 
 impl Command {
-    /// Returns the command as it is sent, without its terminator. A reply begins
-    /// with the same bytes.
+    /// Bytes to send, without the terminator. A reply begins with the same bytes.
     pub fn bytes(&self) -> CommandBytes {
         let mut out = CommandBytes { bytes: [0; CommandBytes::CAPACITY], len: 0 };
         match self {
@@ -54,11 +53,12 @@ impl Command {
         out
     }
 
-    /// Returns what follows the echo of this command in `frame`, or `None` if it does not
-    /// begin with it.
+    /// Strips the echo of this command from the front of `frame`. Returns `None` if
+    /// `frame` does not begin with it.
     pub(super) fn strip_echo<'a>(&self, frame: &'a [u8]) -> Option<&'a [u8]> {
         match self {
-            // For each scan: the compiler makes two comparisons of numbers of this.
+            // Runs for each scan: the compiler turns this into two comparisons of
+            // integers.
             Self::Distances(window) => frame
                 .split_first_chunk()
                 .and_then(|(echo, rest)| (*echo == distances(window)).then_some(rest)),
@@ -66,11 +66,10 @@ impl Command {
         }
     }
 
-    /// Returns the expected length in bytes of the longest reply to this command,
-    /// terminator included.
+    /// Length in bytes of the longest reply to this command, terminator included.
     pub fn reply_len(&self) -> usize {
         match self {
-            // Five to six lines of at most 64 bytes, and room for one more.
+            // Up to six lines of at most 64 bytes, and room for one more.
             Self::Version => 4 + 7 * 65 + 1,
             Self::Distances(window) => window.reply_len(),
             other => other.bytes().len() + 4,
@@ -87,7 +86,7 @@ impl fmt::Display for Command {
     }
 }
 
-/// The bytes of a [`Command`], without a terminator: 1 to 14 of them.
+/// Bytes of a [`Command`], 1 to 14, without a terminator.
 #[derive(Debug, Clone, Copy)]
 pub struct CommandBytes {
     bytes: [u8; Self::CAPACITY],
@@ -114,7 +113,7 @@ impl std::ops::Deref for CommandBytes {
     }
 }
 
-/// Returns the bytes of a `G`.
+/// Encodes a `G`.
 fn distances(window: &Window) -> [u8; 9] {
     let [a, b, c] = digits(window.start().number());
     let [d, e, f] = digits(window.end().number());
@@ -122,7 +121,7 @@ fn distances(window: &Window) -> [u8; 9] {
     [b'G', a, b, c, d, e, f, g, h]
 }
 
-/// Returns `number` as `N` decimal digits, with leading zeros.
+/// Formats `number` as `N` decimal digits, with leading zeros.
 fn digits<const N: usize>(mut number: u16) -> [u8; N] {
     let mut out = [b'0'; N];
     for slot in out.iter_mut().rev() {

@@ -6,10 +6,10 @@ use std::fmt;
 /// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
 
-/// The value above which no distance lies (p. 7); 4095 fills all 12 bits.
+/// Value above all distances (p. 7): all 12 bits set.
 const SATURATED: u16 = 4095;
 
-/// The result of a measurement in one direction.
+/// Result of a measurement in one direction.
 ///
 /// As data (feature `serde`): `{"distance":1234}`, `{"error":6}`, `"saturated"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -18,15 +18,15 @@ const SATURATED: u16 = 4095;
 pub enum Measurement {
     /// A distance in millimetres, 20..=4094 (C-42-3320-A p. 7).
     Distance(u16),
-    /// No distance, and the reason (p. 7).
+    /// No distance, and why (p. 7).
     Error(ErrorCode),
-    /// All twelve bits set, 4095. The protocol text ends the range at 4094, the
-    /// firmware line of sensors at 4095; it is in none of the captures.
+    /// All twelve bits set, 4095. The protocol text ends the range at 4094, the sensors'
+    /// firmware line at 4095. No capture of a real sensor has this value.
     Saturated,
 }
 
 impl Measurement {
-    /// Interprets a 12-bit value. Bits above the twelfth are ignored.
+    /// Interprets a 12-bit value. Ignores higher bits.
     pub const fn from_value(value: u16) -> Self {
         match value & 0x0fff {
             code @ 0..=19 => Self::Error(ErrorCode(code as u8)),
@@ -35,7 +35,7 @@ impl Measurement {
         }
     }
 
-    /// Returns the 12-bit value as the sensor sent it.
+    /// 12-bit value as the sensor sent it.
     pub const fn value(self) -> u16 {
         match self {
             Self::Distance(millimetres) => millimetres,
@@ -44,7 +44,7 @@ impl Measurement {
         }
     }
 
-    /// Returns the distance in millimetres, if there is one.
+    /// Distance in millimetres, or `None` for an error or saturation.
     pub const fn distance(self) -> Option<u16> {
         match self {
             Self::Distance(millimetres) => Some(millimetres),
@@ -52,9 +52,9 @@ impl Measurement {
         }
     }
 
-    /// Returns the range in metres after ROS REP 117: a distance as it is, `+Inf`
-    /// where the object may be beyond the range (error codes 0, 6 and 16, and
-    /// saturated), `NaN` for every other error code. `+Inf` is no proof of free space.
+    /// Range in metres as REP 117 of ROS defines it: a distance as it is, `+Inf` where
+    /// the object may be beyond the range (error codes 0, 6 and 16, and saturated), `NaN`
+    /// for every other error code. Do not take `+Inf` as free space.
     pub fn range(self) -> f32 {
         match self {
             Self::Distance(millimetres) => f32::from(millimetres) / 1000.0,
@@ -64,8 +64,8 @@ impl Measurement {
     }
 }
 
-/// The reason for a missing distance: a value in 0..=19 (C-42-3320-A p. 7). As data
-/// (feature `serde`) it is its number.
+/// Why a distance is missing: a value in 0..=19 (C-42-3320-A p. 7). As data (feature
+/// `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u8", try_from = "u8"))]
@@ -77,17 +77,17 @@ impl ErrorCode {
         (0..=19).map(Self)
     }
 
-    /// Returns the error code with this number, or `None` above 19.
+    /// Creates the error code with this number, or returns `None` above 19.
     pub const fn new(number: u8) -> Option<Self> {
         if number <= 19 { Some(Self(number)) } else { None }
     }
 
-    /// Returns its number, 0..=19.
+    /// Its number, 0..=19.
     pub const fn number(self) -> u8 {
         self.0
     }
 
-    /// Returns its meaning in the words of the protocol text (p. 7).
+    /// Its meaning, in the words of the protocol text (p. 7).
     pub const fn meaning(self) -> &'static str {
         match self.0 {
             0 => "Possibility of detected object is at 22m",
@@ -102,13 +102,12 @@ impl ErrorCode {
         }
     }
 
-    /// Returns true for the error codes that mean a possible object beyond the
-    /// range: 0, 6 and 16.
+    /// Returns true if an object may be beyond the range: error codes 0, 6 and 16.
     pub const fn is_beyond_range(self) -> bool {
         matches!(self.0, 0 | 6 | 16)
     }
 
-    /// Returns true for the error codes that mean too little reflected light: 1 to 5.
+    /// Returns true if too little light was reflected: error codes 1 to 5.
     pub const fn is_low_intensity(self) -> bool {
         matches!(self.0, 1..=5)
     }
@@ -134,14 +133,14 @@ impl TryFrom<u8> for ErrorCode {
     }
 }
 
-/// The error of a number that is not an error code.
+/// Error for a number that is not an error code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("invalid error code {found}: expected 0 to 19")]
 pub struct UnknownErrorCode {
     found: u8,
 }
 
-/// The first of the 64 characters that carry 6 bits (p. 5).
+/// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
 const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
 
@@ -150,22 +149,21 @@ pub(super) const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
 }
 
-/// Decodes values of two characters each, upper six bits first (p. 5), and checks
-/// all bytes at the end. Bytes that are no [characters](is_character) decode to some
-/// value of 12 bits.
+/// Decodes values of two characters each, upper six bits first (p. 5), and checks all
+/// bytes at the end. Bytes that are not [characters](is_character) decode to an arbitrary
+/// 12-bit value.
 ///
-/// The code has no branch that depends on a value, so that the compiler can use
-/// vector instructions.
+/// No branch depends on a value, so that the compiler can use vector instructions.
 #[derive(Debug, Default)]
 pub(super) struct Decoder {
-    /// The decoded pairs of each column, combined by OR.
+    /// Decoded pairs of each column, combined by OR.
     seen: [u16; 32],
 }
 
 impl Decoder {
     /// Decodes a full line.
     pub(super) fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
-        // A local copy stays in registers.
+        // Copied to a local, which stays in registers.
         let mut seen = self.seen;
         decode(line, values, &mut seen);
         self.seen = seen;
@@ -176,16 +174,15 @@ impl Decoder {
         decode(line, values, &mut self.seen);
     }
 
-    /// Returns true if all bytes were characters.
+    /// Checks that all bytes were characters.
     pub(super) fn saw_only_characters(&self) -> bool {
         let seen = self.seen.iter().fold(0, |all, pair| all | pair);
         seen.to_le_bytes().iter().all(|&byte| byte < 64)
     }
 }
 
-/// Subtracts from both bytes of a pair at once, as one little-endian number. A
-/// borrow from the upper byte does no harm: results below 64 in both bytes come from
-/// characters only.
+/// Subtracts from both bytes of a pair at once, as one little-endian number. A borrow
+/// from the upper byte does no harm: only characters give results below 64 in both bytes.
 #[inline(always)]
 fn decode(line: &[u8], values: &mut [u16], seen: &mut [u16; 32]) {
     for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(seen) {

@@ -1,14 +1,14 @@
-//! The SCIP 1.1 protocol as plain values and bytes: the encoding of each command,
-//! and the validation of a reply against the command that it answers.
+//! SCIP 1.1 as plain values and bytes: encodes each command, and validates a reply
+//! against its command.
 //!
-//! Nothing here does I/O, reads a clock or writes a log. References such as
-//! "p. 6" are to the pages of the protocol text, C-42-3320-A.
+//! Nothing here does I/O, reads a clock or writes a log. "p. 6" and the like are pages of
+//! the protocol text, C-42-3320-A.
 //!
 //! ```
 //! use tokio_scip::protocol::{Command, Measurement, Reply, Window};
 //!
 //! let command = Command::Distances(Window::new(384..=385)?);
-//! let frame = b"G38438501\n0\nCB06"; // what came, without the two LFs at its end
+//! let frame = b"G38438501\n0\nCB06"; // as received, without the two LFs at its end
 //! let reply = Reply::parse(&command, frame)?;
 //!
 //! let mut values = Vec::new();
@@ -27,12 +27,20 @@ mod text;
 mod version;
 mod window;
 
-pub use baud::{BaudRate, UnknownBaudRate};
+#[doc(no_inline)]
+pub use baud::BaudRate;
+pub use baud::UnknownBaudRate;
 pub use command::{Command, CommandBytes};
-pub use measurement::{ErrorCode, Measurement, UnknownErrorCode};
+pub use measurement::UnknownErrorCode;
+#[doc(no_inline)]
+pub use measurement::{ErrorCode, Measurement};
 pub use reply::{Malformed, Reply, ReplyError};
 pub use status::Status;
 pub use text::Text;
-pub use version::{Specification, Version};
+pub use version::Specification;
+#[doc(no_inline)]
+pub use version::Version;
+#[doc(no_inline)]
+pub use window::Window;
 pub(crate) use window::angle;
-pub use window::{Step, Window, WindowError};
+pub use window::{Step, WindowError};

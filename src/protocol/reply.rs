@@ -1,7 +1,7 @@
-//! Validates a frame against the command that it should answer: the whole echo, the
-//! status, and for `G` every line, every character and the number of points.
+//! Validates a frame against its command: the whole echo, the status, and for `G` every
+//! line, every character and the number of points.
 //!
-//! SCIP 1.1 has no checksum, so every other sign of damage is checked: a frame that
+//! SCIP 1.1 has no checksum, so every other sign of damage is checked. A frame that
 //! passes has exactly the shape that its command asked for.
 
 use std::sync::Arc;
@@ -10,14 +10,16 @@ use std::time::Duration;
 use super::measurement::{self, BLOCK};
 use super::{Command, Status, Text, Window};
 
-/// Bytes of a frame that an error message shows.
+/// Number of bytes of a frame to show in an error message.
 const EXCERPT: usize = 32;
 
-/// A whole and well-formed reply to a [`Command`].
+/// Complete, well-formed reply to a [`Command`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reply<'a> {
     status: Status,
     data: &'a [u8],
+    /// Number of values in the data of a successful `G`, otherwise 0.
+    points: usize,
 }
 
 impl<'a> Reply<'a> {
@@ -25,24 +27,23 @@ impl<'a> Reply<'a> {
     ///
     /// # Errors
     ///
-    /// Returns a [`ReplyError`] unless the frame is exactly what a sensor that
-    /// speaks SCIP 1.1 answers to this very command: the same bytes back, a
-    /// status of one character, and data of the right shape after success, none
-    /// after anything else.
+    /// Returns a [`ReplyError`] unless the frame is exactly what a SCIP 1.1 sensor
+    /// answers to this command: the same bytes back, a status of one character, data of
+    /// the right shape after success, and no data after any other status.
     pub fn parse(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
-        // On the stack: the check decodes all values, and nobody keeps them.
+        // On the stack: the check decodes all values, and the caller does not need them.
         let mut values = [0; Window::FULL.points()];
         let values = values.get_mut(..points(command)).unwrap_or_default();
         Self::parse_slice(command, frame, values)
     }
 
-    /// Parses like [`parse`](Self::parse), and replaces `values` by those of the
-    /// reply, 0..=4095 each, in the order of their steps: one pass for both.
-    /// `values` is empty afterwards unless the reply is a success to a `G`.
+    /// Parses like [`parse`](Self::parse), and replaces `values` by the values of the
+    /// reply, 0..=4095 each, in the order of their steps. Use it to decode and check in
+    /// one pass. Leaves `values` empty unless the reply is a successful `G`.
     ///
     /// # Errors
     ///
-    /// Those of [`parse`](Self::parse).
+    /// The same as [`parse`](Self::parse).
     ///
     /// ```
     /// use tokio_scip::protocol::{Command, Reply, Window};
@@ -53,12 +54,13 @@ impl<'a> Reply<'a> {
     /// assert_eq!(values, [1234, 6]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
+    #[doc(hidden)] // For the driver and benches.
     pub fn parse_into(
         command: &Command,
         frame: &'a [u8],
         values: &mut Vec<u16>,
     ) -> Result<Self, ReplyError> {
-        // Does nothing if the previous reply had as many.
+        // Does nothing if the previous reply had the same number.
         values.resize(points(command), 0);
         let outcome = Self::parse_slice(command, frame, values);
         match &outcome {
@@ -68,15 +70,15 @@ impl<'a> Reply<'a> {
         outcome
     }
 
-    /// Parses like [`parse`](Self::parse), and writes the values of a success to a `G` to
-    /// the front of `values`: into their block if nobody shares it and it has room, else
-    /// into a new one, not shorter. So a scan shares the block into which its reply was
-    /// decoded. After any other reply, and after an error, the content of `values` is not
-    /// defined.
+    /// Parses like [`parse`](Self::parse), and writes the values of a successful `G` to
+    /// the front of `values`. Reuses their block if it is not shared and has room;
+    /// otherwise allocates one that is not shorter. So a scan shares the block that its
+    /// reply was decoded into. After any other reply, and after an error, the content of
+    /// `values` is unspecified.
     ///
     /// # Errors
     ///
-    /// Those of [`parse`](Self::parse).
+    /// The same as [`parse`](Self::parse).
     ///
     /// ```
     /// use std::sync::Arc;
@@ -88,6 +90,7 @@ impl<'a> Reply<'a> {
     /// assert_eq!(*values, [1234, 6]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
+    #[doc(hidden)] // For the driver and benches.
     pub fn parse_into_shared(
         command: &Command,
         frame: &'a [u8],
@@ -113,7 +116,7 @@ impl<'a> Reply<'a> {
             Some([]) => return Err(Malformed::NoStatus.into()),
             _ => return Err(foreign(frame)),
         };
-        // No sensor uses a byte outside of printable ASCII as a status: it is damage.
+        // No sensor has a status outside printable ASCII, so such a byte is damage.
         let (status, data) = match rest {
             [status @ b'!'..=b'~', b'\n', data @ ..] => (Status::new(*status), Some(data)),
             [status @ b'!'..=b'~'] => (Status::new(*status), None),
@@ -124,29 +127,31 @@ impl<'a> Reply<'a> {
                 if !decode(data, values) {
                     find_fault(data, window.points() * 2)?;
                 }
-                Ok(Self { status, data })
+                Ok(Self { status, data, points: window.points() })
             }
             (None | Some([]), true, Command::Version) | (None, true, Command::Distances(_)) => {
                 Err(Malformed::NoData.into())
             }
-            (Some(data), true, Command::Version) => Ok(Self { status, data }),
-            (None, ..) => Ok(Self { status, data: &[] }),
+            (Some(data), true, Command::Version) => Ok(Self { status, data, points: 0 }),
+            (None, ..) => Ok(Self { status, data: &[], points: 0 }),
             (Some(data), ..) => Err(Malformed::UnexpectedData { status, bytes: data.len() }.into()),
         }
     }
 
-    /// Returns the reply to `command` at the end of `frame`, whatever is in front of
-    /// it: a reply that was cut short has no terminator, so the next reply follows it
-    /// in the same frame.
+    /// Finds the reply to `command` at the end of `frame`, whatever precedes it. A reply
+    /// that was cut short has no terminator, so the next reply follows it in the same
+    /// frame.
     ///
-    /// Meant for a command of which no older reply can be on its way, and whose
-    /// reply has a known length: any but `V`.
+    /// Use it only if no older reply to `command` can be on its way, and for any command
+    /// but `V`, whose reply has no fixed length.
     ///
     /// # Errors
     ///
-    /// Those of [`Reply::parse`] for the whole frame, if it does not end so.
+    /// The errors of [`Reply::parse`] for the whole frame, if it does not end with the
+    /// reply.
+    #[doc(hidden)] // For the driver and tests.
     pub fn parse_end(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
-        // With data and without; both reply lengths count the two LFs.
+        // With data and without. Both lengths include the two LFs.
         let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
         lengths
             .into_iter()
@@ -156,27 +161,38 @@ impl<'a> Reply<'a> {
             .map_or_else(|| Self::parse(command, frame), Ok)
     }
 
-    /// Returns the status.
+    /// Status of the reply.
     pub const fn status(&self) -> Status {
         self.status
     }
 
-    /// Iterates over the lines after the status, empty ones left out.
+    /// Frame of a reply to `command`, as it was parsed.
+    pub(crate) fn frame(&self, command: &Command) -> Vec<u8> {
+        let status = [b'\n', self.status.character(), b'\n'];
+        [&*command.bytes(), &status, self.data].concat()
+    }
+
+    /// Iterates over the lines after the status, except empty ones.
     pub fn lines(&self) -> impl Iterator<Item = &'a [u8]> {
         self.data.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
     }
 
-    /// Appends the values of a `G` reply, 0..=4095 each, in the order of their
-    /// steps.
+    /// Appends the values of a successful `G`, 0..=4095 each, in the order of their
+    /// steps. Appends nothing for any other reply.
+    #[doc(hidden)] // For the driver and tests.
     pub fn values_into(&self, values: &mut Vec<u16>) {
-        let (before, lines) = (values.len(), self.data.len() / (BLOCK + 1));
-        values.resize(before + (self.data.len() - lines) / 2, 0);
-        decode(self.data, values.get_mut(before..).unwrap_or_default());
+        let before = values.len();
+        values.resize(before + self.points, 0);
+        let fresh = values.get_mut(before..).unwrap_or_default();
+        if !fresh.is_empty() {
+            decode(self.data, fresh);
+        }
     }
 }
 
-/// Decodes the data of a `G` reply into `values`, and returns whether it has the
-/// shape for so many: true if [`find_fault`] finds none, many times as fast.
+/// Decodes the data of a `G` reply into `values`. Returns true if the data has the right
+/// shape for `values.len()` values: if [`find_fault`] finds no fault, but many times as
+/// fast.
 fn decode(data: &[u8], values: &mut [u16]) -> bool {
     let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
     let right_length = data.len() == 2 * values.len() + lines.len() && !last.is_empty();
@@ -192,7 +208,7 @@ fn decode(data: &[u8], values: &mut [u16]) -> bool {
     right_length && ends == 0 && decoder.saw_only_characters()
 }
 
-/// Fails with the first place where the data does not have the shape of `expected`
+/// Fails at the first place where the data differs from the shape of `expected`
 /// characters.
 fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     let mut left = expected;
@@ -210,7 +226,7 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
     if left == 0 { Ok(()) } else { Err(Malformed::Short { expected, found: expected - left }) }
 }
 
-/// Returns the number of values in a reply of success to `command`.
+/// Number of values in a successful reply to `command`.
 fn points(command: &Command) -> usize {
     match command {
         Command::Distances(window) => window.points(),
@@ -218,8 +234,8 @@ fn points(command: &Command) -> usize {
     }
 }
 
-/// Returns the error for a reply whose status line, at the front of `rest`, is
-/// not one printable character.
+/// Error for a reply whose status line, at the front of `rest`, is not one printable
+/// character.
 fn no_status(rest: &[u8]) -> ReplyError {
     let (line, _) = split_line(rest);
     if is_scip2(line) {
@@ -228,11 +244,11 @@ fn no_status(rest: &[u8]) -> ReplyError {
     Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into()
 }
 
-/// Returns the error for a frame that does not begin with its command.
+/// Error for a frame that does not begin with its command.
 fn foreign(frame: &[u8]) -> ReplyError {
     let (echo, rest) = split_line(frame);
     match rest.map(split_line) {
-        // `MD` and `MS` stream by themselves in SCIP 2.
+        // In SCIP 2, `MD` and `MS` stream automatically.
         Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
             ReplyError::Scip2 { status: status.into() }
         }
@@ -240,19 +256,19 @@ fn foreign(frame: &[u8]) -> ReplyError {
     }
 }
 
-/// Returns the first line, and what follows its LF if there is one.
+/// Splits off the first line. The rest is `None` without an LF.
 fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
     let length = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
     let (line, rest) = bytes.split_at_checked(length).unwrap_or((bytes, b""));
     (line, rest.get(1..))
 }
 
-/// Returns true for a status of SCIP 2: two characters and their checksum, which is the
-/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum
-/// itself (`0Eu`).
+/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the
+/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself
+/// (`0Eu`).
 ///
-/// Without the checksum a reply to a one-step `G` that lost the LF after its
-/// status (`0CD`) would pass for one.
+/// Without the checksum, a reply to a one-step `G` that lost the LF after its status
+/// (`0CD`) would pass for one.
 fn is_scip2(status: &[u8]) -> bool {
     let &[a, b, sum] = status else { return false };
     let total = a.wrapping_add(b);
@@ -261,104 +277,105 @@ fn is_scip2(status: &[u8]) -> bool {
         && (sum == (total & 0x3f) + 0x30 || sum == total)
 }
 
-/// The reason why a frame is not the reply to a command.
+/// Why a frame is not the reply to a command.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ReplyError {
-    /// It does not begin with the command: it answers another one, or its echo is
+    /// It does not begin with the command: it answers another command, or its echo is
     /// damaged.
     #[error("expected the echo of the command, found \"{found}\"")]
     Foreign {
-        /// Its first line.
+        /// First line of the frame.
         found: Text,
     },
-    /// It begins with the command, and the rest is malformed.
+    /// It begins with the command, but the rest is malformed.
     #[error(transparent)]
     Malformed(#[from] Malformed),
     /// It has a status of three characters, as in SCIP 2.
     #[error("expected a status of SCIP 1.1, found \"{status}\" of SCIP 2")]
     Scip2 {
-        /// The status line.
+        /// Status line.
         status: Text,
     },
 }
 
-/// A fault in the shape of a reply: the place, what was expected there, and what was
+/// Fault in the shape of a reply: where it is, what was expected there, and what was
 /// found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Malformed {
-    /// It does not begin with the command: the echo was damaged, something came
-    /// before it, or it is the reply to another command.
+    /// It does not begin with the command: the echo was damaged, bytes came before it, or
+    /// it is the reply to another command.
     #[error("expected the echo of the command, found \"{found}\"")]
     Echo {
-        /// The bytes at its beginning.
+        /// Bytes at the beginning.
         found: Text,
     },
-    /// It began before the command can have left the wire, so that it is the reply
-    /// to an older one.
+    /// It began before the command can have left the wire, so it is the reply to an older
+    /// command.
     #[error("the reply began {} us after the command, which alone takes {} us on the wire", after.as_micros(), least.as_micros())]
     Early {
-        /// The time from the command to the first byte of the reply.
+        /// Time from the command to the first byte of the reply.
         after: Duration,
-        /// The time that the command and one byte take at the port's baud rate.
+        /// Time that the command and one byte take at the port's baud rate.
         least: Duration,
     },
-    /// The reply ends after its echo.
+    /// It ends after its echo.
     #[error("expected a status after the echo, found the end of the reply")]
     NoStatus,
-    /// The status line is not exactly one printable character.
+    /// Its status line is not exactly one printable character.
     #[error("expected a status of one character, found \"{found}\"")]
     Status {
-        /// The line.
+        /// Status line.
         found: Text,
     },
-    /// The status is success, and no data follows.
+    /// Its status is success, but no data follows.
     #[error("expected data after a status of success, found the end of the reply")]
     NoData,
-    /// Data follows a status that has none.
+    /// Data follows a status that allows no data.
     #[error("expected no data after the status {status}, found {bytes} bytes")]
     UnexpectedData {
-        /// The status.
+        /// Status of the reply.
         status: Status,
-        /// The number of bytes.
+        /// Number of data bytes.
         bytes: usize,
     },
-    /// A line of data is too short or too long.
+    /// Its data has a line that is too short or too long.
     #[error("expected {expected} characters in line {line} of the data, found {found}")]
     LineLength {
-        /// The number of the line in the data, from 0.
+        /// Number of the line in the data, from 0.
         line: usize,
-        /// The number of characters that it must have.
+        /// Expected number of characters.
         expected: usize,
-        /// The number of characters that it has.
+        /// Number of characters found.
         found: usize,
     },
-    /// The data ends early, after a full line.
+    /// Its data ends early, after a full line.
     #[error("expected {expected} characters of data, found {found}")]
     Short {
-        /// The number of characters that it must have.
+        /// Expected number of characters.
         expected: usize,
-        /// The number of characters that it has.
+        /// Number of characters found.
         found: usize,
     },
-    /// A character that carries no 6-bit number.
+    /// A data character carries no 6-bit number.
     #[error("expected 0x30 to 0x6f as character {column} of data line {line}, found 0x{found:02x}")]
     Character {
-        /// The number of the line in the data, from 0.
+        /// Number of the line in the data, from 0.
         line: usize,
-        /// The place of the character in the line, from 0.
+        /// Position of the character in the line, from 0.
         column: usize,
-        /// The byte.
+        /// Byte that was found.
         found: u8,
     },
-    /// The reply does not end.
+    /// It does not end.
     #[error("expected two LFs at the end of the reply, found none in {bytes} bytes")]
     Overlong {
-        /// The number of bytes that came.
+        /// Number of bytes received.
         bytes: usize,
     },
-    /// The link is not transparent: it translates line ends, or is a telnet session.
+    /// Something on the link changes bytes: it translates line ends, or is a telnet
+    /// session.
     #[error(
         "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
     )]

@@ -4,8 +4,8 @@ use std::fmt;
 
 use super::{Command, Text};
 
-/// The status of a reply: one character, of which only `0` means success
-/// (C-42-3320-A p. 3). As data (feature `serde`) it is that character.
+/// Status of a reply: one character, where only `0` means success (C-42-3320-A p. 3). As
+/// data (feature `serde`) it is that character.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[cfg_attr(feature = "serde", serde(into = "char"))]
@@ -15,12 +15,12 @@ impl Status {
     /// `0`: success.
     pub const OK: Self = Self(b'0');
 
-    /// Returns the status with this character.
+    /// Creates the status with this character.
     pub const fn new(character: u8) -> Self {
         Self(character)
     }
 
-    /// Returns the character as it came.
+    /// Character as received.
     pub const fn character(self) -> u8 {
         self.0
     }
@@ -30,8 +30,8 @@ impl Status {
         matches!(self, Self::OK)
     }
 
-    /// Returns the meaning of this status in answer to `command`, as far as drivers
-    /// of real sensors know it. The protocol text names none but `0`.
+    /// Meaning of this status in answer to `command`, as drivers of real sensors know it.
+    /// The protocol text defines only `0`.
     pub const fn meaning(self, command: &Command) -> Option<&'static str> {
         match (self.0, command) {
             (b'0', _) => Some("success"),
@@ -47,8 +47,8 @@ impl Status {
         }
     }
 
-    /// Returns true for `0`, and for the statuses of `L` and `S` that mean that
-    /// nothing had to be done: `2` on `L`, `3` on `S`.
+    /// Returns true for `0`, and for a status of `L` or `S` that means "nothing to do":
+    /// `2` for `L`, `3` for `S`.
     pub const fn is_ok_for(self, command: &Command) -> bool {
         match command {
             Command::LaserOn | Command::LaserOff => matches!(self.0, b'0' | b'2'),

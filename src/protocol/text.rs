@@ -1,15 +1,14 @@
-//! Bytes from a sensor that may be shown to a person.
+//! Bytes from a sensor, safe to show to a person.
 
 use std::fmt;
 
-/// Bytes that a sensor sent, kept as they came.
+/// Bytes that a sensor sent, unchanged.
 ///
-/// [`Display`](fmt::Display) shows printable ASCII as it is and everything
-/// else as an escape (`\x1b`), so that no sensor can write to a terminal or
-/// forge a line of a log; `to_string()` returns the same as a `String`.
+/// [`Display`](fmt::Display) shows printable ASCII as it is and escapes everything else
+/// (`\x1b`). So you can print it: no sensor can control your terminal or forge a line of
+/// your log. `to_string()` makes a `String` with the same content.
 ///
-/// As data (feature `serde`) it is the escaped form, too: what is printable stays,
-/// and no byte is lost.
+/// As data (feature `serde`) it is the escaped form, too, which loses no byte.
 ///
 /// ```
 /// use tokio_scip::protocol::Text;
@@ -20,9 +19,15 @@ use std::fmt;
 pub struct Text(Box<[u8]>);
 
 impl Text {
-    /// Returns the bytes as they came.
+    /// Bytes as received.
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
+    }
+
+    /// Converts to text, or returns `None` if the bytes are not UTF-8. The text may hold
+    /// control characters: write it to a terminal or a log with `Display` only.
+    pub fn as_str(&self) -> Option<&str> {
+        std::str::from_utf8(&self.0).ok()
     }
 
     /// Returns true if there are no bytes.
@@ -35,10 +40,15 @@ impl Text {
         self.0.iter().all(|byte| matches!(byte, b' '..=b'~'))
     }
 
-    /// Returns at most the first `limit` bytes of `bytes`, so that a message stays
-    /// short.
+    /// Copies the first `limit` bytes at most, so that a message stays short.
     pub(crate) fn excerpt(bytes: &[u8], limit: usize) -> Self {
         Self::from(bytes.get(..limit).unwrap_or(bytes))
+    }
+}
+
+impl AsRef<[u8]> for Text {
+    fn as_ref(&self) -> &[u8] {
+        &self.0
     }
 }
 
@@ -109,5 +119,53 @@ impl fmt::Debug for Text {
 impl serde::Serialize for Text {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
+    }
+}
+
+#[cfg(feature = "serde")]
+impl<'de> serde::Deserialize<'de> for Text {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let escaped = <std::borrow::Cow<'_, str>>::deserialize(deserializer)?;
+        let invalid =
+            || serde::de::Error::custom("invalid escape: expected \\\\, \\n, \\r or \\x1b");
+        unescape(&escaped).map(|bytes| Self(bytes.into())).ok_or_else(invalid)
+    }
+}
+
+/// Parses what `Display` writes.
+#[cfg(feature = "serde")]
+fn unescape(text: &str) -> Option<Vec<u8>> {
+    let mut rest = text.as_bytes();
+    let mut bytes = Vec::with_capacity(rest.len());
+    while let Some((first, behind)) = rest.split_first() {
+        let (byte, behind) = match (first, behind) {
+            (b'\\', [b'\\', behind @ ..]) => (b'\\', behind),
+            (b'\\', [b'n', behind @ ..]) => (b'\n', behind),
+            (b'\\', [b'r', behind @ ..]) => (b'\r', behind),
+            (b'\\', [b'x', high, low, behind @ ..]) => {
+                let digit = |byte: &u8| char::from(*byte).to_digit(16);
+                (u8::try_from(digit(high)? * 16 + digit(low)?).ok()?, behind)
+            }
+            (b'\\', _) => return None,
+            (byte, behind) => (*byte, behind),
+        };
+        bytes.push(byte);
+        rest = behind;
+    }
+    Some(bytes)
+}
+
+#[cfg(all(test, feature = "serde"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_byte_is_read_back_as_it_was() {
+        let all: Vec<u8> = (0..=255).chain(*b"\\x41 \\\\n").collect();
+        let text = Text::from(&all[..]);
+        assert_eq!(unescape(&text.to_string()), Some(all));
+        for invalid in ["\\", "\\t", "\\x1", "\\xg0"] {
+            assert_eq!(unescape(invalid), None, "{invalid}");
+        }
     }
 }

@@ -1,17 +1,18 @@
-//! The identity of a sensor: its reply to `V`.
+//! Identity of a sensor: its reply to `V`.
 
 use std::ops::RangeInclusive;
 
 use super::{Reply, Text, Window};
 
-/// The reply to `V` (C-42-3320-A p. 4), read tolerantly: fields may come in any
-/// order, with or without a blank after the colon, missing ones stay empty, and
-/// lines that the text does not know are kept.
+/// Reply to `V` (C-42-3320-A p. 4), parsed tolerantly. Fields may come in any order, with
+/// or without a blank after the colon. Missing fields stay empty, and unknown lines are
+/// kept.
 ///
-/// As data (feature `serde`) it has its fields by name, a
-/// [range](std::ops::RangeInclusive) as `start` and `end`.
+/// As data (feature `serde`) it has its fields by name, and a
+/// [range](std::ops::RangeInclusive) as `start` and `end`. You can read it back; a missing
+/// field is empty.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
 #[non_exhaustive]
 pub struct Version {
     /// `VEND:`, such as `Hokuyo Automatic Co.,Ltd.`.
@@ -22,14 +23,14 @@ pub struct Version {
     pub firmware: Text,
     /// `PROT:`. Sensors that speak SCIP 1.1 have `SCIP 1.0` here.
     pub protocol: Text,
-    /// `SERI:`, such as `H0713090`: the only field that differs between two sensors
-    /// of the same model and firmware.
+    /// `SERI:`, such as `H0713090`. No other field differs between two sensors of the same
+    /// model and firmware.
     pub serial_number: Text,
-    /// `STAT:`, which firmware 3 and later adds to the text's five lines.
+    /// `STAT:`, which firmware 3 and later adds to the five lines of the protocol text.
     pub status: Option<Text>,
-    /// Lines with another name, or none, as they came.
+    /// Lines with an unknown name or without a name, unchanged.
     pub other: Vec<Text>,
-    /// The contents of the bracket in the firmware line, where there is one.
+    /// Contents of the bracket in the firmware line, if it has one.
     pub specification: Option<Specification>,
 }
 
@@ -63,25 +64,24 @@ impl Version {
     }
 }
 
-/// The abilities of a sensor, from the bracket of its firmware line. Each part may
-/// be missing.
+/// Abilities of a sensor, from the bracket of its firmware line. Each part may be missing.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
 #[non_exhaustive]
 pub struct Specification {
-    /// `20-4095[mm]`: the distances that it measures, in millimetres.
+    /// `20-4095[mm]`: measurable distances in millimetres.
     pub range: Option<RangeInclusive<u16>>,
-    /// `240[deg]`: the aperture in degrees.
+    /// `240[deg]`: aperture in degrees.
     pub aperture: Option<u16>,
-    /// `44-725[step]`: the steps that it measures.
+    /// `44-725[step]`: steps that the sensor measures.
     pub steps: Option<RangeInclusive<u16>>,
-    /// `600[rpm]`: the speed of its motor in revolutions per minute.
+    /// `600[rpm]`: speed of the motor in revolutions per minute.
     pub motor_speed: Option<u16>,
 }
 
 impl Specification {
-    /// Returns the window of all steps that the sensor measures, if its firmware line has
-    /// them: for a URG-04LX it is [`Window::DETECTION`].
+    /// Window of all steps that the sensor measures, if its firmware line has them. For a
+    /// URG-04LX it is [`Window::DETECTION`].
     ///
     /// ```
     /// # use tokio_scip::emulator::Emulator;
@@ -101,7 +101,7 @@ impl Specification {
         self.steps.clone().and_then(|steps| Window::new(steps).ok())
     }
 
-    /// Returns the parts such as `240[deg]` of a firmware line, if there are any.
+    /// Parses the parts of a firmware line, such as `240[deg]`, if there are any.
     fn find(firmware: &[u8]) -> Option<Self> {
         let mut found = Self::default();
         for part in firmware.split(|byte| matches!(byte, b'(' | b',' | b')')) {

@@ -9,15 +9,15 @@ use super::measurement::BLOCK;
 
 /// Steps in a full revolution of the motor (C-42-3320-A p. 7).
 const STEPS_PER_REVOLUTION: f64 = 1024.0;
-/// The step straight ahead (p. 7).
+/// Step straight ahead (p. 7).
 const FRONT: u16 = 384;
-/// The last step (p. 6).
+/// Last step (p. 6).
 const LAST: u16 = 768;
 
-/// The length of a `G` in bytes, its LF included, and so of its echo (p. 6).
+/// Length of a `G` and of its echo in bytes, LF included (p. 6).
 const POLL_LEN: usize = 10;
 
-/// A direction of measurement: 0..=768, 360/1024 degree each (p. 7).
+/// Direction of measurement: 0..=768, 360/1024 degree each (p. 7).
 ///
 /// Steps count counter-clockwise seen from above: 0 is -135 degrees (right
 /// rear), 384 the front, 768 is +135 degrees (left rear). As data (feature
@@ -35,7 +35,7 @@ impl Step {
     /// Step 768, +135 degrees.
     pub const LAST: Self = Self(LAST);
 
-    /// Returns the step with this number.
+    /// Creates the step with this number.
     ///
     /// # Errors
     ///
@@ -44,17 +44,17 @@ impl Step {
         if number <= LAST { Ok(Self(number)) } else { Err(WindowError::Step { found: number }) }
     }
 
-    /// Returns its number, 0..=768.
+    /// Its number, 0..=768.
     pub const fn number(self) -> u16 {
         self.0
     }
 
-    /// Returns its direction in radians, counter-clockwise from the front.
+    /// Its direction in radians, counter-clockwise from the front.
     pub fn angle(self) -> f32 {
         angle(f64::from(self.0)) as f32
     }
 
-    /// Returns its direction in degrees, counter-clockwise from the front.
+    /// Its direction in degrees, counter-clockwise from the front.
     pub fn degrees(self) -> f32 {
         ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_REVOLUTION) as f32
     }
@@ -80,20 +80,20 @@ impl TryFrom<u16> for Step {
     }
 }
 
-/// Returns the direction of a (possibly half) step in radians.
+/// Direction of a (possibly half) step in radians.
 pub(crate) fn angle(step: f64) -> f64 {
     (step - f64::from(FRONT)) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
 }
 
-/// The steps that a scan covers: starting point, end point and cluster count, the
-/// parameters of `G` (C-42-3320-A p. 6).
+/// Steps that a scan covers: starting point, end point and cluster count, the parameters
+/// of `G` (C-42-3320-A p. 6).
 ///
-/// A window cannot be invalid: both steps are in 0..=768, the start is not
-/// behind the end, and the cluster count is 1..=99. (The text allows a cluster
-/// count of 0; sensors are not known to agree on what it means.)
+/// A window is always valid: both steps are in 0..=768, the start is not after the end,
+/// and the cluster count is 1..=99. (The protocol text allows a cluster count of 0, but
+/// sensors may disagree on what it means.)
 ///
-/// As data (feature `serde`) it is `start`, `end` and `cluster`, of which the
-/// last may be left out for 1.
+/// As data (feature `serde`) it is `start`, `end` and `cluster`. You may leave out a
+/// `cluster` of 1.
 ///
 /// ```
 /// use tokio_scip::Window;
@@ -112,7 +112,7 @@ pub struct Window {
     cluster_count: u8,
 }
 
-/// A window as data, not validated yet.
+/// Unvalidated window, as data.
 #[cfg(feature = "serde")]
 #[derive(serde::Deserialize)]
 struct Fields {
@@ -140,21 +140,20 @@ impl Window {
     /// Every step, 0..=768. A real URG-04LX measures nothing outside of
     /// [`Window::DETECTION`]: the steps there always carry error code 19.
     ///
-    /// Successive polls of a window differ in their echo where there is a step to
-    /// spare on either side of it. This window has none, nor have some others with a
-    /// cluster count above 1 (0..=725 in clusters of 4). Such windows have one
-    /// safeguard less against a reply that a faulty line delivers twice.
+    /// Successive polls of a window differ in their echo if there is a spare step on
+    /// either side. This window has no spare step, and neither have some windows with a
+    /// cluster count above 1 (0..=725 in clusters of 4). They have one safeguard less
+    /// against a reply that a faulty line delivers twice.
     pub const FULL: Self = Self { start: Step(0), end: Step(LAST), cluster_count: 1 };
 
-    /// The steps that a URG-04LX measures: 44..=725, -119.53 to +119.88 degrees,
-    /// 682 points.
+    /// Steps that a URG-04LX measures: 44..=725, -119.53 to +119.88 degrees, 682 points.
     pub const DETECTION: Self = Self { start: Step(44), end: Step(725), cluster_count: 1 };
 
-    /// Returns the window of `steps`, each a point of its own (cluster count 1).
+    /// Creates a window of `steps`, each a point of its own (cluster count 1).
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if a step is above 768 or the start behind the end.
+    /// [`WindowError`] if a step is above 768 or the start after the end.
     pub const fn new(steps: RangeInclusive<u16>) -> Result<Self, WindowError> {
         let (start, end) = (*steps.start(), *steps.end());
         match (Step::new(start), Step::new(end)) {
@@ -164,18 +163,17 @@ impl Window {
         }
     }
 
-    /// Returns the window of the steps inside an interval of degrees,
-    /// counter-clockwise from the front: `Window::degrees(-90.0..=90.0)` is steps
-    /// 128..=640.
+    /// Creates the window of the steps inside an interval of degrees, counter-clockwise
+    /// from the front: `Window::degrees(-90.0..=90.0)` is steps 128..=640.
     ///
     /// # Errors
     ///
-    /// [`WindowError`] if no step lies in the interval, if it leaves
-    /// -135..=135, or if a bound is not a number.
+    /// [`WindowError`] if the interval contains no step, if it leaves -135..=135, or if a
+    /// bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
         let step = |degrees: f64| degrees * STEPS_PER_REVOLUTION / 360.0 + f64::from(FRONT);
-        // A bound that was computed may miss its step by a rounding error.
+        // Rounding may move a computed bound past its step.
         let tolerance = 1e-9;
         let (low, high) = (step(from) - tolerance, step(to) + tolerance);
         let (first, last) = (low.ceil(), high.floor());
@@ -189,11 +187,11 @@ impl Window {
         }
     }
 
-    /// Returns the same steps in groups of `cluster_count` neighbours, of which the
-    /// sensor sends the smallest value.
+    /// Groups the same steps into clusters of `cluster_count` neighbours. The sensor
+    /// sends the smallest value of each cluster.
     ///
-    /// The sensor takes the minimum of raw values, so one error code (0..=19) hides
-    /// every distance of its group: clustering saves time on the line and loses points.
+    /// The sensor takes the minimum of raw values, so one error code (0..=19) hides every
+    /// distance of its cluster. Clustering saves time on the line but loses points.
     ///
     /// # Errors
     ///
@@ -205,77 +203,76 @@ impl Window {
         }
     }
 
-    /// Returns the first step.
+    /// First step.
     pub const fn start(&self) -> Step {
         self.start
     }
 
-    /// Returns the last step.
+    /// Last step.
     pub const fn end(&self) -> Step {
         self.end
     }
 
-    /// Returns the number of neighbouring steps that make a point, 1..=99.
+    /// Number of neighbouring steps that make a point, 1..=99.
     pub const fn cluster_count(&self) -> u8 {
         self.cluster_count
     }
 
-    /// Returns the number of steps that it covers, 1..=769.
+    /// Number of steps in the window, 1..=769.
     pub const fn steps(&self) -> usize {
         (self.end.0 - self.start.0) as usize + 1
     }
 
-    /// Returns the number of points in a scan of it: steps over cluster count, rounded
-    /// up.
+    /// Number of points in a scan of this window: steps over cluster count, rounded up.
     pub const fn points(&self) -> usize {
         self.steps().div_ceil(self.cluster_count as usize)
     }
 
-    /// Returns the length of the reply in bytes, terminator included: 1,576 for
-    /// [`Window::FULL`].
+    /// Length of the reply in bytes, terminator included: 1,576 for [`Window::FULL`].
     pub const fn reply_len(&self) -> usize {
         let data = self.points() * 2;
-        // Echo and status, each with its LF; data with an LF a block; one more LF.
+        // Echo and status, each with its LF; data with an LF per block; one more LF.
         POLL_LEN + 2 + data + data.div_ceil(BLOCK) + 1
     }
 
-    /// Returns the time for which one poll of this window occupies a line at this baud
-    /// rate: command and reply, without the time that the sensor takes to answer.
+    /// Time that one poll of this window occupies a line at this baud rate: command and
+    /// reply, but not the time that the sensor takes to answer.
     pub fn wire_time(&self, baud_rate: BaudRate) -> Duration {
         baud_rate.wire_time(POLL_LEN + self.reply_len())
     }
 
-    /// Returns the number of steps in the first cluster.
+    /// Number of steps in the first cluster.
     pub(crate) fn first_cluster(&self) -> u8 {
         // At most the cluster count, so the cast is exact.
         self.steps().min(usize::from(self.cluster_count)) as u8
     }
 
-    /// Returns the angle from one point to the next in radians.
+    /// Angle from one point to the next in radians.
     pub(crate) fn angle_increment(&self) -> f64 {
         f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
     }
 
-    /// By how many points at most a poll is widened so that it differs from the
-    /// polls before it. The driver chooses, and a replay recognises its choice.
+    /// Largest number of points by which a poll is widened to make it differ from the
+    /// polls before it. The driver chooses the number, and a replay recognises the
+    /// choice.
     pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
 
-    /// Returns the window of one step.
+    /// Creates the window of one step.
     pub(crate) const fn single(step: u16) -> Self {
         let step = Step(if step > LAST { LAST } else { step });
         Self { start: step, end: step, cluster_count: 1 }
     }
 
-    /// Returns this window with `groups` more points in front, or if there is no room,
-    /// behind; and how many points to skip in front. `None` if there is no room on
-    /// either side. The points of this window are the same in both.
+    /// Widens this window by `groups` points in front or, without room there, behind.
+    /// Also returns the number of points to skip in front. Returns `None` if neither side
+    /// has room. The points of this window are the same in the wider one.
     pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
         let steps = groups.saturating_mul(u16::from(self.cluster_count));
         if steps <= self.start.0 {
             let start = Step(self.start.0 - steps);
             return Some((Self { start, ..*self }, usize::from(groups)));
         }
-        // A partial last group would be filled up by steps behind the end.
+        // Steps after the end would fill up a partial last group.
         let whole = self.steps().is_multiple_of(usize::from(self.cluster_count));
         (whole && steps <= LAST - self.end.0)
             .then(|| (Self { end: Step(self.end.0 + steps), ..*self }, 0))
@@ -292,40 +289,40 @@ impl fmt::Display for Window {
     }
 }
 
-/// The error of parameters that make no [`Window`].
+/// Error for parameters that make no [`Window`].
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum WindowError {
-    /// A step above 768.
+    /// A step is above 768.
     #[error("invalid step {found}: expected 0 to 768")]
     Step {
-        /// The number that was found.
+        /// Number that was found.
         found: u16,
     },
-    /// The start lies behind the end.
+    /// Its start is after its end.
     #[error(
         "invalid window: expected its start before its end, found {start} and {end}: swap them"
     )]
     Reversed {
-        /// The first step.
+        /// First step.
         start: u16,
-        /// The last step.
+        /// Last step.
         end: u16,
     },
-    /// A cluster count outside of 1..=99.
+    /// Its cluster count is outside 1..=99.
     #[error("invalid cluster count {found}: expected 1 to 99")]
     ClusterCount {
-        /// The number that was found.
+        /// Number that was found.
         found: u8,
     },
-    /// Degrees outside of -135..=135, or an interval without a step.
+    /// An interval of degrees leaves -135..=135, or contains no step.
     #[error(
         "invalid window from {from} to {to} degrees: expected -135 to 135, the smaller one first, with at least one step (0.3515625 degree) inside"
     )]
     Degrees {
-        /// The lower bound.
+        /// Lower bound.
         from: f64,
-        /// The upper bound.
+        /// Upper bound.
         to: f64,
     },
 }
@@ -339,7 +336,7 @@ mod tests {
         Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
     }
 
-    /// Returns the first and last step of every point.
+    /// First and last step of every point.
     fn points(window: Window) -> Vec<(u16, u16)> {
         let (end, group) = (window.end.0, u16::from(window.cluster_count));
         (window.start.0..=end)
@@ -386,7 +383,7 @@ mod tests {
         }
         assert_eq!(Window::FULL.widened(1), None);
         assert_eq!(window(2, 767, 1).widened(3), None);
-        // Steps behind the end would fill up the partial last group.
+        // Steps after the end would fill up the partial last group.
         assert_eq!(window(0, 10, 4).widened(1), None);
         assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
         assert_eq!(window(0, 98, 99).widened(u16::MAX), None);

@@ -5,71 +5,98 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use super::mcap::FileError;
+use super::output::FileGone;
 
-/// An error of recording, reading or replaying. As in all errors of this crate,
-/// `Display` covers its own layer, [`source`](std::error::Error::source) returns
-/// the cause, and clones are cheap.
+/// Error of recording, reading or replaying. As for all errors of this crate, `Display`
+/// covers its own layer, [`source`](std::error::Error::source) returns the cause, and
+/// clones are cheap.
 #[derive(Debug, Clone, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecordingError {
-    /// The file exists, and overwriting was not asked for.
-    #[error("{} exists already and is not overwritten: choose another name", path.display())]
+    /// The file exists, and you did not ask to overwrite it.
+    #[error("{} already exists: choose another name, or allow overwriting", path.display())]
     Exists {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
     },
-    /// The file cannot be created or opened.
-    #[error("cannot open {}", path.display())]
-    Open {
-        /// The file.
+    /// Another recorder writes the file.
+    #[error("{} is being recorded into by another recorder: choose another name", path.display())]
+    Busy {
+        /// Path of the file.
         path: PathBuf,
-        /// The system's error.
-        source: Arc<io::Error>,
     },
-    /// Writing failed, and the recording has ended. What was written before can
-    /// be read.
-    #[error("writing the recording failed: it has ended, and what was written before can be read")]
-    Write {
-        /// The system's error.
-        source: Arc<io::Error>,
-    },
-    /// Reading failed, and the rest of the file was not read.
-    #[error("reading the recording failed")]
-    Read {
-        /// The system's error.
-        source: Arc<io::Error>,
-    },
-    /// The file is not MCAP.
-    #[error("not a recording: expected an MCAP file, found other bytes at its start")]
-    NotMcap,
-    /// The file's chunks are compressed, by another program: recordings of this
-    /// crate are not.
-    #[error(
-        "cannot read a recording with `{compression}` compression: expected none, as `mcap compress --compression none` writes it"
-    )]
-    Compressed {
-        /// The name of the compression.
-        compression: String,
-    },
-    /// A part of the file is malformed: a chunk, about a second of a recording.
-    /// Reading goes on behind it. A missing end of the file is no error.
-    #[error("the recording is damaged at byte {offset}: {reason}")]
-    Damaged {
-        /// The place of the malformed part in the file.
-        offset: u64,
-        /// The failed check.
+    /// The file was removed, cut short or written to by another program. The recording
+    /// has ended.
+    #[error("the recording has ended, and may be lost: its file {reason} by another program")]
+    Gone {
+        /// What happened to the file.
         reason: &'static str,
     },
-    /// The file has no replies of a sensor.
+    /// Creating or opening the file failed.
+    #[error("cannot open {}", path.display())]
+    Open {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error of the system.
+        source: Arc<io::Error>,
+    },
+    /// Writing failed, and the recording has ended. You can read what was written before.
     #[error(
-        "no replies of a sensor in this recording: only a file of `urg record`, or of a Recorder with its observer set, can be replayed"
+        "writing the recording failed: it has ended, but everything written before can be read"
     )]
-    NoReplies,
+    Write {
+        /// Error of the system.
+        source: Arc<io::Error>,
+    },
+    /// Reading failed, so the rest of the file was not read.
+    #[error("reading the recording failed")]
+    Read {
+        /// Error of the system.
+        source: Arc<io::Error>,
+    },
+    /// This is not an MCAP file.
+    #[error("not a recording: expected an MCAP file, found other bytes at its start")]
+    NotMcap,
+    /// Another program compressed the file's chunks, and this build does not read the compression.
+    /// Feature `compression` reads `zstd` and `lz4`. Recordings of this crate are not compressed.
+    #[error("cannot read a recording with `{compression}` compression: {}", remedy(compression))]
+    Compressed {
+        /// Name of the compression.
+        compression: String,
+    },
+    /// A part of the file is malformed: a chunk, about a second of a recording. Reading
+    /// continues after it. A missing end of the file is not an error.
+    #[error("the recording is damaged at byte {offset}: {reason}")]
+    Damaged {
+        /// Position of the malformed part in the file.
+        offset: u64,
+        /// Check that failed.
+        reason: &'static str,
+    },
+    /// The recording has neither replies to polls nor `/scan` messages of a URG.
+    #[error(
+        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan"
+    )]
+    NoScans,
 }
 
 impl RecordingError {
     pub(super) fn write(error: io::Error) -> Self {
-        Self::Write { source: Arc::new(error) }
+        match FileGone::reason(&error) {
+            Some(reason) => Self::Gone { reason },
+            None => Self::Write { source: Arc::new(error) },
+        }
+    }
+}
+
+fn remedy(compression: &str) -> &'static str {
+    match compression {
+        "zstd" | "lz4" => {
+            "build with the feature `compression` of tokio-scip, or remove the compression with `mcap decompress in.mcap -o out.mcap`"
+        }
+        _ => {
+            "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
+        }
     }
 }
 

@@ -1,10 +1,10 @@
-//! Recordings (feature `mcap`): the scans of a stream and the replies of a sensor
-//! in a file that the tools of robotics open, and that can be replayed.
+//! Recordings (feature `mcap`): the scans of a stream and the replies of a sensor, in a file that
+//! you can open with robotics tools and replay.
 //!
-//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that
-//! `ros2 bag play`, Foxglove, Lichtblick, PlotJuggler and others read it.
-//! [`Recording`] reads such a file, returns its scans, and replays the sensor.
-//! [`repair`] completes a file that was cut off.
+//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that `ros2 bag play`, Foxglove,
+//! Lichtblick, PlotJuggler and others read it. [`Recording`] reads such a file, returns its scans,
+//! and replays the sensor. To complete a file that was cut off use [`repair`]; to copy a part of
+//! one use [`cut`].
 //!
 //! ```
 //! use tokio_scip::recording::{Recorder, Recording, ReplayPace};
@@ -17,8 +17,8 @@
 //! # let path = folder.join("run.mcap");
 //! // Records ten scans; instead of the emulator, `open("/dev/ttyACM0")`.
 //! let mut recorder = Recorder::create(&path)?;
-//! let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1024);
-//! let sensor = builder.connect(Emulator::default()).await?;
+//! let sensor = Sensor::builder().depth(1024).connect(Emulator::default()).await?;
+//! recorder.observe(&sensor);
 //! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
 //! recorder.describe(&sensor, &scans).await?;
 //! for _ in 0..10 {
@@ -49,39 +49,45 @@
 //! | topic | ROS 2 type | a message is |
 //! |---|---|---|
 //! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
-//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the bytes of a reply, as they came; the label of its dimension is the command, empty for fences and what nobody asked for |
-//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`](crate::Event) |
+//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the command, empty for fences and unsolicited replies |
+//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`](crate::event::Event) |
 //!
-//! All are CDR with their definitions, and of types that every ROS 2 has. The
-//! log time runs steadily from the wall clock at the beginning of the recording;
-//! the publish time is the wall clock when a reply's first byte arrived
-//! ([`Scan::stamp`](crate::Scan::stamp)); the header of a scan has the time of its
-//! [first ray](crate::Scan::first_ray_stamp). Metadata of the name `tokio_scip`
-//! identifies the sensor. Nothing in a file is ever changed, so that it can be read
-//! wherever it was cut off. After 65,000 chunks, or earlier on request, a recording
-//! goes on in a further file ([`RecorderBuilder::split_duration`]).
+//! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
+//! steadily from the wall clock at the beginning of the recording. The publish time is the wall
+//! clock when a reply's first byte arrived ([`Scan::stamp`](crate::Scan::stamp)). The header of a
+//! scan has the time of its [first ray](crate::Scan::first_ray_stamp). The metadata `tokio_scip`
+//! identifies the sensor. Nothing in a file is ever changed, so you can read it wherever it was cut
+//! off. After 65,000 chunks, or earlier on request, a recording continues in a further file
+//! ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying
 //!
-//! [`Recording::replay`] returns an [`Emulator`](crate::emulator::Emulator) on USB.
-//! It answers `V` as the recorded sensor did, and each poll with the next reply
-//! that was recorded for the stream, byte for byte: also a refused or malformed
-//! one, and that of a scan which the recording's own consumer missed. Scans have
-//! the recorded stamps. Another window than the recorded one has the values that
-//! are known of its steps, and error code 19 elsewhere. Fences use up no reply.
-//! [`Recording::scans`] returns the same scans without a replay.
+//! [`Recording::replay`] returns an [`Emulator`](crate::emulator::Emulator) on USB. It answers `V`
+//! as the recorded sensor did. It answers each poll with the next reply recorded for the stream,
+//! byte for byte, including refused and malformed replies, and replies to scans that the
+//! recording's own consumer missed. Scans have the recorded stamps. If you ask for another window
+//! than the recorded one, each step has its latest known value, or error code 19. Fences use up no
+//! reply. To get the same scans without a replay, use [`Recording::scans`].
 //!
-//! The poll after the last reply ends the driver, and streams end as they do after
-//! [`Sensor::close`](crate::Sensor::close): with `None`, and no error before it. If a
-//! part of the file could not be read, the driver ends with
-//! [`Error::Disconnected`](crate::Error::Disconnected), whose source has the
-//! [`RecordingError`] inside.
+//! A recording without replies is replayed from its `/scan` messages. Without a reply to `V`
+//! before the first scan, `V` is answered with what the metadata have.
 //!
-//! A recording's bytes are read when they are asked for, in small pieces, on
-//! the runtime's thread.
+//! The poll after the last reply ends the driver. Streams then end as they do after
+//! [`Sensor::close`](crate::Sensor::close): with `None`, and no error before it. If a part of the
+//! file could not be read, the driver ends with
+//! [`Error::Disconnected`](crate::Error::Disconnected), whose source contains the
+//! [`RecordingError`].
+//!
+//! A replay reads the recording on demand, in small pieces, on the runtime's thread.
 
+mod cut;
 mod error;
+mod file;
+mod from_ros;
+mod identity;
 mod mcap;
+mod messages;
+mod output;
 mod parts;
 mod polls;
 mod progress;
@@ -93,10 +99,13 @@ mod recorder;
 mod repair;
 mod replay;
 mod scans;
+mod sync;
 mod topics;
 mod writer;
 
+pub use self::cut::{CutOutcome, cut};
 pub use self::error::RecordingError;
+pub use self::file::RecordingFile;
 pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, Reply};
@@ -106,5 +115,5 @@ pub use self::replay::ReplayPace;
 pub use self::scans::RecordedScans;
 pub use crate::ros::LaserScan;
 
-/// The name of the metadata record.
+/// Name of the metadata record.
 const METADATA: &str = "tokio_scip";

@@ -1,45 +1,77 @@
-//! [`Parts`]: when a recording goes on in a further file, and which one that is.
+//! [`Parts`]: when a recording continues in a further file, the name of that file, and
+//! which old files are removed for it.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
-/// A file ends at so many entries of its index: fewer than it may have, since it gets
-/// further chunks until it can be split.
+use super::RecordingError;
+use super::file::RecordingFile;
+use super::output::Output;
+
+/// Number of index entries at which a file ends. Less than the maximum, because the file
+/// gets further chunks until it can be split.
 pub(super) const MAX_PART_ENTRIES: usize = 65_000;
+/// A file time before 2020 comes from a clock that was not set yet, and tells nothing
+/// about the file's age.
+const CLOCK_IS_SET: Duration = Duration::from_secs(50 * 365 * 86_400);
 
-/// The file that is written.
-pub(super) type Output = Box<dyn Write + Send>;
-
-/// The limits of a file of a recording.
+/// Limits of a file of a recording.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Limits {
     pub(super) duration: Option<Duration>,
     pub(super) bytes: Option<u64>,
+    /// Limits of all files together: the oldest ones are removed.
+    pub(super) keep_duration: Option<Duration>,
+    pub(super) keep_bytes: Option<u64>,
 }
 
-/// The files of a recording behind the first one.
+impl Limits {
+    /// Returns true if old files are removed.
+    pub(super) fn removes_old(&self) -> bool {
+        self.keep_duration.is_some() || self.keep_bytes.is_some()
+    }
+}
+
+/// Wraps the output of a further file.
+type Wrap = Box<dyn Fn(Box<dyn Output>) -> Box<dyn Output> + Send>;
+
+/// Files of a recording after the first one.
 pub(super) struct Parts {
     limits: Limits,
-    /// The path of the first file. Without one there is only that file.
+    /// Path of the first file. Without it there are no further files.
     path: Option<PathBuf>,
-    /// The number of the current file.
+    /// Number of the current file.
     number: u32,
-    wrap: Box<dyn Fn(File) -> Output + Send>,
+    /// Finished files, oldest first. Empty unless old files are removed.
+    old: Vec<OldPart>,
+    wrap: Wrap,
+}
+
+/// Finished file.
+struct OldPart {
+    path: PathBuf,
+    bytes: u64,
+    changed: SystemTime,
 }
 
 impl Parts {
-    /// `wrap` makes an output of each further file.
+    /// `current` is the file being written, and `path` the recording's first file. `wrap`
+    /// wraps the output of each further file.
     pub(super) fn new(
         limits: Limits,
         path: Option<PathBuf>,
-        wrap: impl Fn(File) -> Output + Send + 'static,
+        current: &Path,
+        wrap: impl Fn(Box<dyn Output>) -> Box<dyn Output> + Send + 'static,
     ) -> Self {
-        Self { limits, path, number: 1, wrap: Box::new(wrap) }
+        let number = path.as_ref().map_or(1, |path| highest_part(path).max(1));
+        let mut parts = Self { limits, path, number, old: Vec::new(), wrap: Box::new(wrap) };
+        parts.find_old(current);
+        parts
     }
 
-    /// Returns true if the current file should have no more messages.
+    /// Returns true if no more messages should be added to the current file.
     pub(super) fn is_full(&self, duration: Duration, bytes: u64, index_entries: usize) -> bool {
         self.path.is_some()
             && (index_entries >= MAX_PART_ENTRIES
@@ -47,22 +79,115 @@ impl Parts {
                 || self.limits.bytes.is_some_and(|limit| bytes >= limit))
     }
 
-    /// Creates the next file: the next number that no file has.
-    pub(super) fn next(&mut self) -> io::Result<Output> {
-        let Some(path) = &self.path else { return Err(io::ErrorKind::Unsupported.into()) };
+    /// Creates the next file, with the next unused number.
+    pub(super) fn next(&mut self) -> io::Result<Box<dyn Output>> {
+        let Some(path) = self.path.clone() else { return Err(io::ErrorKind::Unsupported.into()) };
         loop {
             self.number += 1;
-            let path = part_path(path, self.number);
-            match OpenOptions::new().write(true).create_new(true).open(&path) {
-                Ok(file) => return Ok((self.wrap)(file)),
-                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            let path = part_path(&path, self.number);
+            let failed = |error: &dyn std::error::Error, kind| {
+                io::Error::new(kind, format!("cannot create {}: {error}", path.display()))
+            };
+            let opened = RecordingFile::open(&path, false);
+            let mut file = match opened {
+                Ok(file) => file,
+                Err(RecordingError::Exists { .. } | RecordingError::Busy { .. }) => continue,
+                Err(RecordingError::Open { source, .. }) => {
+                    return Err(failed(&*source, source.kind()));
+                }
+                Err(error) => return Err(failed(&error, io::ErrorKind::Other)),
+            };
+            file.begin().map_err(|error| failed(&error, io::ErrorKind::Other))?;
+            self.find_old(&path);
+            return Ok((self.wrap)(file.output()));
+        }
+    }
+
+    /// Looks for finished files of the recording, if old ones are removed.
+    fn find_old(&mut self, current: &Path) {
+        self.old.clear();
+        let Some(path) = self.path.as_ref().filter(|_| self.limits.removes_old()) else { return };
+        let mut numbers = part_numbers(path);
+        numbers.sort_unstable();
+        let paths = [path.clone()]
+            .into_iter()
+            .chain(numbers.into_iter().map(|number| part_path(path, number)));
+        let old = |path: PathBuf| {
+            let metadata = path.metadata().ok().filter(fs::Metadata::is_file)?;
+            let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            Some(OldPart { path, bytes: metadata.len(), changed })
+        };
+        self.old = paths.filter(|path| path != current).filter_map(old).collect();
+    }
+
+    /// Removes the oldest files until the rest and the current file, with its length, are
+    /// within the limits. Never removes the current file.
+    pub(super) fn remove_old(&mut self, current: u64) {
+        let now = SystemTime::now();
+        while let Some(oldest) = self.old.first() {
+            let total = self.old.iter().fold(current, |sum, part| sum.saturating_add(part.bytes));
+            let age = now.duration_since(oldest.changed).unwrap_or_default();
+            let is_set = oldest.changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
+            let is_too_old = is_set && self.limits.keep_duration.is_some_and(|keep| age > keep);
+            if !is_too_old && self.limits.keep_bytes.is_none_or(|keep| total <= keep) {
+                return;
+            }
+            let oldest = self.old.remove(0);
+            // Another recorder under the same name writes it.
+            if RecordingFile::is_busy(&oldest.path) {
+                continue;
+            }
+            match fs::remove_file(&oldest.path) {
+                Ok(()) => tracing::info!(path = %oldest.path.display(), "old recording removed"),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                 Err(error) => {
-                    let text = format!("cannot create {}: {error}", path.display());
-                    return Err(io::Error::new(error.kind(), text));
+                    let path = oldest.path.display();
+                    tracing::warn!(%path, %error, "an old recording cannot be removed");
                 }
             }
         }
     }
+}
+
+/// Path of the next file of a recording, after all existing ones, or `path` if there are
+/// none.
+pub(super) fn next_path(path: &Path) -> PathBuf {
+    match highest_part(path) {
+        0 => path.to_owned(),
+        number => part_path(path, number + 1),
+    }
+}
+
+/// Finds the first further file of a recording, if any.
+pub(super) fn further_part(path: &Path) -> Option<PathBuf> {
+    let begun = part_numbers(path).into_iter().map(|number| (number, part_path(path, number)));
+    let begun = begun.filter(|(_, path)| is_begun(path));
+    begun.min_by_key(|(number, _)| *number).map(|(_, path)| path)
+}
+
+/// Highest number of the files of a recording: 1 for the first file, 0 without files. An
+/// empty file does not count, because it never began.
+fn highest_part(path: &Path) -> u32 {
+    let numbers =
+        part_numbers(path).into_iter().filter(|number| is_begun(&part_path(path, *number)));
+    numbers.max().unwrap_or(u32::from(is_begun(path)))
+}
+
+fn is_begun(path: &Path) -> bool {
+    path.metadata().is_ok_and(|file| file.len() > 0)
+}
+
+/// Numbers of the further files of a recording, in any order.
+fn part_numbers(path: &Path) -> Vec<u32> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let Ok(entries) = fs::read_dir(folder.unwrap_or(Path::new("."))) else { return Vec::new() };
+    let number = |name: &str| {
+        let stem = Path::new(name).file_stem()?.to_str()?;
+        let number = stem.rsplit_once('_')?.1.parse().ok().filter(|number| *number > 1)?;
+        (part_path(path, number).file_name()?.to_str()? == name).then_some(number)
+    };
+    let names = entries.flatten().map(|entry| entry.file_name());
+    names.filter_map(|name| number(name.to_str()?)).collect()
 }
 
 /// `run.mcap`, `run_0002.mcap`, `run_0003.mcap`.
@@ -82,8 +207,9 @@ mod tests {
 
     #[test]
     fn a_file_is_full_at_its_limits_and_a_pipe_never_is() {
-        let limits = Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99) };
-        let parts = |path| Parts::new(limits, path, |file| Box::new(file));
+        let limits =
+            Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99), ..Limits::default() };
+        let parts = |path| Parts::new(limits, path, Path::new("run.mcap"), |out| out);
         let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
         for (seconds, bytes, entries, is_full) in [
             (8, 98, MAX_PART_ENTRIES - 1, false),
@@ -106,5 +232,42 @@ mod tests {
         ] {
             assert_eq!(part_path(Path::new(path), 2), Path::new(second));
         }
+    }
+
+    #[test]
+    fn the_oldest_files_are_removed_and_never_the_open_one() {
+        let folder = std::env::temp_dir().join(format!("scip-keep-{}", std::process::id()));
+        fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("run.mcap");
+        let names =
+            ["run.mcap", "run_0002.mcap", "run_0010.mcap", "run_9999.mcap", "run_10000.mcap"];
+        for name in names.iter().chain(&["run_x.mcap", "other_0002.mcap", "run_2.mcap"]) {
+            fs::write(folder.join(name), [0; 100]).unwrap();
+        }
+        assert_eq!(next_path(&path), folder.join("run_10001.mcap"));
+        let current = folder.join("run_10000.mcap");
+        let left = |limits: Limits, length| {
+            Parts::new(limits, Some(path.clone()), &current, |out| out).remove_old(length);
+            names.map(|name| usize::from(folder.join(name).exists())).iter().sum::<usize>()
+        };
+        assert_eq!(left(Limits::default(), u64::MAX), 5);
+        let keep = |keep| Limits { keep_bytes: Some(keep), ..Limits::default() };
+        assert_eq!(left(keep(400), 0), 5);
+        assert_eq!(left(keep(400), 100), 4);
+        assert!(!path.exists(), "the oldest one is there");
+        let hour = Duration::from_secs(3600);
+        let age = Limits { keep_duration: Some(hour), ..Limits::default() };
+        assert_eq!(left(age, 0), 4);
+        let set = |name: &str, time| {
+            fs::File::options().write(true).open(folder.join(name)).unwrap().set_modified(time)
+        };
+        set("run_0002.mcap", SystemTime::now() - 2 * hour).unwrap();
+        assert_eq!(left(age, 0), 3);
+        // Written before the clock was set.
+        set("run_0010.mcap", SystemTime::UNIX_EPOCH + hour).unwrap();
+        assert_eq!(left(age, 0), 3);
+        assert_eq!(left(keep(0), 100), 1);
+        assert!(current.exists() && folder.join("run_2.mcap").exists());
+        fs::remove_dir_all(&folder).unwrap();
     }
 }

@@ -1,56 +1,99 @@
-//! [`Polls`]: the recorded replies to polls. A replay sends them and
-//! [`Recording::scans`] decodes them, so that both have the same scans.
+//! [`Polls`]: the recorded replies to polls, or the `/scan` messages of a recording without
+//! replies. A replay sends them and [`Recording::scans`] decodes them, so both have the same scans.
 
 use std::collections::VecDeque;
 use std::time::{Duration, SystemTime};
 
+use super::from_ros::MessageScan;
+use super::identity::{parse_version, version_frame};
 use super::record::{Entry, Reply};
 use super::{Recording, RecordingError};
-use crate::Window;
-use crate::protocol::{Command, Reply as ParsedReply, Version};
+use crate::protocol::{Command, Reply as ParsedReply};
+use crate::{Version, Window};
 
-/// The window of a stream is searched in so many polls. One of each four of a stream is
-/// not widened by the driver; polls of other streams may be between them.
+/// Number of polls to search for the window of a stream. The driver does not widen one of
+/// four polls of a stream, and polls of other streams may be between them.
 const WINDOW_SEARCH_POLLS: usize = 8;
 
-/// The replies to `G`, in the order in which they came.
+/// Replies to `G`, in the order of their arrival.
 pub(super) struct Polls {
     recording: Recording,
-    /// The window of the stream: that of the metadata, else that of the first polls.
+    /// Window of the stream, from the metadata or else from the first polls.
     window: Option<Window>,
-    /// The time of a revolution, from the sensor's latest reply to `V`.
+    /// First successful reply to `V`.
+    version: Option<Reply>,
+    /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
     revolution: Option<Duration>,
+    /// Set once a reply to any command was read: the replies have all scans then, and each comes
+    /// before the message that was made of it.
+    has_replies: bool,
     /// Polls read in advance.
     ahead: VecDeque<Result<PollReply, RecordingError>>,
 }
 
-/// A reply to `G`.
+/// Answer to a poll.
 pub(super) struct PollReply {
-    /// The log time at which it was received.
+    /// Log time of its receipt.
     pub(super) at: SystemTime,
-    /// The window that was asked for.
+    /// Requested window.
     pub(super) asked: Window,
-    pub(super) reply: Reply,
+    /// Wall clock when the first byte arrived.
+    pub(super) stamp: SystemTime,
+    /// Time of one revolution, if the answer has it.
+    pub(super) scan_time: Option<Duration>,
+    pub(super) answer: Answer,
+}
+
+/// What a recording has of an answer.
+pub(super) enum Answer {
+    Reply(Reply),
+    /// Values of a `/scan` message.
+    Values(Vec<u16>),
+}
+
+impl Answer {
+    /// Values of a successful answer.
+    pub(super) fn values(&self) -> Option<Vec<u16>> {
+        match self {
+            Self::Reply(reply) => reply.values(),
+            Self::Values(values) => Some(values.clone()),
+        }
+    }
 }
 
 impl Polls {
     pub(super) fn new(recording: Recording) -> Self {
         let window = recording.window();
-        Self { recording, window, revolution: None, ahead: VecDeque::new() }
+        let version = parse_version(&version_frame(recording.metadata()));
+        let revolution = version.as_ref().and_then(revolution);
+        let (ahead, has_replies) = (VecDeque::new(), false);
+        Self { recording, window, version: None, revolution, has_replies, ahead }
     }
 
-    /// Returns the window of the stream, or `None` before the first poll if it is
-    /// not in the metadata.
+    /// Window of the stream, or `None` before the first poll if the metadata does not
+    /// have it.
     pub(super) fn window(&self) -> Option<Window> {
         self.window
     }
 
-    /// Returns the time of a revolution, if the sensor's firmware line has it.
+    /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
+    /// have of it.
+    pub(super) fn version_frame(&self) -> Vec<u8> {
+        let frame = self.version.as_ref().and_then(|reply| reply.bytes.strip_suffix(b"\n\n"));
+        frame.map_or_else(|| version_frame(self.recording.metadata()), <[u8]>::to_vec)
+    }
+
+    /// Wall clock of the first reply to `V` that was read.
+    pub(super) fn version_stamp(&self) -> Option<SystemTime> {
+        self.version.as_ref().map(|reply| reply.stamp)
+    }
+
+    /// Time of one revolution, if the sensor's firmware line has it.
     pub(super) fn revolution(&self) -> Option<Duration> {
         self.revolution
     }
 
-    /// Returns the time of a reply since the first scan of the file.
+    /// Time from the first scan of the file to a reply.
     pub(super) fn since_first_scan(&self, poll: &PollReply) -> Duration {
         self.recording.since_first_scan(poll.at)
     }
@@ -59,13 +102,13 @@ impl Polls {
         self.recording.is_truncated()
     }
 
-    /// Returns true if `asked` is the stream's window, or that widened by the driver.
+    /// Returns true if `asked` is the stream's window, possibly widened by the driver.
     pub(super) fn is_of_stream(&self, asked: Window) -> bool {
         self.window.is_some_and(|window| is_widened(window, asked))
     }
 
-    /// Finds the window of the stream to which the first poll belongs. That poll may be a
-    /// widened one: a part of a recording begins anywhere.
+    /// Finds the window of the stream to which the first poll belongs. The first poll may
+    /// be a widened one, because a part of a recording begins anywhere.
     fn find_window(&mut self) {
         self.ahead = std::iter::from_fn(|| self.read()).take(WINDOW_SEARCH_POLLS).collect();
         let mut asked = self.ahead.iter().flatten().map(|poll| poll.asked);
@@ -80,21 +123,45 @@ impl Polls {
                 Ok(record) => record,
                 Err(error) => return Some(Err(error)),
             };
-            let Entry::Reply(reply) = record.entry else { continue };
+            let reply = match record.entry {
+                Entry::Reply(reply) => reply,
+                Entry::Scan(message) if !self.has_replies => {
+                    let scan = MessageScan::from_message(&message, self.window);
+                    let Some(scan) = scan else { continue };
+                    return Some(Ok(PollReply {
+                        at: record.at,
+                        asked: scan.window,
+                        stamp: scan.stamp,
+                        scan_time: scan.scan_time,
+                        answer: Answer::Values(scan.values),
+                    }));
+                }
+                _ => continue,
+            };
+            self.has_replies = true;
             match reply.command {
                 Some(Command::Distances(asked)) => {
-                    return Some(Ok(PollReply { at: record.at, asked, reply }));
+                    let (at, stamp, scan_time) = (record.at, reply.stamp, None);
+                    let answer = Answer::Reply(reply);
+                    return Some(Ok(PollReply { at, asked, stamp, scan_time, answer }));
                 }
                 Some(Command::Version) => {
                     let version = reply.parse().map(|reply| Version::from_reply(&reply));
-                    let rpm = version.and_then(|version| version.specification?.motor_speed);
-                    let revolution = |rpm: u16| Duration::from_secs(60) / u32::from(rpm.max(1));
-                    self.revolution = rpm.map(revolution).or(self.revolution);
+                    self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
+                    if version.is_some() {
+                        self.version.get_or_insert(reply);
+                    }
                 }
                 _ => {}
             }
         }
     }
+}
+
+/// Nominal time of one revolution.
+fn revolution(version: &Version) -> Option<Duration> {
+    let rpm = version.specification.as_ref()?.motor_speed?;
+    Some(Duration::from_secs(60) / u32::from(rpm.max(1)))
 }
 
 /// Returns true if the driver may request `asked` in order to get `window`.
@@ -115,14 +182,14 @@ impl Iterator for Polls {
 }
 
 impl Reply {
-    /// Parses it as a reply to its command, if it is successful.
+    /// Parses a successful reply to its command.
     pub(super) fn parse(&self) -> Option<ParsedReply<'_>> {
         let frame = self.bytes.strip_suffix(b"\n\n")?;
         let reply = ParsedReply::parse(self.command.as_ref()?, frame).ok()?;
         reply.status().is_ok().then_some(reply)
     }
 
-    /// Returns the values of a successful reply to `G`.
+    /// Values of a successful reply to `G`.
     pub(super) fn values(&self) -> Option<Vec<u16>> {
         let Some(Command::Distances(_)) = self.command else { return None };
         let mut values = Vec::new();

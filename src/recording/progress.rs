@@ -1,6 +1,6 @@
-//! [`Progress`]: counts of a recording under way.
+//! [`Progress`]: counts of a running recording.
 
-/// The progress of a recording.
+/// Progress of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
@@ -11,11 +11,14 @@ pub struct Progress {
     pub replies: u64,
     /// Bytes written.
     pub bytes: u64,
-    /// Files started: 1, and 1 more for each time the recording was split.
+    /// Files started: 1, plus 1 for each split.
     pub files: u64,
-    /// Scans that are not in the file because the disk was too slow for too long
-    /// (8 MiB wait for it), or had failed.
+    /// Scans missing from the file because the disk was too slow for too long (up to 8 MiB
+    /// wait for it), or had failed.
     pub lost: u64,
-    /// Replies that are not in the file, for the same reasons.
+    /// Replies missing from the file, for the same reasons.
     pub lost_replies: u64,
+    /// Syncs that took longer than the [interval](super::RecorderBuilder::sync_interval):
+    /// if the power fails, you may then lose more than two seconds.
+    pub late_syncs: u64,
 }

@@ -1,11 +1,10 @@
-//! [`Queue`]: hands messages from async code to the thread that writes the file,
-//! and bounds how many bytes wait. The thread is here, too.
+//! [`Queue`]: hands messages from async code to the thread that writes the file, and bounds
+//! the waiting bytes. Also contains the thread.
 
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,24 +13,26 @@ use std::time::Duration;
 use tokio::sync::{oneshot, watch};
 
 use super::RecordingError;
-use super::parts::{Limits, Output, Parts};
+use super::output::{Durable, Output};
+use super::parts::{Limits, Parts};
 use super::progress::Progress;
+use super::sync::Syncer;
 use super::writer::{LogClock, Times, Writer};
 use crate::Scan;
 
-/// The bytes that wait for a slow disk at most. At 10 scans a second that is
-/// some four minutes.
+/// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
+/// about four minutes.
 const HIGH_WATER_BYTES: usize = 8 << 20;
 /// [`Queue::ready`] waits until at most this many bytes wait.
 const LOW_WATER_BYTES: usize = 1 << 20;
-/// The bytes that a queued item takes besides its content.
+/// Bytes that a queued item takes besides its content.
 const ITEM_OVERHEAD_BYTES: usize = 128;
 
-/// The items on their way into the file.
+/// Items on their way into the file.
 #[derive(Debug)]
 pub(super) struct Queue {
     items: mpsc::Sender<WriteItem>,
-    /// The number of bytes that wait; `None` once the thread has ended.
+    /// Number of waiting bytes, or `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
     scans: AtomicU64,
     replies: AtomicU64,
@@ -40,6 +41,8 @@ pub(super) struct Queue {
     lost: AtomicU64,
     lost_replies: AtomicU64,
     failure: Mutex<Option<RecordingError>>,
+    /// `None` if nothing is synced.
+    syncer: Option<Syncer>,
 }
 
 #[derive(Debug)]
@@ -55,12 +58,20 @@ pub(super) enum WriteItem {
         times: Times,
     },
     Metadata(BTreeMap<String, String>),
-    /// Ends the file, and reports that it was written.
+    /// Ends the file, and confirms that it was written.
     Finish(oneshot::Sender<()>),
 }
 
+/// Settings that the threads of a recording need.
+#[derive(Debug, Clone)]
+pub(super) struct QueueSettings {
+    pub(super) limits: Limits,
+    pub(super) frame_id: String,
+    pub(super) sync_interval: Option<Duration>,
+}
+
 impl WriteItem {
-    /// Returns how many of the bytes that may wait this item takes.
+    /// Number of bytes that this item takes in the queue.
     fn weight(&self) -> usize {
         ITEM_OVERHEAD_BYTES
             + match self {
@@ -73,7 +84,7 @@ impl WriteItem {
 }
 
 impl Queue {
-    fn new() -> (Self, mpsc::Receiver<WriteItem>) {
+    fn new(syncer: Option<Syncer>) -> (Self, mpsc::Receiver<WriteItem>) {
         let (items, receiver) = mpsc::channel();
         let queue = Self {
             items,
@@ -85,29 +96,33 @@ impl Queue {
             lost: AtomicU64::new(0),
             lost_replies: AtomicU64::new(0),
             failure: Mutex::new(None),
+            syncer,
         };
         (queue, receiver)
     }
 
-    /// Starts a file, and the thread that writes it. Further files are made beside
-    /// `path`, if there is one.
+    /// Starts a file, and the threads that write and sync it. If there is a `path`, creates
+    /// further files beside it; `current` is the path of `out`. Without a `sync_interval`
+    /// nothing is synced.
     pub(super) fn into_file(
-        out: impl Write + Send + 'static,
+        out: Box<dyn Output>,
+        current: &Path,
         path: Option<PathBuf>,
-        limits: Limits,
-        frame_id: String,
+        settings: QueueSettings,
     ) -> Result<Arc<Self>, RecordingError> {
-        let (queue, receiver) = Self::new();
+        let QueueSettings { limits, frame_id, sync_interval } = settings;
+        let syncer = sync_interval.map(Syncer::start).transpose().map_err(RecordingError::write)?;
+        let (queue, receiver) = Self::new(syncer);
         let queue = Arc::new(queue);
-        let first = Box::new(Counted { out, queue: Arc::clone(&queue) });
+        let first = Counted::wrap(out, &queue);
         let further = {
             let queue = Arc::clone(&queue);
-            move |out: File| {
+            move |out| {
                 queue.files.fetch_add(1, Ordering::Relaxed);
-                Box::new(Counted { out, queue: Arc::clone(&queue) }) as Output
+                Counted::wrap(out, &queue)
             }
         };
-        let parts = Parts::new(limits, path, further);
+        let parts = Parts::new(limits, path, current, further);
         let writer = Writer::new(first, parts, LogClock::starting_now(), frame_id)
             .map_err(RecordingError::write)?;
         let thread = {
@@ -121,8 +136,8 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Queues an item. If too many bytes wait already, or the thread has ended,
-    /// the item is lost, and counted.
+    /// Queues an item. If too many bytes wait already, or the thread has ended, the item is
+    /// lost and counted.
     pub(super) fn push(&self, item: WriteItem) {
         let weight = item.weight();
         let counters = match &item {
@@ -142,15 +157,15 @@ impl Queue {
         }
     }
 
-    /// Waits until at most [`LOW_WATER_BYTES`] wait, or the thread has ended.
+    /// Waits until at most [`LOW_WATER_BYTES`] bytes wait, or the thread has ended.
     pub(super) async fn ready(&self) {
         let few =
             |waiting: &Option<usize>| waiting.is_none_or(|waiting| waiting <= LOW_WATER_BYTES);
-        // Fails only without a sender, and `self` has it.
+        // Fails only without a sender, and `self` owns it.
         let _ = self.waiting.subscribe().wait_for(few).await;
     }
 
-    /// Ends the file after all queued items. The receiver resolves once that is
+    /// Ends the file after all queued items. The receiver resolves once the file is
     /// written, or with an error if the thread has failed.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
         let (done, finished) = oneshot::channel();
@@ -168,21 +183,27 @@ impl Queue {
             files: count(&self.files),
             lost: count(&self.lost),
             lost_replies: count(&self.lost_replies),
+            late_syncs: self.syncer.as_ref().map_or(0, Syncer::late),
         }
     }
 
-    /// Returns the error of writing, if it failed.
+    /// Error of writing, if it failed.
     pub(super) fn failure(&self) -> Option<RecordingError> {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Marks the thread as ended, so that nobody waits for it.
+    /// Waits until everything written is on the disk.
+    fn sync_rest(&self) -> io::Result<()> {
+        self.syncer.as_ref().map_or(Ok(()), Syncer::finish)
+    }
+
+    /// Marks the thread as ended, so that callers stop waiting for it.
     fn end(&self, outcome: io::Result<()>) {
         self.fail(outcome);
         self.waiting.send_replace(None);
     }
 
-    /// Keeps and logs the error, if `outcome` is one.
+    /// Stores and logs the error, if `outcome` is one.
     fn fail(&self, outcome: io::Result<()>) {
         if let Err(error) = outcome.map_err(RecordingError::write) {
             let cause = std::error::Error::source(&error);
@@ -212,8 +233,8 @@ fn write_all(
             Ok(WriteItem::Event { json, times }) => writer.event(&json, times)?,
             Ok(WriteItem::Metadata(metadata)) => writer.metadata(metadata)?,
             Ok(WriteItem::Finish(done)) => {
-                // Kept first: the waiting recorder looks for it at once.
-                queue.fail(writer.finish());
+                // First, because the waiting recorder looks for the error at once.
+                queue.fail(writer.finish().and_then(|()| queue.sync_rest()));
                 // Fails if the recorder's future was dropped.
                 let _ = done.send(());
                 return Ok(());
@@ -222,31 +243,44 @@ fn write_all(
                 writer.flush()?;
                 continue;
             }
-            Err(RecvTimeoutError::Disconnected) => return writer.finish(),
+            Err(RecvTimeoutError::Disconnected) => {
+                return writer.finish().and_then(|()| queue.sync_rest());
+            }
         }
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
-        // Items that keep coming leave no time to wait for.
+        // While items keep arriving, the wait above never times out, so flush here when
+        // due.
         if writer.until_flush() == Some(Duration::ZERO) {
             writer.flush()?;
         }
     }
 }
 
-/// Counts the bytes written. A panic of the user's writer becomes an error, so
-/// that it ends the recording and not this thread.
-struct Counted<W> {
-    out: W,
+/// Counts the bytes written, and has them synced. A panic of the user's writer becomes an
+/// error that ends the recording but not this thread.
+struct Counted {
+    out: Box<dyn Output>,
     queue: Arc<Queue>,
 }
 
-impl<W: Write> Counted<W> {
-    fn catch_panic<T>(&mut self, work: impl FnOnce(&mut W) -> io::Result<T>) -> io::Result<T> {
-        let done = catch_unwind(AssertUnwindSafe(|| work(&mut self.out)));
+impl Counted {
+    fn wrap(out: Box<dyn Output>, queue: &Arc<Queue>) -> Box<dyn Output> {
+        if let (Some(syncer), Some(file)) = (&queue.syncer, out.durable()) {
+            syncer.begin(file);
+        }
+        Box::new(Self { out, queue: Arc::clone(queue) })
+    }
+
+    fn catch_panic<T>(
+        &mut self,
+        work: impl FnOnce(&mut dyn Output) -> io::Result<T>,
+    ) -> io::Result<T> {
+        let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
         done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
     }
 }
 
-impl<W: Write> Write for Counted<W> {
+impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.catch_panic(|out| out.write(bytes))?;
         self.queue.bytes.fetch_add(written as u64, Ordering::Relaxed);
@@ -254,7 +288,14 @@ impl<W: Write> Write for Counted<W> {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.catch_panic(W::flush)
+        self.catch_panic(|out| out.flush())?;
+        self.queue.syncer.as_ref().map_or(Ok(()), Syncer::written)
+    }
+}
+
+impl Output for Counted {
+    fn durable(&self) -> Option<Box<dyn Durable>> {
+        self.out.durable()
     }
 }
 
@@ -264,6 +305,7 @@ mod tests {
 
     use futures::FutureExt as _;
 
+    use super::super::output::Plain;
     use super::*;
 
     fn times() -> Times {
@@ -280,11 +322,11 @@ mod tests {
             (WriteItem::Event { json: "x".repeat(50), times: times() }, 50),
             (WriteItem::Metadata(BTreeMap::new()), 0),
         ] {
-            let (queue, items) = Queue::new();
+            let (queue, items) = Queue::new(None);
             queue.push(item);
             assert_eq!(*queue.waiting.borrow(), Some(128 + content));
-            let parts = Parts::new(Limits::default(), None, |file| Box::new(file));
-            let (out, clock) = (Box::new(io::sink()), LogClock::starting_now());
+            let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out);
+            let (out, clock) = (Box::new(Plain(io::sink())), LogClock::starting_now());
             let writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
             let _finished = queue.finish();
             write_all(writer, &items, &queue).unwrap();
@@ -295,7 +337,7 @@ mod tests {
     /// The thread is marked as ended before its end of the channel closes.
     #[test]
     fn ready_returns_for_items_pushed_while_the_thread_ends() {
-        let (queue, _receiver) = Queue::new();
+        let (queue, _receiver) = Queue::new(None);
         let push = || {
             let json = "x".repeat(LOW_WATER_BYTES);
             queue.push(WriteItem::Event { json, times: times() });

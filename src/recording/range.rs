@@ -1,5 +1,5 @@
-//! [`TimeRange`]: the part of a recording that is read, as times since its first
-//! scan. The first reply to `V` is of every part: a replay begins with it.
+//! [`TimeRange`]: the part of a recording to read, as times since its first scan. Every
+//! part includes the first reply to `V`, because a replay begins with it.
 
 use std::ops::{Bound, RangeBounds};
 use std::time::{Duration, SystemTime};
@@ -7,24 +7,24 @@ use std::time::{Duration, SystemTime};
 use super::record::{Entry, Record};
 use crate::protocol::Command;
 
-/// The limits of a part, and the time that they count from.
+/// Limits of a part, and the start of their count.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TimeRange {
     limits: (Bound<Duration>, Bound<Duration>),
-    /// The log time of the first scan, once it was read.
+    /// Log time of the first scan, once it was read.
     first: Option<SystemTime>,
     /// Set once a reply to `V` was read.
     has_version: bool,
-    /// Set until the beginning of the part was taken.
+    /// True until the beginning of the part was taken.
     is_begin_wanted: bool,
 }
 
-/// The place of a record.
+/// Where a record lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum RecordPlace {
     Outside,
     Inside,
-    /// Behind the end, as are all that follow.
+    /// After the end, like all that follow.
     Behind,
 }
 
@@ -34,8 +34,7 @@ impl TimeRange {
         Self { limits, first: None, has_version: false, is_begin_wanted: true }
     }
 
-    /// Returns the log time before which no further record is of the part, once, as
-    /// soon as that is known.
+    /// Returns the log time at which the part begins: once, as soon as it is known.
     pub(super) fn take_begin(&mut self) -> Option<SystemTime> {
         let first = self.first.filter(|_| self.has_version && self.is_begin_wanted)?;
         self.is_begin_wanted = false;
@@ -45,12 +44,12 @@ impl TimeRange {
         }
     }
 
-    /// Returns the time from the first scan to `at`, and 0 before that.
+    /// Time from the first scan to `at`, or 0 before that.
     pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
         at.duration_since(self.first.unwrap_or(at)).unwrap_or_default()
     }
 
-    /// Returns the place of the next record of the file.
+    /// Decides where the next record of the file lies.
     pub(super) fn place(&mut self, record: &Record) -> RecordPlace {
         let (mut is_scan, mut is_first_version) = (false, false);
         match &record.entry {
@@ -68,18 +67,24 @@ impl TimeRange {
         if is_scan {
             self.first.get_or_insert(record.at);
         }
-        let since = self.since_first_scan(record.at);
+        match self.place_of(record.at) {
+            RecordPlace::Outside if is_first_version => RecordPlace::Inside,
+            place => place,
+        }
+    }
+
+    /// Decides where a time in the file lies.
+    pub(super) fn place_of(&self, at: SystemTime) -> RecordPlace {
+        let since = self.since_first_scan(at);
         let is_behind = match self.limits.1 {
             Bound::Included(end) => since > end,
             Bound::Excluded(end) => since >= end,
             Bound::Unbounded => false,
         };
-        if is_behind {
-            RecordPlace::Behind
-        } else if self.limits.contains(&since) || is_first_version {
-            RecordPlace::Inside
-        } else {
-            RecordPlace::Outside
+        match () {
+            () if is_behind => RecordPlace::Behind,
+            () if self.limits.contains(&since) => RecordPlace::Inside,
+            () => RecordPlace::Outside,
         }
     }
 }
@@ -87,7 +92,7 @@ impl TimeRange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Event;
+    use crate::event::Event;
 
     fn seconds(seconds: u64) -> Duration {
         Duration::from_secs(seconds)
@@ -97,7 +102,7 @@ mod tests {
         SystemTime::UNIX_EPOCH + seconds(number)
     }
 
-    /// A reply to a poll if `bytes` are empty, else to `V`.
+    /// Makes a reply to a poll if `bytes` are empty, otherwise to `V`.
     fn reply(number: u64, bytes: &[u8]) -> Record {
         let poll = Command::Distances(crate::Window::DETECTION);
         let command = Some(if bytes.is_empty() { poll } else { Command::Version });

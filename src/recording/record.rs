@@ -1,9 +1,9 @@
-//! [`Record`]: one thing that a recording holds.
+//! [`Record`]: one message of a recording.
 
 use std::ops::Range;
 use std::time::SystemTime;
 
-use crate::Event;
+use crate::event::Event;
 use crate::protocol::Command;
 use crate::ros::LaserScan;
 use crate::{BaudRate, Window};
@@ -12,38 +12,37 @@ use crate::{BaudRate, Window};
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Record {
-    /// The time it happened: the wall clock at the start of the recording, and
-    /// from there on a steady clock, which nobody sets.
+    /// When it happened: the wall clock at the start of the recording, continued by a
+    /// steady clock, which is never set.
     pub at: SystemTime,
-    /// Its number among the records of its kind; for a scan, that of its
-    /// schedule.
+    /// Number among the records of its kind. For a scan, its number in its schedule.
     pub sequence: u32,
-    /// Its content.
+    /// Content.
     pub entry: Entry,
 }
 
-/// The content of a [`Record`].
+/// Content of a [`Record`].
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Entry {
-    /// A scan that the stream delivered.
+    /// Scan that the stream delivered.
     Scan(LaserScan),
-    /// A reply of the sensor.
+    /// Reply of the sensor.
     Reply(Reply),
-    /// Another event.
+    /// Other event.
     Event(Event),
 }
 
-/// A reply of the sensor, byte by byte.
+/// Reply of the sensor, byte by byte.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Reply {
-    /// The command it answers, also where the reply is malformed; `None` for
-    /// the reply to a fence and for one that no command asked for.
+    /// Command that it answers, even if the reply is malformed. `None` for the reply to a
+    /// fence and for an unsolicited one.
     pub command: Option<Command>,
-    /// The bytes, including the two LFs that end a reply.
+    /// Bytes of the reply, including the two LFs at its end.
     pub bytes: Vec<u8>,
-    /// The wall clock when the first byte arrived.
+    /// Wall clock when the first byte arrived.
     pub stamp: SystemTime,
 }
 

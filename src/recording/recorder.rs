@@ -1,28 +1,32 @@
-//! [`Recorder`] and its builder: the handle through which a service records. It
-//! turns scans, replies and errors into items of the [`Queue`].
+//! [`Recorder`] and its builder: the handle through which a service records. Turns scans,
+//! replies and errors into items of the [`Queue`].
 
 use std::collections::BTreeMap;
-use std::fs::OpenOptions;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use tokio::time::Instant;
+
 use super::RecordingError;
-use super::parts::Limits;
+use super::file::RecordingFile;
+use super::output::{Output, Plain};
+use super::parts::{Limits, further_part, next_path};
 use super::progress::Progress;
-use super::queue::{Queue, WriteItem};
+use super::queue::{Queue, QueueSettings, WriteItem};
 use super::writer::Times;
-use crate::observer::RawReply;
-use crate::{Error, Event, Events, Scan, ScanStream, Sensor};
+use crate::event::{Event, Events, RawReply};
+use crate::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 
 /// Records the items of a [`ScanStream`] and the replies of a sensor into an
 /// MCAP file.
 ///
-/// No method waits for a disk. A thread of its own writes the file, and ends a
-/// chunk of it at least each second. So a kill or a full disk costs the last
-/// second at most. A loss of power may cost more: the system's buffers are lost
-/// with it. The [module](super) has an example.
+/// No method waits for a disk. One thread writes the file, and ends a chunk of it at least
+/// once a second. Another thread makes the system write it to the disk, once a second. If the
+/// process dies or the disk is full, you lose at most one second; if the power fails, at most
+/// two, unless the disk is slower ([`sync_interval`](RecorderBuilder::sync_interval)). The
+/// [module](super) has an example.
 ///
 /// Dropping a recorder ends the file as [`finish`](Self::finish) does, without
 /// waiting for it.
@@ -30,15 +34,17 @@ use crate::{Error, Event, Events, Scan, ScanStream, Sensor};
 pub struct Recorder {
     queue: Arc<Queue>,
     events: Events,
+    observation: Option<ReplyObservation>,
 }
 
-/// The settings of a [`Recorder`]; made by [`Recorder::builder`].
+/// Settings of a [`Recorder`]; made by [`Recorder::builder`].
 #[derive(Debug, Clone)]
 #[must_use = "a builder does nothing until it creates a recorder"]
 pub struct RecorderBuilder {
     frame_id: String,
     overwrite: bool,
     limits: Limits,
+    sync_interval: Option<Duration>,
 }
 
 impl Recorder {
@@ -48,44 +54,82 @@ impl Recorder {
     /// # Errors
     ///
     /// Fails with [`RecordingError::Exists`] if there is such a file,
-    /// [`RecordingError::Open`] if it cannot be created, and
-    /// [`RecordingError::Write`] if its head cannot be written.
+    /// [`RecordingError::Open`] if it cannot be created, and [`RecordingError::Write`] if its
+    /// head cannot be written.
     pub fn create(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
         Self::builder().create(path)
     }
 
-    /// Returns a builder with the default settings.
+    /// Creates a builder with the default settings.
     pub fn builder() -> RecorderBuilder {
         RecorderBuilder {
             frame_id: "laser".to_owned(),
             overwrite: false,
             limits: Limits::default(),
+            sync_interval: Some(Duration::from_secs(1)),
         }
     }
 
-    /// Returns an observer for
-    /// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply), which records
-    /// the bytes of each reply. Without it the recording cannot be replayed.
+    /// Records the bytes of every reply of an open sensor, from now until the recorder ends: first
+    /// the reply to `V` that the driver knows, and then each one that comes. A replay sends them.
+    ///
+    /// A recorder observes one sensor: a second call ends the first observation. To record the
+    /// replies with which a sensor is opened, set an [`observer`](Self::observer) instead.
+    ///
+    /// ```
+    /// # use tokio_scip::{Sensor, emulator::Emulator};
+    /// use tokio_scip::recording::Recorder;
+    /// use tokio_scip::{Rate, Window};
+    ///
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
+    /// // The service runs. Somebody asks for a recording of its next ten scans.
+    /// let mut recorder = Recorder::builder().write_to(Vec::new())?;
+    /// recorder.observe(&sensor);
+    /// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    /// recorder.describe(&sensor, &scans).await?;
+    /// for _ in 0..10 {
+    ///     let Some(item) = scans.next().await else { break };
+    ///     recorder.record(&item)?;
+    /// }
+    /// let progress = recorder.finish().await?;
+    /// assert_eq!((progress.scans, progress.replies), (10, 11));
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn observe(&mut self, sensor: &Sensor) {
+        self.observation = None;
+        self.observation = Some(sensor.observe_replies(self.observer()));
+    }
+
+    /// Creates an observer for [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply), which
+    /// records the bytes of each reply, including those with which the sensor is opened. For a
+    /// sensor that is open already, [`observe`](Self::observe) it. Do only one of both: otherwise
+    /// each reply is recorded twice.
     pub fn observer(&self) -> impl Fn(RawReply<'_>) + Send + Sync + 'static {
         let queue = Arc::clone(&self.queue);
+        let began = Instant::now();
         move |reply| {
             let command = reply.command.map_or_else(String::new, |command| command.to_string());
-            let times = Times { steady: reply.received_at.into_std(), wall: reply.stamp };
+            // A sensor's version may have come long before the recording.
+            let steady = reply.received_at.max(began).into_std();
+            let times = Times { steady, wall: reply.stamp };
             queue.push(WriteItem::Reply { command, bytes: reply.bytes.into(), times });
         }
     }
 
-    /// Records the sensor's version, the window and rate of the stream, and the
-    /// baud rate, as metadata. A replay takes the window and the rate from it.
+    /// Records the sensor's version, the window and rate of the stream, and the baud rate, as
+    /// metadata. A replay takes its window and rate from it.
     ///
     /// Cancel-safe: a dropped future has written nothing.
     ///
     /// # Errors
     ///
-    /// Fails as [`Sensor::version`] does.
+    /// The same as for [`Sensor::version`].
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
-        let baud_rate = sensor.state().borrow().baud_rate();
+        let baud_rate = sensor.state().get().baud_rate();
         let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
         let window = scans.window();
         let mut metadata: BTreeMap<_, _> = [
@@ -113,13 +157,13 @@ impl Recorder {
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Write`] once writing has failed: the recording
-    /// has ended. The stream goes on.
+    /// Fails with [`RecordingError::Write`] once writing has failed: the recording has ended,
+    /// but the stream continues.
     pub fn record(&mut self, item: &Result<Scan, Error>) -> Result<(), RecordingError> {
         let times = match item {
             Ok(scan) => Times { steady: scan.received_at().into_std(), wall: scan.stamp() },
             Err(_) => {
-                let steady = tokio::time::Instant::now().into_std();
+                let steady = Instant::now().into_std();
                 Times { steady, wall: SystemTime::now() }
             }
         };
@@ -134,15 +178,15 @@ impl Recorder {
 
     /// Waits until at most 1 MiB is queued for the disk, or writing has failed.
     ///
-    /// This is backpressure for a source that can wait, such as a replay: it
-    /// loses no scan to a slow disk. A sensor does not wait.
+    /// Use it as backpressure for a source that can wait, such as a replay, which then loses
+    /// no scan to a slow disk. A sensor does not wait.
     ///
     /// Cancel-safe.
     pub async fn ready(&self) {
         self.queue.ready().await;
     }
 
-    /// Returns the counts up to now.
+    /// Current counts.
     pub fn progress(&self) -> Progress {
         self.queue.progress()
     }
@@ -150,13 +194,15 @@ impl Recorder {
     /// Writes all queued items, the file's index and its end. Returns the final
     /// counts.
     ///
-    /// Dropping this future does not stop that.
+    /// Continues even if you drop this future.
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Write`] if this or any write before it failed.
-    pub async fn finish(self) -> Result<Progress, RecordingError> {
-        // An error means that the thread has ended; `failure` returns why.
+    /// Fails with [`RecordingError::Write`] if this or any earlier write failed.
+    pub async fn finish(mut self) -> Result<Progress, RecordingError> {
+        // First: replies that come meanwhile are not lost ones.
+        self.observation = None;
+        // An error means that the thread has ended; `failure` has the reason.
         let _ = self.queue.finish().await;
         self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
     }
@@ -168,21 +214,22 @@ impl Recorder {
 
 impl Drop for Recorder {
     fn drop(&mut self) {
-        // The observer may keep the queue open for longer, so the end is
-        // requested. Nobody waits for it.
+        // Requests the end, because the observer may keep the queue open for longer. Does not
+        // wait for it.
         drop(self.queue.finish());
     }
 }
 
 impl RecorderBuilder {
-    /// Sets the frame of the scans, `header.frame_id` in ROS. The default is
-    /// `laser`.
+    /// Sets the frame of the scans, `header.frame_id` in ROS. Default: `laser`.
     pub fn frame_id(mut self, frame_id: impl Into<String>) -> Self {
         self.frame_id = frame_id.into();
         self
     }
 
-    /// Sets whether an existing file is overwritten. The default is `false`.
+    /// Sets whether to overwrite an existing file. Default: `false`. Always uses an empty
+    /// file, and always [refuses](RecordingError::Exists) further files of an older, split
+    /// recording.
     pub fn overwrite(mut self, overwrite: bool) -> Self {
         self.overwrite = overwrite;
         self
@@ -190,15 +237,15 @@ impl RecorderBuilder {
 
     /// Splits the recording into files of this duration.
     ///
-    /// A file ends behind the first scan that reaches the limit, and the recording
-    /// goes on in the next one: `run.mcap` is followed by `run_0002.mcap`,
-    /// `run_0003.mcap` and so on. Numbers that exist already are left out, so no
-    /// file is overwritten. No scan is lost or doubled, and each file is complete:
-    /// it has the metadata and a reply to `V`, and can be replayed alone.
+    /// A file ends after the first scan that reaches the limit, and the recording continues
+    /// in the next file: `run.mcap` is followed by `run_0002.mcap`, `run_0003.mcap` and so
+    /// on. Existing numbers are skipped, so no file is overwritten. No scan is lost or
+    /// doubled. You can replay each file alone: it is complete, with the metadata and a reply
+    /// to `V`.
     ///
-    /// Without a limit a recording is split after 65,000 chunks, which is 18 hours
-    /// or more. The index of a file stays in memory until its end, 100 bytes for
-    /// each chunk, and this bounds it.
+    /// Without a limit, a recording is split after 65,000 chunks, 18 hours or more. This
+    /// bounds the index of a file, which stays in memory until its end and takes 100 bytes
+    /// for each chunk.
     ///
     /// [`write_to`](Self::write_to) never splits.
     pub fn split_duration(mut self, duration: Duration) -> Self {
@@ -207,10 +254,43 @@ impl RecorderBuilder {
     }
 
     /// Splits the recording into files of this size; see
-    /// [`split_duration`](Self::split_duration). The index at the end of a file
-    /// comes on top, less than 3 % of it at 10 scans a second.
+    /// [`split_duration`](Self::split_duration). The index at the end of a file is extra:
+    /// less than 3 % at 10 scans per second.
     pub fn split_bytes(mut self, bytes: u64) -> Self {
         self.limits.bytes = Some(bytes);
+        self
+    }
+
+    /// Removes the oldest files of a split recording while all files together are larger than
+    /// this. Never removes the current file. If you also limit the [size of a
+    /// file](Self::split_bytes), the recording never takes more space, except for a second of
+    /// data.
+    ///
+    /// If you restart and create a recorder under the same name, it continues after the last
+    /// file: it neither refuses nor overwrites existing files.
+    pub fn keep_bytes(mut self, bytes: u64) -> Self {
+        self.limits.keep_bytes = Some(bytes);
+        self
+    }
+
+    /// Removes the files of a split recording that ended longer ago than this, by the wall
+    /// clock; see [`keep_bytes`](Self::keep_bytes). Keeps files from before 2020, when the
+    /// clock was not set.
+    pub fn keep_duration(mut self, duration: Duration) -> Self {
+        self.limits.keep_duration = Some(duration);
+        self
+    }
+
+    /// Sets how often to sync the written bytes to the disk. If the power fails, you lose at
+    /// most this time plus one second. Default: 1 s. `None` leaves it to the system, which
+    /// takes half a minute on Linux.
+    ///
+    /// A separate thread syncs, so a slow disk delays neither scans nor streams;
+    /// [`Progress::late_syncs`] counts the syncs that took longer than this. If a sync fails,
+    /// the recording ends. The name of a file is synced when the file is created. Syncs only
+    /// files, not the writers of [`write_to`](Self::write_to).
+    pub fn sync_interval(mut self, interval: Option<Duration>) -> Self {
+        self.sync_interval = interval;
         self
     }
 
@@ -218,64 +298,67 @@ impl RecorderBuilder {
     ///
     /// # Errors
     ///
-    /// Fails as [`Recorder::create`] does.
+    /// The same as for [`Recorder::create`].
     pub fn create(self, path: impl AsRef<Path>) -> Result<Recorder, RecordingError> {
+        let mut file = self.open(path)?;
+        // Does not touch the file if the recorder cannot be made.
+        let recorder = self.record_into(&file)?;
+        file.begin()?;
+        Ok(recorder)
+    }
+
+    /// Opens the file that [`create`](Self::create) would record into, for
+    /// [`record_into`](Self::record_into).
+    ///
+    /// # Errors
+    ///
+    /// The same as for [`RecordingFile::open`].
+    pub fn open(&self, path: impl AsRef<Path>) -> Result<RecordingFile, RecordingError> {
         let path = path.as_ref();
-        let mut options = OpenOptions::new();
-        options.write(true);
-        if self.overwrite {
-            options.create(true).truncate(true);
-        } else {
-            options.create_new(true);
+        if self.limits.removes_old() {
+            return RecordingFile::open_part(path.to_owned(), next_path(path), self.overwrite);
         }
-        match options.open(path) {
-            Ok(file) => {
-                // A pipe or a device has no place for further files.
-                let is_file = file.metadata().is_ok_and(|metadata| metadata.is_file());
-                self.start(file, is_file.then(|| path.to_owned()))
-            }
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-                Err(RecordingError::Exists { path: path.to_owned() })
-            }
-            Err(error) => {
-                Err(RecordingError::Open { path: path.to_owned(), source: Arc::new(error) })
-            }
+        // Further files of an older recording would lie between the files of this one.
+        if let Some(path) = further_part(path) {
+            return Err(RecordingError::Exists { path });
         }
+        RecordingFile::open(path, self.overwrite)
     }
 
-    /// Records into any writer, such as a pipe. There are no further files: a
-    /// recording of more than 65,536 chunks ends without an index, so that other
-    /// readers have to read it from its beginning.
+    /// Records into a file that you opened, and after a split into files beside it, named as
+    /// [`split_duration`](Self::split_duration) describes. The file stays unchanged until you
+    /// call [`RecordingFile::begin`].
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::Write`] if the file's head cannot be written,
-    /// or no thread can be started.
+    /// The same as for [`write_to`](Self::write_to).
+    pub fn record_into(self, file: &RecordingFile) -> Result<Recorder, RecordingError> {
+        // No further files can be made beside a pipe or a device.
+        let path = file.is_regular().then(|| file.first().to_owned());
+        self.start(file.output(), file.path(), path)
+    }
+
+    /// Records into any writer, such as a pipe. Makes no further files: a recording of more
+    /// than 65,536 chunks ends without an index, and other readers have to read it from its
+    /// beginning.
+    ///
+    /// # Errors
+    ///
+    /// Fails with [`RecordingError::Write`] if the file's head cannot be written, or no
+    /// thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
-        self.start(out, None)
-    }
-
-    /// Records into `first`, and after a split into files beside `path`, named as
-    /// [`split_duration`](Self::split_duration) describes. For a file that is
-    /// opened or wrapped by the caller.
-    ///
-    /// # Errors
-    ///
-    /// Fails as [`write_to`](Self::write_to) does.
-    pub fn write_to_parts(
-        self,
-        first: impl Write + Send + 'static,
-        path: impl Into<PathBuf>,
-    ) -> Result<Recorder, RecordingError> {
-        self.start(first, Some(path.into()))
+        self.start(Box::new(Plain(out)), Path::new(""), None)
     }
 
     fn start(
         self,
-        out: impl Write + Send + 'static,
+        out: Box<dyn Output>,
+        current: &Path,
         path: Option<PathBuf>,
     ) -> Result<Recorder, RecordingError> {
-        let queue = Queue::into_file(out, path, self.limits, self.frame_id)?;
-        Ok(Recorder { queue, events: Events::new() })
+        let Self { limits, frame_id, sync_interval, .. } = self;
+        let settings = QueueSettings { limits, frame_id, sync_interval };
+        let queue = Queue::into_file(out, current, path, settings)?;
+        Ok(Recorder { queue, events: Events::new(), observation: None })
     }
 }

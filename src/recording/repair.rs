@@ -1,28 +1,31 @@
-//! [`repair`]: makes a complete file of one that is cut off or damaged, without
-//! replaying it.
+//! [`repair`]: makes a complete file from a damaged or cut-off one, without a replay.
 
-use std::io::{Read, Write};
+use std::io::{self, Read, Write};
 
 use super::RecordingError;
 use super::mcap::{
     Fields, FileError, Input, McapWriter, MessageHeader, Section, Sections, header, is_well_formed,
     kind, split_record,
 };
+use super::messages::{Messages, parse_channel};
 
-/// The outcome of [`repair`].
+/// Outcome of [`repair`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct Repaired {
-    /// True if the end of the file was missing.
+    /// True if the end of the file was missing or damaged. Other readers need the end, an index, to
+    /// find the messages.
     pub was_truncated: bool,
-    /// The number of damaged parts that were left out. Each is a chunk, about a
-    /// second of a recording, or the malformed records of a chunk without a checksum.
+    /// Number of messages copied.
+    pub messages: u64,
+    /// Number of damaged parts left out. Each is a chunk, about a second of a recording, or the
+    /// malformed records of a chunk without a checksum.
     pub damaged_parts: u64,
-    /// The places of the first of them in the file, at most 16.
+    /// Positions of the first damaged parts in the file, at most 16.
     pub damaged_at: Vec<u64>,
 }
 
-/// The number of places of damage that are kept.
+/// Number of positions of damage to keep.
 const MAX_PLACES: usize = 16;
 
 impl Repaired {
@@ -34,23 +37,23 @@ impl Repaired {
     }
 }
 
-/// Copies a recording that is cut off or damaged to `output` as a complete file,
-/// which other readers open.
+/// Copies a damaged or cut-off recording to `output` as a complete file, which other readers can
+/// open.
 ///
-/// All messages that [`Recording`](super::Recording) reads are copied byte for
-/// byte, with their times, also those of other topics. The index is made anew.
-/// Damaged parts, attachments and records of no standard kind are left out. A
-/// file that is whole is copied, too.
+/// Copies all messages that [`Recording`](super::Recording) reads, of all topics, byte for byte and
+/// with their times. Builds a new index. Leaves out damaged parts, attachments and non-standard
+/// records. Also copies a complete file. Compressed chunks become plain ones. The copy has at most
+/// eight times the bytes of the input without compression, plus 8 KiB: a hostile file makes the most
+/// of small records.
 ///
-/// Blocks the thread. Memory is that of the longest chunk and 100 bytes for each
-/// chunk.
+/// Blocks the thread. Needs memory for the longest chunk, plus 100 bytes for each chunk.
 ///
 /// # Errors
 ///
-/// Fails with [`RecordingError::NotMcap`] and [`RecordingError::Compressed`] if
-/// the input is no recording of this crate, [`RecordingError::Read`] if reading
-/// it fails, and [`RecordingError::Write`] if writing the output fails, which is
-/// incomplete then.
+/// Fails with [`RecordingError::NotMcap`] if the input is no recording,
+/// [`RecordingError::Compressed`] if this build does not read its compression,
+/// [`RecordingError::Read`] if reading it fails, and
+/// [`RecordingError::Write`] if writing the output fails. The output is then incomplete.
 ///
 /// ```no_run
 /// use std::fs::File;
@@ -65,8 +68,7 @@ pub fn repair(
 ) -> Result<Repaired, RecordingError> {
     let mut sections = Sections::new(Input::Stream(Box::new(input)));
     let mut repaired = Repaired::default();
-    // The header comes first, and nothing is written before the input is known to
-    // be a recording.
+    // The header comes first. Write nothing before the input is known to be a recording.
     let mut next = next_section(&mut sections, &mut repaired)?;
     let header = match &next {
         Some(Section::Record { kind: kind::HEADER, content }) => {
@@ -74,20 +76,21 @@ pub fn repair(
         }
         _ => header("ros2", ""),
     };
-    let mut writer =
-        McapWriter::start(output, &header, usize::MAX).map_err(RecordingError::write)?;
+    let writer = McapWriter::start_copy(output, &header).map_err(RecordingError::write)?;
+    let mut copy = Copy { writer, messages: Messages::default(), count: 0 };
     while let Some(section) = next {
-        if !copy(&sections, section, &mut writer).map_err(RecordingError::write)? {
+        if !copy.section(&sections, section).map_err(RecordingError::write)? {
             repaired.add_damage(sections.offset());
         }
         next = next_section(&mut sections, &mut repaired)?;
     }
-    writer.finish().map_err(RecordingError::write)?;
+    copy.writer.finish().map_err(RecordingError::write)?;
     repaired.was_truncated = sections.is_truncated();
+    repaired.messages = copy.count;
     Ok(repaired)
 }
 
-/// Returns the next section that is not damaged.
+/// Reads the next undamaged section.
 fn next_section(
     sections: &mut Sections,
     repaired: &mut Repaired,
@@ -102,76 +105,116 @@ fn next_section(
     }
 }
 
-/// Copies what is well-formed of a section. Returns false if a part of it is not.
-fn copy<W: Write>(
-    sections: &Sections,
-    section: Section,
-    writer: &mut McapWriter<W>,
-) -> std::io::Result<bool> {
-    match section {
-        Section::Chunk { record, records } if is_copied_whole(sections.bytes(records.clone())) => {
-            writer.copy_chunk(sections.bytes(record), sections.bytes(records))?;
-            Ok(true)
-        }
-        // The records of a chunk without a checksum may not add up.
-        Section::Chunk { records, .. } => {
-            let (is_right, rest) = copy_records(sections.bytes(records), writer)?;
-            Ok(is_right && rest.is_empty())
-        }
-        // That the last record is cut off is no damage.
-        Section::CutChunk { records } => {
-            copy_records(sections.bytes(records), writer).map(|(is_right, _)| is_right)
-        }
-        Section::Record { kind, content } => copy_record(kind, sections.bytes(content), writer),
-    }
+/// Copy in progress. Each method returns false if it left out something malformed.
+struct Copy<W> {
+    writer: McapWriter<W>,
+    messages: Messages,
+    /// Number of messages copied.
+    count: u64,
 }
 
-/// Checks that a chunk consists of whole, well-formed records that may stand in it.
-fn is_copied_whole(mut records: &[u8]) -> bool {
-    while let Some((kind, content, behind)) = split_record(records) {
-        if kind == kind::METADATA || !is_well_formed(kind, content) {
+impl<W: Write> Copy<W> {
+    fn section(&mut self, sections: &Sections, section: Section) -> io::Result<bool> {
+        match section {
+            Section::Chunk { record, records } => {
+                let content = sections.bytes(records);
+                match self.messages_if_whole(content) {
+                    Some(count) => {
+                        self.add_lost_types(content);
+                        self.writer.copy_chunk(sections.bytes(record), content)?;
+                        self.count += count;
+                        Ok(true)
+                    }
+                    // The records of a chunk without a checksum may not add up.
+                    None => {
+                        let (is_right, rest) = self.records(content)?;
+                        Ok(is_right && rest.is_empty())
+                    }
+                }
+            }
+            // A cut-off last record is not damage.
+            Section::CutChunk { records } => {
+                self.records(sections.bytes(records)).map(|(is_right, _)| is_right)
+            }
+            Section::Record { kind, content } => self.record(kind, sections.bytes(content)),
+        }
+    }
+
+    /// Counts the messages of a chunk. Returns `None` unless the chunk consists of whole,
+    /// well-formed records that are allowed in it.
+    fn messages_if_whole(&mut self, mut records: &[u8]) -> Option<u64> {
+        let mut count = 0;
+        while let Some((kind, content, behind)) = split_record(records) {
+            if kind == kind::METADATA || !self.is_right(kind, content) {
+                return None;
+            }
+            count += u64::from(kind == kind::MESSAGE);
+            records = behind;
+        }
+        records.is_empty().then_some(count)
+    }
+
+    /// Judges a record as the reader does, and remembers its definitions.
+    fn is_right(&mut self, kind: u8, content: &[u8]) -> bool {
+        if !is_well_formed(kind, content) {
             return false;
         }
-        records = behind;
+        self.messages.define(kind, content);
+        kind != kind::MESSAGE || self.messages.parse(content).is_ok()
     }
-    records.is_empty()
-}
 
-/// Returns false if a record was left out, and the bytes behind the last whole one.
-fn copy_records<'a, W: Write>(
-    mut records: &'a [u8],
-    writer: &mut McapWriter<W>,
-) -> std::io::Result<(bool, &'a [u8])> {
-    let mut is_right = true;
-    while let Some((kind, content, behind)) = split_record(records) {
-        is_right &= copy_record(kind, content, writer)?;
-        records = behind;
+    /// Writes the message types that were lost with a damaged part: other readers need them for the
+    /// channels of a recording.
+    fn add_lost_types(&mut self, mut records: &[u8]) {
+        while let Some((kind, content, behind)) = split_record(records) {
+            if kind == kind::CHANNEL {
+                self.add_lost_type(content);
+            }
+            records = behind;
+        }
     }
-    Ok((is_right, records))
-}
 
-/// Returns false if the record is malformed, and left out.
-fn copy_record<W: Write>(
-    kind: u8,
-    content: &[u8],
-    writer: &mut McapWriter<W>,
-) -> std::io::Result<bool> {
-    if !is_well_formed(kind, content) {
-        return Ok(false);
-    }
-    match kind {
-        kind::SCHEMA | kind::CHANNEL => writer.declare(kind, content),
-        kind::METADATA => {
-            if let Some(name) = Fields(content).string() {
-                writer.copy_metadata(name, content)?;
-            }
+    fn add_lost_type(&mut self, channel: &[u8]) {
+        let Some((_, schema, Some(topic))) = parse_channel(channel) else { return };
+        if schema == topic.schema() && self.messages.add_type(schema, topic) {
+            let message = topic.message_type();
+            self.writer.add_schema(schema, message.name(), message.definition());
         }
-        kind::MESSAGE => {
-            if let Some((header, data)) = MessageHeader::parse(content) {
-                writer.message(header, data)?;
-            }
-        }
-        _ => {}
     }
-    Ok(true)
+
+    /// Copies records. Also returns the bytes after the last whole one.
+    fn records<'a>(&mut self, mut records: &'a [u8]) -> io::Result<(bool, &'a [u8])> {
+        let mut is_right = true;
+        while let Some((kind, content, behind)) = split_record(records) {
+            is_right &= self.record(kind, content)?;
+            records = behind;
+        }
+        Ok((is_right, records))
+    }
+
+    fn record(&mut self, kind: u8, content: &[u8]) -> io::Result<bool> {
+        if !self.is_right(kind, content) {
+            return Ok(false);
+        }
+        match kind {
+            kind::SCHEMA => self.writer.declare(kind, content),
+            kind::CHANNEL => {
+                self.add_lost_type(content);
+                self.writer.declare(kind, content);
+            }
+            kind::METADATA => {
+                if let Some(name) = Fields(content).string() {
+                    self.writer.copy_metadata(name, content)?;
+                }
+            }
+            kind::MESSAGE => {
+                if let Some((header, data)) = MessageHeader::parse(content) {
+                    self.writer.message(header, data)?;
+                    self.count += 1;
+                }
+            }
+            _ => {}
+        }
+        Ok(true)
+    }
 }

@@ -4,46 +4,43 @@
 use std::io;
 use std::time::{Duration, SystemTime};
 
-use super::polls::{PollReply, Polls};
-use super::record::{Entry, Reply, parse_command};
+use super::polls::{Answer, PollReply, Polls};
+use super::record::{Reply, parse_command};
 use super::{Recording, RecordingError};
 use crate::Window;
 use crate::emulator::{Emulator, PlaybackPace, Script, Values};
 use crate::protocol::Command;
 
-/// Error code 19, "Non-Measurable Distance": the value of a step that the
-/// recording does not cover.
+/// Error code 19, "Non-Measurable Distance": value of a step outside the recording.
 const UNKNOWN: u16 = 19;
 
-/// The speed of a replay.
+/// Speed of a replay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum ReplayPace {
-    /// The recorded speed: no reply comes before its time. In a gap of the
-    /// recording polls time out.
+    /// Recorded speed: no reply arrives before its time. Polls time out in a gap of the
+    /// recording.
     #[default]
     Recorded,
-    /// As fast as polls come. A stream that must not miss a scan needs a deep
-    /// ring ([`ring_depth`](crate::SensorBuilder::ring_depth)).
+    /// As fast as you poll. If your stream must not miss a scan, set a large depth
+    /// ([`depth`](crate::SensorBuilder::depth)).
     Max,
 }
 
 impl Recording {
-    /// Returns an emulated sensor that answers as the recorded one did: see
-    /// [the module](super#replaying).
+    /// Creates an emulated sensor that answers as the recorded one did: see [the
+    /// module](super#replaying).
     ///
     /// # Errors
     ///
-    /// Fails with [`RecordingError::NoReplies`] if there is nothing to replay, and
-    /// with [`RecordingError::Damaged`] or [`RecordingError::Read`] if that is
-    /// because the file cannot be read.
-    pub fn replay(mut self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
-        let mut failure = None;
-        let version = first_version(&mut self, &mut failure)
-            .ok_or_else(|| failure.clone().unwrap_or(RecordingError::NoReplies))?;
-        let replies = Replies::new(Polls::new(self), version.stamp, failure)?;
-        let lines = version.bytes.split(|&byte| byte == b'\n').skip(2);
-        let lines = lines.filter(|line| !line.is_empty());
+    /// Fails with [`RecordingError::NoScans`] if there is nothing to replay. If the
+    /// cause is an unreadable file, fails with [`RecordingError::Damaged`] or
+    /// [`RecordingError::Read`].
+    pub fn replay(self, pace: ReplayPace) -> Result<Emulator, RecordingError> {
+        let replies = Replies::new(Polls::new(self))?;
+        let version = replies.polls.version_frame();
+        let lines = version.split(|&byte| byte == b'\n').skip(2).map(<[u8]>::to_vec);
+        let lines: Vec<_> = lines.filter(|line| !line.is_empty()).collect();
         let pace = match pace {
             ReplayPace::Recorded => PlaybackPace::AsRecorded,
             ReplayPace::Max => PlaybackPace::Immediate,
@@ -52,19 +49,8 @@ impl Recording {
     }
 }
 
-/// Reads the first successful reply to `V`.
-fn first_version(recording: &mut Recording, failure: &mut Option<RecordingError>) -> Option<Reply> {
-    recording.find_map(|record| match keep_error(record, failure)?.entry {
-        Entry::Reply(reply) => {
-            let is_version = reply.command == Some(Command::Version) && reply.parse().is_some();
-            is_version.then_some(reply)
-        }
-        _ => None,
-    })
-}
-
-/// Logs an error, and keeps the first one: the replay goes on with what can be
-/// read, and reports it at its end.
+/// Logs an error, and keeps the first one. The replay continues with what it can read,
+/// and reports the error at its end.
 fn keep_error<T>(
     item: Result<T, RecordingError>,
     failure: &mut Option<RecordingError>,
@@ -76,49 +62,45 @@ fn keep_error<T>(
     .ok()
 }
 
-/// The replies to the polls of one stream, in the order in which they came.
+/// Replies to the polls of one stream, in the order of their arrival.
 struct Replies {
     polls: Polls,
-    /// The window of the stream.
+    /// Window of the stream.
     window: Window,
     next: Option<PollReply>,
-    /// The wall clock when the latest reply came.
+    /// Wall clock when the latest reply arrived.
     stamp: SystemTime,
-    /// The log time of the first of them.
+    /// Log time of the first reply.
     began: SystemTime,
-    /// The latest value of each step.
+    /// Latest value of each step.
     memory: Box<Values>,
-    /// The first error of reading the file.
+    /// First error of reading the file.
     failure: Option<RecordingError>,
 }
 
 impl Replies {
-    /// Reads up to the first reply to a poll. `stamp` is the wall clock until
-    /// then.
-    fn new(
-        polls: Polls,
-        stamp: SystemTime,
-        failure: Option<RecordingError>,
-    ) -> Result<Self, RecordingError> {
+    /// Reads up to the first reply to a poll.
+    fn new(polls: Polls) -> Result<Self, RecordingError> {
         let mut replies = Self {
             polls,
             window: Window::FULL,
             next: None,
-            stamp,
+            stamp: SystemTime::UNIX_EPOCH,
             began: SystemTime::UNIX_EPOCH,
             memory: Box::new([UNKNOWN; crate::emulator::STEPS]),
-            failure,
+            failure: None,
         };
         replies.read();
         let (Some(first), Some(window)) = (&replies.next, replies.polls.window()) else {
-            return Err(replies.failure.unwrap_or(RecordingError::NoReplies));
+            return Err(replies.failure.unwrap_or(RecordingError::NoScans));
         };
+        replies.stamp = replies.polls.version_stamp().unwrap_or(first.stamp);
         (replies.began, replies.window) = (first.at, window);
         Ok(replies)
     }
 
-    /// Reads the next reply to the stream's polls. The values of replies to other
-    /// polls are remembered.
+    /// Reads the next reply to the stream's polls. Remembers the values of replies to
+    /// other polls.
     fn read(&mut self) {
         self.next = None;
         while let Some(item) = self.polls.next() {
@@ -131,13 +113,13 @@ impl Replies {
         }
     }
 
-    /// Stores the values of a reply. Returns false if it has none.
+    /// Stores the values of a reply. Returns false if it has no values.
     fn remember(&mut self, poll: &PollReply) -> bool {
-        let Some(values) = poll.reply.values() else { return false };
+        let Some(values) = poll.answer.values() else { return false };
         let first = usize::from(poll.asked.start().number());
         let seen = self.memory.get_mut(first..first + poll.asked.steps()).unwrap_or_default();
-        // Each step of a group gets the group's value, so that the emulated
-        // sensor, which sends the smallest of them, sends that value again.
+        // Each step of a group gets the group's value. The emulated sensor sends the
+        // smallest value of a group, so it sends that value again.
         let groups = seen.chunks_mut(poll.asked.cluster_count().into());
         groups.zip(values).for_each(|(group, value)| group.fill(value));
         true
@@ -145,6 +127,13 @@ impl Replies {
 }
 
 impl Script for Replies {
+    /// Not earlier: a pipe may not have the next reply yet when the one before it is sent.
+    fn prepare(&mut self) {
+        if self.next.is_none() {
+            self.read();
+        }
+    }
+
     fn due(&self) -> Option<Duration> {
         let next = self.next.as_ref()?;
         Some(next.at.duration_since(self.began).unwrap_or_default())
@@ -156,16 +145,17 @@ impl Script for Replies {
 
     fn advance(&mut self, asked: &[u8]) -> Option<Vec<u8>> {
         let poll = self.next.take()?;
-        self.stamp = poll.reply.stamp;
-        self.read();
-        // The emulated sensor encodes distances for the current poll: the driver's
-        // polls differ, so this one need not equal the recorded one.
+        self.stamp = poll.stamp;
+        // The emulated sensor encodes the distances for the current poll, which may be
+        // widened differently from the recorded one.
         if self.remember(&poll) {
             return None;
         }
-        // A refused or malformed reply is sent as it was, with the echo of the
-        // current poll, unless it would parse as distances by chance.
-        let PollReply { asked: window, reply, .. } = poll;
+        // A refused or malformed reply is sent unchanged, with the echo of the current
+        // poll, unless it would parse as distances by chance.
+        let PollReply { asked: window, answer: Answer::Reply(reply), .. } = poll else {
+            return None;
+        };
         let echo = Command::Distances(window).bytes();
         let rest = reply.bytes.strip_prefix(&*echo);
         let command = std::str::from_utf8(asked).ok().and_then(parse_command);

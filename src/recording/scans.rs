@@ -6,28 +6,35 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
+use super::identity::parse_version;
 use super::polls::{PollReply, Polls};
 use super::{Recording, RecordingError};
-use crate::Scan;
+use crate::{Scan, Version};
 
 impl Recording {
-    /// Returns the scans of the recorded stream, as the driver delivered them.
+    /// Reads the scans of the recorded stream, as the driver delivered them.
     ///
-    /// They are decoded from the sensor's replies, so scans that the recording's
-    /// own consumer missed are there, too, and a replay has the same ones. Refused
-    /// and malformed replies are left out; the events have them.
+    /// They are decoded from the sensor's replies. So you also get scans that the
+    /// recording's own consumer missed, and the same ones as in a replay. Refused and
+    /// malformed replies are left out; find them in the events.
     ///
-    /// - `values`, `window` and `stamp` are those of the time of recording.
+    /// If the recording has no replies, they are made of its `/scan` messages, also of ones that
+    /// another program recorded, if their directions are steps of a URG. Distances are the
+    /// recorded ones. Messages have no error codes: a value is 16 for `+Inf` and 19 for `NaN`.
+    ///
+    /// - `values`, `window` and `stamp` are the recorded ones.
     /// - `sequence` numbers the scans from 0.
-    /// - `received_at` is the time of this call for the first scan; the others
-    ///   follow with their recorded distances. `requested_at` is the same: the
-    ///   time of the request is not in a recording.
+    /// - `received_at` is the time of this call for the first scan; the others follow at
+    ///   their recorded intervals. `requested_at` is the same, because recordings do not
+    ///   contain the time of the request.
+    /// - `stamp_quality` is always [`Arrival`](crate::scan::StampQuality::Arrival), and
+    ///   `scan_time` the nominal one: replies are recorded with their arrivals. The time by
+    ///   the motor is in the header stamp of the recorded `LaserScan` message.
     /// - `reconnects` is 0: a gap shows in the stamps.
     ///
     /// A damaged part of the file is an item, [`RecordingError::Damaged`], and more
-    /// scans follow. If the file has no replies at all, the only item is
-    /// [`RecordingError::NoReplies`]: it was recorded without
-    /// [`Recorder::observer`](super::Recorder::observer).
+    /// scans follow. If the recording has neither replies nor such messages, the only item is
+    /// [`RecordingError::NoScans`].
     ///
     /// ```no_run
     /// use tokio_scip::Scan;
@@ -35,7 +42,7 @@ impl Recording {
     ///
     /// /// The same function as for `Sensor::scans`.
     /// fn nearest(scan: &Scan) -> Option<f32> {
-    ///     scan.points().map(|point| point.range).reduce(f32::min)
+    ///     scan.nearest().map(|point| point.range)
     /// }
     ///
     /// for scan in Recording::open("run.mcap")?.scans() {
@@ -50,41 +57,48 @@ impl Recording {
             position: Duration::ZERO,
             previous: None,
             started: None,
-            has_replies: false,
+            has_polls: false,
             is_over: false,
         }
     }
 }
 
-/// The scans of a recording; made by [`Recording::scans`].
+/// Scans of a recording; made by [`Recording::scans`].
 pub struct RecordedScans {
     polls: Polls,
-    /// The number of the next scan.
+    /// Number of the next scan.
     sequence: u64,
     position: Duration,
-    /// The values of the scan before.
+    /// Values of the previous scan.
     previous: Option<Vec<u16>>,
-    /// The log time of the first scan, and the instant it gets.
+    /// Log time of the first scan, and the instant it gets.
     started: Option<(SystemTime, Instant)>,
-    has_replies: bool,
+    has_polls: bool,
     is_over: bool,
 }
 
 impl RecordedScans {
-    /// Returns true if all of the file was read and its end is missing; see
+    /// Returns true if the whole file was read and its end is missing; see
     /// [`Recording::is_truncated`].
     pub fn is_truncated(&self) -> bool {
         self.polls.is_truncated()
     }
 
-    /// Returns the time of the latest scan since the file's first one, as
-    /// [`Recording::range`] takes it.
+    /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
+    /// it.
     pub fn position(&self) -> Duration {
         self.position
     }
 
-    /// Numbers the next scan `sequence`, and those behind it on from there: for a
-    /// [part](Recording::range) whose place in the file is known.
+    /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else
+    /// what the [metadata](Recording::metadata) have of it. Fields that the recording does not
+    /// have are empty.
+    pub fn version(&self) -> Version {
+        parse_version(&self.polls.version_frame()).unwrap_or_default()
+    }
+
+    /// Numbers the next scan `sequence`, and counts on from there. Use it for a
+    /// [part](Recording::range) whose position in the file you know.
     ///
     /// ```no_run
     /// use tokio_scip::recording::Recording;
@@ -103,11 +117,11 @@ impl RecordedScans {
         self
     }
 
-    /// Returns the scan of a reply to the stream's poll, if it has one.
+    /// Decodes the scan of a reply to the stream's poll, if it has one.
     fn scan(&mut self, poll: &PollReply) -> Option<Scan> {
         let window = self.polls.window()?;
-        let mut values = poll.reply.values()?;
-        // The driver may have asked for some points more, in front or behind.
+        let mut values = poll.answer.values()?;
+        // The driver may have asked for extra points before or after the window.
         let surplus = window.start().number().saturating_sub(poll.asked.start().number());
         values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
         values.truncate(window.points());
@@ -116,9 +130,9 @@ impl RecordedScans {
         let mut scan = Scan::builder(window, values.as_slice())
             .sequence(self.sequence)
             .received_at(began.checked_add(since).unwrap_or(began))
-            .stamp(poll.reply.stamp)
+            .stamp(poll.stamp)
             .repeat(self.previous.as_ref() == Some(&values));
-        if let Some(revolution) = self.polls.revolution() {
+        if let Some(revolution) = poll.scan_time.or(self.polls.revolution()) {
             scan = scan.scan_time(revolution);
         }
         let scan = scan.build().ok()?;
@@ -137,13 +151,13 @@ impl Iterator for RecordedScans {
             match self.polls.next() {
                 None => {
                     self.is_over = true;
-                    if !self.has_replies {
-                        return Some(Err(RecordingError::NoReplies));
+                    if !self.has_polls {
+                        return Some(Err(RecordingError::NoScans));
                     }
                 }
                 Some(Err(error)) => return Some(Err(error)),
                 Some(Ok(poll)) => {
-                    self.has_replies = true;
+                    self.has_polls = true;
                     let is_of_stream = self.polls.is_of_stream(poll.asked);
                     if let Some(scan) = is_of_stream.then(|| self.scan(&poll)).flatten() {
                         return Some(Ok(scan));

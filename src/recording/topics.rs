@@ -2,12 +2,12 @@
 
 use crate::ros::MessageType;
 
-/// A topic of a recording. Each has one channel of the file.
+/// Topic of a recording. Each has one channel of the file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Topic {
-    /// The scans that the stream delivered.
+    /// Scans that the stream delivered.
     Scans,
-    /// The sensor's replies, byte by byte.
+    /// Replies of the sensor, byte by byte.
     Replies,
     /// Other events, as JSON.
     Events,
@@ -16,9 +16,14 @@ pub(super) enum Topic {
 impl Topic {
     pub(super) const ALL: [Self; 3] = [Self::Scans, Self::Replies, Self::Events];
 
-    /// Returns the number of its channel in the files that this crate writes.
+    /// Number of its channel in the files that this crate writes.
     pub(super) const fn channel(self) -> u16 {
         self as u16
+    }
+
+    /// Number of its message type in those files. 0 is reserved for "no type".
+    pub(super) const fn schema(self) -> u16 {
+        self.channel() + 1
     }
 
     pub(super) const fn name(self) -> &'static str {

@@ -1,5 +1,5 @@
-//! [`Writer`]: turns scans, replies and events into messages of a file, and
-//! starts the next file where the recording is split. Knows no threads.
+//! [`Writer`]: turns scans, replies and events into messages of a file, and starts the
+//! next file at a split. Knows no threads.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -7,30 +7,31 @@ use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
 use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader, nanos};
-use super::parts::{Output, Parts};
+use super::output::Output;
+use super::parts::Parts;
 use super::topics::Topic;
 use crate::Scan;
 use crate::ros::{self, since_1970};
 
-/// The library as the file's header names it.
+/// Name of the library in the file's header.
 const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
-/// A message is in the file after this time at the latest: on the clock of the
-/// recording, which may be a paused one, and on the real one.
+/// Longest time until a message is in the file: on the clock of the recording, which may
+/// be paused, and on the real one.
 const CHUNK_SPAN: Duration = Duration::from_secs(1);
-/// A file is split right behind a scan, so that its reply is in the same file. A
-/// consumer that is always behind never lets that be; after this time the file is
-/// split anywhere.
+/// A file is split right after a scan, so that its reply is in the same file. If a
+/// consumer is always behind, there is no such point; after this time the file is split
+/// anywhere.
 const SEAM_PATIENCE: Duration = Duration::from_secs(1);
 
-/// The time of an event, on both clocks.
+/// Time of an event, on both clocks.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Times {
     pub(super) steady: Instant,
     pub(super) wall: SystemTime,
 }
 
-/// Turns instants into times of the log: the wall clock at the start of the
-/// recording, and from there on a steady clock.
+/// Converts instants to times of the log: the wall clock at the start of the recording,
+/// continued by a steady clock.
 #[derive(Debug)]
 pub(super) struct LogClock {
     began: Times,
@@ -43,7 +44,7 @@ impl LogClock {
         Self { began: Times { steady, wall: SystemTime::now() } }
     }
 
-    /// Returns nanoseconds since 1970.
+    /// Converts to nanoseconds since 1970.
     fn log_time(&self, at: Instant) -> u64 {
         let since = at.saturating_duration_since(self.began.steady);
         let before = self.began.steady.saturating_duration_since(at);
@@ -54,43 +55,43 @@ impl LogClock {
 
 /// Writes a recording, in one file or several.
 pub(super) struct Writer {
-    mcap: McapWriter<Output>,
+    mcap: McapWriter<Box<dyn Output>>,
     parts: Parts,
     clock: LogClock,
     frame_id: String,
-    /// The numbers of replies and events.
+    /// Numbers of replies and events.
     numbers: [u32; 2],
     message: Vec<u8>,
-    /// The time of the chunk's first message: its log time, and the real time.
+    /// Time of the chunk's first message: its log time, and the real time.
     chunk_began: Option<(u64, Instant)>,
     part: Part,
     carried: Carried,
 }
 
-/// The state of the file that is being written.
+/// State of the file being written.
 #[derive(Debug, Default)]
 struct Part {
-    /// The log time of its first message.
+    /// Log time of its first message.
     began: Option<u64>,
-    /// The log time of the first message that it should not have.
+    /// Log time of the first message that belongs in the next file.
     full: Option<u64>,
-    /// The stamp of its latest reply.
+    /// Stamp of its latest reply.
     reply: Option<SystemTime>,
-    /// True behind a scan whose reply was the latest.
+    /// True after a scan whose reply was the latest.
     at_seam: bool,
 }
 
-/// The content that each file repeats, so that it can be replayed alone.
+/// Content that each file repeats, so that you can replay it alone.
 #[derive(Debug, Default)]
 struct Carried {
     metadata: Option<BTreeMap<String, String>>,
-    /// The latest reply to `V`, and its stamp.
+    /// Latest reply to `V`, and its stamp.
     version: Option<(Box<[u8]>, SystemTime)>,
 }
 
 impl Writer {
     pub(super) fn new(
-        out: Output,
+        out: Box<dyn Output>,
         parts: Parts,
         clock: LogClock,
         frame_id: String,
@@ -146,16 +147,18 @@ impl Writer {
         Ok(())
     }
 
-    /// Returns the time until the chunk must be ended, or `None` if it has no message.
+    /// Time until the chunk must be ended, or `None` without a message.
     pub(super) fn until_flush(&self) -> Option<Duration> {
         let (_, began) = self.chunk_began?;
         Some(CHUNK_SPAN.saturating_sub(began.elapsed()))
     }
 
-    /// Ends the chunk: all messages up to now are in the file and can be read.
+    /// Ends the chunk: all messages so far are in the file and can be read.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         self.chunk_began = None;
-        self.mcap.flush()
+        self.mcap.flush()?;
+        self.parts.remove_old(self.mcap.len());
+        Ok(())
     }
 
     /// Writes the index and the end of the file.
@@ -181,7 +184,7 @@ impl Writer {
         self.mcap.message(header, &self.message)
     }
 
-    /// Decides if the message of this log time starts the next file.
+    /// Decides whether the message of this log time starts the next file.
     fn is_split_due(&mut self, log_time: u64) -> bool {
         let Part { began, full, at_seam, .. } = &mut self.part;
         let Some(began) = *began else { return false };
@@ -195,20 +198,23 @@ impl Writer {
     }
 
     fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
-        let next = start(self.parts.next()?)?;
-        std::mem::replace(&mut self.mcap, next).finish()?;
+        // End the file first: if there is no room for another one, this one is complete.
+        self.mcap.end()?;
+        self.mcap = start(self.parts.next()?)?;
         self.part = Part::default();
         self.chunk_began = None;
+        // Not only with each chunk: a file may be full before its first one ends.
+        self.parts.remove_old(self.mcap.len());
         if let Some(metadata) = &self.carried.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
         if let Some((bytes, stamp)) = &self.carried.version {
-            // Encoded on its own: the message that is due is encoded already.
+            // Encoded separately, because the current message is encoded already.
             let mut message = Vec::new();
             ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);
             let publish_time = nanos(since_1970(*stamp));
             let channel = Topic::Replies.channel();
-            // Its number is that of the next reply: it is no reply of its own.
+            // Gets the number of the next reply, because it is not a reply of its own.
             let [sequence, _] = self.numbers;
             let header = MessageHeader { channel, sequence, log_time, publish_time };
             self.mcap.message(header, &message)?;
@@ -218,17 +224,19 @@ impl Writer {
 }
 
 /// Starts a file with the three channels.
-fn start(out: Output) -> io::Result<McapWriter<Output>> {
+fn start(out: Box<dyn Output>) -> io::Result<McapWriter<Box<dyn Output>>> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_INDEX_ENTRIES)?;
     for topic in Topic::ALL {
         let message = topic.message_type();
-        mcap.add_channel(topic.channel(), topic.name(), message.name(), message.definition());
+        mcap.add_schema(topic.schema(), message.name(), message.definition());
+        mcap.add_channel(topic.channel(), topic.schema(), topic.name());
     }
     Ok(mcap)
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::file::RecordingFile;
     use super::super::parts::{Limits, MAX_PART_ENTRIES};
     use super::*;
 
@@ -239,26 +247,49 @@ mod tests {
         let clock = LogClock { began: Times { steady, wall } };
         let second = Duration::from_secs(1);
         assert_eq!(clock.log_time(steady + second), 1_001_000_000_000);
-        // A scan that was received before the recorder was made.
+        // Scan received before the recorder was made.
         assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
     }
 
-    /// A file waits for a scan behind which it can end, and gets further chunks meanwhile.
+    #[test]
+    fn a_wall_clock_that_is_set_moves_no_log_time() {
+        let path = std::env::temp_dir().join(format!("scip-clock-{}.mcap", std::process::id()));
+        let parts = Parts::new(Limits::default(), None, &path, |out| out);
+        let mut file = RecordingFile::open(&path, true).unwrap();
+        file.begin().unwrap();
+        let clock = LogClock::starting_now();
+        let Times { steady, wall } = clock.began;
+        let mut writer = Writer::new(file.output(), parts, clock, "laser".to_owned()).unwrap();
+        let (second, hour) = (Duration::from_secs(1), Duration::from_secs(3600));
+        for (number, wall) in (0..).zip([wall, wall + 72 * hour, wall - hour]) {
+            writer.event("{}", Times { steady: steady + number * second, wall }).unwrap();
+        }
+        writer.finish().unwrap();
+        let file = std::fs::read(&path).unwrap();
+        let messages = ::mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
+        let times: Vec<u64> = messages.map(|message| message.log_time).collect();
+        let began = nanos(since_1970(wall));
+        assert_eq!(times, [0, 1, 2].map(|number| began + number * 1_000_000_000));
+        std::fs::remove_file(&path).unwrap();
+    }
+
+    /// A file that waits for a scan at which it can end gets further chunks meanwhile.
     #[test]
     fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
         let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
-        let files = |file| -> Output { Box::new(file) };
-        let parts = Parts::new(Limits::default(), Some(path.clone()), files);
-        let out = files(std::fs::File::create(&path).unwrap());
+        let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out);
+        let mut file = RecordingFile::open(&path, false).unwrap();
+        file.begin().unwrap();
+        let out = file.output();
         let clock = LogClock::starting_now();
         let mut times = clock.began;
         let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
         while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
             writer.metadata(BTreeMap::new()).unwrap();
         }
-        // Each is in a chunk of its own.
+        // Each is in a separate chunk.
         for _ in 0..8 {
             times.steady += CHUNK_SPAN;
             writer.event("", times).unwrap();

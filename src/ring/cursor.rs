@@ -10,9 +10,9 @@ use super::{Inner, ReaderState, Ring};
 use crate::{Error, Scan};
 
 impl Ring {
-    /// Returns a reader of what comes from now on, which can be `depth` scans behind
-    /// before it misses one. If no scan has come since the latest error, it begins with
-    /// that error.
+    /// Subscribes a reader to the scans from now on. It can fall `depth` scans behind
+    /// before it misses one. If no scan has arrived since the latest error, it begins
+    /// with that error.
     pub(crate) fn subscribe(self: &Arc<Self>, depth: usize) -> Cursor {
         let depth = depth.max(1);
         let mut inner = self.lock();
@@ -30,14 +30,14 @@ impl Ring {
     }
 }
 
-/// A reader of a ring.
+/// Reader of a ring.
 #[derive(Debug)]
 pub(crate) struct Cursor {
     ring: Arc<Ring>,
     pub(super) place: Place,
 }
 
-/// The place of a reader in the sequence of scans.
+/// Position of a reader in the sequence of scans.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Place {
     /// Its entry in `Inner::readers`.
@@ -67,14 +67,14 @@ impl Cursor {
             Some(state) => Some(std::mem::replace(state, ReaderState::Waiting(cx.waker().clone()))),
             None => None,
         };
-        // With the lock released, as a waker that is dropped may run anything.
+        // After releasing the lock, because dropping a waker may run any code.
         drop(inner);
         drop(before);
         Poll::Pending
     }
 
-    /// Returns the next error or scan if there is one, without waiting; `None` also
-    /// after the end.
+    /// Takes the next error or scan without waiting. Returns `None` if nothing is ready,
+    /// and after the end.
     pub(crate) fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
         match self.place.take(&mut self.ring.lock()) {
             Poll::Ready(item) => item,
@@ -82,44 +82,44 @@ impl Cursor {
         }
     }
 
-    /// Returns the newest scan, whether or not it was read.
+    /// Newest scan, read or not.
     pub(crate) fn latest(&self) -> Option<Scan> {
         self.ring.latest()
     }
 
-    /// Returns the time of the newest scan, and the latest error since.
+    /// When the newest scan was received, and the latest error since.
     pub(crate) fn freshness(&self) -> (Option<Instant>, Option<Error>) {
         let inner = self.ring.lock();
         let error = inner.error.as_ref().filter(|_| inner.error_at == inner.next);
         (inner.scans.back().map(Scan::received_at), error.cloned())
     }
 
-    /// Returns another reader of the same depth, of what comes from now on.
+    /// Creates a reader of the same depth that starts now.
     pub(crate) fn resubscribe(&self) -> Self {
         self.ring.subscribe(self.place.depth)
     }
 
-    /// Returns true once the end was returned.
+    /// Returns true once the end has been read.
     pub(crate) fn is_finished(&self) -> bool {
         self.place.finished
     }
 
-    /// Returns the number of scans that this reader missed.
+    /// Number of scans that this reader missed.
     pub(crate) fn missed(&self) -> u64 {
         self.place.missed
     }
 }
 
 impl Place {
-    /// Takes the next error, scan or end, if one is there.
+    /// Takes the next error, scan or end, if one is ready.
     fn take(&mut self, inner: &mut Inner) -> Poll<Option<Result<Scan, Error>>> {
         if self.finished {
             return Poll::Ready(None);
         }
         let kept = inner.scans.len();
         let oldest = inner.next - kept.min(self.depth) as u64;
-        // In its place: a scan from before a link was lost, after the loss, would
-        // look as if the link were back.
+        // Errors keep their place: a scan from before a lost link, delivered after the
+        // error, would look as if the link were back.
         if inner.errors != self.errors && self.next.max(oldest) >= inner.error_at {
             self.errors = inner.errors;
             if let Some(error) = inner.error.clone() {
@@ -130,7 +130,7 @@ impl Place {
         self.missed += missed;
         inner.missed += missed;
         self.next += missed;
-        // How far the next one is behind the oldest that the ring keeps.
+        // Distance from the next scan to the oldest one in the ring.
         let behind = self.next + kept as u64 - inner.next;
         if let Some(scan) = inner.scans.get(behind as usize) {
             self.next += 1;
@@ -154,7 +154,7 @@ impl Clone for Cursor {
 impl Drop for Cursor {
     fn drop(&mut self) {
         let before = self.ring.lock().leave(self.place.entry);
-        // With the lock released, as a waker that is dropped may run anything.
+        // After releasing the lock, because dropping a waker may run any code.
         drop(before);
     }
 }

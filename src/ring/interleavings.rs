@@ -1,10 +1,11 @@
 //! Every interleaving of two writers and three readers at a ring, without a bound.
 //!
-//! All that they share is behind one lock, so what one of them does while it holds the lock
-//! is one step, and so is the call of a waker. One thread makes the steps of all in every
-//! order. A state that was reached before is not explored again, but its orders are counted.
-//! `model.rs` has real threads, within a bound.
+//! One lock protects everything they share. So whatever a thread does under the lock is one
+//! step, and so is the call of a waker. A step that takes the lock twice fails the test,
+//! because others could run in between. One thread makes all steps in every order. States
+//! reached before are not explored again, but their orders are counted.
 
+use std::cell::Cell;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,11 +15,21 @@ use super::tests::scan;
 use super::{Cursor, ReaderState, Ring};
 use crate::Error;
 
+thread_local! {
+    /// How often the current step has taken the lock of a ring.
+    static LOCKS: Cell<usize> = const { Cell::new(0) };
+}
+
+/// Counts a lock. Called by each lock of a ring.
+pub(super) fn count_lock() {
+    LOCKS.set(LOCKS.get() + 1);
+}
+
 fn cause() -> Error {
     Error::Loopback { sensor: None }
 }
 
-/// An operation of a writer.
+/// Operation of a writer.
 #[derive(Debug, Clone, Copy)]
 enum Write {
     Push(u64),
@@ -26,61 +37,58 @@ enum Write {
     End,
 }
 
-/// A writer between two steps.
+/// Writer between two steps.
 #[derive(Debug)]
 struct Writer {
     writes: &'static [Write],
-    /// The entry from which on it wakes readers, between two writes `None`.
+    /// Entry from which to wake readers. `None` between two writes.
     entry: Option<usize>,
-    /// A waker that it has taken and not called yet.
-    waker: Option<Waker>,
+    /// Wakers that it has taken and not called yet.
+    wakers: Vec<Waker>,
 }
 
 impl Writer {
     fn step(&mut self, ring: &Ring) {
-        if let Some(waker) = self.waker.take() {
-            waker.wake();
-        } else if let Some(entry) = &mut self.entry {
-            self.waker = ring.take_waker(entry);
-            if self.waker.is_none() {
-                self.entry = None;
-            }
-        } else if let Some((write, rest)) = self.writes.split_first() {
-            self.writes = rest;
-            let is_news = match *write {
-                Write::Push(sequence) => {
-                    ring.lock().push(scan(sequence));
-                    true
-                }
-                Write::Report => {
-                    ring.lock().report(Error::LaserOff);
-                    true
-                }
-                Write::End => ring.lock().end(Some(cause())),
-            };
-            self.entry = is_news.then_some(0);
+        if let Some(waker) = self.wakers.pop() {
+            return waker.wake();
         }
+        let mut inner = ring.lock();
+        let mut entry = match (self.entry, self.writes.split_first()) {
+            (Some(entry), _) => entry,
+            (None, Some((write, rest))) => {
+                self.writes = rest;
+                match *write {
+                    Write::Push(sequence) => drop(inner.push(scan(sequence))),
+                    Write::Report => inner.report(Error::LaserOff { sensor: None }),
+                    Write::End => inner.end(Some(cause())),
+                }
+                0
+            }
+            (None, None) => return,
+        };
+        self.wakers = inner.take_wakers(&mut entry).into_iter().flatten().collect();
+        self.entry = (entry < inner.readers.len()).then_some(entry);
     }
 
     fn is_done(&self) -> bool {
-        self.writes.is_empty() && self.entry.is_none()
+        self.writes.is_empty() && self.entry.is_none() && self.wakers.is_empty()
     }
 }
 
-/// A change in the life of a reader, which otherwise reads to the end.
+/// Change in the life of a reader, which otherwise reads to the end.
 #[derive(Debug, Clone, Copy)]
 enum Change {
-    /// None, or none any more.
+    /// No change, or no further change.
     None,
-    /// It goes on with a clone of itself, once it has read so many items.
+    /// Continues as a clone of itself after reading this number of items.
     Clone(usize),
-    /// It subscribes anew and reads from there, once it has read so many items.
+    /// Subscribes again after reading this number of items.
     Renew(usize),
-    /// It is dropped, once it has read so many items.
+    /// Is dropped after reading this number of items.
     Leave(usize),
     /// It moves to another task after its first poll.
     Move,
-    /// It is on its way there: the other task polls it without a wake-up.
+    /// Is moving: the other task polls it without a wake-up.
     Moving,
 }
 
@@ -93,11 +101,11 @@ impl Wake for Woken {
     }
 }
 
-/// A reader between two steps.
+/// Reader between two steps.
 #[derive(Debug)]
 struct Reader {
     cursor: Option<Cursor>,
-    /// The one that was cloned, and is dropped next.
+    /// Reader that was cloned or has ended, and is dropped next.
     original: Option<Cursor>,
     change: Change,
     /// True if it may be dropped before the end, or subscribe after the end.
@@ -152,7 +160,8 @@ impl Reader {
 
     fn is_ready(&self) -> bool {
         let is_woken = self.woken.0.load(Ordering::Relaxed);
-        self.cursor.is_some() && (is_woken || matches!(self.change, Change::Moving))
+        self.original.is_some()
+            || self.cursor.is_some() && (is_woken || matches!(self.change, Change::Moving))
     }
 
     fn poll(&mut self) {
@@ -163,13 +172,13 @@ impl Reader {
             Poll::Pending => return,
             Poll::Ready(Some(Ok(scan))) => self.scans.push(scan.sequence()),
             Poll::Ready(Some(Err(error))) => self.errors.push(error.to_string()),
-            Poll::Ready(None) => self.cursor = None,
+            Poll::Ready(None) => self.original = self.cursor.take(),
         }
         self.woken.0.store(true, Ordering::Relaxed);
     }
 }
 
-/// All of them after some steps.
+/// All writers and readers after some steps.
 struct Model {
     ring: Arc<Ring>,
     writers: [Writer; 2],
@@ -183,14 +192,14 @@ impl Model {
         changes: [(usize, Change); 3],
     ) -> Self {
         let ring = Ring::new();
-        let writers = writes.map(|writes| Writer { writes, entry: None, waker: None });
+        let writers = writes.map(|writes| Writer { writes, entry: None, wakers: Vec::new() });
         let readers = changes.map(|(depth, change)| Reader::new(ring.subscribe(depth), change));
         let mut model = Self { ring, writers, readers };
         steps.iter().for_each(|step| model.step(*step));
         model
     }
 
-    /// Returns the writers and readers that can go on: 0 and 1, and 2 to 4.
+    /// Lists the writers and readers that can take a step: 0 and 1, and 2 to 4.
     fn ready(&self) -> Vec<usize> {
         let writers = self.writers.iter().map(|writer| !writer.is_done());
         let readers = self.readers.iter().map(Reader::is_ready);
@@ -199,15 +208,17 @@ impl Model {
     }
 
     fn step(&mut self, number: usize) {
+        LOCKS.set(0);
         let reader = number.checked_sub(self.writers.len());
         if let Some(writer) = self.writers.get_mut(number) {
             writer.step(&self.ring);
         } else if let Some(reader) = reader.and_then(|number| self.readers.get_mut(number)) {
             reader.step();
         }
+        assert!(LOCKS.get() <= 1, "a step of {number} took the lock {} times", LOCKS.get());
     }
 
-    /// Everything on which the next steps depend, and what was read.
+    /// Everything that determines the next steps, and what was read.
     fn state(&self) -> String {
         let whose =
             |waker: &Waker| self.readers.iter().position(|reader| waker.will_wake(&reader.waker()));
@@ -224,10 +235,10 @@ impl Model {
             (inner.error.as_ref().map(Error::to_string), inner.error_at, inner.errors),
             entries.collect::<Vec<_>>(),
         );
-        let writers = self
-            .writers
-            .each_ref()
-            .map(|writer| (writer.writes.len(), writer.entry, writer.waker.as_ref().map(whose)));
+        let writers = self.writers.each_ref().map(|writer| {
+            let wakers: Vec<_> = writer.wakers.iter().map(whose).collect();
+            (writer.writes.len(), writer.entry, wakers)
+        });
         let readers = self.readers.each_ref().map(|reader| {
             let places = [&reader.cursor, &reader.original]
                 .map(|cursor| cursor.as_ref().map(|cursor| cursor.place));
@@ -237,7 +248,7 @@ impl Model {
         format!("{shared:?}{writers:?}{readers:?}")
     }
 
-    /// Fails unless all have come to their end, with what they had to read.
+    /// Fails unless all have ended and have read what they had to.
     fn check(&self, steps: &[usize]) {
         for reader in &self.readers {
             let Reader { cursor, may_miss_cause, scans, errors, .. } = reader;
@@ -251,7 +262,7 @@ impl Model {
     }
 }
 
-/// The states that were explored, and the number of orders from each of them to the end.
+/// Explored states, each with the number of orders from there to the end.
 #[derive(Default)]
 struct Explorer {
     orders: HashMap<String, u128>,
@@ -285,11 +296,11 @@ impl Explorer {
     }
 }
 
-/// Explores the last writes of each writer: one, or as many as `SCIP_RING_WRITES` is.
+/// Explores the last writes of each writer: one, or the number in `SCIP_RING_WRITES`.
 fn explore(writes: [&'static [Write]; 2], changes: [(usize, Change); 3]) {
     let setting = std::env::var("SCIP_RING_WRITES").ok();
     let count: usize = setting.and_then(|text| text.parse().ok()).unwrap_or(1);
-    let writes = writes.map(|writes| writes.split_at(writes.len() - count).1);
+    let writes = writes.map(|writes| writes.split_at(writes.len().saturating_sub(count)).1);
     let mut explorer = Explorer::default();
     let orders = explorer.explore(&mut Vec::new(), writes, changes);
     println!("{orders} orders, {} states", explorer.orders.len());
@@ -309,4 +320,12 @@ fn readers_that_clone_themselves_or_leave_keep_none_of_the_others_waiting_in_eve
         [&[Write::Push(0), Write::Push(1)], &[Write::Report, Write::End]],
         [(1, Change::Renew(0)), (2, Change::Clone(0)), (1, Change::Leave(1))],
     );
+}
+
+/// No end follows that would wake them.
+#[test]
+fn a_scan_or_an_error_alone_wakes_each_reader_in_every_order() {
+    for write in [&[Write::Push(0)], &[Write::Report]] {
+        explore([write, &[]], [1, 2, 1].map(|depth| (depth, Change::Leave(1))));
+    }
 }

@@ -1,28 +1,23 @@
-//! The keep-last ring between the driver, which fills it and never waits, and
-//! streams, each of which reads at a place and to a depth of its own.
+//! Keep-last ring between the driver, which fills it and never waits, and streams, which
+//! read at their own position and depth.
 
 mod cursor;
-#[cfg(all(test, not(ring_model)))]
+#[cfg(test)]
 mod interleavings;
-#[cfg(all(test, ring_model))]
-mod model;
 #[cfg(test)]
 mod tests;
 
 use std::collections::VecDeque;
-use std::sync::{Arc, PoisonError};
-#[cfg(not(all(test, ring_model)))]
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::Waker;
 
-#[cfg(all(test, ring_model))]
-use loom::sync::{Mutex, MutexGuard};
-
 pub(crate) use self::cursor::Cursor;
-use crate::state::Audience;
 use crate::{Error, Scan};
 
-/// The newest scans of a schedule, and its latest error.
+/// Number of wakers taken under one lock. More waiting readers take further locks.
+const WAKERS: usize = 4;
+
+/// Newest scans of a schedule, and its latest error.
 ///
 /// Errors are kept beside the scans, so that no scan overwrites them.
 #[derive(Debug)]
@@ -33,22 +28,22 @@ pub(crate) struct Ring {
 #[derive(Debug)]
 struct Inner {
     scans: VecDeque<Scan>,
-    /// The depth of the deepest reader.
+    /// Depth of the deepest reader.
     depth: usize,
-    /// The number of scans so far, which is the number of the next one.
+    /// Number of scans so far, which is the number of the next one.
     next: u64,
     error: Option<Error>,
-    /// The number of the scan that comes after it.
+    /// Number of the scan after the error.
     error_at: u64,
-    /// The number of errors so far, which is the number of the one in `error`.
+    /// Number of errors so far, which is the number of the one in `error`.
     errors: u64,
-    /// Set once the driver has ended: nothing more comes.
+    /// Set once the driver has ended: no more scans follow.
     ended: bool,
     readers: Vec<Reader>,
     missed: u64,
 }
 
-/// An entry for a reader.
+/// Entry for a reader.
 #[derive(Debug)]
 struct Reader {
     depth: usize,
@@ -57,16 +52,21 @@ struct Reader {
 
 #[derive(Debug)]
 enum ReaderState {
-    /// The reader was dropped; its entry can be used again.
+    /// Free entry, whose reader was dropped.
     Gone,
     Busy,
     Waiting(Waker),
 }
 
-impl Audience for Ring {
-    fn is_present(&self) -> bool {
-        self.readers() > 0
-    }
+/// Result of adding a scan to a ring.
+#[derive(Debug)]
+pub(crate) struct Pushed {
+    /// The scan that it displaced, if the ring was full.
+    pub(crate) displaced: Option<Scan>,
+    /// True if its values equal those of the scan before it.
+    pub(crate) repeats: bool,
+    /// Number of scans that readers have missed so far.
+    pub(crate) missed: u64,
 }
 
 impl Ring {
@@ -86,83 +86,92 @@ impl Ring {
         Arc::new(Self { inner: Mutex::new(inner) })
     }
 
-    /// Adds a scan, and returns the one that it displaces if the ring is full.
-    pub(crate) fn push(&self, scan: Scan) -> Option<Scan> {
-        let displaced = self.lock().push(scan);
-        self.wake();
-        displaced
+    /// Adds a scan, and marks it if it repeats the one before it.
+    pub(crate) fn push(&self, scan: Scan) -> Pushed {
+        self.change(|inner| inner.push(scan))
     }
 
-    /// Returns the newest scan.
+    /// Newest scan.
     pub(crate) fn latest(&self) -> Option<Scan> {
         self.lock().scans.back().cloned()
     }
 
-    /// Replaces the latest error: each reader gets it behind the scans that are there
-    /// and before the next one.
+    /// Replaces the latest error. Each reader gets it after the present scans and before
+    /// the next one.
     pub(crate) fn report(&self, error: Error) {
-        self.lock().report(error);
-        self.wake();
+        self.change(|inner| inner.report(error));
     }
 
-    /// Ends the ring: readers get what is left, `cause`, and then the end.
+    /// Ends the ring: readers get the remaining scans, `cause`, and then the end.
     pub(crate) fn end(&self, cause: Option<Error>) {
-        let is_first = self.lock().end(cause);
-        if is_first {
-            self.wake();
-        }
+        self.change(|inner| inner.end(cause));
     }
 
-    /// Returns the number of readers.
+    /// Number of readers.
     pub(crate) fn readers(&self) -> usize {
         let inner = self.lock();
         inner.readers.iter().filter(|reader| !matches!(reader.state, ReaderState::Gone)).count()
     }
 
-    /// Returns the number of scans that readers missed.
+    /// Number of scans that readers missed.
     pub(crate) fn missed(&self) -> u64 {
         self.lock().missed
     }
 
-    /// Wakes all readers, with the lock released: a waker may run anything.
-    fn wake(&self) {
-        let mut entry = 0;
-        while let Some(waker) = self.take_waker(&mut entry) {
-            waker.wake();
-        }
-    }
-
-    /// Takes the waker of the first reader from `entry` on that waits, and sets `entry`
-    /// to the one behind it.
-    fn take_waker(&self, entry: &mut usize) -> Option<Waker> {
-        let mut inner = self.lock();
-        while let Some(reader) = inner.readers.get_mut(*entry) {
-            *entry += 1;
-            if matches!(reader.state, ReaderState::Waiting(_))
-                && let ReaderState::Waiting(waker) =
-                    std::mem::replace(&mut reader.state, ReaderState::Busy)
-            {
-                return Some(waker);
+    /// Changes the ring, and wakes all readers after releasing the lock: a waker may run any
+    /// code.
+    fn change<T>(&self, change: impl FnOnce(&mut Inner) -> T) -> T {
+        let (mut inner, mut entry) = (self.lock(), 0);
+        let outcome = change(&mut inner);
+        loop {
+            let wakers = inner.take_wakers(&mut entry);
+            let is_last = entry == inner.readers.len();
+            drop(inner);
+            wakers.into_iter().flatten().for_each(Waker::wake);
+            if is_last {
+                return outcome;
             }
+            inner = self.lock();
         }
-        None
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
-        // No code that may panic runs between two changes, so nothing is half done.
+        #[cfg(test)]
+        interleavings::count_lock();
+        // No code that may panic runs between two changes, so the data is consistent.
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Inner {
-    fn push(&mut self, scan: Scan) -> Option<Scan> {
+    fn push(&mut self, mut scan: Scan) -> Pushed {
+        let repeats = self.scans.back().is_some_and(|latest| scan.note_repeat_of(latest));
         let mut displaced = None;
         while self.scans.len() >= self.depth {
             displaced = self.scans.pop_front();
         }
         self.scans.push_back(scan);
         self.next += 1;
-        displaced
+        Pushed { displaced, repeats, missed: self.missed }
+    }
+
+    /// Takes the wakers of up to [`WAKERS`] waiting readers from `entry` on, and advances
+    /// `entry` past those readers.
+    fn take_wakers(&mut self, entry: &mut usize) -> [Option<Waker>; WAKERS] {
+        let mut wakers = [const { None }; WAKERS];
+        let mut room = wakers.iter_mut();
+        for reader in self.readers.iter_mut().skip(*entry) {
+            if matches!(reader.state, ReaderState::Waiting(_)) {
+                let Some(place) = room.next() else { break };
+                if let ReaderState::Waiting(waker) =
+                    std::mem::replace(&mut reader.state, ReaderState::Busy)
+                {
+                    *place = Some(waker);
+                }
+            }
+            *entry += 1;
+        }
+        wakers
     }
 
     fn report(&mut self, error: Error) {
@@ -171,17 +180,13 @@ impl Inner {
         self.errors += 1;
     }
 
-    /// Returns false if the ring has ended before.
-    fn end(&mut self, cause: Option<Error>) -> bool {
-        if self.ended {
-            return false;
-        }
-        // With its cause: a reader on another thread must not see the end alone.
-        self.ended = true;
-        if let Some(cause) = cause {
+    /// Does nothing if the ring had ended before.
+    fn end(&mut self, cause: Option<Error>) {
+        // Together with its cause: a reader on another thread must not see the end alone.
+        let has_ended = std::mem::replace(&mut self.ended, true);
+        if let Some(cause) = cause.filter(|_| !has_ended) {
             self.report(cause);
         }
-        true
     }
 
     fn enter(&mut self, depth: usize) -> usize {
@@ -200,8 +205,8 @@ impl Inner {
         }
     }
 
-    /// Frees an entry, and the scans that only its reader wanted. Returns what has to be
-    /// dropped with the lock released.
+    /// Frees an entry, and the scans that only its reader wanted. Returns values to drop
+    /// after releasing the lock.
     fn leave(&mut self, entry: usize) -> Option<ReaderState> {
         let reader = self.readers.get_mut(entry)?;
         let state = std::mem::replace(&mut reader.state, ReaderState::Gone);

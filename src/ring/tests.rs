@@ -15,16 +15,19 @@ pub(super) fn scan(sequence: u64) -> Scan {
     let meta = ScanMeta {
         sequence,
         requested_at: now,
+        first_byte_at: now,
         received_at: now,
         stamp: std::time::SystemTime::now(),
+        lateness: None,
         repeat: false,
         scan_time: std::time::Duration::from_millis(100),
+        nominal_scan_time: std::time::Duration::from_millis(100),
         reconnects: 0,
     };
     Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
 }
 
-/// Returns the item that is ready, `Some(None)` at the end, and `None` if there is nothing yet.
+/// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
 fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
     let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
     Some(item.map(|item| item.map(|scan| scan.sequence()).map_err(|error| error.to_string())))
@@ -45,9 +48,9 @@ fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
 fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
-    ring.report(Error::LaserOff);
+    ring.report(Error::LaserOff { sensor: None });
     (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
-    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
 }
@@ -57,16 +60,16 @@ fn an_error_comes_behind_the_scans_from_before_it() {
     let ring = Ring::new();
     let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
     (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
-    ring.report(Error::LaserOff);
+    ring.report(Error::LaserOff { sensor: None });
     assert_eq!(take(&mut reader), Some(Some(Ok(1))));
     assert_eq!(take(&mut reader), Some(Some(Ok(2))));
-    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
     assert_eq!(take(&mut reader), None);
     ring.push(scan(3));
     assert_eq!(take(&mut reader), Some(Some(Ok(3))));
-    // Of the two scans that are kept one is from before the error.
+    // One of the two kept scans is from before the error.
     assert_eq!(take(&mut slow), Some(Some(Ok(2))));
-    assert_eq!(take(&mut slow), Some(Some(Err(Error::LaserOff.to_string()))));
+    assert_eq!(take(&mut slow), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
     assert_eq!(take(&mut slow), Some(Some(Ok(3))));
     assert_eq!((take(&mut slow), slow.missed()), (None, 2));
 }
@@ -77,7 +80,7 @@ fn the_end_comes_after_what_is_left_and_its_cause() {
     let (mut reader, mut other) = (ring.subscribe(1), ring.subscribe(1));
     ring.push(scan(0));
     ring.end(Some(Error::Loopback { sensor: None }));
-    ring.end(Some(Error::Closed));
+    ring.end(Some(Error::Closed { sensor: None }));
     for reader in [&mut reader, &mut other] {
         assert_eq!(take(reader), Some(Some(Ok(0))));
         assert_eq!(take(reader), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
@@ -100,7 +103,7 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
     assert_eq!(take(&mut after), None);
     ring.push(scan(5));
     assert_eq!(take(&mut after), Some(Some(Ok(5))));
-    // Nor does it count what came before it as missed; `during` never read it.
+    // Nor does it count earlier scans as missed. `during` never read them.
     assert_eq!((after.missed(), kept.missed(), ring.missed()), (0, 0, 0));
     assert_eq!(
         take(&mut kept.clone()),
@@ -111,7 +114,7 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
 #[test]
 fn a_reader_that_comes_late_begins_with_the_latest_of_two_errors() {
     let ring = Ring::new();
-    ring.report(Error::LaserOff);
+    ring.report(Error::LaserOff { sensor: None });
     let mut reader = ring.subscribe(1);
     ring.report(Error::Loopback { sensor: None });
     let latest = Error::Loopback { sensor: None }.to_string();
@@ -146,8 +149,8 @@ fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
     let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
     assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
-    ring.report(Error::LaserOff);
-    assert!(matches!(reader.next_if_ready(), Some(Err(Error::LaserOff))));
+    ring.report(Error::LaserOff { sensor: None });
+    assert!(matches!(reader.next_if_ready(), Some(Err(Error::LaserOff { .. }))));
     ring.end(None);
     assert!(reader.next_if_ready().is_none() && reader.is_finished());
 }
@@ -157,8 +160,11 @@ fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
     let ring = Ring::new();
     let reader = ring.subscribe(1);
     let error = || reader.freshness().1.map(|error| error.to_string());
-    ring.report(Error::LaserOff);
-    assert_eq!((reader.freshness().0, error()), (None, Some(Error::LaserOff.to_string())));
+    ring.report(Error::LaserOff { sensor: None });
+    assert_eq!(
+        (reader.freshness().0, error()),
+        (None, Some(Error::LaserOff { sensor: None }.to_string()))
+    );
     let scan = scan(0);
     ring.push(scan.clone());
     assert_eq!((reader.freshness().0, error()), (Some(scan.received_at()), None));

@@ -1,9 +1,9 @@
-//! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, behind its
-//! encapsulation header. Knows no message.
+//! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, after its encapsulation
+//! header. Knows no messages.
 //!
-//! Written by hand: a message needs a dozen primitives. The crates for CDR bring
-//! serde, which writes an owned struct for each message; here a scan is encoded
-//! from where it lies.
+//! Written by hand, because a message needs only a dozen primitives. The crates for CDR
+//! bring serde, which needs an owned struct for each message; this encodes a scan in
+//! place.
 
 /// Plain CDR, little-endian, no options.
 const HEADER: [u8; 4] = [0, 1, 0, 0];
@@ -15,7 +15,7 @@ pub(super) struct CdrWriter<'a> {
 }
 
 impl<'a> CdrWriter<'a> {
-    /// Starts a message in `out`, and drops what was there.
+    /// Starts a message in `out`, and drops the previous content.
     pub(super) fn new(out: &'a mut Vec<u8>) -> Self {
         out.clear();
         out.extend_from_slice(&HEADER);
@@ -41,6 +41,12 @@ impl<'a> CdrWriter<'a> {
         self.out.extend_from_slice(&value.to_le_bytes());
     }
 
+    pub(super) fn f64(&mut self, value: f64) {
+        let written = self.out.len() - HEADER.len();
+        self.out.resize(HEADER.len() + written.next_multiple_of(8), 0);
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// Writes a string: its length with the NUL, its bytes, the NUL.
     pub(super) fn string(&mut self, text: &str) {
         self.length(text.len() + 1);
@@ -59,7 +65,7 @@ impl<'a> CdrWriter<'a> {
         parts.iter().for_each(|part| self.out.extend_from_slice(part));
     }
 
-    /// Pads to a multiple of four, the size of every number here but the byte. The
+    /// Pads to a multiple of four, the size of every number here but `u8` and `f64`. The
     /// header has four bytes, too.
     fn align(&mut self) {
         self.out.resize(self.out.len().next_multiple_of(4), 0);
@@ -155,7 +161,7 @@ mod tests {
             assert_eq!(read, None, "{length} bytes");
         }
         assert_eq!(CdrReader::new(&out).unwrap().f32s(), Some(vec![1.0, 2.0]));
-        // A length that no memory could hold.
+        // Length that no memory could hold.
         out[4..8].fill(0xff);
         assert_eq!(CdrReader::new(&out).unwrap().f32s(), None);
     }

@@ -1,5 +1,5 @@
-//! `diagnostic_msgs/msg/DiagnosticArray`: its definition, and how the condition of
-//! devices is encoded.
+//! `diagnostic_msgs/msg/DiagnosticArray`: its definition and encoding, for the condition
+//! of devices.
 
 use std::time::SystemTime;
 
@@ -33,36 +33,36 @@ string value
     hash: "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",
 };
 
-/// The level of a [`DiagnosticStatus`].
+/// Level of a [`DiagnosticStatus`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum DiagnosticLevel {
     /// All is well.
     Ok,
-    /// It works, and somebody should look at it.
+    /// Works, but needs attention.
     Warn,
-    /// It does not work.
+    /// Does not work.
     Error,
-    /// Nothing was reported for too long.
+    /// No report for too long.
     Stale,
 }
 
-/// The condition of a device, as in `diagnostic_msgs/msg/DiagnosticStatus`.
+/// Condition of a device, as in `diagnostic_msgs/msg/DiagnosticStatus`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DiagnosticStatus {
-    /// The severity of the condition.
+    /// Severity of the condition.
     pub level: DiagnosticLevel,
-    /// The part that it is about: a node and a topic of it, by convention.
+    /// Part of the system, by convention a node and one of its topics.
     pub name: String,
-    /// The condition in words.
+    /// Condition in words.
     pub message: String,
-    /// The device, such as its serial number.
+    /// Device, such as its serial number.
     pub hardware_id: String,
     /// Values by name.
     pub values: Vec<(&'static str, String)>,
 }
 
-/// Writes a `diagnostic_msgs/msg/DiagnosticArray` into `out`, in place of what was
-/// there. A `stamp` before 1970 is written as 1970.
+/// Encodes a `diagnostic_msgs/msg/DiagnosticArray` into `out`, replacing its content. A
+/// `stamp` before 1970 is written as 1970.
 pub fn write_diagnostics(out: &mut Vec<u8>, stamp: SystemTime, statuses: &[DiagnosticStatus]) {
     let mut cdr = CdrWriter::new(out);
     write_header(&mut cdr, stamp, "");
@@ -96,7 +96,7 @@ mod tests {
             values: vec![("a", "bc".to_owned())],
         };
         let mut out = vec![9];
-        // Windows counts time in 100 ns.
+        // Windows counts time in steps of 100 ns.
         let stamp = SystemTime::UNIX_EPOCH + Duration::new(2, 0x6400);
         write_diagnostics(&mut out, stamp, &[status]);
         let expected: &[u8] =

@@ -1,4 +1,4 @@
-//! `sensor_msgs/msg/LaserScan`: its definition, and how a scan is encoded.
+//! `sensor_msgs/msg/LaserScan`: its definition and encoding.
 
 #[cfg(feature = "mcap")]
 use std::time::Duration;
@@ -30,49 +30,49 @@ float32[] intensities
     hash: "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
 };
 
-/// A scan as ROS has it: the fields of `sensor_msgs/msg/LaserScan`, in metres,
-/// radians and seconds. [`Scan`] explains them.
+/// Scan in the form of ROS: the fields of `sensor_msgs/msg/LaserScan`, in metres, radians
+/// and seconds. [`Scan`] explains them.
 #[cfg(feature = "mcap")]
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct LaserScan {
-    /// The wall clock when the first point was measured.
+    /// Wall clock when the first point was measured.
     pub stamp: SystemTime,
-    /// The frame that the angles are in.
+    /// Frame of the angles.
     pub frame_id: String,
-    /// The direction of the first point.
+    /// Direction of the first point.
     pub angle_min: f32,
-    /// The direction of the last point.
+    /// Direction of the last point.
     pub angle_max: f32,
-    /// The angle from one point to the next.
+    /// Angle from one point to the next.
     pub angle_increment: f32,
-    /// The time from one point to the next.
+    /// Time from one point to the next.
     pub time_increment: f32,
-    /// The time of one revolution of the motor.
+    /// Time of one revolution of the motor.
     pub scan_time: f32,
-    /// The shortest range that is measured.
+    /// Shortest measurable range.
     pub range_min: f32,
-    /// The longest range that is measured.
+    /// Longest measurable range.
     pub range_max: f32,
-    /// The ranges as REP 117 defines them: not finite where there is no distance.
+    /// Ranges as REP 117 defines them: not finite for a direction without a distance.
     pub ranges: Vec<f32>,
 }
 
-/// Writes `scan` as a `sensor_msgs/msg/LaserScan` into `out`, in place of what was
-/// there.
+/// Encodes `scan` as a `sensor_msgs/msg/LaserScan` into `out`, replacing its content.
 ///
-/// `stamp` is the time of the first point, [`Scan::first_ray_stamp`] unless a clock
-/// has to be corrected; a time before 1970 is written as 1970. The angles are in the
+/// Pass the time of the first point as `stamp`: [`Scan::first_ray_stamp`], unless you
+/// have to correct a clock. A time before 1970 is written as 1970. The angles are in the
 /// frame `frame_id`.
 pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &str) {
     let mut cdr = CdrWriter::new(out);
     write_header(&mut cdr, stamp, frame_id);
+    let revolution = scan.scan_time().as_secs_f64();
     for field in [
         scan.angle_min(),
         scan.angle_max(),
         scan.angle_increment(),
-        scan.time_increment(),
-        scan.scan_time(),
+        (revolution * f64::from(scan.window().cluster_count()) / 1024.0) as f32,
+        revolution as f32,
         scan.range_min(),
         scan.range_max(),
     ] {
@@ -84,7 +84,7 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
     cdr.length(0);
 }
 
-/// Returns the scan, or `None` if `message` is malformed.
+/// Decodes a scan, or returns `None` if `message` is malformed.
 #[cfg(feature = "mcap")]
 pub(crate) fn read_scan(message: &[u8]) -> Option<LaserScan> {
     let mut cdr = CdrReader::new(message)?;

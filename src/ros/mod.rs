@@ -1,6 +1,6 @@
-//! ROS 2 messages of a sensor (feature `ros`): scans and diagnostics as CDR, for
-//! whatever carries them to ROS. Recordings and `urg publish` are made of them; a
-//! service can hand them to an engine of its own.
+//! ROS 2 messages of a sensor (feature `ros`): scans, diagnostics and places as CDR, for any
+//! transport to ROS. Recordings and `urg publish` use them; you can pass them to your own
+//! middleware.
 //!
 //! ```
 //! use tokio_scip::emulator::Emulator;
@@ -19,9 +19,9 @@
 //! # }
 //! ```
 //!
-//! A message is XCDR1, little-endian, with its encapsulation header of four bytes:
-//! the form that DDS, `rmw_zenoh` and MCAP files have in common. The module knows no
-//! topics, files or networks.
+//! A message is XCDR1, little-endian, with its encapsulation header of four bytes. DDS,
+//! `rmw_zenoh` and MCAP files all use this form. The module knows no topics, files or
+//! networks.
 
 /// Expands to the definition of the header that both messages begin with.
 macro_rules! header_definition {
@@ -44,6 +44,7 @@ mod diagnostics;
 mod laser_scan;
 #[cfg(feature = "mcap")]
 mod std_msgs;
+mod transform;
 
 use std::time::{Duration, SystemTime};
 
@@ -52,13 +53,14 @@ pub use self::diagnostics::{DiagnosticLevel, DiagnosticStatus, write_diagnostics
 #[cfg(feature = "mcap")]
 pub use self::laser_scan::LaserScan;
 pub use self::laser_scan::write_scan;
+pub use self::transform::{Transform, write_transforms};
 #[cfg(feature = "mcap")]
 pub(crate) use self::{
     laser_scan::read_scan,
     std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text},
 };
 
-/// A message type, as ROS 2 names and defines it.
+/// Message type, as ROS 2 names and defines it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MessageType {
     name: &'static str,
@@ -67,10 +69,12 @@ pub struct MessageType {
 }
 
 impl MessageType {
-    /// A scan, as every laser scanner publishes it.
+    /// Scan, as every laser scanner publishes it.
     pub const LASER_SCAN: Self = laser_scan::TYPE;
-    /// The condition of devices.
+    /// Condition of devices.
     pub const DIAGNOSTIC_ARRAY: Self = diagnostics::TYPE;
+    /// Places of frames within others.
+    pub const TF_MESSAGE: Self = transform::TYPE;
     /// Bytes with a label.
     #[cfg(feature = "mcap")]
     pub(crate) const LABELLED_BYTES: Self = std_msgs::BYTES_TYPE;
@@ -78,22 +82,22 @@ impl MessageType {
     #[cfg(feature = "mcap")]
     pub(crate) const TEXT: Self = std_msgs::TEXT_TYPE;
 
-    /// Returns the full name, such as `sensor_msgs/msg/LaserScan`.
+    /// Full name, such as `sensor_msgs/msg/LaserScan`.
     pub fn name(&self) -> &'static str {
         self.name
     }
 
-    /// Returns the definition (`ros2msg`), and those of all messages in it.
+    /// Definition (`ros2msg`), followed by the definitions of all messages in it.
     pub fn definition(&self) -> &'static str {
         self.definition
     }
 
-    /// Returns the hash of the definition (REP 2016), which Jazzy and later compare.
+    /// Hash of the definition (REP 2016), which Jazzy and later compare.
     pub fn hash(&self) -> &'static str {
         self.hash
     }
 
-    /// Returns the name on a network: `sensor_msgs::msg::dds_::LaserScan_`.
+    /// Name on a network: `sensor_msgs::msg::dds_::LaserScan_`.
     pub fn dds_name(&self) -> String {
         let mut parts = self.name.split('/');
         let (package, kind) = (parts.next().unwrap_or(""), parts.next().unwrap_or(""));
@@ -109,7 +113,7 @@ fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
     cdr.string(frame_id);
 }
 
-/// Returns how long after 1970 `time` is; zero for a time before 1970.
+/// Time since 1970, or zero for a time before 1970.
 pub(crate) fn since_1970(time: SystemTime) -> Duration {
     time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
 }
@@ -122,8 +126,7 @@ mod tests {
 
     use super::*;
 
-    /// Returns the hash of REP 2016: SHA-256 over the definition as JSON, formatted as
-    /// Python does.
+    /// Hash of REP 2016: SHA-256 over the definition as JSON, formatted as Python does.
     fn hash(message: &MessageType) -> String {
         let line = format!("{}\n", "=".repeat(80));
         let mut parts = message.definition.split(&line);
@@ -151,10 +154,12 @@ mod tests {
     }
 
     fn fields(definition: &str) -> String {
-        // Constants are no fields.
+        // Constants are not fields.
         let fields = definition.lines().filter(|line| !line.is_empty() && !line.contains('='));
         let fields = fields.map(|line| {
             let (kind, name) = line.split_once(' ').unwrap();
+            // A default value is not part of the hash.
+            let name = name.split(' ').next().unwrap();
             let element = kind.strip_suffix("[]").unwrap_or(kind);
             let sequence = if element == kind { 0 } else { 144 };
             let (id, nested) = match element {
@@ -162,6 +167,7 @@ mod tests {
                 "int32" => (6, String::new()),
                 "uint32" => (7, String::new()),
                 "float32" => (10, String::new()),
+                "float64" => (11, String::new()),
                 "byte" => (16, String::new()),
                 "string" => (17, String::new()),
                 message => (1, message.replace('/', "/msg/")),
@@ -185,7 +191,9 @@ mod tests {
 
     #[test]
     fn each_type_has_the_hash_of_its_definition() {
-        for message in [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY] {
+        for message in
+            [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY, MessageType::TF_MESSAGE]
+        {
             assert_eq!(hash(&message), message.hash, "{}", message.name);
         }
         #[cfg(feature = "mcap")]

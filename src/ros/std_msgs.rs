@@ -3,9 +3,8 @@
 use super::MessageType;
 use super::cdr::{CdrReader, CdrWriter};
 
-/// Carries a sensor's reply. A message type of our own would be plainer, but
-/// `ros2 bag play` needs each type installed. The label of the only dimension
-/// is the command that was answered.
+/// Carries a sensor's reply. Our own message type would be plainer, but `ros2 bag play`
+/// needs each type installed. The label of the only dimension is the answered command.
 pub(super) const BYTES_TYPE: MessageType = MessageType {
     name: "std_msgs/msg/UInt8MultiArray",
     definition: "\
@@ -43,7 +42,7 @@ pub(crate) fn write_labelled_bytes(out: &mut Vec<u8>, label: &str, parts: &[&[u8
     cdr.bytes(parts);
 }
 
-/// Returns the label and the bytes, or `None` if `message` is malformed.
+/// Decodes the label and the bytes, or returns `None` if `message` is malformed.
 pub(crate) fn read_labelled_bytes(message: &[u8]) -> Option<(&str, &[u8])> {
     let mut cdr = CdrReader::new(message)?;
     if cdr.u32()? != 1 {
@@ -58,7 +57,7 @@ pub(crate) fn write_text(out: &mut Vec<u8>, text: &str) {
     CdrWriter::new(out).string(text);
 }
 
-/// Returns the text, or `None` if `message` is malformed.
+/// Decodes the text, or returns `None` if `message` is malformed.
 pub(crate) fn read_text(message: &[u8]) -> Option<&str> {
     CdrReader::new(message)?.string()
 }

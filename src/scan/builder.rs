@@ -1,5 +1,4 @@
-//! [`ScanBuilder`]: scans from any values, for tests and for other sources of scans
-//! than a sensor.
+//! [`ScanBuilder`]: scans from any values, for tests and for sources other than a sensor.
 
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
@@ -9,15 +8,37 @@ use tokio::time::Instant;
 use super::{Scan, ScanMeta};
 use crate::protocol::Window;
 
-/// The largest 12-bit value.
+/// Largest 12-bit value.
 const MAX_VALUE: u16 = 4095;
-/// A revolution at 600 rpm.
+/// Revolution at 600 rpm.
 pub(super) const REVOLUTION: Duration = Duration::from_millis(100);
 
-/// A builder of a [`Scan`]; made by [`Scan::builder`].
+impl Scan {
+    /// Makes a scan of `window` from your values, one for each point, as if it had just
+    /// arrived. Set the rest on the [`ScanBuilder`].
+    ///
+    /// ```
+    /// use tokio_scip::{Scan, Window};
+    ///
+    /// /// Returns the distance to the nearest object in metres.
+    /// fn nearest(scan: &Scan) -> Option<f32> {
+    ///     scan.nearest().map(|point| point.range)
+    /// }
+    ///
+    /// // Millimetres; values below 20 are error codes.
+    /// let scan = Scan::builder(Window::new(383..=385)?, [900, 0, 1250]).build()?;
+    /// assert_eq!(nearest(&scan), Some(0.9));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn builder(window: Window, values: impl Into<Arc<[u16]>>) -> ScanBuilder {
+        ScanBuilder::new(window, values.into())
+    }
+}
+
+/// Builder of a [`Scan`]; made by [`Scan::builder`].
 ///
-/// Unless set, the scan is number 0 of a sensor at 600 rpm, is no repeat, and was
-/// requested and received at the time of [`build`](Self::build).
+/// By default, the scan is number 0 of a sensor at 600 rpm, is no repeat, and was requested
+/// and received at the time of [`build`](Self::build).
 #[derive(Debug, Clone)]
 #[must_use = "a builder does nothing until it builds a scan"]
 pub struct ScanBuilder {
@@ -26,7 +47,9 @@ pub struct ScanBuilder {
     sequence: u64,
     requested_at: Option<Instant>,
     received_at: Option<Instant>,
+    first_byte_at: Option<Instant>,
     stamp: Option<SystemTime>,
+    lateness: Option<Duration>,
     repeat: bool,
     scan_time: Duration,
     reconnects: u64,
@@ -40,7 +63,9 @@ impl ScanBuilder {
             sequence: 0,
             requested_at: None,
             received_at: None,
+            first_byte_at: None,
             stamp: None,
+            lateness: None,
             repeat: false,
             scan_time: REVOLUTION,
             reconnects: 0,
@@ -53,7 +78,7 @@ impl ScanBuilder {
         self
     }
 
-    /// Sets [`Scan::requested_at`]. Unless set, it is the same as `received_at`.
+    /// Sets [`Scan::requested_at`]. Default: `received_at`.
     pub fn requested_at(mut self, requested_at: Instant) -> Self {
         self.requested_at = Some(requested_at);
         self
@@ -62,6 +87,19 @@ impl ScanBuilder {
     /// Sets [`Scan::received_at`].
     pub fn received_at(mut self, received_at: Instant) -> Self {
         self.received_at = Some(received_at);
+        self
+    }
+
+    /// Sets when the first byte was read; [`Scan::first_ray_at`] is computed from it.
+    /// Default: `received_at`.
+    pub fn first_byte_at(mut self, first_byte_at: Instant) -> Self {
+        self.first_byte_at = Some(first_byte_at);
+        self
+    }
+
+    /// Sets [`Scan::lateness`], and with it [`Scan::stamp_quality`].
+    pub fn lateness(mut self, lateness: impl Into<Option<Duration>>) -> Self {
+        self.lateness = lateness.into();
         self
     }
 
@@ -77,7 +115,7 @@ impl ScanBuilder {
         self
     }
 
-    /// Sets [`Scan::scan_time`].
+    /// Sets [`Scan::scan_time`] and [`Scan::nominal_scan_time`].
     pub fn scan_time(mut self, scan_time: Duration) -> Self {
         self.scan_time = scan_time;
         self
@@ -89,11 +127,11 @@ impl ScanBuilder {
         self
     }
 
-    /// Makes the scan.
+    /// Builds the scan.
     ///
     /// # Errors
     ///
-    /// [`InvalidScan`] if there is not one value for each point of the window, or if a
+    /// [`InvalidScan`] if you did not pass one value for each point of the window, or if a
     /// value is above 4095.
     pub fn build(self) -> Result<Scan, InvalidScan> {
         let (expected, found) = (self.window.points(), self.values.len());
@@ -108,36 +146,39 @@ impl ScanBuilder {
         let meta = ScanMeta {
             sequence: self.sequence,
             requested_at: self.requested_at.unwrap_or(received_at),
+            first_byte_at: self.first_byte_at.unwrap_or(received_at),
             received_at,
             stamp: self.stamp.unwrap_or_else(SystemTime::now),
+            lateness: self.lateness,
             repeat: self.repeat,
             scan_time: self.scan_time,
+            nominal_scan_time: self.scan_time,
             reconnects: self.reconnects,
         };
         Ok(Scan::new(self.window, self.values, 0, meta))
     }
 }
 
-/// The error of values that make no [`Scan`].
+/// Error for values that make no [`Scan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum InvalidScan {
-    /// The number of values is not that of the window's points.
+    /// The number of values differs from the window's number of points.
     #[error("invalid scan of {window}: expected {expected} values, found {found}")]
     Length {
-        /// The window of the scan.
+        /// Window of the scan.
         window: Window,
-        /// The number of its points.
+        /// Number of points in the window.
         expected: usize,
-        /// The number of values.
+        /// Number of values.
         found: usize,
     },
     /// A value has more than 12 bits.
     #[error("invalid scan: expected values of 0 to 4095, found {found} at index {index}")]
     Value {
-        /// The place of the first such value, from 0.
+        /// Index of the first such value, from 0.
         index: usize,
-        /// The value.
+        /// Value.
         found: u16,
     },
 }
@@ -166,7 +207,7 @@ mod tests {
         assert_eq!((scan.window(), scan.values()), (window, &[1234, 7][..]));
         assert_eq!((scan.sequence(), scan.reconnects(), scan.is_repeat()), (3, 2, true));
         assert_eq!((scan.requested_at(), scan.received_at(), scan.stamp()), (at, later, stamp));
-        assert_eq!(scan.scan_time(), 0.05);
+        assert_eq!(scan.scan_time(), Duration::from_millis(50));
     }
 
     #[test]

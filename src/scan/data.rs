@@ -18,10 +18,17 @@ impl Serialize for Scan {
         // JSON has no infinity and no NaN.
         let finite = |range: f32| Some(range).filter(|range| range.is_finite());
         let ranges: Vec<_> = self.ranges().map(finite).collect();
-        let since_1970 = self.stamp().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let mut scan = serializer.serialize_struct("Scan", 12)?;
+        let since_1970 = |stamp: SystemTime| {
+            let since = stamp.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+            since.as_micros() as f64 / 1e6
+        };
+        let lateness = self.lateness().map(|lateness| lateness.as_secs_f64());
+        let mut scan = serializer.serialize_struct("Scan", 15)?;
         scan.serialize_field("sequence", &self.sequence())?;
-        scan.serialize_field("stamp", &(since_1970.as_micros() as f64 / 1e6))?;
+        scan.serialize_field("stamp", &since_1970(self.stamp()))?;
+        scan.serialize_field("first_ray", &since_1970(self.first_ray_stamp()))?;
+        scan.serialize_field("stamp_quality", &self.stamp_quality())?;
+        scan.serialize_field("lateness", &lateness)?;
         scan.serialize_field("start", &self.window.start())?;
         scan.serialize_field("end", &self.window.end())?;
         scan.serialize_field("cluster", &self.window.cluster_count())?;
@@ -36,7 +43,7 @@ impl Serialize for Scan {
     }
 }
 
-/// A scan as it is read.
+/// Scan as read from data.
 #[derive(Deserialize)]
 #[serde(rename = "Scan")]
 struct Fields {
@@ -44,6 +51,7 @@ struct Fields {
     sequence: u64,
     #[serde(default)]
     stamp: f64,
+    lateness: Option<f64>,
     start: u16,
     end: u16,
     #[serde(default = "one")]
@@ -72,16 +80,18 @@ impl<'de> Deserialize<'de> for Scan {
         let window = Window::new(fields.start..=fields.end)
             .and_then(|window| window.with_cluster_count(fields.cluster))
             .map_err(D::Error::custom)?;
-        // A number of seconds is exact to the microsecond only.
+        // Seconds as a number are exact only to the microsecond.
         let micros = Some(fields.stamp).filter(|stamp| (0.0..=MAX_STAMP).contains(stamp));
         let micros = micros.map(|stamp| Duration::from_micros((stamp * 1e6).round() as u64));
         let stamp = micros.and_then(|micros| SystemTime::UNIX_EPOCH.checked_add(micros));
         let invalid = || D::Error::custom("invalid stamp: expected seconds since 1970");
         let stamp = stamp.ok_or_else(invalid)?;
         let scan_time = Duration::try_from_secs_f64(fields.scan_time).map_err(D::Error::custom)?;
+        let lateness = fields.lateness.map(Duration::try_from_secs_f64).transpose();
         let scan = Self::builder(window, fields.values)
             .sequence(fields.sequence)
             .stamp(stamp)
+            .lateness(lateness.map_err(D::Error::custom)?)
             .scan_time(scan_time)
             .repeat(fields.repeat)
             .reconnects(fields.reconnects)
@@ -95,8 +105,8 @@ impl<'de> Deserialize<'de> for Scan {
 }
 
 impl Scan {
-    /// Returns this scan with its first point at `angle`, if a crop leaves it there:
-    /// the only cluster of a window may be the rest of a whole one.
+    /// Moves the first point to `angle`, if a crop can leave it there: the only cluster
+    /// of a window may be the rest of a whole one.
     fn pointing(self, angle: f32) -> Self {
         let whole = Self { first_cluster: self.window.cluster_count(), ..self.clone() };
         if whole.angle_min() == angle { whole } else { self }

@@ -1,57 +1,29 @@
-//! The geometry of a [`Scan`]: its directions, points, and parts.
+//! Directions of a [`Scan`], and its parts.
 
 use std::sync::Arc;
 
 use super::Scan;
 use crate::protocol::{Window, angle};
 
-/// A point in the sensor's frame.
-#[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-pub struct Point {
-    /// Metres ahead of the sensor.
-    pub x: f32,
-    /// Metres to the left of the sensor.
-    pub y: f32,
-    /// Metres from the sensor, 0.020..=4.094.
-    pub range: f32,
-    /// Radians counter-clockwise from the front.
-    pub angle: f32,
-}
-
 impl Scan {
-    /// Iterates over the directions of the points in radians: point `n` lies at
-    /// `angle_min + n * angle_increment`, the middle of the steps of its cluster. A
-    /// last cluster with fewer steps than the others counts as a whole one.
+    /// Iterates over the directions of the points in radians. Point `n` lies at
+    /// `angle_min + n * angle_increment`, the middle of its cluster's steps. A last
+    /// cluster with fewer steps counts as a whole one.
     pub fn angles(&self) -> impl ExactSizeIterator<Item = f32> + Clone + use<> {
         let (from, increment) = (self.first_angle(), self.window.angle_increment());
-        // Computed in double precision: a sum of rounded steps would drift.
+        // In double precision, because a sum of rounded steps would drift.
         (0..self.len()).map(move |n| (from + n as f64 * increment) as f32)
     }
 
-    /// Iterates over the points that have a distance, in the order of their steps. The
-    /// others are left out: to compare scans point by point use
-    /// [`measurements`](Self::measurements) or [`ranges`](Self::ranges), which have one
-    /// item for each point.
-    pub fn points(&self) -> impl Iterator<Item = Point> + Clone + '_ {
-        self.ranges().zip(self.angles()).filter(|(range, _)| range.is_finite()).map(
-            |(range, angle)| {
-                let (sin, cos) = angle.sin_cos();
-                Point { x: range * cos, y: range * sin, range, angle }
-            },
-        )
-    }
-
-    /// Returns the part of the scan inside of `window`: the points of which all steps
-    /// lie in it, or `None` if there is none. The cluster count of the result is this
-    /// scan's; that of `window` is ignored. Each point keeps its direction. Shares the
-    /// values.
+    /// Crops the scan to the points whose steps all lie inside `window`. Returns `None`
+    /// if there are no such points. Keeps the scan's cluster count and ignores the
+    /// cluster count of `window`. Each point keeps its direction. Shares the values.
     pub fn crop(&self, window: Window) -> Option<Self> {
         let cluster = self.window.cluster_count();
         let (start, end) = (self.window.start().number(), self.window.end().number());
         let skip = window.start().number().saturating_sub(start).div_ceil(u16::from(cluster));
         let from = start + skip * u16::from(cluster);
-        // A point ends where its cluster does, the last one where the scan does.
+        // A point ends with its cluster, and the last point ends with the scan.
         let until = if window.end().number() >= end {
             end
         } else {
@@ -68,19 +40,19 @@ impl Scan {
         })
     }
 
-    /// Returns the direction of the first point in radians.
+    /// Direction of the first point in radians.
     pub fn angle_min(&self) -> f32 {
         self.first_angle() as f32
     }
 
-    /// Returns the direction of the last point in radians:
-    /// `angle_min + (len - 1) * angle_increment`, rounded once.
+    /// Direction of the last point in radians: `angle_min + (len - 1) * angle_increment`,
+    /// rounded once.
     pub fn angle_max(&self) -> f32 {
         let steps = (self.len() - 1) as f64;
         (self.first_angle() + steps * self.window.angle_increment()) as f32
     }
 
-    /// Returns the angle from one point to the next in radians.
+    /// Angle from one point to the next in radians.
     pub fn angle_increment(&self) -> f32 {
         self.window.angle_increment() as f32
     }
@@ -93,7 +65,9 @@ impl Scan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{scan, window};
+    use super::super::scan::tests::{scan, window};
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
@@ -107,8 +81,9 @@ mod tests {
         );
         assert_eq!((scan.angle_min(), scan.angle_max()), (angles[0], angles[768]));
         assert_eq!(scan.angle_increment(), (360.0f64 / 1024.0).to_radians() as f32);
-        assert!((scan.time_increment() - 97.66e-6).abs() < 1e-8);
-        assert_eq!((scan.range_min(), scan.range_max(), scan.scan_time()), (0.020, 4.094, 0.1));
+        assert_eq!(scan.time_increment(), Duration::from_nanos(97_656));
+        assert_eq!((scan.range_min(), scan.range_max()), (0.020, 4.094));
+        assert_eq!(scan.scan_time(), Duration::from_millis(100));
     }
 
     #[test]
@@ -122,20 +97,8 @@ mod tests {
             assert_eq!(scan.angles().last(), Some(scan.angle_max()));
             assert_eq!(scan.angles().len(), scan.len());
         }
-        // Fewer steps than a cluster has: the middle of those that there are.
+        // Fewer steps than in a whole cluster: the middle of the existing steps.
         assert_eq!(scan(window(384, 386, 99)).angle_min(), scan(window(385, 385, 1)).angle_min());
-    }
-
-    #[test]
-    fn points_are_ahead_of_the_sensor_and_to_its_left() {
-        let mut scan = scan(window(384, 640, 1));
-        scan.values = std::iter::repeat_n(1000, 257).collect();
-        let points: Vec<Point> = scan.points().collect();
-        let (front, left) = (points[0], points[256]);
-        assert_eq!((front.x, front.y), (1.0, 0.0));
-        assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
-        scan.values = std::iter::repeat_n(7, 257).collect();
-        assert_eq!(scan.points().count(), 0);
     }
 
     #[test]
@@ -181,7 +144,7 @@ mod tests {
             assert_eq!(part.angles().collect::<Vec<_>>(), all[kept..], "from step {from}");
             assert_eq!(part.angle_max(), grouped.angle_max());
         }
-        // A window with fewer steps than a cluster has no whole one to follow.
+        // A window with fewer steps than a cluster has no whole cluster before it.
         let alone = scan(window(18, 20, 4));
         assert_eq!(alone.crop(Window::FULL).map(|part| part.angle_min()), Some(alone.angle_min()));
         assert_ne!(Some(alone), grouped.crop(window(18, 20, 1)));

@@ -7,30 +7,33 @@ use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::Sensor;
 use crate::driver::{self, Config, Driver, IdleProbe};
-use crate::observer::{RawReply, ReplyObserver};
+use crate::event::RawReply;
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Text;
 use crate::{BaudRate, Error};
 
-/// The longest time that can be set: no instant overflows.
+/// Longest time that you can set, so that no instant overflows.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
 /// A shorter wait would be a busy loop.
 const SHORTEST_BACKOFF: Duration = Duration::from_millis(10);
 
+/// A shorter time limit would be a busy loop while the driver searches for a silent sensor.
+const SHORTEST_LATENCY: Duration = Duration::from_millis(10);
+
 /// A shorter interval would keep the line busy with probes.
 const SHORTEST_PROBE: Duration = Duration::from_millis(100);
 
-/// A builder of a [`Sensor`]. Every setting has a default, which its method documents.
+/// Builder of a [`Sensor`]. Every setting has a default, documented at its method.
 ///
 /// ```no_run
 /// use tokio_scip::{BaudRate, Sensor};
 ///
 /// # async fn open() -> Result<(), tokio_scip::Error> {
-/// // A service that may start before its sensor, and wants this one and no other.
+/// // A service that may start before its sensor, and accepts only this sensor.
 /// let sensor = Sensor::builder()
-///     .wait_for_sensor()
+///     .wait_for_sensor(true)
 ///     .serial_number("H0713090")
-///     .baud_rate(BaudRate::B115200) // without effect on USB
+///     .baud_rate(BaudRate::B115200) // no effect on USB
 ///     .open("/dev/ttyUSB0")
 ///     .await?;
 /// # Ok(())
@@ -43,51 +46,65 @@ pub struct SensorBuilder {
 }
 
 impl SensorBuilder {
-    /// Sets the name of the sensor in logs and errors. Unless set, it is that of the
+    /// Sets the name of the sensor in logs and errors. Default: the name of the
     /// [port](Connect::name), such as `/dev/ttyACM0`.
     ///
-    /// The driver logs inside of a span `sensor` with this `name`, whose parent is the
-    /// span in which the driver is built.
+    /// The driver logs inside a span `sensor` with this `name`. The parent of the span is the span
+    /// in which you build the driver.
     pub fn name(mut self, name: impl Into<String>) -> Self {
         self.config.name = Some(name.into().into());
         self
     }
 
-    /// Sets the baud rate to run at. The sensor's current one is detected and changed to
-    /// this. Unless set, the sensor keeps its own (19,200 baud after power-up). Without
-    /// effect on USB.
+    /// Sets the baud rate to run at. The driver detects the sensor's current baud rate and changes
+    /// it. By default the sensor keeps its own (19,200 baud after power-up). No effect on USB.
     pub fn baud_rate(mut self, baud_rate: BaudRate) -> Self {
         self.config.baud_rate = Some(baud_rate);
         self
     }
 
-    /// Sets the time to search for a sensor on a port, which is also the time that a
-    /// request waits for a link. 5 s unless set: two passes over the six baud rates. At
-    /// most a day.
+    /// Sets the time limit for opening a port, and again for finding a sensor on it. Default: 5 s,
+    /// two passes over the six baud rates. At most a day.
     pub fn open_timeout(mut self, timeout: Duration) -> Self {
         self.config.open_timeout = timeout.min(LONGEST);
         self
     }
 
-    /// Makes opening wait until the sensor appears, without a limit: until the port is
-    /// there, is free, and a sensor answers. Unless set, opening fails. The driver logs
-    /// at level info that it waits: once for each reason, and again every ten minutes.
-    pub fn wait_for_sensor(mut self) -> Self {
-        self.config.wait_for_sensor = true;
+    /// Sets how long a request waits for a link before it fails with [`Error::Disconnected`].
+    /// Default: 5 s. At most a day.
+    pub fn request_timeout(mut self, timeout: Duration) -> Self {
+        self.config.request_timeout = timeout.min(LONGEST);
         self
     }
 
-    /// Sets whether a port is opened again after the link was lost. It is unless set to
-    /// `false`; then the driver ends with [`Error::Disconnected`].
+    /// Sets how long to search an open port for a sensor that has stopped answering, before the
+    /// port is reopened. Default: 2.5 s, one pass over the six baud rates. Halved where there are
+    /// no baud rates to search, as on USB. At most a day.
+    pub fn recovery_timeout(mut self, timeout: Duration) -> Self {
+        self.config.recovery_timeout = timeout.min(LONGEST);
+        self
+    }
+
+    /// Sets whether opening waits, without a time limit, until the port exists and is free and the
+    /// sensor answers. Default: `false`, opening fails. An error that waiting cannot remedy, such
+    /// as [`Error::PermissionDenied`], still fails when it repeats. The driver logs each reason for
+    /// waiting at level info: once, and again every ten minutes.
+    pub fn wait_for_sensor(mut self, wait: bool) -> Self {
+        self.config.wait_for_sensor = wait;
+        self
+    }
+
+    /// Sets whether to reopen the port after the link was lost. Default: `true`. With `false` the
+    /// driver ends with [`Error::Disconnected`].
     pub fn reconnect(mut self, reconnect: bool) -> Self {
         self.config.reconnect = reconnect;
         self
     }
 
-    /// Sets the wait before a port is opened again: the start of the range at first,
-    /// twice as long each time, up to its end, each lengthened at random by up to a
-    /// tenth. 0.1 s to 1 s unless set; bounds are held within 10 ms to a day, and the end
-    /// is at least the start. After a link that lasted the wait is the start again.
+    /// Sets the shortest and the longest delay before another attempt to open a port. It doubles
+    /// after each attempt, and up to 10 % jitter is added. Default: 0.1 s to 1 s. Both are clamped
+    /// to 10 ms to 1 day, and the longest is at least the shortest. After a link that lasted longer
+    /// than the next delay, the delay is the shortest again.
     pub fn backoff(mut self, range: RangeInclusive<Duration>) -> Self {
         let (shortest, longest) = range.into_inner();
         let shortest = shortest.clamp(SHORTEST_BACKOFF, LONGEST);
@@ -95,69 +112,67 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets the seed of everything random, for repeatable simulations: the back-off, and
-    /// the step of the first fence.
+    /// Sets the seed of all random choices, for repeatable simulations: the jitter of the back-off,
+    /// and the step of the first fence.
     pub fn jitter_seed(mut self, seed: u64) -> Self {
         self.config.jitter_seed = Some(seed);
         self
     }
 
-    /// Sets the serial number of the sensor, as in its `SERI:` line: a sensor with
-    /// another one is [`Error::AnotherSensor`]. Unless set, the first sensor that is
-    /// found is the one that is expected after a reconnect.
+    /// Sets the serial number that you expect, as in the sensor's `SERI:` line. The driver refuses
+    /// any other sensor with [`Error::AnotherSensor`]. By default it accepts the first sensor that
+    /// it finds, and after a reconnect expects the same one.
     ///
-    /// Takes a text, or the [`serial_number`](crate::Version::serial_number) of a sensor.
-    /// To search for a sensor on all ports, open [`Endpoint::SerialNumber`] instead,
-    /// `serial:H0713090`.
+    /// Pass a string, or the [`serial_number`](crate::Version::serial_number) of a sensor. To
+    /// search all ports for a sensor, open [`Endpoint::SerialNumber`] (`serial:H0713090`) instead.
     pub fn serial_number(mut self, serial_number: impl Into<Text>) -> Self {
         self.config.serial_number = Some(serial_number.into());
         self
     }
 
-    /// Accepts any sensor after a reconnect, such as a spare in the place of one that
-    /// failed: the driver applies the same settings, and
-    /// [`State::Connected`](crate::State::Connected) has its serial number. Unless set, another sensor
-    /// is refused with [`Error::AnotherSensor`]. Without effect where
-    /// [`serial_number`](Self::serial_number) was set.
-    pub fn any_sensor(mut self) -> Self {
-        self.config.any_sensor = true;
+    /// Sets whether to accept any sensor after a reconnect, such as a spare in place of a broken
+    /// one. The driver applies the same settings to it, and
+    /// [`State::Connected`](crate::State::Connected) has its serial number. Default: `false`, the
+    /// driver refuses it with [`Error::AnotherSensor`]. No effect if you set
+    /// [`serial_number`](Self::serial_number).
+    pub fn any_sensor(mut self, any: bool) -> Self {
+        self.config.any_sensor = any;
         self
     }
 
-    /// Sets the number of scans that streams keep for a slow consumer, at least 1. 1
-    /// unless set: the newest. [`StreamBuilder::depth`](crate::StreamBuilder::depth) sets
-    /// it for one stream. A consumer that needs every scan needs more: a recorder, or a
-    /// replay at full speed, which is faster than any consumer.
-    pub fn ring_depth(mut self, scans: usize) -> Self {
-        self.config.ring_depth = scans.max(1);
+    /// Sets the number of scans that streams keep for a slow consumer, at least 1. Default: 1, the
+    /// newest scan. To set it for one stream, use
+    /// [`StreamBuilder::depth`](crate::stream::StreamBuilder::depth). Set more if you need every
+    /// scan, as in a recorder, or in a replay at full speed, which is faster than any consumer.
+    pub fn depth(mut self, scans: usize) -> Self {
+        self.config.depth = scans.max(1);
         self
     }
 
-    /// Sets the time that the sensor may take to answer, the time on the line not
-    /// counted, at most a day. Unless set, 500 ms for `G` and 1 s for the other commands.
+    /// Sets how long the sensor may take to answer, in addition to the time on the line. Default:
+    /// 500 ms for `G` and 1 s for the other commands. Clamped to 10 ms and a day.
     pub fn reply_latency(mut self, latency: Duration) -> Self {
-        self.config.reply_latency = Some(latency.min(LONGEST));
+        self.config.reply_latency = Some(latency.clamp(SHORTEST_LATENCY, LONGEST));
         self
     }
 
-    /// Sets the time without an exchange after which the driver probes the sensor, or
-    /// switches the probe off with `None`. Unless set, 5 s on links that can be lost
-    /// without a word ([`Port::can_die_silently`](crate::Port::can_die_silently): TCP and
-    /// RS-232), and off on others.
+    /// Sets how long the sensor may be silent before the driver probes it. Pass `None` to switch
+    /// the probe off. Default: 5 s on links that can fail silently
+    /// ([`PortHints::can_die_silently`](crate::port::PortHints::can_die_silently): TCP and RS-232),
+    /// and off on other links.
     ///
     /// Without a probe, a link that died silently shows as
-    /// [`State::Connected`](crate::State::Connected) until the next request or poll. A
-    /// probe is a fence: 10 bytes to the sensor and at most 16 back, on RS-232 at 19,200
-    /// baud 14 ms of the line. Over TCP, with the default interval, an idle hour was
-    /// measured to cost 110 kB in each direction, headers included, and 0.25 s of CPU. A
-    /// request that comes meanwhile waits for its end. Streams that poll more often are
-    /// not probed. A probe without an answer is repeated as any fence. After 10 s in all
-    /// at most, with the default interval, the link counts as lost, and the driver
-    /// reconnects. With the laser
-    /// switched off it also finds a sensor that has restarted, and switches its laser off
+    /// [`State::Connected`](crate::State::Connected) until your next request or poll. A probe is a
+    /// [fence](crate::guide::trust): 10 bytes to the sensor and at most 16 back, which take 14 ms
+    /// at 19,200 baud. Over TCP, at the default interval, an idle hour cost 110 kB in each
+    /// direction, headers included, and 0.25 s of CPU. A request that arrives during a probe waits
+    /// for its end. While a stream polls more often than the interval, there are no probes. The
+    /// driver repeats an unanswered probe like any fence. At the default interval a silent link
+    /// counts as lost after at most 10 s, and the driver reconnects. While the laser is switched
+    /// off, the probe also finds a sensor that has restarted, and the driver switches its laser off
     /// again.
     ///
-    /// From 100 ms to a day.
+    /// Clamped to 100 ms to 1 day.
     pub fn idle_probe(mut self, interval: Option<Duration>) -> Self {
         self.config.idle_probe = match interval {
             Some(interval) => IdleProbe::Every(interval.clamp(SHORTEST_PROBE, LONGEST)),
@@ -166,12 +181,12 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets an observer of every reply, in the bytes that the sensor sent: to record it,
-    /// or to log it.
+    /// Sets an observer of every reply, to record or log the bytes that the sensor sent.
     ///
-    /// The observer is called in the driver's task, once for each frame, fences and
-    /// malformed replies included, and before a scan is delivered: it must not block.
-    /// There is one observer: a second one replaces the first.
+    /// The driver calls your observer in its task, once for each frame, including fences and
+    /// malformed replies, and before it delivers a scan. The observer must not block. Several
+    /// observers are called in the order in which you set them. To observe a sensor that is
+    /// already open, use [`Sensor::observe_replies`].
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
@@ -185,13 +200,13 @@ impl SensorBuilder {
     /// let sensor = builder.connect(Emulator::default()).await?;
     /// // A sensor is opened with a fence, and then `V`.
     /// assert!(matches!(replies.recv().await, Some((None, _))));
-    /// let (_, version) = replies.recv().await.ok_or(tokio_scip::Error::Closed)?;
+    /// let (_, version) = replies.recv().await.ok_or(tokio_scip::Error::Closed { sensor: None })?;
     /// assert!(version.starts_with(b"V\n0\nVEND:Hokuyo"));
     /// # Ok(())
     /// # }
     /// ```
-    pub fn on_reply(mut self, observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
-        self.config.observer = ReplyObserver::new(observer);
+    pub fn on_reply(self, observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
+        self.config.observers.add(observer);
         self
     }
 
@@ -199,7 +214,7 @@ impl SensorBuilder {
     ///
     /// # Errors
     ///
-    /// See [`Sensor::open`]. If this future is dropped the port is closed.
+    /// See [`Sensor::open`]. Dropping this future closes the port.
     ///
     /// # Panics
     ///
@@ -213,8 +228,7 @@ impl SensorBuilder {
         start(self.build_for(endpoint)).await
     }
 
-    /// Opens the sensor behind a byte stream that is open already, see
-    /// [`Sensor::attach`].
+    /// Opens the sensor behind an open byte stream, see [`Sensor::attach`].
     ///
     /// # Errors
     ///
@@ -232,12 +246,11 @@ impl SensorBuilder {
         self.connect(Attached::new(stream)).await
     }
 
-    /// Opens a sensor through one's own [`Connect`], on a driver that is spawned
-    /// on the current tokio runtime.
+    /// Opens a sensor through your own [`Connect`]. Spawns the driver on the current tokio runtime.
     ///
     /// # Errors
     ///
-    /// See [`Sensor::open`]. If this future is dropped the port is closed.
+    /// See [`Sensor::open`]. Dropping this future closes the port.
     ///
     /// # Panics
     ///
@@ -246,15 +259,15 @@ impl SensorBuilder {
         start(self.build(connect)).await
     }
 
-    /// Returns a handle, and the driver for it, which the caller spawns. Nothing is
-    /// opened before the driver runs; requests wait for it.
+    /// Builds a handle and its driver. Spawn the driver yourself: it opens the port when it first
+    /// runs, and requests wait for it.
     pub fn build(self, connect: impl Connect) -> (Sensor, Driver) {
         let (client, driver) = driver::new(Box::new(connect), self.config);
         (Sensor { client }, driver)
     }
 
-    /// Does the same for an endpoint. Not generic, so that its connector is compiled with
-    /// this crate, and not in each program that uses it.
+    /// Does the same for an endpoint. Not generic, so that its connector is compiled with this
+    /// crate and not in your program.
     fn build_for(self, endpoint: Endpoint) -> (Sensor, Driver) {
         self.build(endpoint.into_connector())
     }

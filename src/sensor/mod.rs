@@ -1,62 +1,61 @@
-//! [`Sensor`], the handle that a service holds: each method sends a request to the
-//! driver, or reads what the driver reports.
+//! [`Sensor`], the handle that a service holds. Its methods send requests to the driver, or read
+//! what the driver reports.
 
 mod builder;
 
 use tokio::io::{AsyncRead, AsyncWrite};
-use tokio::sync::watch;
 
 pub use self::builder::SensorBuilder;
 use crate::driver::{Client, Request};
+use crate::event::RawReply;
+use crate::observer::ReplyObservation;
 use crate::port::Endpoint;
-use crate::protocol::Version;
-use crate::state::{Freshness, State, Stats};
+use crate::protocol::{Command, Version};
+use crate::state::{Freshness, State, StateWatch};
+use crate::stats::Stats;
 use crate::stream::{ScanStream, StreamBuilder};
 use crate::{BaudRate, Error, Rate, Scan, Window};
 
-/// A URG sensor.
+/// Handle to a URG sensor.
 ///
-/// A handle to the task that owns the port: cheap to clone, all methods take
-/// `&self`, and all clones share one driver. Requests are served one at a time,
-/// first come, first served, and in turn with the polls of streams.
+/// The handle talks to the driver, a task that owns the port. Cloning the handle is cheap, all
+/// methods take `&self`, and all clones share one driver. The driver serves requests one at a time,
+/// first come, first served, and alternates them with the polls of streams.
 ///
-/// The driver ends, and the port is closed, when the last handle and the last
-/// stream are gone, or on [`close`](Self::close). Dropping a handle never
-/// blocks, never spawns, and is fine outside of a runtime.
+/// The driver stops and closes the port when you drop the last handle and the last stream, or on
+/// [`close`](Self::close). You can drop a handle anywhere: dropping never blocks or spawns, and
+/// needs no runtime.
 ///
 /// # Cancel safety
 ///
-/// Dropping any future of this type at any await loses nothing and disturbs
-/// nothing: a request that was not written yet is skipped; one that was written
-/// is carried out, its reply is read to the end and dropped.
+/// All futures of this type are cancel-safe. If you drop one before its request was written, the
+/// driver skips the request. After that the sensor carries it out, and the driver reads and drops
+/// the whole reply.
 ///
 /// # Errors
 ///
-/// While there is no link a request waits for one, at most for the
-/// [open timeout](SensorBuilder::open_timeout), and then fails with
-/// [`Error::Disconnected`]; [`state`](Self::state) has the reason. A command without a
-/// whole reply is repeated once where that is harmless, and then fails with
-/// [`Error::Timeout`] or [`Error::Malformed`]; with a status other than success it
-/// fails with [`Error::Refused`]. Once the driver has ended every call fails with the
-/// cause, or [`Error::Closed`].
+/// While there is no link, a request waits for one. It fails with [`Error::Disconnected`] after the
+/// [request timeout](SensorBuilder::request_timeout); [`state`](Self::state) has the reason. A
+/// command without a complete reply is repeated once if that is harmless, and then fails with
+/// [`Error::Timeout`] or [`Error::Malformed`]. A status other than success is [`Error::Refused`].
+/// Once the driver has ended, every call fails with the cause, or [`Error::Closed`].
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,
 }
 
 impl Sensor {
-    /// Opens the sensor behind `endpoint` with the builder's defaults, on a
-    /// driver that is spawned on the current tokio runtime.
+    /// Opens the sensor behind `endpoint` with the builder's defaults. Spawns the driver on the
+    /// current tokio runtime.
     ///
-    /// Takes an [`Endpoint`], a path, or a text that names an endpoint, such as
-    /// `/dev/ttyACM0`, `COM3`, `tcp://host:port?baud=115200` or
-    /// `serial:H0713090`.
+    /// Pass an [`Endpoint`], a path, or a string that names an endpoint, such as `/dev/ttyACM0`,
+    /// `COM3`, `tcp://host:port?baud=115200` or `serial:H0713090`.
     ///
     /// # Errors
     ///
-    /// Fails at once if trying again would not help: no such port, not a serial port,
-    /// no permission, in use, SCIP 2, a loopback. Fails with [`Error::NoAnswer`] after
-    /// the open timeout (5 s).
+    /// Fails at once if the port does not exist, is not a serial port, is in use or may not be
+    /// opened, and on SCIP 2 or a loopback. Fails with [`Error::NoAnswer`] after the open timeout
+    /// (5 s).
     ///
     /// # Panics
     ///
@@ -69,13 +68,12 @@ impl Sensor {
         Self::builder().open(endpoint).await
     }
 
-    /// Opens the sensor behind a byte stream that is open already: a socket, a pipe, an
-    /// emulated sensor. The stream has no baud rate, and is never reopened: when it ends,
-    /// the driver ends.
+    /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
+    /// stream has no baud rate and is never reopened: when it ends, the driver ends.
     ///
     /// # Errors
     ///
-    /// As [`open`](Self::open), but for those of opening a port.
+    /// The same as [`open`](Self::open), except the errors of opening a port.
     ///
     /// # Panics
     ///
@@ -87,15 +85,15 @@ impl Sensor {
         Self::builder().attach(stream).await
     }
 
-    /// Returns a builder, for other settings than those of [`open`](Self::open).
+    /// Creates a builder, to change the settings of [`open`](Self::open).
     pub fn builder() -> SensorBuilder {
         SensorBuilder::default()
     }
 
     /// Waits until the sensor answers for the first time.
     ///
-    /// The other ways of opening have waited already; this is for a driver that was
-    /// [built](SensorBuilder::build) and spawned. Cancel-safe.
+    /// Use it with a driver that you [built](SensorBuilder::build) and spawned; the other ways of
+    /// opening have waited already. Cancel-safe.
     ///
     /// # Errors
     ///
@@ -103,14 +101,15 @@ impl Sensor {
     pub async fn opened(&self) -> Result<(), Error> {
         let mut state = self.state();
         let open = |state: &State| !matches!(state, State::Connecting { .. });
-        match state.wait_for(open).await.as_deref() {
+        match state.wait_for(open).await {
             Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
             Ok(_) => Ok(()),
         }
     }
 
-    /// Returns the identity of the sensor (`V`, C-42-3320-A p. 4), as it was read when
-    /// the link was opened.
+    /// Identity of the sensor, as the driver read it when it opened the link (`V`, p. 4 of the
+    /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
+    /// a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
         match self.client.telemetry().version() {
             Some(version) => Ok(version),
@@ -118,67 +117,64 @@ impl Sensor {
         }
     }
 
-    /// Switches the laser on (`L1`, p. 4), and confirms that it is. Succeeds if it is
-    /// on already.
+    /// Switches the laser on (`L1`, p. 4), and confirms it. Succeeds if the laser is on already.
     ///
-    /// The driver remembers it, also if this call fails or is dropped after it
-    /// was written, and restores it whenever the sensor was away.
+    /// The driver remembers the setting, even if you drop the call after it was written or the call
+    /// fails. It restores the setting when the sensor comes back.
     pub async fn laser_on(&self) -> Result<(), Error> {
         self.client.ask(|responder| Request::Laser { on: true, responder }).await
     }
 
-    /// Switches the laser off (`L0`, p. 4), and confirms that it is: the sensor refuses
-    /// to measure. Succeeds if it is off already.
+    /// Switches the laser off (`L0`, p. 4), and confirms it: the sensor refuses to measure.
+    /// Succeeds if the laser is off already.
     ///
-    /// Streams pause until [`laser_on`](Self::laser_on). The driver remembers it, also
-    /// if this call fails or is dropped after it was written, and restores it whenever
-    /// the sensor was away. A sensor that resets itself switches its laser on; on USB,
-    /// and while it gets no commands, the driver notices that only if the sensor sends
-    /// bytes by itself.
+    /// Streams pause until you call [`laser_on`](Self::laser_on). The driver remembers the setting,
+    /// even if you drop the call after it was written or the call fails. It restores the setting
+    /// when the sensor comes back. A sensor that resets itself switches its laser on. On USB the
+    /// driver notices that only at your next command, or when the sensor sends unsolicited bytes,
+    /// unless you set an [idle probe](SensorBuilder::idle_probe).
     pub async fn laser_off(&self) -> Result<(), Error> {
         self.client.ask(|responder| Request::Laser { on: false, responder }).await
     }
 
-    /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the
-    /// sensor answers at it; takes about half a second. The driver restores it whenever
-    /// the sensor was away. A sensor on USB accepts it without effect.
+    /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the sensor answers
+    /// at the new one. Takes about half a second. The driver restores the baud rate when the sensor
+    /// comes back. A sensor on USB accepts it without effect.
     ///
     /// # Errors
     ///
-    /// [`Error::UnsupportedBaudRate`], with nothing sent to the sensor, if the port
-    /// cannot be set to this baud rate or, as a TCP connection, to any other than that
-    /// of its endpoint. [`Error::NotConfirmed`] if the sensor accepted and stayed at the old one, or,
-    /// with `L0` as its command, if the laser was off by request and does not go off at
-    /// the new one.
+    /// [`Error::UnsupportedBaudRate`] if the port cannot be set to this baud rate; nothing is sent
+    /// then. A TCP connection supports only the baud rate of its endpoint. [`Error::NotConfirmed`]
+    /// if the sensor accepted but stayed at the old baud rate. [`Error::NotConfirmed`] with `L0` as
+    /// its command if you had switched the laser off and it is on at the new baud rate.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
 
-    /// Polls once, and returns the scan of `window` (`G`, p. 5). The poll may come
-    /// between those of streams. The scan is number 0, and takes none of their numbers.
+    /// Polls once for a scan of `window` (`G`, p. 5), possibly between the polls of streams. The
+    /// scan has the sequence number 0, and no stream counts it.
     ///
     /// # Errors
     ///
-    /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off), and those of
-    /// [every request](Self#errors).
+    /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off), and the errors of [every
+    /// request](Self#errors).
     pub async fn scan(&self, window: Window) -> Result<Scan, Error> {
         self.client.ask(|responder| Request::Scan { window, responder }).await
     }
 
-    /// Returns a stream of scans of `window` at `rate`, starting with the next one. The
-    /// short form of [`stream`](Self::stream), without settings.
+    /// Opens a stream of scans of `window` at `rate`, starting with the next one. For more settings
+    /// use [`stream`](Self::stream).
     ///
-    /// Polls lie on a fixed grid, without drift. One that falls due while the line is
-    /// busy is sent as soon as it is free; further ones are skipped, never made up.
-    /// Streams of the same window and rate share their polls. A rate that the line
-    /// cannot carry is not an error: log and [`stats`](Self::stats) report the rate that
-    /// is reached, and [`Window::wire_time`] predicts it.
+    /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is
+    /// sent as soon as the line is free. Further ones are skipped and never made up. Streams of the
+    /// same window and rate share their polls. If the line cannot carry the rate, you get no error:
+    /// look at the achieved rate in the log and [`stats`](Self::stats). [`Window::wire_time`]
+    /// predicts it.
     ///
-    /// Waits neither for a scan nor for a link. While the link is lost the stream starts
-    /// with [`Error::Disconnected`] or the reason of the latest attempt, and continues
-    /// when the link is back. A driver that still waits for its first link reports the
-    /// reason in [`state`](Self::state) only. After [`laser_off`](Self::laser_off) the
-    /// stream pauses, without an error.
+    /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
+    /// [`Error::Disconnected`] or the reason of the latest attempt, and continues when the link is
+    /// back. While the driver waits for its first link, only [`state`](Self::state) has the reason.
+    /// After [`laser_off`](Self::laser_off) the stream pauses, without an error.
     ///
     /// # Errors
     ///
@@ -187,65 +183,73 @@ impl Sensor {
         self.stream(window, rate).open().await
     }
 
-    /// Returns a builder of a stream, for other settings than those of
-    /// [`scans`](Self::scans).
+    /// Starts a builder, to change the settings of [`scans`](Self::scans).
     pub fn stream(&self, window: Window, rate: Rate) -> StreamBuilder {
         StreamBuilder::new(self.client.clone(), window, rate)
     }
 
-    /// Returns the time of the last good scan, of all streams and single scans, and the
-    /// reason why there is no newer one.
+    /// Observes every reply from now on, to record or log the bytes of a sensor that is open already.
+    ///
+    /// Before this method returns, it calls your observer with the latest reply to `V`, if there is
+    /// a link. From then on the driver calls it in its task, as it calls the observers of
+    /// [`on_reply`](SensorBuilder::on_reply). Drop the observation to end it. A call that has begun
+    /// on another thread may return after that.
+    ///
+    /// ```
+    /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// let sensor = Sensor::builder().connect(Emulator::default()).await?;
+    /// let observation = sensor.observe_replies(|reply| println!("{} bytes", reply.bytes.len()));
+    /// sensor.scan(Window::DETECTION).await?;
+    /// drop(observation);
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn observe_replies(
+        &self,
+        observer: impl Fn(RawReply<'_>) + Send + Sync + 'static,
+    ) -> ReplyObservation {
+        let telemetry = self.client.telemetry();
+        if let Some(version) = telemetry.version_reply() {
+            observer(RawReply {
+                command: Some(Command::Version),
+                bytes: &version.frame,
+                received_at: version.received_at,
+                stamp: version.stamp,
+            });
+        }
+        telemetry.observers().observe_until_dropped(observer)
+    }
+
+    /// When the last good scan arrived, over all streams and single scans, and why there is no
+    /// newer one.
     pub fn freshness(&self) -> Freshness {
         self.client.telemetry().freshness()
     }
 
-    /// Returns the counters since the driver started, across all links.
+    /// Counters since the driver started, across all links.
     pub fn stats(&self) -> Stats {
         self.client.telemetry().snapshot()
     }
 
-    /// Returns a watch of the state of the driver and its link.
-    ///
-    /// The receiver's `borrow`, `borrow_and_update` and `wait_for` return a lock: while
-    /// it is held the driver cannot enter another state. Clone the [`State`] out of it,
-    /// and hold no borrow across an await.
-    ///
-    /// The watch lasts as long as a handle or a stream does, also after the driver has
-    /// ended: a task that waits for a state has to wait for [`State::Closed`] too, or it
-    /// may wait for ever.
-    ///
-    /// ```
-    /// # use tokio_scip::emulator::Emulator;
-    /// use tokio_scip::{Sensor, State};
-    ///
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// let mut state = sensor.state();
-    /// let up_or_over =
-    ///     |state: &State| matches!(state, State::Connected { .. } | State::Closed { .. });
-    /// let now = state.wait_for(up_or_over).await?.clone(); // the borrow ends here
-    /// if let State::Closed { error, .. } = now {
-    ///     println!("no sensor any more: {error:?}");
-    /// }
-    /// # assert!(matches!(&*sensor.state().borrow(), State::Connected { .. }));
-    /// # Ok(())
-    /// # }
-    /// ```
-    pub fn state(&self) -> watch::Receiver<State> {
+    /// Watches the state of the driver and its link. Read it, wait for a
+    /// [connected](StateWatch::connected) sensor, or wait for the [end](StateWatch::closed).
+    pub fn state(&self) -> StateWatch {
         self.client.telemetry().watch()
     }
 
-    /// Ends the driver and closes the port. Earlier requests are answered first, if
-    /// there is a link; later ones fail with [`Error::Closed`], and streams end. Returns
-    /// at once if the driver has ended already.
+    /// Closes the port and stops the driver. If there is a link, earlier requests are answered
+    /// first. Later requests fail with [`Error::Closed`], and streams end. Returns at once if the
+    /// driver has ended already. Leaves the laser as it is: to switch it off, call
+    /// [`laser_off`](Self::laser_off) first.
     ///
-    /// If the sensor does not answer, this waits for the deadlines of the command under
-    /// way and of one fence: 1.5 s unless [`reply_latency`](SensorBuilder::reply_latency)
-    /// was set, and their time on the wire.
+    /// If the sensor does not answer, this waits for the deadlines of the current command and of
+    /// one fence: 1.5 s and their time on the wire, unless you set
+    /// [`reply_latency`](SensorBuilder::reply_latency).
     pub async fn close(&self) {
         let _closing = self.client.telemetry().closing();
-        // Any answer means that the driver has ended.
+        // Any outcome means that the driver has ended.
         let _ = self.client.ask(Request::Close).await;
     }
 }

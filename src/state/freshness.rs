@@ -1,20 +1,20 @@
-//! [`Freshness`]: the time of the last good scan, and the reason why there is no newer
-//! one. A state cannot report this: the sensor may answer every poll, and each reply
-//! be malformed.
+//! [`Freshness`]: when the last good scan arrived, and why there is no newer one. A state
+//! cannot report this: the sensor may answer every poll with a malformed reply.
 
+use std::fmt;
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-use crate::Error;
+use crate::{Error, ErrorChain};
 
-/// The time of the last good scan, and the reason why there is no newer one.
+/// When the last good scan arrived, and why there is no newer one.
 ///
-/// [`ScanStream::freshness`](crate::ScanStream::freshness) returns it for the scans of
-/// a stream, [`Sensor::freshness`](crate::Sensor::freshness) for all of a sensor. It is
-/// a copy: the age grows with the clock, the rest does not change.
+/// Get it from [`ScanStream::freshness`](crate::ScanStream::freshness) for one stream,
+/// or from [`Sensor::freshness`](crate::Sensor::freshness) for all scans of a sensor.
+/// It is a snapshot: only its age changes, with the clock.
 ///
-/// As data (feature `serde`) it is `age` in seconds, null before the first scan, and
+/// Serialises (feature `serde`) as `age` in seconds, null before the first scan, and
 /// `error`, the text of the error and its causes, or null.
 ///
 /// ```
@@ -56,28 +56,27 @@ impl Freshness {
         Self { last_scan, error }
     }
 
-    /// Returns the time when the last good scan was received, on tokio's clock, or
-    /// `None` before the first.
+    /// When the last good scan was received, on tokio's clock, or `None` before the
+    /// first.
     pub fn last_scan(&self) -> Option<Instant> {
         self.last_scan
     }
 
-    /// Returns the time that has passed since the last good scan, or `None` before the
-    /// first.
+    /// Time since the last good scan, or `None` before the first.
     pub fn age(&self) -> Option<Duration> {
         self.last_scan.map(|last_scan| last_scan.elapsed())
     }
 
-    /// Returns the latest error since the last good scan, if there was one: a malformed
-    /// reply, a timeout, a lost link, a laser that is switched off.
+    /// Latest error since the last good scan, if any: a malformed reply, a timeout, a
+    /// lost link, a laser that is switched off.
     pub fn error(&self) -> Option<&Error> {
         self.error.as_ref()
     }
 
-    /// Checks that a good scan came within `limit`.
+    /// Checks that the last good scan is not older than `limit`.
     ///
-    /// A limit of three periods lets two polls fail. It has to allow for the time of a
-    /// reply, see [`Window::wire_time`](crate::Window::wire_time).
+    /// With a limit of three periods you tolerate two failed polls. Add the time of a
+    /// reply: see [`Window::wire_time`](crate::Window::wire_time).
     ///
     /// # Errors
     ///
@@ -99,31 +98,37 @@ fn age<S: serde::Serializer>(at: &Option<Instant>, serializer: S) -> Result<S::O
     }
 }
 
-/// The error of a [`Freshness::check`]: no good scan came in time.
+/// Error of [`Freshness::check`]: the last good scan is too old.
 ///
-/// [`ErrorChain`](crate::ErrorChain) writes it with its cause.
-#[derive(Debug, Clone, thiserror::Error)]
+/// Write it with [`ErrorChain`](crate::ErrorChain) to include its cause.
+#[derive(Clone, thiserror::Error)]
 #[error(
     "{}",
     match age {
-        Some(age) => format!("expected a scan within {limit:.1?}, found the last one {age:.1?} old"),
-        None => format!("expected a scan within {limit:.1?}, found none yet"),
+        Some(age) => format!("expected a scan within {limit:.1?}, but the last one is {age:.1?} old"),
+        None => format!("expected a scan within {limit:.1?}, but none has arrived yet"),
     }
 )]
 #[non_exhaustive]
 pub struct Stale {
-    /// The age of the last good scan, or `None` before the first.
+    /// Age of the last good scan, or `None` before the first.
     pub age: Option<Duration>,
-    /// The limit of the check.
+    /// Limit of the check.
     pub limit: Duration,
-    /// The latest error since that scan, if there was one.
+    /// Latest error since that scan, if any.
     pub source: Option<Error>,
+}
+
+/// Writes the error and its cause, as [`Error`] does.
+impl fmt::Debug for Stale {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(&ErrorChain::new(self), f)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ErrorChain;
 
     const LIMIT: Duration = Duration::from_millis(500);
 
@@ -135,16 +140,17 @@ mod tests {
         assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(LIMIT), true));
         tokio::time::advance(Duration::from_millis(800)).await;
         let stale = fresh.check(LIMIT).map_err(|stale| stale.to_string());
-        let text = "expected a scan within 500.0ms, found the last one 1.3s old";
+        let text = "expected a scan within 500.0ms, but the last one is 1.3s old";
         assert_eq!(stale, Err(text.to_owned()));
     }
 
     #[tokio::test(start_paused = true)]
     async fn before_the_first_scan_nothing_is_fresh_and_the_reason_is_the_cause() {
-        let none = Freshness::new(None, Some(Error::LaserOff));
+        let none = Freshness::new(None, Some(Error::LaserOff { sensor: None }));
         let stale = none.check(LIMIT).map_err(|stale| ErrorChain::new(&stale).to_string());
-        let text = "expected a scan within 500.0ms, found none yet: \
-                    the laser is switched off: switch it on before asking for scans";
+        let text = "expected a scan within 500.0ms, but none has arrived yet: \
+                    the laser of the sensor is switched off: switch it on before asking for scans";
         assert_eq!(stale, Err(text.to_owned()));
+        assert_eq!(format!("{:?}", none.check(LIMIT)), format!("Err({text})"));
     }
 }

@@ -5,16 +5,19 @@ use std::mem::{Discriminant, discriminant};
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use tokio::sync::watch;
 use tokio::time::Instant;
 
-use super::{Freshness, ScheduleStats, State, Stats};
+use super::{Freshness, State, StateWatch};
+use crate::observer::ReplyObservers;
 use crate::protocol::Version;
+use crate::ring::Ring;
+use crate::stats::{ScheduleStats, Stats};
 use crate::{BaudRate, Error};
 
-/// While a driver waits for its sensor it logs so at level info at this interval.
+/// Interval at which a driver that waits for its sensor logs each reason again.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
 
 #[derive(Debug)]
@@ -22,18 +25,23 @@ pub(crate) struct Telemetry {
     name: Option<Arc<str>>,
     state: watch::Sender<State>,
     counters: Mutex<Counters>,
-    schedules: Mutex<Vec<(ScheduleStats, Weak<dyn Audience>)>>,
-    version: Mutex<Option<Version>>,
-    /// The last log line of a driver that waits for its sensor.
-    waiting: Mutex<Option<(Discriminant<Error>, Instant)>>,
-    /// The number of handles that wait for the driver to close.
+    schedules: Mutex<Vec<(ScheduleStats, Weak<Ring>)>>,
+    version: Mutex<Option<VersionReply>>,
+    observers: Arc<ReplyObservers>,
+    reasons: Mutex<LoggedReasons>,
+    /// Number of handles that wait for the driver to close.
     closing: AtomicUsize,
 }
 
-/// The streams of a schedule, which may all be gone before the driver notices.
-pub(crate) trait Audience: Send + Sync + std::fmt::Debug {
-    /// Returns true if a stream is left.
-    fn is_present(&self) -> bool;
+/// Reply to `V`: parsed, and as received.
+#[derive(Debug, Clone)]
+pub(crate) struct VersionReply {
+    pub(crate) version: Version,
+    /// Bytes without the terminator.
+    pub(crate) frame: Arc<[u8]>,
+    pub(crate) received_at: Instant,
+    /// Wall clock when the first byte arrived.
+    pub(crate) stamp: SystemTime,
 }
 
 /// [`Stats`] and [`Freshness`], which change together.
@@ -41,59 +49,101 @@ pub(crate) trait Audience: Send + Sync + std::fmt::Debug {
 pub(crate) struct Counters {
     stats: Stats,
     last_scan: Option<Instant>,
-    /// The latest error since the last scan.
+    /// Latest error since the last scan.
     error: Option<Error>,
+    /// Why there is no link.
+    link_error: Option<Error>,
+    /// True while the laser is switched off by request.
+    is_laser_off: bool,
+}
+
+/// Kinds of reasons logged since there was a link, each with the time of its last log line.
+#[derive(Debug, Default)]
+struct LoggedReasons(Vec<(Discriminant<Error>, Instant)>);
+
+impl LoggedReasons {
+    /// Returns true once for each kind, and again after `interval`.
+    fn is_due(&mut self, error: &Error, interval: Duration) -> bool {
+        let (kind, now) = (discriminant(error), Instant::now());
+        match self.0.iter_mut().find(|(known, _)| *known == kind) {
+            Some((_, at)) if now - *at < interval => return false,
+            Some((_, at)) => *at = now,
+            None => self.0.push((kind, now)),
+        }
+        true
+    }
 }
 
 impl Telemetry {
-    pub(crate) fn new(name: Option<Arc<str>>) -> Self {
+    pub(crate) fn new(name: Option<Arc<str>>, observers: ReplyObservers) -> Self {
         Self {
             name,
             state: watch::Sender::new(State::Connecting { error: None }),
             counters: Mutex::default(),
             version: Mutex::default(),
+            observers: Arc::new(observers),
             schedules: Mutex::default(),
-            waiting: Mutex::default(),
+            reasons: Mutex::default(),
             closing: AtomicUsize::new(0),
         }
     }
 
-    /// Returns the name of the sensor in logs and errors.
-    pub(crate) fn name(&self) -> Option<&Arc<str>> {
-        self.name.as_ref()
+    /// Adds the name of the sensor to `error`.
+    pub(crate) fn named(&self, error: Error) -> Error {
+        error.named(self.name.as_ref())
     }
 
-    pub(crate) fn watch(&self) -> watch::Receiver<State> {
-        self.state.subscribe()
+    pub(crate) fn watch(&self) -> StateWatch {
+        StateWatch::new(self.state.subscribe(), self.name.clone())
     }
 
-    /// Enters a state, and logs it.
+    /// Enters a state, and logs it. Does nothing if an attempt failed for the same reason as
+    /// the previous one.
     pub(crate) fn enter(&self, state: State) {
+        let state = state.map_error(|error| self.named(error));
         self.log(&state);
-        match &state {
-            State::Connecting { error: Some(error) }
-            | State::Disconnected { error, .. }
-            | State::Closed { error: Some(error) } => self.stats().failed(error),
-            State::Closed { error: None } => self.stats().failed(&Error::Closed),
-            State::Connecting { error: None } | State::Connected { .. } | State::Recovering => {}
+        let link_error = match &state {
+            State::Connecting { error } => error.clone(),
+            State::Disconnected { error, .. } => Some(error.clone()),
+            State::Closed { error } => {
+                Some(error.clone().unwrap_or(Error::Closed { sensor: None }))
+            }
+            State::Connected { .. } | State::Recovering => None,
+        };
+        let mut counters = self.stats();
+        if let Some(error) = &link_error {
+            counters.failed(error);
         }
+        counters.link_error = link_error;
+        drop(counters);
         if matches!(state, State::Disconnected { .. } | State::Closed { .. }) {
             *lock(&self.version) = None;
         }
-        self.state.send_replace(state);
+        // Only changes may wake watchers, and a user may hold a borrow.
+        let is_news = !is_same(&self.state.borrow(), &state);
+        if is_news {
+            self.state.send_replace(state);
+        }
     }
 
     fn log(&self, state: &State) {
         match state {
-            State::Connecting { error: Some(error) } => self.log_waiting(error),
+            State::Connecting { error: Some(error) } => {
+                if lock(&self.reasons).is_due(error, WAITING_INTERVAL) {
+                    tracing::info!(error = %error.chain(), "waiting for the sensor");
+                }
+            }
             State::Connecting { error: None } => tracing::debug!("searching for the sensor"),
             State::Connected { baud_rate, streaming, serial_number } => {
+                *lock(&self.reasons) = LoggedReasons::default();
                 let baud_rate = baud_rate.map(u32::from);
                 tracing::info!(baud_rate, streaming, %serial_number, "connected");
             }
             State::Recovering => tracing::warn!("the sensor does not answer: searching for it"),
             State::Disconnected { error, .. } => {
-                tracing::warn!(error = %error.chain(), "disconnected");
+                if lock(&self.reasons).is_due(error, Duration::MAX) {
+                    tracing::warn!(error = %error.chain(), "disconnected");
+                }
             }
             State::Closed { error: Some(error) } => {
                 tracing::error!(error = %error.chain(), "the driver has ended");
@@ -102,19 +152,7 @@ impl Telemetry {
         }
     }
 
-    /// Logs once for each reason, and again at long intervals: a service may wait for
-    /// its sensor for days, and tries once a second.
-    fn log_waiting(&self, error: &Error) {
-        let (kind, now) = (discriminant(error), Instant::now());
-        let mut last = lock(&self.waiting);
-        let is_due = last.is_none_or(|(last, at)| last != kind || now - at >= WAITING_INTERVAL);
-        if is_due {
-            *last = Some((kind, now));
-            tracing::info!(error = %error.chain(), "waiting for the sensor");
-        }
-    }
-
-    /// Records the baud rate after it was changed.
+    /// Records a changed baud rate.
     pub(crate) fn set_baud_rate(&self, now: Option<BaudRate>) {
         self.state.send_if_modified(|state| match state {
             State::Connected { baud_rate, .. } if *baud_rate != now => {
@@ -125,7 +163,7 @@ impl Telemetry {
         });
     }
 
-    /// Records whether scans are polled; wakes watchers only if that has changed.
+    /// Records whether scans are polled. Wakes watchers only on a change.
     pub(crate) fn set_streaming(&self, now: bool) {
         self.state.send_if_modified(|state| match state {
             State::Connected { streaming, .. } if *streaming != now => {
@@ -136,12 +174,20 @@ impl Telemetry {
         });
     }
 
-    /// Returns the error of calls after the driver has ended.
+    /// Error of calls after the driver has ended.
     pub(crate) fn cause(&self) -> Error {
         match &*self.state.borrow() {
             State::Closed { error: Some(error) } => error.clone(),
-            _ => Error::Closed,
+            _ => self.named(Error::Closed { sensor: None }),
         }
+    }
+
+    /// Waits until the driver has ended, and returns the error of later calls.
+    pub(crate) async fn closed(&self) -> Error {
+        let is_closed = |state: &State| matches!(state, State::Closed { .. });
+        // Fails only without a sender, and `self` owns it.
+        let _ = self.state.subscribe().wait_for(is_closed).await.map(drop);
+        self.cause()
     }
 
     pub(crate) fn is_closed(&self) -> bool {
@@ -152,14 +198,13 @@ impl Telemetry {
         lock(&self.counters)
     }
 
-    /// Returns a copy of the counters, with the schedules that have a stream.
+    /// Copies the counters, with the schedules that have a stream.
     pub(crate) fn snapshot(&self) -> Stats {
         let mut stats = self.stats().stats.clone();
-        let is_read = |audience: &Weak<dyn Audience>| {
-            audience.upgrade().is_some_and(|audience| audience.is_present())
-        };
+        // The streams may all be gone before the driver notices.
+        let is_read = |ring: &Weak<Ring>| ring.upgrade().is_some_and(|ring| ring.readers() > 0);
         let schedules = lock(&self.schedules);
-        let read = schedules.iter().filter(|(_, audience)| is_read(audience));
+        let read = schedules.iter().filter(|(_, ring)| is_read(ring));
         stats.schedules.extend(read.map(|(schedule, _)| *schedule));
         stats
     }
@@ -167,36 +212,71 @@ impl Telemetry {
     /// Replaces the schedules, in place and without allocating.
     pub(crate) fn set_schedules(
         &self,
-        schedules: impl Iterator<Item = (ScheduleStats, Weak<dyn Audience>)>,
+        schedules: impl Iterator<Item = (ScheduleStats, Weak<Ring>)>,
     ) {
         let mut noted = lock(&self.schedules);
         noted.clear();
         noted.extend(schedules);
     }
 
-    /// Announces that the driver is to close, as long as the guard lives.
+    /// Announces that the driver is closing, until the guard is dropped.
     pub(crate) fn closing(&self) -> Closing<'_> {
         self.closing.fetch_add(1, Ordering::Relaxed);
         Closing(&self.closing)
     }
 
-    /// Returns true if the driver is to close: then a sensor that does not answer gets
-    /// no further try.
+    /// Returns true while the driver is closing. A silent sensor then gets no second try.
     pub(crate) fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed) > 0
     }
 
+    /// Records whether the laser is switched off by request.
+    pub(crate) fn set_laser_off(&self, is_off: bool) {
+        self.stats().is_laser_off = is_off;
+    }
+
+    /// Freshness of all scans.
     pub(crate) fn freshness(&self) -> Freshness {
         let counters = self.stats();
-        Freshness::new(counters.last_scan, counters.error.clone())
+        let error = counters.pause_reason().or_else(|| counters.error.clone());
+        Freshness::new(counters.last_scan, error.map(|error| self.named(error)))
+    }
+
+    /// Why nothing is polled now, if so.
+    pub(crate) fn pause_reason(&self) -> Option<Error> {
+        self.stats().pause_reason()
     }
 
     pub(crate) fn version(&self) -> Option<Version> {
+        self.version_reply().map(|reply| reply.version)
+    }
+
+    pub(crate) fn version_reply(&self) -> Option<VersionReply> {
         lock(&self.version).clone()
     }
 
-    pub(crate) fn set_version(&self, version: Version) {
-        *lock(&self.version) = Some(version);
+    pub(crate) fn set_version(&self, reply: VersionReply) {
+        *lock(&self.version) = Some(reply);
+    }
+
+    /// Observers of all replies.
+    pub(crate) fn observers(&self) -> &Arc<ReplyObservers> {
+        &self.observers
+    }
+}
+
+/// Returns true if there still is no link, for the same reason.
+fn is_same(before: &State, now: &State) -> bool {
+    let text = |error: &Error| error.chain().to_string();
+    match (before, now) {
+        (State::Connecting { error: before }, State::Connecting { error: now }) => {
+            before.as_ref().map(text) == now.as_ref().map(text)
+        }
+        (
+            State::Disconnected { since: before, error: last },
+            State::Disconnected { since, error },
+        ) => before == since && text(last) == text(error),
+        _ => false,
     }
 }
 
@@ -207,6 +287,13 @@ impl Counters {
         self.stats.reply_latency.add(received_at - requested_at);
         self.last_scan = Some(received_at);
         self.error = None;
+    }
+
+    /// Why nothing is polled now, if so.
+    fn pause_reason(&self) -> Option<Error> {
+        self.link_error
+            .clone()
+            .or_else(|| self.is_laser_off.then_some(Error::LaserOff { sensor: None }))
     }
 
     /// Records why there is no scan.
@@ -229,7 +316,7 @@ impl DerefMut for Counters {
     }
 }
 
-/// A handle that waits for the driver to close.
+/// Handle that waits for the driver to close.
 pub(crate) struct Closing<'a>(&'a AtomicUsize);
 
 impl Drop for Closing<'_> {
@@ -239,6 +326,6 @@ impl Drop for Closing<'_> {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Counters and plain values: never half changed.
+    // Counters and plain values: always consistent.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -4,7 +4,7 @@ use super::ScanStream;
 use crate::driver::{Client, Request};
 use crate::{Error, Rate, Window};
 
-/// A builder of a [`ScanStream`]; made by [`Sensor::stream`](crate::Sensor::stream).
+/// Builder of a [`ScanStream`]; made by [`Sensor::stream`](crate::Sensor::stream).
 ///
 /// ```
 /// # use tokio_scip::emulator::Emulator;
@@ -35,15 +35,15 @@ pub struct StreamBuilder {
 
 impl StreamBuilder {
     pub(crate) fn new(client: Client, window: Window, rate: Rate) -> Self {
-        let depth = client.ring_depth();
+        let depth = client.depth();
         Self { client, window, rate, depth }
     }
 
-    /// Sets the number of newest scans that are kept for this stream, at least 1. Unless
-    /// set, it is that of the [sensor](crate::SensorBuilder::ring_depth).
+    /// Sets how many of the newest scans to keep for this stream, at least 1. Default:
+    /// the depth of the [sensor](crate::SensorBuilder::depth).
     ///
-    /// Streams of the same window and rate share the kept scans: only the deepest costs
-    /// memory, about 2 bytes a point.
+    /// Streams of the same window and rate share the kept scans: you pay only for the
+    /// deepest stream, about 2 bytes per point.
     pub fn depth(mut self, scans: usize) -> Self {
         self.depth = scans.max(1);
         self

@@ -1,12 +1,12 @@
 //! A port that delivers bytes without an end.
 
 use std::io;
-use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio_scip::Port;
+use tokio::io::ReadBuf;
+
+use super::test_port::{FarEnd, TestPort};
 
 /// A peer that answers no command and repeats the same bytes without an end.
 pub(crate) struct EndlessPort {
@@ -18,22 +18,19 @@ pub(crate) struct EndlessPort {
 
 impl EndlessPort {
     /// Fills every read.
-    pub(crate) fn new(pattern: &'static [u8]) -> Self {
-        Self { pattern, at: 0, rest: None }
+    pub(crate) fn new(pattern: &'static [u8]) -> TestPort<Self> {
+        TestPort(Self { pattern, at: 0, rest: None })
     }
 
     /// Delivers at most 100 bytes a millisecond.
-    pub(crate) fn slow(pattern: &'static [u8]) -> Self {
-        Self { rest: Some(tokio::time::interval(Duration::from_millis(1))), ..Self::new(pattern) }
+    pub(crate) fn slow(pattern: &'static [u8]) -> TestPort<Self> {
+        let rest = Some(tokio::time::interval(Duration::from_millis(1)));
+        TestPort(Self { pattern, at: 0, rest })
     }
 }
 
-impl AsyncRead for EndlessPort {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
+impl FarEnd for EndlessPort {
+    fn read(&mut self, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut room = buffer.remaining();
         if let Some(rest) = &mut self.rest {
             ready!(rest.poll_tick(cx));
@@ -46,19 +43,3 @@ impl AsyncRead for EndlessPort {
         Poll::Ready(Ok(()))
     }
 }
-
-impl AsyncWrite for EndlessPort {
-    fn poll_write(self: Pin<&mut Self>, _: &mut Context<'_>, b: &[u8]) -> Poll<io::Result<usize>> {
-        Poll::Ready(Ok(b.len()))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl Port for EndlessPort {}

@@ -1,12 +1,14 @@
 //! A port around another one, with hooks that count its calls or change single ones. For
-//! calls that fail, `emulator::FaultyLink` serves.
+//! calls that fail, `FaultyLink` serves.
 
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll};
+use std::time::SystemTime;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio_scip::{BaudRate, Port};
+use tokio_scip::BaudRate;
+use tokio_scip::port::{Port, PortHints};
 
 /// Actions of a test at the calls on a port; by default none.
 pub(crate) trait Hooks: Send + Unpin + 'static {
@@ -27,6 +29,10 @@ pub(crate) trait Hooks: Send + Unpin + 'static {
 
     fn can_die_silently(&self, port_can: bool) -> bool {
         port_can
+    }
+
+    fn wall_clock(&self) -> Option<SystemTime> {
+        None
     }
 }
 
@@ -82,16 +88,30 @@ impl<P: Port, H: Hooks> Port for Hooked<P, H> {
         self.port.set_baud_rate(baud_rate)
     }
 
-    fn can_die_silently(&self) -> bool {
-        self.hooks.can_die_silently(self.port.can_die_silently())
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl<P: Port, H: Hooks> PortHints for Hooked<P, H> {
+    fn can_die_silently(&mut self) -> bool {
+        let port_can = self.port.hints().is_some_and(|hints| hints.can_die_silently());
+        self.hooks.can_die_silently(port_can)
     }
 
-    fn is_over(&self) -> bool {
-        self.port.is_over()
+    fn is_over(&mut self) -> bool {
+        self.port.hints().is_some_and(|hints| hints.is_over())
+    }
+
+    fn wall_clock(&mut self) -> Option<SystemTime> {
+        let of_port = self.port.hints().and_then(|hints| hints.wall_clock());
+        self.hooks.wall_clock().or(of_port)
     }
 
     fn discard_output(&mut self) {
         self.hooks.on_discard();
-        self.port.discard_output();
+        if let Some(hints) = self.port.hints() {
+            hints.discard_output();
+        }
     }
 }

@@ -42,11 +42,17 @@ pub(crate) struct InstantSensor {
     reply: Vec<u8>,
     taken: usize,
     reader: Option<Waker>,
+    is_silent: bool,
 }
 
 impl InstantSensor {
     pub(crate) fn new() -> Self {
         Self { line: Vec::with_capacity(64), reply: Vec::with_capacity(2048), ..Self::default() }
+    }
+
+    /// Returns one that wakes nobody who waits for its reply.
+    pub(crate) fn without_wakeups() -> Self {
+        Self { is_silent: true, ..Self::new() }
     }
 }
 
@@ -93,7 +99,7 @@ impl AsyncWrite for InstantSensor {
                 _ => this.line.push(byte),
             }
         }
-        if let Some(reader) = this.reader.take() {
+        if let Some(reader) = this.reader.take_if(|_| !this.is_silent) {
             reader.wake();
         }
         Poll::Ready(Ok(bytes.len()))

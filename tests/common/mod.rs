@@ -2,17 +2,21 @@
 //! each request into its data, and a check that each scan carries its own request's.
 
 pub(crate) mod endless_port;
+pub(crate) mod faulty_link;
 pub(crate) mod hooked;
 pub(crate) mod instant_sensor;
 pub(crate) mod limit;
 pub(crate) mod logs;
+pub(crate) mod ready_port;
+pub(crate) mod test_port;
 
 use std::collections::HashMap;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Builder, Emulator, Received, Values, Verdict, WorldTime};
-use tokio_scip::{Connect, Error, Port, Scan, Sensor, SensorBuilder};
+use tokio_scip::emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
+use tokio_scip::port::{Connect, Port};
+use tokio_scip::{Error, Scan, Sensor, SensorBuilder};
 
 /// The value at `step`: one of three digits, base 4000, of the request's number. The
 /// digits repeat every three steps, so any window of three steps holds the whole number.
@@ -22,7 +26,7 @@ fn code(request: u64, step: usize) -> u16 {
 }
 
 /// An emulated sensor whose scans each carry the number of the `G` they answer.
-pub(crate) fn truthful() -> Builder {
+pub(crate) fn truthful() -> EmulatorBuilder {
     limit::limit();
     Emulator::builder().log_capacity(1 << 20).world(|look: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {

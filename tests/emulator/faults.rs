@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep};
+use tokio_scip::BaudRate;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
-use tokio_scip::{BaudRate, Port};
+use tokio_scip::port::Port;
 
 use super::{ask, instant_sensor, listen, listen_bytes};
 

@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::Instant;
+use tokio_scip::Error;
 use tokio_scip::emulator::{Emulator, Verdict};
-use tokio_scip::{Connect, Error};
+use tokio_scip::port::Connect;
 
 use super::{ask, instant_sensor, listen};
 
@@ -178,5 +179,4 @@ fn handles_and_links_are_send_and_sync() {
     fn everywhere<T: Send + Sync + 'static>() {}
     everywhere::<Emulator>();
     everywhere::<tokio_scip::emulator::Link>();
-    everywhere::<tokio_scip::emulator::FaultyLink<tokio_scip::emulator::Link>>();
 }

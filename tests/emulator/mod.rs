@@ -3,7 +3,6 @@
 
 mod baud_rate;
 mod faults;
-mod faulty_link;
 mod handle;
 mod lines;
 mod replies;
@@ -14,12 +13,14 @@ mod worlds;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
-use tokio_scip::emulator::{Builder, Emulator, Fixed, Pace};
+use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fixed, Pace, RepeatedLaser};
 
 /// A sensor that answers at once and always measures 1,234 mm.
-fn instant_sensor() -> Builder {
+fn instant_sensor() -> EmulatorBuilder {
     crate::common::limit::limit();
-    Emulator::builder().pace(Pace::AtOnce).world(Fixed::filled(1234))
+    // The status of a repeated `L` then shows the state that the laser is in.
+    let builder = Emulator::builder().repeated_laser(RepeatedLaser::Status2);
+    builder.pace(Pace::AtOnce).world(Fixed::filled(1234))
 }
 
 /// Sends `command` with a line feed, and returns the reply: all bytes within ten

@@ -258,6 +258,7 @@ async fn a_sensor_in_scip_2_is_back_in_scip_1_after_a_restart() {
 
 #[tokio::test(start_paused = true)]
 async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
+    assert_eq!(RepeatedLaser::default(), RepeatedLaser::Status0, "which all clients accept");
     for (setting, status) in [(RepeatedLaser::Status0, '0'), (RepeatedLaser::Status2, '2')] {
         let emulator = instant_sensor().repeated_laser(setting).build();
         let mut link = emulator.link();

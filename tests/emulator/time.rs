@@ -4,8 +4,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep, sleep_until};
+use tokio_scip::BaudRate;
 use tokio_scip::emulator::{Emulator, Fixed, Link, Pace, Values, WorldTime};
-use tokio_scip::{BaudRate, Port};
+use tokio_scip::port::Port;
 
 use super::{ask, instant_sensor, listen};
 
@@ -193,4 +194,64 @@ async fn five_thousand_sensors_run_on_one_thread() {
         });
     }
     assert_eq!(tasks.join_all().await.len(), 5000);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sent_scan_has_the_true_end_of_its_revolution() {
+    let emulator = turning(100 * MS);
+    let start = Instant::now();
+    let mut link = emulator.link();
+    sleep(30 * MS).await;
+    scan(&mut link).await;
+    sleep_until(start + 250 * MS).await;
+    scan(&mut link).await;
+    emulator.delay_motor(40 * MS);
+    scan(&mut link).await;
+    let sent = emulator.sent_scans();
+    let times: Vec<_> = sent.iter().map(|scan| scan.revolution_end - start).collect();
+    assert_eq!(times, [100 * MS, 300 * MS, 440 * MS]);
+    for (scan, asked) in sent.iter().zip([30, 250, 303]) {
+        assert!(about(scan.requested_at - start, asked * MS), "{:?}", scan.requested_at - start);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reply_begins_with_a_frame_of_usb_and_its_truth_before_it() {
+    let start = Instant::now();
+    let emulator = Emulator::builder()
+        .revolution(Duration::from_micros(99_760))
+        .frame(10 * MS)
+        .world(Fixed::filled(1234))
+        .build();
+    let (first, _) = times(&mut emulator.link(), "G04472501", start).await;
+    assert!(about(first, 100 * MS), "{first:?}");
+    let truth = emulator.sent_scans()[0].revolution_end - start;
+    assert_eq!(truth, Duration::from_micros(99_760));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_motor_that_drifts_is_slower_after_an_hour_until_the_next_power_cycle() {
+    let emulator = Emulator::builder().drift(0.001).world(Fixed::filled(1234)).build();
+    let mut link = emulator.link();
+    let mut period = async || {
+        scan(&mut link).await;
+        scan(&mut link).await;
+        let sent = emulator.sent_scans();
+        sent[sent.len() - 1].revolution_end - sent[sent.len() - 2].revolution_end
+    };
+    let within = |period: Duration, micros: u64| {
+        assert!(
+            period.abs_diff(Duration::from_micros(micros)) < Duration::from_micros(1),
+            "{period:?}"
+        );
+    };
+    within(period().await, 100_000);
+    sleep(3_600_000 * MS).await;
+    within(period().await, 100_100);
+    emulator.set_drift(-0.001);
+    sleep(3_600_000 * MS).await;
+    within(period().await, 100_000);
+    sleep(3_600_000 * MS).await;
+    emulator.power_cycle();
+    within(period().await, 100_000);
 }

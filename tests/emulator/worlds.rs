@@ -105,6 +105,34 @@ fn a_room_is_the_same_on_every_machine() {
 
 /// The figures are those of six scans captured indoors from a real URG-04LX.
 #[test]
+fn sensors_at_two_places_measure_the_same_walls() {
+    let room = || Room::sized(3, 5000, 4400, 0);
+    let (x, y, yaw) = (0.5, -0.3, 90.0);
+    // In the room's frame, in metres.
+    let places = |values: &Values, (x, y, yaw): (f64, f64, f64)| -> Vec<(f64, f64)> {
+        let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
+        let place = |(step, &value): (usize, &u16)| {
+            let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0 + yaw.to_radians();
+            let range = f64::from(value) / 1000.0;
+            (x + range * angle.cos(), y + range * angle.sin())
+        };
+        measured.map(place).collect()
+    };
+    let ours = places(&looks(room(), 1)[0], (0.0, 0.0, 0.0));
+    let share_that_meets = |theirs: Vec<(f64, f64)>| {
+        let near = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).hypot(a.1 - b.1) < 0.06;
+        let meets = theirs.iter().filter(|place| ours.iter().any(|ours| near(*ours, **place)));
+        meets.count() as f64 / theirs.len() as f64
+    };
+    let moved = looks(room().seen_from(x, y, yaw), 1)[0];
+    // The rest is hidden from the other sensor, or out of its range.
+    assert!(share_that_meets(places(&moved, (x, y, yaw))) > 0.5);
+    assert!(share_that_meets(places(&looks(room(), 1)[0], (x, y, yaw))) < 0.2);
+    let outside = looks(room().seen_from(9.0, 0.0, 180.0), 1)[0];
+    assert!(outside.iter().all(|value| *value < 20));
+}
+
+#[test]
 fn a_hard_room_has_as_many_missing_points_as_a_real_one() {
     let mut total = 0;
     for seed in 0..20 {

@@ -9,14 +9,16 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::ReadBuf;
 use tokio::sync::watch;
 use tokio::time::{Instant, Sleep, sleep_until};
-use tokio_scip::{BaudRate, Connect, Error, Port};
+use tokio_scip::port::Connect;
+use tokio_scip::{BaudRate, Error};
 
 use super::chooser::Chooser;
 use super::fate::Fate;
 use super::sensor::Sensor;
+use crate::common::test_port::{FarEnd, TestPort};
 
 /// The time from a command to its reply.
 const TURNAROUND: Duration = Duration::from_millis(20);
@@ -277,34 +279,19 @@ pub(crate) struct Link {
 }
 
 impl Connect for Line {
-    type Port = Link;
+    type Port = TestPort<Link>;
 
-    async fn connect(&mut self) -> Result<Link, Error> {
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
         let mut state = self.lock();
         state.link += 1;
         state.draw("the port is opened");
         let baud_rate = state.sensor.baud_rate.map(|_| BaudRate::B19200);
-        Ok(Link { line: self.clone(), number: state.link, baud_rate, timer: None })
+        Ok(TestPort(Link { line: self.clone(), number: state.link, baud_rate, timer: None }))
     }
 }
 
-impl Port for Link {
-    fn baud_rate(&self) -> Option<BaudRate> {
-        self.baud_rate
-    }
-
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.baud_rate = self.baud_rate.map(|_| baud_rate);
-        Ok(())
-    }
-}
-
-impl AsyncRead for Link {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
+impl FarEnd for Link {
+    fn read(&mut self, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         loop {
             let mut state = self.line.lock();
             if state.link != self.number {
@@ -321,14 +308,8 @@ impl AsyncRead for Link {
             }
         }
     }
-}
 
-impl AsyncWrite for Link {
-    fn poll_write(
-        self: Pin<&mut Self>,
-        _: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
+    fn write(&mut self, _: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let mut state = self.line.lock();
         if state.link != self.number {
             return Poll::Ready(Err(io::ErrorKind::BrokenPipe.into()));
@@ -348,11 +329,12 @@ impl AsyncWrite for Link {
         Poll::Ready(Ok(bytes.len()))
     }
 
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
+    fn baud_rate(&self) -> Option<BaudRate> {
+        self.baud_rate
     }
 
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.baud_rate = self.baud_rate.map(|_| baud_rate);
+        Ok(())
     }
 }

@@ -46,7 +46,7 @@ impl End {
     /// Fails unless a call may return this error after such an end.
     fn check(self, error: &Error) {
         let expected = match self {
-            Self::Close | Self::Abort => matches!(error, Error::Closed),
+            Self::Close | Self::Abort => matches!(error, Error::Closed { .. }),
             // Also before the driver has opened the port.
             Self::Unplug => matches!(error, Error::Disconnected { .. } | Error::NoSuchPort { .. }),
             Self::Drop => false,
@@ -133,7 +133,7 @@ async fn execute(
 /// the driver.
 async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_streaming: bool) {
     let emulator = Emulator::builder().usb().pace(Pace::AtOnce).build();
-    let builder = Sensor::builder().jitter_seed(1).reconnect(false).ring_depth(64);
+    let builder = Sensor::builder().jitter_seed(1).reconnect(false).depth(64);
     // It would wake an idle driver, too.
     let builder = builder.idle_probe(None);
     let (sensor, driver) = builder.build(emulator.clone());

@@ -142,7 +142,7 @@ impl Run<'_> {
     /// Returns the number of scans that came, or the promise that was broken.
     async fn run(&self) -> Result<u64, String> {
         let scenario = self.scenario;
-        let builder = Sensor::builder().jitter_seed(1).wait_for_sensor().ring_depth(256);
+        let builder = Sensor::builder().jitter_seed(1).wait_for_sensor(true).depth(256);
         let (sensor, driver) = builder.build(self.line.clone());
         let driver = tokio::spawn(driver);
         if scenario.chooses_while_opening {

@@ -3,12 +3,13 @@
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
-use tokio_scip::emulator::{Emulator, Fault, FaultyLink};
+use tokio_scip::emulator::{Emulator, Fault};
 use tokio_scip::protocol::{Command, Malformed, Reply};
 use tokio_scip::{Error, Rate, Window};
 use tokio_util::codec::Decoder;
 
 use super::rig::{Outcome, instant_sensor, scans, second_poll, wrong_scans};
+use crate::common::faulty_link::FaultyLink;
 use crate::common::{builder, request_of};
 
 const WINDOW: Window = Window::DETECTION;

@@ -9,7 +9,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
-use tokio_scip::{Connect, Driver, Error, Rate, Window};
+use tokio_scip::port::Connect;
+use tokio_scip::{Driver, Error, Rate, Window};
 use tracing::field::{Field, Visit};
 use tracing::span;
 
@@ -142,7 +143,7 @@ async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
             }
         }
     }
-    texts.push(format!("{:?} {:?}", sensor.stats(), *sensor.state().borrow()));
+    texts.push(format!("{:?} {:?}", sensor.stats(), sensor.state().get()));
     assert!(texts.len() > 20, "{}", texts.len());
     texts.extend(log.0.lock().unwrap().drain(..));
     for text in &texts {

@@ -1,17 +1,17 @@
 //! An emulated sensor, a stream of its scans, and a fault in the middle of the stream.
 
-use tokio_scip::emulator::{Builder, Emulator, Fault, Faults, Pace};
+use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Stats, Window};
 
 use crate::common::{Truth, builder, truthful};
 
 /// A sensor on USB that answers at once, and writes each request's number into its data.
-pub(crate) fn instant_sensor() -> Builder {
+pub(crate) fn instant_sensor() -> EmulatorBuilder {
     truthful().pace(Pace::AtOnce)
 }
 
 pub(crate) async fn open(emulator: &Emulator) -> Sensor {
-    builder().ring_depth(16).connect(emulator.clone()).await.unwrap()
+    builder().depth(16).connect(emulator.clone()).await.unwrap()
 }
 
 /// Reads the next `count` scans and skips errors.

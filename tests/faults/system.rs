@@ -6,10 +6,11 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Call, Emulator, Fault, Faults, FaultyLink, Link, LinkFailure};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
 use super::rig::{instant_sensor, open, scans, wrong_scans};
+use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};
 
@@ -75,7 +76,7 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
         }
         Ok(Hooked { port: inner.link(), hooks: Count::new(&links) })
     });
-    let sensor = builder().ring_depth(16).connect(connect).await.unwrap();
+    let sensor = builder().depth(16).connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     let mut delivered = Vec::new();
     for rounds in 1..20 {
@@ -100,7 +101,7 @@ async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     assert!(denied().to_string().contains("usermod -aG dialout"), "{}", denied());
     // At opening it ends the attempt, even with `wait_for_sensor`.
     let refused = ConnectFn(move || Err::<Link, _>(denied()));
-    let error = builder().wait_for_sensor().connect(refused).await.unwrap_err();
+    let error = builder().wait_for_sensor(true).connect(refused).await.unwrap_err();
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
 
     // Later a stream reports it once, and the state shows it.
@@ -121,7 +122,7 @@ async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     }
     let reported = matches!(errors.last(), Some(Error::PermissionDenied { .. }));
     assert!(reported && errors.len() <= 2, "{errors:?}");
-    let state = sensor.state().borrow().clone();
+    let state = sensor.state().get();
     let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
     assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
     scans(&mut stream, 1).await;
@@ -132,7 +133,7 @@ async fn o10_s_on_usb_changes_neither_baud_rate() {
     let emulator = instant_sensor().build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
-    let state = sensor.state().borrow().clone();
+    let state = sensor.state().get();
     assert!(matches!(state, State::Connected { baud_rate: None, .. }), "{state:?}");
     sensor.scan(WINDOW).await.unwrap();
 }
@@ -167,7 +168,11 @@ async fn o12_a_port_that_refuses_all_baud_rates_is_reported_as_the_cause() {
     });
     let error = builder().connect(connect).await.unwrap_err();
     let source = std::error::Error::source(&error).map(ToString::to_string);
-    assert_eq!(source.as_deref(), Some("the port takes none of the six baud rates"), "{error:?}");
+    assert_eq!(
+        source.as_deref(),
+        Some("the port supports none of the six baud rates"),
+        "{error:?}"
+    );
     assert!(emulator.log().is_empty(), "commands were sent at an unknown baud rate");
 }
 

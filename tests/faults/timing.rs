@@ -3,12 +3,12 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{
-    Call, EmptyCommand, Fault, Faults, FaultyLink, LinkFailure, Pace, Verdict,
-};
+use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Pace, Verdict};
+use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
 use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
+use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
 use crate::simulation::truth::Truth;
@@ -223,6 +223,28 @@ async fn o26_a_scan_faster_than_the_baud_rate_marks_it_as_outrun_where_short_rep
     assert!(sensor.stats().baud_rate_outrun);
 }
 
+/// A port that ignores its baud rate is replaced by a serial line.
+#[tokio::test(start_paused = true)]
+async fn o26_a_new_link_is_not_outrun_because_the_one_before_was() {
+    let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
+    let slow = truthful().baud_rate(BaudRate::B19200).build();
+    let unplugged = fast.clone();
+    let mut first = Some(Hooked { port: fast.link(), hooks: ClaimBaudRate });
+    let connect = move || {
+        let first = first.take().map(|port| Box::new(port) as Box<dyn Port>);
+        Ok(first.unwrap_or_else(|| Box::new(slow.link())))
+    };
+    let sensor = builder().connect(ConnectFn(connect)).await.unwrap();
+    sensor.scan(WINDOW).await.unwrap();
+    assert!(sensor.stats().baud_rate_outrun);
+    let mut state = sensor.state();
+    unplugged.unplug();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    state.connected().await.unwrap();
+    sensor.scan(WINDOW).await.unwrap();
+    assert!(!sensor.stats().baud_rate_outrun);
+}
+
 #[tokio::test(start_paused = true)]
 async fn t04_a_lost_command_is_retried_and_counted() {
     let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
@@ -356,7 +378,7 @@ async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
             sensor = sensor.baud_rate(speed);
         }
         let emulator = sensor.build();
-        let sensor = builder().wait_for_sensor().connect(emulator.clone()).await.unwrap();
+        let sensor = builder().wait_for_sensor(true).connect(emulator.clone()).await.unwrap();
         let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
         scans(&mut stream, 1).await;
         emulator.unplug();

@@ -57,7 +57,7 @@ async fn w14_a_reply_that_runs_into_the_next_one_costs_one_scan() {
 
 #[tokio::test(start_paused = true)]
 async fn w16_w18_a_scan_comes_through_a_link_that_delivers_one_byte_at_a_time() {
-    use tokio_scip::emulator::FaultyLink;
+    use crate::common::faulty_link::FaultyLink;
     let emulator = instant_sensor().build();
     let link = FaultyLink::new(emulator.link()).short_reads(1).partial_writes(1);
     let sensor = builder().attach(link).await.unwrap();
@@ -215,7 +215,7 @@ async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_afte
             }
             let named = errors.iter().filter(|e| matches!(e, Error::WrongProtocol { .. })).count();
             assert!((1..=2).contains(&named) && errors.len() <= 4, "{mode:?}: {errors:?}");
-            let state = sensor.state().borrow().clone();
+            let state = sensor.state().get();
             let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
             assert!(matches!(error, Error::WrongProtocol { .. }), "{mode:?}: {error:?}");
             // The driver never sends the command that leaves SCIP 2, because some models lock up.

@@ -4,23 +4,25 @@
 # `core`, what CI runs, is the library's own tests, protocol, codec, driver and an hour of
 # simulation. NAMES are passed to the tests. left_out.txt lists what is left out, and why.
 #
-# Needs on Debian: qemu-user gcc-arm-linux-gnueabihf gcc-aarch64-linux-gnu. Where CI is set
+# Needs on Debian: qemu-user, gcc-arm-linux-gnueabihf and libc6-dev-armhf-cross, or
+# gcc-aarch64-linux-gnu and libc6-dev-arm64-cross. Where CI is set
 # they are installed if they can be. Without them: `skipped: NAME`, and success. Before
 # QEMU 11 there are no pseudo-terminals; QEMU=FOLDER selects another one than PATH does.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 
 case ${1-} in
-armv7) target=armv7-unknown-linux-gnueabihf gnu=arm-linux-gnueabihf qemu=qemu-arm ;;
-aarch64) target=aarch64-unknown-linux-gnu gnu=aarch64-linux-gnu qemu=qemu-aarch64 ;;
+armv7) target=armv7-unknown-linux-gnueabihf gnu=arm-linux-gnueabihf debian=armhf qemu=qemu-arm ;;
+aarch64) target=aarch64-unknown-linux-gnu gnu=aarch64-linux-gnu debian=arm64 qemu=qemu-aarch64 ;;
 *) echo "usage: $0 armv7|aarch64 [core | NAMES…]" >&2 && exit 2 ;;
 esac
 shift
 PATH=${QEMU:+$QEMU:}$PATH
 
-tools() { command -v "$qemu" && command -v "$gnu-gcc"; }
+tools() { command -v "$qemu" && command -v "$gnu-gcc" && [ -e "/usr/$gnu/lib/crti.o" ]; }
 if ! tools && [ -n "${CI-}" ] && [ "$(id -u)" = 0 ] && command -v apt-get; then
-    { apt-get update && apt-get install -y --no-install-recommends qemu-user "gcc-$gnu"; } || true
+    { apt-get update && apt-get install -y --no-install-recommends qemu-user "gcc-$gnu" \
+        "libc6-dev-$debian-cross"; } || true
 fi
 for tool in "$qemu" "$gnu-gcc"; do
     command -v "$tool" || { echo "skipped: $tool" && exit 0; }
@@ -30,9 +32,9 @@ if [ ! -d "$(rustc --print target-libdir --target "$target")" ] && ! rustup targ
 fi
 
 export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUTES=60
-features=mcap,web kinds=(--lib --bins --test it) names=("$@")
+kinds=(--workspace --lib --bins --tests) names=("$@")
 if [ "${1-}" = core ]; then
-    features=emulator kinds=(--lib --test it)
+    kinds=(--features emulator --lib --test it)
     names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::at_least rate:: opening::
         settings:: reconnect:: identity:: cancel:: fresh:: emulator::worlds simulation::seeds simulation::the_same)
 fi
@@ -45,7 +47,7 @@ while read -r _ name; do
 done < <(grep -E "^($places)  " tests/places/left_out.txt)
 
 variable=CARGO_TARGET_$(tr a-z- A-Z_ <<<"$target")_LINKER
-messages=$(env "$variable=$gnu-gcc" cargo test --locked --no-run --features "$features" "${kinds[@]}" \
+messages=$(env "$variable=$gnu-gcc" cargo test --locked --no-run "${kinds[@]}" \
     --target "$target" --message-format json)
 built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -E "$1"; }
 
@@ -60,6 +62,6 @@ if program=$(built '/urg$'); then
 fi
 failed=0
 for executable in $(built '/deps/'); do
-    "$qemu" -L "/usr/$gnu" "$executable" "${left_out[@]}" $([[ $executable != */it-* ]] || echo "${names[@]}") || failed=1
+    "$qemu" -L "/usr/$gnu" "$executable" "${left_out[@]}" $([[ $executable != */@(it|program)-* ]] || echo "${names[@]}") || failed=1
 done
 exit "$failed"

@@ -15,7 +15,7 @@ if [ ! -d "$(rustc --print target-libdir --target "$target")" ] && ! rustup targ
 fi
 
 export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUTES=60
-messages=$(cargo test --locked --no-run --features mcap,web --lib --bins --test it --target "$target" \
+messages=$(cargo test --locked --no-run --workspace --lib --bins --tests --target "$target" \
     --message-format json)
 built() { grep -o '"executable":"[^"]*"' <<<"$messages" | cut -d'"' -f4 | grep -E "$1"; }
 
@@ -88,7 +88,7 @@ timeout 60 script --quiet --return --command "wine '$work/ctrl_c.exe' '$recordin
     { cat "$work/terminal" >&2 && echo "urg record: expected success after Ctrl-C" >&2 && failed=1; }
 expect '"complete":true' info "$file" --format json
 
-here=$(cargo build --locked --features mcap,web --bin urg --message-format json |
+here=$(cargo build --locked -p urg --message-format json |
     grep -o '"executable":"[^"]*/urg"' | tail -n 1 | cut -d'"' -f4)
 "$here" emulate --tcp 0 2>"$work/tcp" &
 tcp=$!

@@ -29,7 +29,7 @@ pub(crate) fn the_driver_stands_any_port_and_any_user(script: &[u8]) {
 async fn use_sensor(script: Script<'_>, peer: Peer) {
     let builder = Sensor::builder()
         .jitter_seed(0)
-        .wait_for_sensor()
+        .wait_for_sensor(true)
         .reply_latency(Duration::from_millis(200));
     let (sensor, driver) = builder.build(peer.clone());
     let driver = tokio::spawn(driver);
@@ -75,8 +75,8 @@ impl User {
             let state = self.peer.lock();
             assert!(self.off.is_none_or(|polls| polls == state.polls), "a poll with the laser off");
             drop(state);
-            let ended = matches!(&*self.sensor.state().borrow(), State::Closed { .. });
-            assert!(!ended, "the driver ended: {:?}", self.sensor.state().borrow());
+            let ended = matches!(self.sensor.state().get(), State::Closed { .. });
+            assert!(!ended, "the driver ended: {:?}", self.sensor.state().get());
         }
     }
 
@@ -91,7 +91,7 @@ impl User {
                         assert_eq!(scan.values().len(), window.points());
                         self.peer.lock().check(&scan);
                     }
-                    Err(error) => assert!(!matches!(error, Error::Closed)),
+                    Err(error) => assert!(!matches!(error, Error::Closed { .. })),
                 }
             }
             2 | 3 => self.read(parameter).await,

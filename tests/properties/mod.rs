@@ -17,6 +17,8 @@ mod versions;
 
 use proptest::prelude::*;
 
+use crate::common::test_port;
+
 proptest! {
     #[test]
     fn every_line_is_answered_as_the_table_says(script in prop::collection::vec(any::<u8>(), 0..100)) {

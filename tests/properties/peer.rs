@@ -13,11 +13,13 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::ReadBuf;
 use tokio::time::{Instant, Sleep, sleep_until};
-use tokio_scip::{Connect, Error, Port, Scan};
+use tokio_scip::port::Connect;
+use tokio_scip::{Error, Scan};
 
 use super::script::Script;
+use super::test_port::{FarEnd, TestPort};
 
 /// A handle to the sensor; opens ports to it.
 #[derive(Clone)]
@@ -254,9 +256,9 @@ fn is_command(line: &[u8]) -> bool {
 }
 
 impl Connect for Peer {
-    type Port = Wire;
+    type Port = TestPort<Wire>;
 
-    async fn connect(&mut self) -> Result<Wire, Error> {
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
         let mut state = self.lock();
         if state.refused > 0 {
             state.refused -= 1;
@@ -266,7 +268,7 @@ impl Connect for Peer {
         (state.ending, state.stalled, state.torn) = (None, None, true);
         let link = state.link;
         drop(state);
-        Ok(Wire { peer: self.clone(), link, timers: [None, None] })
+        Ok(TestPort(Wire { peer: self.clone(), link, timers: [None, None] }))
     }
 }
 
@@ -288,11 +290,9 @@ fn wait(
     timer.as_mut().poll(context)
 }
 
-impl Port for Wire {}
-
-impl AsyncRead for Wire {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
+impl FarEnd for Wire {
+    fn read(
+        &mut self,
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
@@ -322,14 +322,8 @@ impl AsyncRead for Wire {
             ready!(wait(&mut self.timers[0], *next, context));
         }
     }
-}
 
-impl AsyncWrite for Wire {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        context: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
+    fn write(&mut self, context: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let peer = self.peer.clone();
         let mut state = peer.lock();
         assert_eq!(state.link, self.link, "a port was written to after a newer one was opened");
@@ -350,13 +344,5 @@ impl AsyncWrite for Wire {
         }
         state.receive(&bytes[..count]);
         Poll::Ready(Ok(count))
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        panic!("flushing a serial port blocks");
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
     }
 }

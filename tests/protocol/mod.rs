@@ -3,6 +3,7 @@
 //! which shares no code with the crate.
 
 mod arbitrary;
+mod codec;
 mod damage;
 mod encoder;
 mod fence;

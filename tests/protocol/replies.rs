@@ -47,6 +47,17 @@ fn the_value_of_the_text_is_1234_millimetres() {
 }
 
 #[test]
+fn a_reply_to_another_command_than_g_has_no_values() {
+    for (command, frame) in [
+        (Command::Version, &b"V\n0\nVEND:Hokuyo Automatic Co.,Ltd.\nSERI:H0713090"[..]),
+        (Command::LaserOff, b"L0\n0"),
+        (Command::Distances(window(384, 384, 1)), b"G38438401\n6"),
+    ] {
+        assert_eq!(values(&Reply::parse(&command, frame).unwrap()), [0; 0], "{command}");
+    }
+}
+
+#[test]
 fn every_value_of_twelve_bits_is_decoded() {
     for first in (0..4096).step_by(512) {
         let sent: Vec<u16> = (first..first + 512).collect();

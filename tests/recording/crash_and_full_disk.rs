@@ -90,7 +90,7 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
             assert_eq!(room, 1_000, "no room for the head");
             continue;
         };
-        let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 16);
+        let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16);
         let sensor = builder.connect(sensor()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
         let item = scans.next().await.unwrap();

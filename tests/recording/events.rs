@@ -3,9 +3,10 @@
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
+use tokio_scip::event::Event;
 use tokio_scip::recording::Recorder;
 use tokio_scip::recording::{Entry, ReplayPace};
-use tokio_scip::{Error, Event, Rate, Sensor, Window};
+use tokio_scip::{Error, Rate, Sensor, Window};
 
 use super::sink::{Sink, events, sensor};
 
@@ -14,8 +15,7 @@ async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder =
-        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 14).jitter_seed(7);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 14).jitter_seed(7);
     let began = (Instant::now(), std::time::SystemTime::now());
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -67,7 +67,7 @@ async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
 
     // A replay delivers all scans again.
     let replay = sink.open().replay(ReplayPace::Max).unwrap();
-    let builder = Sensor::builder().ring_depth(1 << 14);
+    let builder = Sensor::builder().depth(1 << 14);
     let sensor = builder.connect(replay).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
     let mut replayed = Vec::new();
@@ -83,8 +83,7 @@ async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder =
-        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 14).jitter_seed(7);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 14).jitter_seed(7);
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     for n in 0..40 {
@@ -98,7 +97,7 @@ async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
     recorder.finish().await.unwrap();
 
     let replay = sink.open().replay(ReplayPace::Recorded).unwrap();
-    let sensor = Sensor::builder().ring_depth(64).connect(replay).await.unwrap();
+    let sensor = Sensor::builder().depth(64).connect(replay).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let (mut times, mut errors) = (Vec::new(), Vec::new());
     while let Some(item) = scans.next().await {

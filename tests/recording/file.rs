@@ -54,8 +54,8 @@ fn assert_same(scan: &Scan, recorded: &LaserScan) {
             scan.angle_min(),
             scan.angle_max(),
             scan.angle_increment(),
-            scan.time_increment(),
-            scan.scan_time(),
+            (scan.scan_time().as_secs_f64() / 1024.0) as f32,
+            scan.scan_time().as_secs_f32(),
             scan.range_min(),
             scan.range_max(),
         ]
@@ -131,7 +131,7 @@ fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
     assert!(matches!(open, Err(RecordingError::Open { .. })));
     // A file of no bytes: nothing was recorded yet.
     let replayed = Recording::read(&b""[..]).unwrap().replay(Default::default());
-    assert!(matches!(replayed, Err(RecordingError::NoReplies)));
+    assert!(matches!(replayed, Err(RecordingError::NoScans)));
 }
 
 #[tokio::test(start_paused = true)]

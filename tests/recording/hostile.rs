@@ -68,13 +68,26 @@ fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
 #[test]
 fn a_compressed_recording_is_reported_as_such() {
     // 30 bytes, in 9.
-    let head = [&[0; 16][..], &30u64.to_le_bytes(), &[0; 4], &claims(3), b"lz4"].concat();
+    let head = [&[0; 16][..], &30u64.to_le_bytes(), &[0; 4], &claims(3), b"lzo"].concat();
     let chunk = [&head[..], &9u64.to_le_bytes(), &[0; 9]].concat();
     let file = [MAGIC, &record(0x06, chunk.len() as u64, &chunk)].concat();
     let error = Recording::read(Cursor::new(file)).unwrap_err();
     let RecordingError::Compressed { compression } = &error else { panic!("{error:?}") };
-    assert_eq!(compression, "lz4");
-    assert!(error.to_string().contains("`lz4`"), "{error}");
+    assert_eq!(compression, "lzo");
+    assert!(error.to_string().contains("`lzo`"), "{error}");
+}
+
+#[test]
+fn the_error_of_a_compressed_recording_says_how_to_read_it() {
+    let text = |compression: &str| {
+        RecordingError::Compressed { compression: compression.to_owned() }.to_string()
+    };
+    for compression in ["zstd", "lz4"] {
+        let text = text(compression);
+        assert!(text.contains(compression) && text.contains("feature `compression`"), "{text}");
+        assert!(text.contains("mcap decompress"), "{text}");
+    }
+    assert!(text("lzo").contains("expected `zstd`, `lz4` or no compression"));
 }
 
 #[test]
@@ -167,4 +180,69 @@ fn the_places_of_the_first_16_damaged_chunks_are_kept_and_all_are_counted() {
     assert_eq!(outcome.damaged_parts, 20);
     let places: Vec<u64> = (0..16).map(|number| (8 + number * chunk.len()) as u64).collect();
     assert_eq!(outcome.damaged_at, places);
+}
+
+/// Many channels with long names, and as many chunks as fit.
+#[test]
+fn a_repaired_file_is_a_small_multiple_of_a_hostile_one() {
+    let name = "x".repeat(1000);
+    let channels: Vec<u8> =
+        (0..200).flat_map(|number| of_kind(0x04, &channel_content(number, &name))).collect();
+    let message = of_kind(0x05, &[0; 22]);
+    let metadata = of_kind(0x0c, &[claims(0), claims(0)].concat());
+    let chunk = chunk_of(&message);
+    for (name, body) in [
+        ("metadata between messages", [&message[..], &metadata].concat().repeat(5_000)),
+        ("metadata in a chunk", chunk_of(&[&message[..], &metadata].concat().repeat(5_000))),
+        ("small chunks", chunk.repeat(5_000)),
+        ("empty chunks", chunk_of(&[]).repeat(5_000)),
+        ("metadata", metadata.repeat(5_000)),
+        (
+            "redefined channels",
+            [&channel()[..], &of_kind(0x04, &channel_content(0, "/x"))].concat().repeat(5_000),
+        ),
+    ] {
+        let file = [MAGIC, &channels, &body, &end()].concat();
+        let mut out = Vec::new();
+        let outcome = repair(Cursor::new(file.clone()), &mut out).unwrap();
+        assert_eq!(outcome.damaged_parts, 0, "{name}");
+        assert!(out.len() < 8 * file.len() + (8 << 10), "{name}: {} of {}", out.len(), file.len());
+    }
+}
+
+/// Another program's file may use the names of a recording's topics for anything.
+#[test]
+fn a_topic_of_another_type_is_none_of_a_recording() {
+    let schema =
+        |name: &str| of_kind(0x03, &[&[1, 0][..], &text(name), &text("ros2msg"), &[0; 4]].concat());
+    let channel =
+        of_kind(0x04, &[&[0, 0, 1, 0][..], &text("/scip/events"), &text("cdr"), &[0; 4]].concat());
+    let message = of_kind(0x05, &[&[0; 22][..], b"other"].concat());
+    for (name, expected) in
+        [("std_msgs/msg/String", (vec![8], 0, false)), ("my/msg/Other", (vec![], 0, false))]
+    {
+        let file =
+            [MAGIC, &chunk_of(&[schema(name), channel.clone(), message.clone()].concat()), &end()]
+                .concat();
+        assert_eq!(read(&file), expected, "{name}");
+        let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+        assert_eq!(
+            (outcome.damaged_at, outcome.messages),
+            (expected.0.clone(), u64::from(expected.0.is_empty())),
+            "{name}"
+        );
+    }
+}
+
+/// One part, however many of its messages are malformed, for the reader and the repair.
+#[test]
+fn a_chunk_without_a_checksum_is_judged_alike_by_the_reader_and_a_repair() {
+    let bad = of_kind(0x05, &[&[0; 22][..], b"no event"].concat());
+    let records = [channel(), bad.clone(), event(0), bad, event(7), event(0)].concat();
+    let file = [MAGIC, &chunk_of(&records), &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
+    let mut repaired = Vec::new();
+    let outcome = repair(Cursor::new(file), &mut repaired).unwrap();
+    assert_eq!((outcome.damaged_at, outcome.messages), (vec![8], 2));
+    assert_eq!(read(&repaired), (vec![], 2, false));
 }

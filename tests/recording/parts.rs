@@ -89,7 +89,7 @@ async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
     for window in [Window::DETECTION, Window::FULL, window(2, 400, 1), window(40, 99, 3)] {
         let sink = Sink::new();
         let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-        let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64);
+        let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
         let sensor = builder.connect(sensor()).await.unwrap();
         let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
         let mut delivered = Vec::new();
@@ -113,7 +113,7 @@ async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
             let rest = &delivered[number..];
             assert!(values.eq(rest.iter().cloned()), "{window}, from {number}");
             let replay = part().replay(ReplayPace::Max).unwrap();
-            let sensor = Sensor::builder().ring_depth(64).connect(replay).await.unwrap();
+            let sensor = Sensor::builder().depth(64).connect(replay).await.unwrap();
             let mut scans = sensor.scans(window, Rate::MAX).await.unwrap();
             let mut replayed = Vec::new();
             while let Some(Ok(scan)) = scans.next().await {

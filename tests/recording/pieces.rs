@@ -26,13 +26,13 @@ fn the_head_of_a_chunk_may_lie_across_two_reads() {
 
 #[test]
 fn the_name_of_a_compression_may_lie_across_two_reads() {
-    let head = [&[0; 16][..], &30_u64.to_le_bytes(), &[0; 4], &[4, 0, 0, 0], b"zstd"].concat();
+    let head = [&[0; 16][..], &30_u64.to_le_bytes(), &[0; 4], &[4, 0, 0, 0], b"lzip"].concat();
     let chunk = of_kind(0x06, &[&head[..], &9_u64.to_le_bytes(), &[0; 9]].concat());
     for before in 0..80 {
         let file = [MAGIC, &filler(8, before), &chunk].concat();
         let error = Recording::read(Cursor::new(file)).unwrap_err();
         let RecordingError::Compressed { compression } = error else { panic!("{error:?}") };
-        assert_eq!(compression, "zstd", "{before} bytes before");
+        assert_eq!(compression, "lzip", "{before} bytes before");
     }
 }
 

@@ -128,7 +128,7 @@ async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
             assert!(scans.is_empty(), "{length} bytes");
             continue;
         };
-        let builder = Sensor::builder().ring_depth(64);
+        let builder = Sensor::builder().depth(64);
         let sensor = builder.connect(replay).await.unwrap();
         let mut stream = sensor.scans(window(300, 340, 1), Rate::MAX).await.unwrap();
         let mut replayed = Vec::new();
@@ -138,5 +138,81 @@ async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
         let scans: Vec<_> =
             scans.iter().map(|scan| (scan.values().to_vec(), scan.stamp())).collect();
         assert_eq!(scans, replayed, "{length} bytes");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_damaged_byte_in_the_first_sector_costs_at_most_the_first_chunk() {
+    let (file, whole) = (two_chunks().await, by_index(&two_chunks().await).len());
+    let first = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes[0].clone();
+    let messages = mcap::MessageStream::new(&file).unwrap();
+    let end = first.message_end_time;
+    let lost = messages.filter(|message| message.as_ref().unwrap().log_time <= end).count();
+    assert!(lost < whole);
+    for (at, width) in (0..512).map(|at| (at, 1)).chain([(0, 512)]) {
+        let mut damaged = file.clone();
+        damaged[at..at + width].iter_mut().for_each(|byte| *byte ^= 0x21);
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(damaged.clone()), &mut repaired).unwrap();
+        // The header has no checksum.
+        assert!(outcome.damaged_parts == 1 || (8..100).contains(&at), "byte {at}: {outcome:?}");
+        assert!(by_index(&repaired).len() + lost >= whole, "byte {at}");
+        let items: Vec<_> = Recording::read(Cursor::new(damaged)).unwrap().collect();
+        let damaged_parts = items.iter().filter(|item| item.is_err()).count();
+        let messages = items.len() - damaged_parts;
+        assert_eq!(
+            (outcome.damaged_parts, outcome.messages),
+            (damaged_parts as u64, messages as u64),
+            "byte {at}"
+        );
+        assert_eq!(messages, by_index(&repaired).len(), "byte {at}");
+    }
+}
+
+/// Other kinds, such as those from 0x80, would be skipped as records of other programs.
+#[tokio::test(start_paused = true)]
+async fn a_chunk_whose_kind_is_damaged_is_reported_whatever_its_kind_becomes() {
+    let file = two_chunks().await;
+    let chunk = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes[0].clone();
+    let at = chunk.chunk_start_offset;
+    for kind in (0..=u8::MAX).filter(|kind| *kind != file[at as usize]) {
+        let mut damaged = file.clone();
+        damaged[at as usize] = kind;
+        let outcome = repair(Cursor::new(damaged), &mut Vec::new()).unwrap();
+        assert_eq!(outcome.damaged_at, [at], "kind {kind:#x}");
+    }
+}
+
+/// Makes a file of several chunks, 20 kB.
+async fn two_chunks() -> Vec<u8> {
+    let sink = Sink::new();
+    record(sensor(), &sink, window(300, 310, 1), 50).await;
+    sink.bytes()
+}
+
+/// As the readers that begin with the index see it.
+#[tokio::test(start_paused = true)]
+async fn a_damaged_index_is_known_and_repaired() {
+    let file = two_chunks().await;
+    let data_end = [0x0f, 4, 0, 0, 0, 0, 0, 0, 0];
+    let start = file.windows(9).position(|bytes| bytes == data_end).unwrap();
+    for at in start + 13..file.len() {
+        let mut damaged = file.clone();
+        damaged[at] ^= 4;
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(damaged.clone()), &mut repaired).unwrap();
+        assert!(outcome.was_truncated, "byte {at}");
+        assert_eq!(outcome.damaged_parts, 0, "byte {at}");
+        assert!(repaired == file, "byte {at}");
+        let mut read = Recording::read(Cursor::new(damaged)).unwrap();
+        assert!(read.by_ref().all(|item| item.is_ok()) && read.is_truncated(), "byte {at}");
+    }
+    // An index that is whole, of a file that has lost or gained bytes before or behind it.
+    for (changed, parts) in [
+        ([&file[..], b"\0"].concat(), 0),
+        ([&file[..start], &[0x80, 0, 0, 0, 0, 0, 0, 0, 0], &file[start..]].concat(), 0),
+    ] {
+        let outcome = repair(Cursor::new(changed), &mut Vec::new()).unwrap();
+        assert_eq!((outcome.was_truncated, outcome.damaged_parts), (true, parts));
     }
 }

@@ -13,14 +13,14 @@ use super::sink::{Sink, polls, record, sensor, window};
 
 /// Reads everything that a sensor delivers until its stream ends.
 async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
-    let builder = Sensor::builder().ring_depth(1 << 16);
+    let builder = Sensor::builder().depth(1 << 16);
     let sensor = builder.connect(emulator).await.unwrap();
     let mut scans = sensor.scans(window, rate).await.unwrap();
     let mut items = Vec::new();
     while let Some(item) = scans.next().await {
         items.push(item);
     }
-    assert!(matches!(&*sensor.state().borrow(), State::Closed { error: None, .. }));
+    assert!(matches!(sensor.state().get(), State::Closed { error: None, .. }));
     assert_eq!(sensor.stats().disconnects, 0);
     items
 }
@@ -167,7 +167,7 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
     }
     // Then the recording is over.
     let end = sensor.scan(Window::DETECTION).await;
-    assert!(matches!(end, Err(Error::Closed)), "{end:?}");
+    assert!(matches!(end, Err(Error::Closed { .. })), "{end:?}");
     let again = Sensor::builder().connect(emulator).await;
     assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
 }
@@ -235,7 +235,7 @@ async fn a_replay_is_that_of_the_described_stream_and_has_the_polls_of_others() 
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let original =
-        Sensor::builder().on_reply(recorder.observer()).ring_depth(64).connect(sensor()).await;
+        Sensor::builder().on_reply(recorder.observer()).depth(64).connect(sensor()).await;
     let original = original.unwrap();
     let rate = Rate::hz(4.0);
     let mut scans = original.scans(window(100, 199, 1), rate).await.unwrap();

@@ -1,10 +1,12 @@
 //! Recorded scans as [`Scan`]s, without a replay.
 
-use std::io::Cursor;
+use std::io::{self, Cursor, Read};
 use std::path::Path;
 use std::time::Duration;
 
-use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Values, WorldTime};
+use tokio_scip::event::RawReply;
+use tokio_scip::protocol::Command;
 use tokio_scip::recording::{
     Entry, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
 };
@@ -14,7 +16,7 @@ use super::file::Folder;
 use super::sink::{Sink, record, sensor, window};
 
 /// An example of a function that is written for live scans.
-fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, f32, bool) {
+fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, Duration, bool) {
     let values = scan.values().to_vec();
     (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
 }
@@ -58,14 +60,15 @@ async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_sc
 
 #[tokio::test(start_paused = true)]
 async fn recorded_scans_have_the_time_of_a_revolution_that_the_sensor_reports() {
-    for (firmware, seconds) in [("FIRM:1(300[rpm])", 0.2), ("FIRM:1", 0.1)] {
+    for (firmware, milliseconds) in [("FIRM:1(300[rpm])", 200), ("FIRM:1", 100)] {
+        let time = Duration::from_millis(milliseconds);
         let lines = ["VEND:x", firmware, "SERI:42"];
         let sink = Sink::new();
         let emulator = Emulator::builder().version_lines(lines).build();
         let delivered = record(emulator, &sink, Window::DETECTION, 3).await;
         let scans: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
-        assert_eq!(delivered[2].as_ref().unwrap().scan_time(), seconds);
-        assert_eq!(scans.iter().map(Scan::scan_time).collect::<Vec<_>>(), [seconds; 3]);
+        assert_eq!(delivered[2].as_ref().unwrap().scan_time(), time);
+        assert_eq!(scans.iter().map(Scan::scan_time).collect::<Vec<_>>(), [time; 3]);
     }
 }
 
@@ -95,14 +98,149 @@ async fn a_recording_is_debugged_by_its_metadata_and_its_scans_by_their_number()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_without_replies_is_an_error_and_not_an_empty_replay() {
+async fn a_recording_without_scans_is_an_error_and_not_an_empty_replay() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
-    recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
+    recorder.observe(&sensor);
     recorder.finish().await.unwrap();
     let items: Vec<_> = sink.open().scans().collect();
-    assert!(matches!(items[..], [Err(RecordingError::NoReplies)]), "{items:?}");
+    assert!(matches!(items[..], [Err(RecordingError::NoScans)]), "{items:?}");
+    assert!(matches!(sink.open().replay(ReplayPace::Max), Err(RecordingError::NoScans)));
+}
+
+/// Sensor whose scans have distances and, in every seventh step, an error code.
+fn with_errors() -> Emulator {
+    let world = |look: WorldTime, values: &mut Values| {
+        for (step, value) in values.iter_mut().enumerate() {
+            *value = match step % 7 {
+                0 => 7,
+                _ => 20 + ((look.request * 7 + step as u64 * 3) % 4000) as u16,
+            };
+        }
+    };
+    Emulator::builder().world(world).build()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_without_replies_has_the_scans_of_its_messages() {
+    for window in [Window::DETECTION, window(100, 108, 3), window(2, 2, 1)] {
+        for is_described in [true, false] {
+            let sink = Sink::new();
+            let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+            let sensor = Sensor::builder().depth(64).connect(with_errors()).await.unwrap();
+            let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+            if is_described {
+                recorder.describe(&sensor, &stream).await.unwrap();
+            }
+            let mut live = Vec::new();
+            for _ in 0..10 {
+                let item = stream.next().await.unwrap();
+                recorder.record(&item).unwrap();
+                live.push(item.unwrap());
+            }
+            recorder.finish().await.unwrap();
+
+            let mut recorded = sink.open().scans();
+            let scans: Vec<Scan> = recorded.by_ref().map(Result::unwrap).collect();
+            assert_eq!(scans.len(), live.len());
+            for (scan, live) in scans.iter().zip(&live) {
+                assert_eq!((scan.window(), scan.sequence()), (window, live.sequence()));
+                let range = |range: f32| (!range.is_nan()).then_some(range);
+                assert!(scan.ranges().map(range).eq(live.ranges().map(range)));
+                let error = scan.first_ray_stamp().duration_since(live.first_ray_stamp());
+                let error = error.unwrap_or_else(|before| before.duration());
+                assert!(error < Duration::from_micros(10), "{error:?}");
+            }
+            let version = recorded.version();
+            let known = sensor.version().await.unwrap();
+            let expected = if is_described { known.serial_number } else { "".into() };
+            assert_eq!(version.serial_number, expected);
+
+            let emulator = sink.open().replay(ReplayPace::Recorded).unwrap();
+            let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
+            assert_eq!(replay.version().await.unwrap().serial_number, expected);
+            let mut stream = replay.scans(window, Rate::hz(10.0)).await.unwrap();
+            let mut replayed = Vec::new();
+            while let Some(scan) = stream.next().await {
+                replayed.push(scan.unwrap().values().to_vec());
+            }
+            assert!(replayed.iter().eq(scans.iter().map(Scan::values)), "{window}");
+        }
+    }
+}
+
+/// The messages of a recording with replies are not read as scans a second time.
+#[tokio::test(start_paused = true)]
+async fn a_recording_is_replayed_without_its_reply_to_v() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let observer = recorder.observer();
+    let without_version = move |reply: RawReply<'_>| {
+        if reply.command != Some(Command::Version) {
+            observer(reply);
+        }
+    };
+    let builder = Sensor::builder().on_reply(without_version).depth(64);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut live = Vec::new();
+    for _ in 0..10 {
+        let item = stream.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        live.push(item.unwrap().values().to_vec());
+    }
+    recorder.finish().await.unwrap();
+    let scans: Vec<Scan> = sink.open().scans().map(Result::unwrap).collect();
+    assert!(live.iter().eq(scans.iter().map(Scan::values)));
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
+    assert_eq!(replay.version().await.unwrap(), tokio_scip::Version::default());
+    let mut stream = replay.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut replayed = Vec::new();
+    while let Some(scan) = stream.next().await {
+        replayed.push(scan.unwrap().values().to_vec());
+    }
+    assert_eq!(replayed, live);
+}
+
+/// Pipe whose writer pauses behind the bytes.
+struct PausedPipe(Cursor<Vec<u8>>);
+
+impl Read for PausedPipe {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self.0.read(bytes)? {
+            0 => Err(io::ErrorKind::WouldBlock.into()),
+            read => Ok(read),
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_scans_that_a_pipe_has_are_returned_before_more_is_read() {
+    let sink = Sink::new();
+    let (mut recorder, mut length) =
+        (Recorder::builder().write_to(sink.clone()).unwrap(), sink.length());
+    let sensor = Sensor::builder().depth(64).connect(sensor()).await.unwrap();
+    recorder.observe(&sensor);
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &stream).await.unwrap();
+    for _ in 0..3 {
+        recorder.record(&stream.next().await.unwrap()).unwrap();
+    }
+    // The writer ends the chunk by itself after a second of real time.
+    let began = *length.borrow_and_update();
+    while *length.borrow_and_update() < began + 3 * 1400 {
+        length.changed().await.unwrap();
+    }
+    let pipe = PausedPipe(Cursor::new(sink.bytes()));
+    let mut scans = Recording::read(pipe).unwrap().scans();
+    for _ in 0..3 {
+        assert!(matches!(scans.next(), Some(Ok(_))));
+    }
+    // The sensor went on meanwhile.
+    let error = scans.find_map(Result::err);
+    assert!(matches!(error, Some(RecordingError::Read { .. })), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -134,7 +272,7 @@ async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
     assert_eq!(part.iter().map(Scan::values).collect::<Vec<_>>(), expected);
 
     let replay = sink.open().range(from..to).replay(ReplayPace::Recorded).unwrap();
-    let sensor = Sensor::builder().reconnect(false).ring_depth(64).connect(replay).await.unwrap();
+    let sensor = Sensor::builder().reconnect(false).depth(64).connect(replay).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut replayed = Vec::new();
     while let Some(Ok(scan)) = scans.next().await {
@@ -143,7 +281,7 @@ async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
     assert_eq!(replayed, expected);
     // A part without a scan.
     let mut none = sink.open().range(Duration::from_secs(99)..).scans();
-    assert!(matches!(none.next(), Some(Err(RecordingError::NoReplies))));
+    assert!(matches!(none.next(), Some(Err(RecordingError::NoScans))));
 }
 
 fn scans_from(path: &Path, place: Duration) -> RecordedScans {

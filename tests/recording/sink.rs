@@ -5,8 +5,9 @@ use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
+use tokio_scip::event::Event;
 use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
-use tokio_scip::{Error, Event, Rate, Scan, Sensor, Window};
+use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
 /// A file in memory. Clones are the same file.
 #[derive(Clone)]
@@ -87,8 +88,7 @@ pub(crate) async fn record(
     count: usize,
 ) -> Vec<Result<Scan, Error>> {
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder =
-        Sensor::builder().on_reply(recorder.observer()).ring_depth(1 << 16).jitter_seed(7);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16).jitter_seed(7);
     let sensor = builder.connect(emulator).await.unwrap();
     let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();

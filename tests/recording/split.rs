@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tokio::time::sleep;
-use tokio_scip::recording::{Entry, Record, Recorder, RecorderBuilder, Recording, ReplayPace};
+use tokio_scip::recording::{
+    Entry, Record, Recorder, RecorderBuilder, Recording, RecordingError, ReplayPace,
+};
 use tokio_scip::{Error, Rate, Sensor, Window};
 
 use super::file::{truth_of, write_truth};
@@ -22,7 +24,7 @@ fn folder(name: &str) -> PathBuf {
 /// Records 350 scans, 35 s, and returns them.
 async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> {
     let mut recorder = builder.create(path).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64).jitter_seed(7);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64).jitter_seed(7);
     let sensor = builder.connect(sensor()).await.unwrap();
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();
@@ -79,7 +81,7 @@ async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_repla
             assert!(seconds <= 12.0, "{part:?}: {seconds} s");
             // Each file has the sensor's identity, so that it replays without the others.
             let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
-            let builder = Sensor::builder().ring_depth(1 << 10);
+            let builder = Sensor::builder().depth(1 << 10);
             let sensor = builder.connect(replay).await.unwrap();
             let serial_number = sensor.version().await.unwrap().serial_number.clone();
             assert_eq!(
@@ -103,13 +105,56 @@ async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_repla
 #[tokio::test(start_paused = true)]
 async fn no_file_is_overwritten_by_a_further_one() {
     let path = folder("split-exists").join("run.mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();
     let taken = path.with_file_name("run_0002.mcap");
     fs::write(&taken, "precious").unwrap();
-    let builder = Recorder::builder().overwrite(true).split_duration(Duration::from_secs(30));
-    record(builder, &path).await;
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    for _ in 0..2 {
+        recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
+        sleep(Duration::from_secs(2)).await;
+    }
+    recorder.finish().await.unwrap();
     assert_eq!(fs::read(&taken).unwrap(), b"precious");
     let (first, second) = (read(&path), read(&path.with_file_name("run_0003.mcap")));
-    assert_eq!(scans(&first).len() + scans(&second).len(), 350);
+    assert_eq!((scans(&first).len(), scans(&second).len()), (1, 1));
+}
+
+#[test]
+fn a_recording_is_not_begun_beside_the_further_files_of_another() {
+    let path = folder("split-older").join("run.mcap");
+    let taken = path.with_file_name("run_0003.mcap");
+    fs::write(&taken, "precious").unwrap();
+    for overwrite in [false, true] {
+        match Recorder::builder().overwrite(overwrite).create(&path).unwrap_err() {
+            RecordingError::Exists { path } => assert_eq!(path, taken),
+            other => panic!("{other:?}"),
+        }
+        assert!(!path.exists());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_that_keeps_to_a_space_continues_after_a_restart_and_removes_the_oldest() {
+    let path = folder("split-keep").join("run.mcap");
+    let builder = || Recorder::builder().split_bytes(100_000).keep_bytes(300_000);
+    record(builder(), &path).await;
+    let names = || {
+        let files = fs::read_dir(path.parent().unwrap()).unwrap().flatten();
+        let mut names: Vec<_> = files.map(|file| file.file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    let (before, size) = (names(), || {
+        let files = fs::read_dir(path.parent().unwrap()).unwrap().flatten();
+        files.map(|file| file.metadata().unwrap().len()).sum::<u64>()
+    });
+    assert!(!path.exists() && before.len() >= 2, "{before:?}");
+    assert!(size() < 350_000, "{}", size());
+    record(builder(), &path).await;
+    let after = names();
+    assert!(after.first() > before.last(), "{before:?} {after:?}");
+    assert!(size() < 350_000, "{}", size());
 }
 
 /// The consumer is always one scan behind, so that a scan is outstanding at each place
@@ -119,7 +164,7 @@ async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
     let path = folder("split-behind").join("run.mcap");
     let mut recorder =
         Recorder::builder().split_duration(Duration::from_secs(5)).create(&path).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).ring_depth(64);
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
     let sensor = builder.connect(sensor()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let mut before = stream.next().await.unwrap();
@@ -133,13 +178,12 @@ async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
     assert_eq!(numbers, (0..100).collect::<Vec<_>>());
 }
 
+/// Its name is too long.
 #[tokio::test(start_paused = true)]
-async fn a_further_file_that_cannot_be_created_ends_the_recording_with_its_name() {
-    let folder = folder("split-gone");
-    let path = folder.join("run.mcap");
+async fn a_further_file_that_cannot_be_created_ends_the_recording_behind_a_complete_file() {
+    let path = folder("split-long").join("x".repeat(248) + ".mcap");
     let mut recorder =
         Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();
-    fs::remove_dir_all(&folder).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let mut item: Result<_, Error> = sensor.scan(Window::DETECTION).await;
     recorder.record(&item).unwrap();
@@ -148,5 +192,6 @@ async fn a_further_file_that_cannot_be_created_ends_the_recording_with_its_name(
     let _ = recorder.record(&item);
     let error = recorder.finish().await.unwrap_err();
     let cause = std::error::Error::source(&error).unwrap().to_string();
-    assert!(cause.contains("run_0002.mcap"), "{cause}");
+    assert!(cause.contains("_0002.mcap"), "{cause}");
+    assert_eq!(scans(&read(&path)).len(), 1);
 }

@@ -8,8 +8,9 @@ use futures::{FutureExt, SinkExt, StreamExt};
 use tokio::time::{Instant, timeout, timeout_at};
 use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::emulator::{Faults, Link};
+use tokio_scip::port::Connect;
 use tokio_scip::protocol::{Command, Reply, ReplyError};
-use tokio_scip::{Connect, Rate, Window};
+use tokio_scip::{Rate, Window};
 use tokio_util::codec::Framed;
 
 use super::loss::{Loss, sensor};

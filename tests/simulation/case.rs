@@ -2,13 +2,14 @@
 
 use std::time::Duration;
 
-use tokio_scip::emulator::{
-    Call, EmptyCommand, Emulator, Fault, Faults, FaultyLink, Firmware, Link, LinkFailure, Pace,
-};
-use tokio_scip::{BaudRate, Connect, Error};
+use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
+use tokio_scip::port::Connect;
+use tokio_scip::{BaudRate, Error};
 
 use super::random::Random;
 use super::truth::Truth;
+use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
+use crate::common::ready_port::ReadyPort;
 
 pub(crate) const SERIAL_NUMBER: &str = "H0713090";
 
@@ -184,12 +185,14 @@ pub(crate) struct SimulatedConnect {
     pub(crate) emulator: Emulator,
     pub(crate) script: LinkScript,
     pub(crate) random: Random,
+    /// True if its ports read without waiting, and stop their wake-ups.
+    pub(crate) is_ready: bool,
     /// Shared with the case, which ends the failures.
     pub(crate) healthy: std::sync::Arc<std::sync::atomic::AtomicBool>,
 }
 
 impl Connect for SimulatedConnect {
-    type Port = FaultyLink<Link>;
+    type Port = ReadyPort<FaultyLink<Link>>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let link = self.emulator.connect().await?;
@@ -206,6 +209,7 @@ impl Connect for SimulatedConnect {
             ];
             port = port.fail(call, 1 + self.random.below(300), *self.random.pick(&failures));
         }
-        Ok(port)
+        // Every other one, as serial ports of the system.
+        Ok(if self.is_ready { ReadyPort::new(port) } else { ReadyPort::plain(port) })
     }
 }

@@ -55,7 +55,16 @@ impl Coverage {
     }
 
     pub(crate) fn error(&mut self, error: &Error) {
-        self.count(format!("error {}", kind(error)), 1);
+        let kind = match error {
+            Error::AnotherSensor { .. } => "AnotherSensor",
+            Error::Disconnected { .. } => "Disconnected",
+            Error::LaserOff { .. } => "LaserOff",
+            Error::Malformed { .. } => "Malformed",
+            Error::NotConfirmed { .. } => "NotConfirmed",
+            Error::Timeout { .. } => "Timeout",
+            _ => "of another kind",
+        };
+        self.count(format!("error {kind}"), 1);
     }
 
     pub(crate) fn state(&mut self, state: &State) {

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Builder, Emulator, Fault, Faults, Pace};
+use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 use tokio_scip::{Rate, Sensor, Window};
 
 use super::truth::{Timed, Truth};
@@ -62,7 +62,7 @@ pub(crate) fn line_with_late_copies() -> Faults {
 }
 
 /// The sensor to poll. At [`Rate::MAX`] its motor sets the rate.
-pub(crate) fn sensor(truth: &Truth, rate: Rate) -> Builder {
+pub(crate) fn sensor(truth: &Truth, rate: Rate) -> EmulatorBuilder {
     let pace = if rate == Rate::MAX { Pace::PerRevolution } else { Pace::AtOnce };
     Emulator::builder().world(truth.world()).pace(pace)
 }
@@ -71,7 +71,7 @@ pub(crate) fn sensor(truth: &Truth, rate: Rate) -> Builder {
 pub(crate) async fn poll(window: Window, rate: Rate, faults: Faults, time: Duration) -> Loss {
     let truth = Truth::default();
     let emulator = sensor(&truth, rate).build();
-    let sensor = Sensor::builder().jitter_seed(1).ring_depth(16).connect(emulator.clone());
+    let sensor = Sensor::builder().jitter_seed(1).depth(16).connect(emulator.clone());
     let sensor = sensor.await.unwrap();
     emulator.set_faults(faults);
     let end = Instant::now() + time;

@@ -68,7 +68,7 @@ impl Run {
             Ok(_) => self.note(format_args!("{name}: done")),
             Err(error) => {
                 self.note(format_args!("{name}: {error}"));
-                assert!(!matches!(error, Error::Closed), "the driver ended");
+                assert!(!matches!(error, Error::Closed { .. }), "the driver ended");
                 self.coverage.lock().unwrap().error(error);
             }
         }
@@ -93,7 +93,7 @@ impl Drop for PrintSeed {
             let seed = self.0;
             eprintln!(
                 "seed {seed} failed; to repeat it: SCIP_SIMULATION_SEED={seed} \
-                 SCIP_SIMULATION_TRACE=1 cargo test --features mcap,web --test it \
+                 SCIP_SIMULATION_TRACE=1 cargo test --test it --all-features \
                  simulation::seeds -- --nocapture"
             );
         }
@@ -117,10 +117,11 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         emulator: case.emulator.clone(),
         script: case.script,
         random: Random::new(random.next()),
+        is_ready: seed % 2 == 1,
         healthy: Arc::clone(&run.healthy),
     };
-    let builder = Sensor::builder().jitter_seed(seed).wait_for_sensor();
-    let builder = builder.ring_depth(1 + random.below(3) as usize).serial_number(SERIAL_NUMBER);
+    let builder = Sensor::builder().jitter_seed(seed).wait_for_sensor(true);
+    let builder = builder.depth(1 + random.below(3) as usize).serial_number(SERIAL_NUMBER);
     let builder = match random.once_in(2) {
         true => builder.baud_rate(*random.pick(&tokio_scip::BaudRate::ALL)),
         false => builder,
@@ -156,8 +157,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
 fn watch_states(run: &Run, sensor: &Sensor) {
     let (run, mut state) = (run.clone(), sensor.state());
     tokio::spawn(async move {
-        while state.changed().await.is_ok() {
-            let state = state.borrow_and_update().clone();
+        while let Some(state) = state.changed().await {
             if let State::Closed { error } = &state {
                 assert!(error.is_none(), "the driver ended: {error:?}");
                 return;
@@ -268,8 +268,8 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
 async fn check_rest(run: &Run, sensor: &Sensor) {
     sleep(Duration::from_secs(2)).await;
     let emulator = &run.case.emulator;
-    let State::Connected { baud_rate, streaming, .. } = sensor.state().borrow().clone() else {
-        panic!("not connected: {:?}", sensor.state().borrow());
+    let State::Connected { baud_rate, streaming, .. } = sensor.state().get() else {
+        panic!("not connected: {:?}", sensor.state().get());
     };
     assert_eq!(baud_rate, emulator.baud_rate());
     assert!(!streaming && emulator.is_laser_on());

@@ -1,10 +1,11 @@
-//! Tests of the schedules: which poll is due when, and what its end changes.
+//! Tests of schedules: which poll is due when, and what its end changes.
 
 use std::future::poll_fn;
 
 use futures::FutureExt;
 
 use super::*;
+use crate::observer::ReplyObservers;
 
 const HUNDRED_MS: Duration = Duration::from_millis(100);
 
@@ -75,7 +76,7 @@ async fn what_has_been_due_for_longest_goes_first() {
 async fn equal_schedules_are_one_and_one_without_readers_ends() {
     let same = (Window::FULL, Rate::MAX);
     let (mut schedules, readers) = schedules(&[same, same]);
-    let telemetry = Telemetry::new(None);
+    let telemetry = Telemetry::new(None, ReplyObservers::default());
     schedules.note(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 1);
     assert!(schedules.take_due(Instant::now()).is_some());
@@ -90,10 +91,13 @@ fn meta() -> ScanMeta {
     ScanMeta {
         sequence: 0,
         requested_at: now,
+        first_byte_at: now,
         received_at: now,
         stamp: std::time::SystemTime::now(),
+        lateness: None,
         repeat: false,
         scan_time: HUNDRED_MS,
+        nominal_scan_time: HUNDRED_MS,
         reconnects: 0,
     }
 }
@@ -104,7 +108,7 @@ async fn one_window_at_two_rates_and_two_windows_at_one_rate_are_schedules_of_th
     let slow = (Window::FULL, Rate::hz(4.0));
     let narrow = (Window::DETECTION, Rate::hz(4.0));
     let (mut schedules, _readers) = schedules(&[fast, slow, narrow]);
-    let telemetry = Telemetry::new(None);
+    let telemetry = Telemetry::new(None, ReplyObservers::default());
     schedules.note(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 3);
 }
@@ -146,8 +150,8 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
         errors += items.filter(|item| matches!(item, Some(Err(_)))).count();
         errors
     };
-    assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
-    assert_eq!(count(&mut schedules, Some(Error::LaserOff)), 1);
+    assert_eq!(count(&mut schedules, Some(Error::LaserOff { sensor: None })), 1);
+    assert_eq!(count(&mut schedules, Some(Error::LaserOff { sensor: None })), 1);
     assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 2);
     assert_eq!(count(&mut schedules, None), 2);
     assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);

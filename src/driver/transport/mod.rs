@@ -1,76 +1,90 @@
-//! [`Transport`]: one command out, frames in, until a deadline. It knows a port,
-//! a codec and a clock, and nothing of which frame answers what.
+//! [`Transport`]: sends one command and receives frames until a deadline. It knows a port, a
+//! codec and a clock, but not which frame answers which command.
 //!
-//! It also keeps the doubt about the link: whatever arrives or fails to arrive
-//! against expectation makes it dirty, and only an answered fence makes it clean
-//! again.
+//! It also tracks doubt about the link. Unexpected and missing bytes make the link dirty,
+//! and only an answered fence makes it clean again.
 
-mod deadline;
-mod line;
+mod arrivals;
+mod link;
 mod pause;
 #[cfg(test)]
 mod scripted_port;
 #[cfg(test)]
 mod tests;
+mod timer;
+mod timing;
 
-use std::future::{Future, pending, poll_fn};
+use std::future::{Future, poll_fn};
 use std::io;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
-use std::task::Poll;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use bytes::{Buf, BufMut, BytesMut};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncReadExt, ReadBuf};
+use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
 use tokio::time::Instant;
-use tokio_util::codec::Encoder;
 
-use self::deadline::DeadlineTimer;
-use self::line::{Line, SCRATCH_BYTES, flood};
+use self::arrivals::{Arrivals, flood};
 use self::pause::Pauses;
-use super::exchange::{ExchangeError, Judge, Timing};
+use self::timer::{Timer, again_if_interrupted};
+pub(crate) use self::timing::{Deadline, Received, Timing};
+use super::failure::ExchangeError;
 use crate::codec::{Frame, ScipCodec, TERMINATOR};
-use crate::port::Port;
-use crate::protocol::{Command, Status};
+use crate::port::{Port, PortHints};
+use crate::protocol::Command;
 use crate::state::Telemetry;
-use crate::{BaudRate, Error};
 
-/// Frames that may follow one command before the link counts as flooded.
+/// After this many frames for one command, the link counts as flooded.
 const MAX_FRAMES: usize = 64;
-/// The time after a reply within which a faulty line may deliver a copy of it.
-const QUIET_TIME: Duration = Duration::from_millis(20);
-/// Room for any reply of a sensor, the longest of which has 1,576 bytes: a read that fills
-/// it would need another one to see the end. Under garbage the buffer grows to 8 KiB.
+/// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
+/// read that fills the buffer needs a second one to see the end. Garbage can make the buffer
+/// grow to 8 KiB.
 const READ_BUFFER_BYTES: usize = 1600;
 /// Room for any command, and the LF before it.
 const WRITE_BUFFER_BYTES: usize = 32;
+/// Number of interrupted reads in a row after which the port counts as quiet.
+const MAX_INTERRUPTED: usize = 16;
+/// Length of one read when bytes are dropped.
+const SCRATCH_BYTES: usize = 512;
 
-/// An open port, and the buffers in front of it.
+/// Open port and its buffers. Never flushes the port: bytes leave without it, and the reply
+/// proves that they did. Flushing a serial port would block the thread until the port is
+/// drained.
 pub(crate) struct Transport {
-    line: Line,
+    port: Box<dyn Port>,
+    arrivals: Arrivals,
     codec: ScipCodec,
-    /// The bytes that have arrived and were not judged yet. A frame is judged where it lies:
-    /// to copy it out costs a fifth of decoding a scan (`benches/README.md`, item 1).
+    /// Received bytes. Frames are judged in place: copying one out costs a fifth of decoding
+    /// a scan (`benches/README.md`, item 1).
     input: BytesMut,
-    /// The latest command as it was written.
+    /// Last returned frame, if it followed the latest command. A reply stays at the front of
+    /// the input until the next frame is awaited.
+    latest: Option<Frame<usize>>,
+    /// Number of frames since the latest command.
+    frames: usize,
+    /// Latest command, as it was written.
     output: BytesMut,
-    deadline_timer: DeadlineTimer,
-    /// Ends pauses. A timer of its own: that of the deadline keeps its place.
-    pause_timer: DeadlineTimer,
+    deadline_timer: Timer,
+    /// Ends pauses. Separate from the deadline timer, which can then stay registered.
+    pause_timer: Timer,
+    /// Retries calls that the port refused.
+    retry_timer: Timer,
     pauses: Pauses,
-    /// The time that a sensor may take to begin its answer, where it was set.
+    /// How long the sensor may take to begin its answer, if set.
     latency: Option<Duration>,
-    /// Something older than the next command may be on its way.
+    /// True if a reply older than the next command may be on its way.
     dirty: bool,
-    /// A command may have been written in part.
+    /// True if a command may have been written only in part.
     interrupted: bool,
     /// True if the port can change its baud rate.
     adjustable: bool,
-    /// True after a reply came faster than the port's baud rate can carry: a
-    /// pseudo-terminal, a USB adapter, a server on a fast line.
+    /// True once a reply arrived faster than the port's baud rate allows, as on a
+    /// pseudo-terminal, a USB adapter or a server on a fast line.
     outrun: bool,
-    /// The time when the latest frame came.
-    latest: Option<Instant>,
+    /// When the latest frame arrived.
+    latest_at: Option<Instant>,
     telemetry: Arc<Telemetry>,
 }
 
@@ -80,312 +94,290 @@ impl Transport {
         latency: Option<Duration>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
+        telemetry.stats().baud_rate_outrun = false;
         Self {
-            line: Line::new(port),
+            port,
+            arrivals: Arrivals::default(),
             codec: ScipCodec::default(),
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
+            latest: None,
+            frames: 0,
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
-            deadline_timer: DeadlineTimer::default(),
-            pause_timer: DeadlineTimer::default(),
+            deadline_timer: Timer::default(),
+            pause_timer: Timer::default(),
+            retry_timer: Timer::default(),
             pauses: Pauses::default(),
             latency,
-            // Whatever the last user of the port left behind.
+            // The last user of the port may have left bytes behind.
             dirty: true,
             interrupted: true,
             adjustable: false,
             outrun: false,
-            latest: None,
+            latest_at: None,
             telemetry,
         }
     }
 
-    pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
-        self.line.baud_rate()
-    }
-
-    pub(crate) fn can_die_silently(&self) -> bool {
-        self.line.can_die_silently()
-    }
-
-    /// Sets this side's baud rate, and drops what arrived at another one.
-    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.dirty = true;
-        self.interrupted = true;
-        self.drop_input();
-        self.outrun = false;
-        self.pauses = Pauses::default();
-        let outcome = self.line.set_baud_rate(baud_rate);
-        let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
-        self.adjustable = !outcome.as_ref().is_err_and(unsupported);
-        outcome
-    }
-
-    /// Returns the shortest time that so many bytes take on the wire, or zero if the
-    /// port has no baud rate or a reply has disproved it.
-    pub(crate) fn least_wire_time(&self, bytes: usize) -> Duration {
-        let baud_rate = self.baud_rate().filter(|_| !self.outrun);
-        baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes))
-    }
-
-    /// Returns true if a copy of the latest frame may still be on its way: if that frame
-    /// came less than [`QUIET_TIME`] ago, over a serial line.
-    pub(crate) fn may_echo(&self) -> bool {
-        // Last: a look at the clock costs more than the rest.
-        self.least_wire_time(1) > Duration::ZERO
-            && self.latest.is_some_and(|latest| latest.elapsed() < QUIET_TIME)
-    }
-
-    /// Notes when the reply to a command with a unique echo came, which cannot be
-    /// an older one. Sooner than its bytes and those of `command` take, it disproves
-    /// the baud rate.
-    pub(crate) fn note_unique_reply(&mut self, command: &Command, status: Status, timing: Timing) {
-        let echo = command.bytes().len() + 1;
-        let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
-        if timing.received.saturating_duration_since(timing.requested) < self.least_wire_time(bytes)
-        {
-            self.outrun = true;
-            self.telemetry.stats().baud_rate_outrun = true;
-            tracing::debug!("replies come faster than the baud rate can carry");
-        }
-    }
-
-    /// Returns whether the port can change its baud rate, as far as was tried.
-    pub(crate) fn is_adjustable(&self) -> bool {
-        self.adjustable
-    }
-
-    /// Returns the time that the sensor may take to begin its answer.
-    pub(crate) fn latency(&self, command: &Command) -> Duration {
-        let usual = match command {
-            Command::Distances(_) => Duration::from_millis(500),
-            _ => Duration::from_secs(1),
+    /// Drops the bytes received since the last reply, because they are older than the next
+    /// command. Such bytes make the link dirty.
+    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
+        self.remove_latest();
+        let before = self.received();
+        let is_open = match self.drop_bytes(|port, bytes| port.hints()?.try_read(bytes)) {
+            Some(is_open) => is_open,
+            None => {
+                // While this task yields, the runtime polls the system for new input.
+                tokio::task::yield_now().await;
+                let dropped = poll_fn(|cx| {
+                    Poll::Ready(self.drop_bytes(|port, bytes| read_if_ready(port, cx, bytes)))
+                });
+                // Without budget, a read returns `Pending` even if there are bytes. That
+                // must not count as a quiet line.
+                unconstrained(dropped).await.unwrap_or(Ok(true))
+            }
         };
-        self.latency.unwrap_or(usual)
-    }
-
-    /// Returns the number of bytes that ever arrived.
-    pub(crate) fn received(&self) -> u64 {
-        self.line.received()
-    }
-
-    /// Returns true if the first bytes that ever came were a telnet command.
-    pub(crate) fn began_as_telnet(&self) -> bool {
-        self.line.began_as_telnet()
-    }
-
-    /// Returns the bytes of a frame whose end has not arrived.
-    pub(crate) fn unfinished_frame(&self) -> &[u8] {
-        &self.input
-    }
-
-    /// Returns true if a fence is needed before the next command.
-    pub(crate) fn is_dirty(&self) -> bool {
-        self.dirty
-    }
-
-    /// Requires a fence before the next command.
-    pub(crate) fn mark_dirty(&mut self) {
-        self.dirty = true;
-    }
-
-    /// Ends the doubt about the link: a fence was answered, so nothing older follows.
-    pub(crate) fn mark_clean(&mut self) {
-        self.dirty = false;
-    }
-
-    /// Returns the bytes that [`exchange`](Self::exchange) would write for `command`.
-    pub(crate) fn outgoing(&self, command: &Command) -> BytesMut {
-        let mut bytes = BytesMut::from(self.leading_line_feed());
-        bytes.put_slice(&command.bytes());
-        bytes.put_u8(b'\n');
-        bytes
-    }
-
-    /// Returns the LF that ends a command of which the sensor may have a part, or nothing.
-    fn leading_line_feed(&self) -> &'static [u8] {
-        if self.interrupted { b"\n" } else { b"" }
-    }
-
-    /// Waits while no command is outstanding until bytes arrive, and drops them.
-    /// Cancel-safe.
-    pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
-        // A part of a frame at most: the driver's other work has its turn
-        // between two reads.
-        let outcome = self.line.read(&mut [0; SCRATCH_BYTES]).await;
-        let read = outcome.map_err(|error| self.lost(Some(error)))?;
-        if read == 0 {
+        if !is_open.map_err(|error| self.lost(Some(error)))? {
             return Err(self.lost(None));
         }
-        self.telemetry.stats().bytes_skipped += read as u64;
-        self.dirty = true;
-        Ok(())
-    }
-
-    /// Drops the bytes that came since the last reply: they are older than the next
-    /// command. Any such byte makes the link dirty.
-    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
-        let outcome = self.line.drain().await;
-        let drained = outcome.map_err(|error| self.lost(Some(error)))?;
-        let fresh = drained.ok_or_else(|| self.lost(None))?;
-        let skipped = fresh + self.input.len() as u64;
+        let skipped = self.received() - before + self.input.len() as u64;
         if skipped > 0 {
             self.telemetry.stats().bytes_skipped += skipped;
             self.dirty = true;
             self.drop_input();
         }
-        // Without it replies would use up the buffer, and come in two reads.
+        // Without this, replies would use up the buffer and need two reads.
         self.input.reserve(READ_BUFFER_BYTES);
         Ok(())
     }
 
-    /// Writes `command`, and passes each frame that comes to `judge` until that
-    /// returns something: this is the only place that receives frames. A frame
-    /// that `judge` passes over is counted, and makes the link dirty. Returns the status of
-    /// the answer, and its times.
-    ///
-    /// The deadline is absolute: the bytes of the command and its reply at the
-    /// port's baud rate, and `latency`.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Timeout`] at the deadline, and those of `judge`.
-    pub(crate) async fn exchange(
+    /// Sends `command` and returns the first frame: [`send`](Self::send) followed by
+    /// [`next_frame`](Self::next_frame).
+    pub(crate) async fn ask(
         &mut self,
         command: &Command,
         latency: Duration,
-        judge: &mut Judge<'_>,
-    ) -> Result<(Status, Timing), ExchangeError> {
-        let requested = Instant::now();
-        let bytes = command.bytes().len() + 1 + command.reply_len();
-        let wire = self.baud_rate().map_or(Duration::ZERO, |rate| rate.wire_time(bytes));
-        let (deadline, after) = (requested + wire + latency, wire + latency);
-        let timeout = Err(ExchangeError::Command(Error::Timeout { command: *command, after }));
-        if !self.send(command, deadline).await? {
-            return timeout;
-        }
-        for _ in 0..MAX_FRAMES {
-            let Some(found) = self.receive(deadline).await? else { return timeout };
-            let received = Instant::now();
-            self.latest = Some(received);
-            let frame = match found {
-                Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
-                Frame::Overlong { bytes } => Frame::Overlong { bytes },
-            };
-            let wire_len = frame.wire_len();
-            self.pauses.end_reply(received, wire_len);
-            let (began, stamp) = (self.line.first_byte().unwrap_or(received), self.line.stamp());
-            let timing = Timing { requested, began, received, stamp };
-            let verdict = judge(frame, timing);
-            if let Frame::Reply(length) = found {
-                self.remove_reply(length);
-            }
-            if let Some(verdict) = verdict {
-                return verdict.map(|status| (status, timing));
-            }
-            self.dirty = true;
-            self.line.begin_reply();
-            self.pauses.begin_reply();
-            self.telemetry.stats().bytes_skipped += wire_len;
-        }
-        Err(self.lost(Some(flood())))
+    ) -> Result<Received<'_>, ExchangeError> {
+        let deadline = self.send(command, latency).await?;
+        self.next_frame(deadline).await
     }
 
-    /// Writes `command`, after an LF where one is due. Returns `false` if that
-    /// took too long.
-    async fn send(&mut self, command: &Command, deadline: Instant) -> Result<bool, ExchangeError> {
-        self.output.clear();
-        self.output.put_slice(self.leading_line_feed());
-        // Cannot fail: there is always room.
-        let _ = self.codec.encode(command, &mut self.output);
-        self.line.begin_command();
+    /// Writes `command`, after an LF if the sensor may hold part of another one. Returns the
+    /// deadline of the reply, which may take `latency` to begin.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Timeout`](crate::Error::Timeout) at the deadline.
+    pub(crate) async fn send(
+        &mut self,
+        command: &Command,
+        latency: Duration,
+    ) -> Result<Deadline, ExchangeError> {
+        // A port whose replies are ready at once would never let other tasks run.
+        consume_budget().await;
+        self.remove_latest();
+        self.frames = 0;
+        self.arrivals.begin_command();
         self.pauses.begin_reply();
+        self.codec.expect(command);
+        self.output.clear();
+        self.output.put_slice(if self.interrupted { b"\n" } else { b"" });
+        self.output.put_slice(&command.bytes());
+        self.output.put_u8(b'\n');
         // Stays set if this future is dropped half way.
         self.interrupted = true;
-        let sent = self.line.write_all(&self.output);
-        match self.deadline_timer.run(deadline, sent).await {
-            Some(outcome) => outcome.map_err(|error| self.lost(Some(error)))?,
-            None => {
-                self.dirty = true;
-                return Ok(false);
-            }
-        }
+        let deadline = Deadline::new(*command, self.baud_rate(), latency);
+        let mut written = 0;
+        self.until(deadline, |transport, cx| transport.poll_write(cx, &mut written)).await?;
         self.interrupted = false;
-        Ok(true)
+        Ok(deadline)
     }
 
-    /// Waits for a frame at the front of the input, or returns `None` at the deadline. A
-    /// frame that is there at the deadline wins. Pauses while the rest of a reply takes its
-    /// time.
-    async fn receive(&mut self, deadline: Instant) -> Result<Option<Frame<usize>>, ExchangeError> {
+    /// Receives the next frame after a command; no other function receives frames. A frame
+    /// that is complete at the deadline wins. Any earlier frame was not the answer, so the
+    /// link is dirty. Sleeps while the rest of a reply is on its way.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Timeout`](crate::Error::Timeout) at the deadline.
+    pub(crate) async fn next_frame(
+        &mut self,
+        deadline: Deadline,
+    ) -> Result<Received<'_>, ExchangeError> {
+        if let Some(unwanted) = self.remove_latest() {
+            self.dirty = true;
+            self.arrivals.begin_reply();
+            self.pauses.begin_reply();
+            self.telemetry.stats().bytes_skipped += unwanted.wire_len();
+        }
+        if self.frames == MAX_FRAMES {
+            return Err(self.lost(Some(flood())));
+        }
+        let found = loop {
+            match self.until(deadline, |transport, cx| transport.poll_frame(cx, deadline)).await? {
+                Step::Frame(frame) => break frame,
+                Step::Pause(until) => poll_fn(|cx| self.pause_timer.poll(cx, until)).await,
+                Step::End => return Err(self.lost(None)),
+            }
+        };
+        let received = Instant::now();
+        self.frames += 1;
+        self.latest = Some(found);
+        self.latest_at = Some(received);
+        let wire_len = found.wire_len();
+        self.pauses.end_reply(received, wire_len);
+        let first_byte = self.arrivals.first_byte(&mut *self.port);
+        let timing = Timing {
+            requested: deadline.requested,
+            began: first_byte.at,
+            received,
+            stamp: first_byte.stamp,
+            is_replayed: first_byte.is_replayed,
+            baud_rate: self.believed_baud_rate(),
+        };
+        let frame = match found {
+            Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
+            Frame::Overlong { bytes } => Frame::Overlong { bytes },
+        };
+        Ok(Received { frame, wire_len, timing })
+    }
+
+    /// Writes the output from `written` on.
+    fn poll_write(&mut self, cx: &mut Context<'_>, written: &mut usize) -> Poll<io::Result<()>> {
+        while let Some(rest @ [_, ..]) = self.output.get(*written..) {
+            let outcome = Pin::new(&mut *self.port).poll_write(cx, rest);
+            match ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))? {
+                0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
+                more => *written += more,
+            }
+        }
+        Poll::Ready(Ok(()))
+    }
+
+    /// Reads until a frame is at the front of the input, or until a pause is worthwhile.
+    fn poll_frame(&mut self, cx: &mut Context<'_>, deadline: Deadline) -> Poll<io::Result<Step>> {
+        let Self { port, arrivals, codec, input, retry_timer, pauses, .. } = self;
         loop {
-            let Self { line, codec, input, deadline_timer, pause_timer, pauses, .. } = self;
-            let next = poll_fn(|cx| {
-                loop {
-                    if let Some(frame) = codec.find(input) {
-                        return Poll::Ready(Ok(Received::Frame(frame)));
+            if !input.is_empty()
+                && let Some(frame) = codec.find(input)
+            {
+                return Poll::Ready(Ok(Step::Frame(frame)));
+            }
+            let outcome = pin!(port.read_buf(input)).poll(cx);
+            match again_if_interrupted(outcome, retry_timer, cx) {
+                Poll::Ready(Ok(0)) => return Poll::Ready(Ok(Step::End)),
+                Poll::Ready(Ok(read)) => {
+                    let fresh = input.len().saturating_sub(read);
+                    arrivals.count(input.get(fresh..).unwrap_or_default(), &mut **port)?;
+                }
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+                Poll::Pending => break,
+            }
+        }
+        let missing = codec.missing(input);
+        match missing.and_then(|missing| pauses.next(input.len(), missing, deadline.at())) {
+            Some(until) if port.hints().is_some_and(PortHints::suspend_wakeups) => {
+                Poll::Ready(Ok(Step::Pause(until)))
+            }
+            _ => Poll::Pending,
+        }
+    }
+
+    /// Drops the bytes that `read` returns until it would block. Repeats an interrupted
+    /// read. Returns whether the stream is still open, or `None` as soon as `read` returns
+    /// `None`.
+    fn drop_bytes(
+        &mut self,
+        mut read: impl FnMut(&mut dyn Port, &mut [u8]) -> Option<io::Result<usize>>,
+    ) -> Option<io::Result<bool>> {
+        let mut scratch = [0; SCRATCH_BYTES];
+        let mut interrupted = 0;
+        loop {
+            match read(&mut *self.port, &mut scratch)? {
+                Ok(0) => return Some(Ok(false)),
+                Ok(read) => {
+                    let fresh = scratch.get(..read).unwrap_or_default();
+                    if let Err(flood) = self.arrivals.count(fresh, &mut *self.port) {
+                        return Some(Err(flood));
                     }
-                    match pin!(line.read_buf(input)).poll(cx) {
-                        Poll::Ready(Ok(0)) => return Poll::Ready(Ok(Received::End)),
-                        Poll::Ready(Ok(_)) => {}
-                        Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                        Poll::Pending => break,
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(Ok(true)),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {
+                    interrupted += 1;
+                    if interrupted == MAX_INTERRUPTED {
+                        return Some(Ok(true));
                     }
                 }
-                let missing = codec.missing(input);
-                match missing.and_then(|missing| pauses.next(input.len(), missing, deadline)) {
-                    Some(until) if line.suspend_wakeups() => {
-                        Poll::Ready(Ok(Received::Pause(until)))
-                    }
-                    _ => Poll::Pending,
-                }
-            });
-            match deadline_timer.run(deadline, next).await {
-                Some(Ok(Received::Pause(until))) => {
-                    pause_timer.run(until, pending::<()>()).await;
-                }
-                Some(Ok(Received::Frame(frame))) => return Ok(Some(frame)),
-                Some(Ok(Received::End)) => return Err(self.lost(None)),
-                Some(Err(error)) => return Err(self.lost(Some(error))),
-                None => {
-                    self.dirty = true;
-                    return Ok(None);
-                }
+                Err(error) => return Some(Err(error)),
             }
         }
     }
 
-    /// Removes a reply of this length from the front of the input.
-    fn remove_reply(&mut self, length: usize) {
-        let end = length + TERMINATOR;
-        if end < self.input.len() {
-            self.input.advance(end);
-        } else {
-            // Cheaper, and the next reply begins at the front of the buffer again.
-            self.input.clear();
+    /// Awaits `work` until the deadline, and marks the link dirty if it is missed. Polls
+    /// `work` first, so that it succeeds if it is done at its deadline.
+    async fn until<T>(
+        &mut self,
+        deadline: Deadline,
+        mut work: impl FnMut(&mut Self, &mut Context<'_>) -> Poll<io::Result<T>>,
+    ) -> Result<T, ExchangeError> {
+        poll_fn(|cx| {
+            // Without budget, work returns `Pending` even if it is done.
+            if !has_budget_remaining() {
+                cx.waker().wake_by_ref();
+                return Poll::Pending;
+            }
+            if let Poll::Ready(outcome) = work(self, cx) {
+                return Poll::Ready(outcome.map_err(|error| self.lost(Some(error))));
+            }
+            ready!(self.deadline_timer.poll(cx, deadline.at()));
+            self.dirty = true;
+            Poll::Ready(Err(ExchangeError::Command(deadline.error())))
+        })
+        .await
+    }
+
+    /// Removes the last returned frame from the front of the input.
+    fn remove_latest(&mut self) -> Option<Frame<usize>> {
+        let latest = self.latest.take()?;
+        if let Frame::Reply(length) = latest {
+            let end = length + TERMINATOR;
+            if end < self.input.len() {
+                self.input.advance(end);
+            } else {
+                // Cheaper than `advance`, and the next reply starts at the front of the
+                // buffer again.
+                self.input.clear();
+            }
         }
+        Some(latest)
     }
+}
 
-    fn drop_input(&mut self) {
-        self.input.clear();
-        self.codec.reset();
-    }
-
-    /// Returns the outcome of an exchange on a port that has failed with `error`, or
-    /// without one at the end of its stream.
-    fn lost(&self, error: Option<io::Error>) -> ExchangeError {
-        match (self.line.is_over(), error) {
-            (false, error) => ExchangeError::Lost(Error::disconnected(error)),
-            (true, None) => ExchangeError::Ended(Error::Closed),
-            (true, error) => ExchangeError::Ended(Error::disconnected(error)),
+impl Drop for Transport {
+    fn drop(&mut self) {
+        if let Some(hints) = self.port.hints() {
+            hints.discard_output();
         }
     }
 }
 
-/// The next event of a link on which [`Transport::receive`] waits.
-enum Received {
+/// Step towards a frame.
+enum Step {
     Frame(Frame<usize>),
-    /// The end of the stream.
-    End,
-    /// The rest of the reply comes at this time at the earliest.
+    /// The reply cannot be complete before this time.
     Pause(Instant),
+    /// End of the stream.
+    End,
+}
+
+/// Reads the bytes that the port has, or returns `None` if it has no bytes.
+fn read_if_ready(
+    port: &mut dyn Port,
+    cx: &mut Context<'_>,
+    bytes: &mut [u8],
+) -> Option<io::Result<usize>> {
+    let mut buffer = ReadBuf::new(bytes);
+    match Pin::new(port).poll_read(cx, &mut buffer) {
+        Poll::Ready(outcome) => Some(outcome.map(|()| buffer.filled().len())),
+        Poll::Pending => None,
+    }
 }

@@ -1,56 +1,61 @@
 //! [`Pauses`]: the times during which nothing needs to wake the driver while a reply
 //! trickles in.
 //!
-//! A serial line delivers a scan in 20 to 100 pieces. To be woken for each costs more than
-//! all other work on the scan (`benches/README.md`, item 12). Once a scan has begun, the rest
-//! takes at least as long as that of the fastest scan lately, so the driver sleeps until
-//! shortly before its end. The time is measured, not computed from the baud rate: that of
-//! a pseudo-terminal or of USB means nothing. The port must be able to stop its wake-ups.
+//! A serial line delivers a scan in 20 to 100 pieces. Waking up for each one costs more than
+//! all other work on the scan (`benches/README.md`, item 12). Once a scan has begun, its rest
+//! takes at least as long as the rest of the fastest recent scan. So the driver sleeps until
+//! shortly before the end. It measures this time and does not compute it from the baud rate,
+//! which means nothing on a pseudo-terminal or USB. The port must be able to stop its
+//! wake-ups.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// The number of scans that are read piece by piece, and so measured, before the first
-/// pause: one alone may have been slow.
+/// Number of scans to read piece by piece, and measure, before the first pause. A single scan
+/// may have been slow.
 const MEASURED_FIRST: u32 = 3;
-/// Between so many measured scans and twice as many count as those of lately.
+/// Number of measured scans that count as recent: at least this many, at most twice as many.
 const MEASURED_LATELY: u32 = 16;
-/// The number of missing bytes from which a scan is measured. The time of fewer bytes is
-/// mostly that of the wake-ups at both ends.
+/// Smallest number of missing bytes worth measuring. For fewer bytes, the wake-ups at both
+/// ends take most of the time.
 const MIN_BYTES: usize = 256;
-/// The share of the shortest time that a pause takes, after so many scans in a row of
-/// which the end was not seen: they come faster than expected.
+/// Fraction of the shortest transfer time to sleep, indexed by the number of consecutive
+/// overshoots: scans then arrive faster than expected.
 const SHARES: [f64; 4] = [1.0, 0.875, 0.75, 0.5];
-/// The time by which a timer of tokio is late on an idle runtime: it counts whole
-/// milliseconds, of which one has begun.
+/// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
+/// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
 
 /// Decides when to pause, and for how long.
 #[derive(Debug, Default)]
 pub(super) struct Pauses {
-    /// The shortest time a byte, in seconds, of the scans that were measured lately, and
-    /// of those before.
+    /// Shortest time per byte, in seconds: of the recent scans, and of the scans before them.
     shortest: [Option<f64>; 2],
-    /// The number of scans that the first of these stands for.
+    /// Number of scans in the first of these.
     measured: u32,
-    /// The number of scans in a row that were complete before their pause had ended.
+    /// Number of consecutive scans that were complete before their pause ended.
     unseen: usize,
-    /// The scan that is arriving.
+    /// Longest delay with which a pause ended, recently and before.
+    latest_end: [Duration; 2],
+    /// Number of scans in the first of these.
+    timed: u32,
+    /// Scan that is arriving.
     current: Option<Current>,
 }
 
-/// A scan of which a part is there.
+/// Partly received scan.
 #[derive(Debug, Clone, Copy)]
 struct Current {
-    /// The time when its first piece was read.
+    /// When its first piece was read.
     since: Instant,
-    /// The number of bytes that were missing then.
+    /// Number of bytes missing at that time.
     missing: usize,
-    /// Its length with the terminator.
+    /// Length including the terminator.
     length: usize,
-    /// True while pieces wake the driver, so that the time of the last one is seen.
-    is_watched: bool,
+    /// End of the pause. `None` while pieces wake the driver, so that it sees when the last
+    /// one arrives.
+    paused_until: Option<Instant>,
 }
 
 impl Pauses {
@@ -59,9 +64,9 @@ impl Pauses {
         self.current = None;
     }
 
-    /// Returns the time until which to pause, or `None` to wait for the next piece: of a
-    /// scan `present` bytes are read, all that have come, and `missing` ones follow, at the
-    /// latest at the deadline.
+    /// Decides until when to pause, or returns `None` to wait for the next piece. `present`
+    /// is the number of received bytes, all read, and `missing` the number still to come. A
+    /// pause ends at the deadline at the latest.
     pub(super) fn next(
         &mut self,
         present: usize,
@@ -73,34 +78,46 @@ impl Pauses {
         }
         let now = Instant::now();
         let length = present + missing;
-        let first = Current { since: now, missing, length, is_watched: true };
+        let first = Current { since: now, missing, length, paused_until: None };
         let current = *self.current.get_or_insert(first);
-        // Counted from the first piece: the last one takes no time once it is complete.
+        self.note_end_of_pause(current, now);
+        // Counts from the first piece, because the last piece takes no time once it is
+        // complete.
         let end = self.shortest_time(current.missing).map(|shortest| {
             let share = SHARES.get(self.unseen).copied().unwrap_or(0.0);
             current.since + shortest.mul_f64(share)
         });
         let pause = end.and_then(|end| {
             let end = end.min(deadline);
-            let left = end.saturating_duration_since(now).checked_sub(TIMER_DELAY)?;
+            let [lately, before] = self.latest_end;
+            let margin = TIMER_DELAY + lately.max(before);
+            let left = end.saturating_duration_since(now).checked_sub(margin)?;
             // Whole milliseconds, so that the timer is not later than expected.
             let pause = Duration::from_millis(left.as_millis() as u64);
             (!pause.is_zero()).then(|| now + pause)
         });
         if let Some(current) = &mut self.current {
-            current.is_watched = pause.is_none();
+            current.paused_until = pause;
         }
         pause
     }
 
-    /// Notes when the last byte of a frame was read, which had so many on the wire.
+    /// Notes when the last byte of a frame was read, and the frame's length on the wire.
     pub(super) fn end_reply(&mut self, received: Instant, wire_len: u64) {
         let Some(current) = self.current.take() else { return };
+        self.note_end_of_pause(current, received);
+        // Counts with and without a pause, so that late timers cannot end all pauses.
+        self.timed += 1;
+        if self.timed >= MEASURED_LATELY {
+            let [lately, before] = &mut self.latest_end;
+            *before = std::mem::take(lately);
+            self.timed = 0;
+        }
         if wire_len != current.length as u64 {
             return;
         }
         let time = received.saturating_duration_since(current.since);
-        if current.is_watched {
+        if current.paused_until.is_none() {
             self.unseen = 0;
             self.note(time.as_secs_f64() / current.missing as f64);
         } else if self.shortest_time(current.missing).is_some_and(|shortest| time < shortest) {
@@ -108,7 +125,19 @@ impl Pauses {
         }
     }
 
-    /// Returns the shortest time in which so many bytes come.
+    /// Notes how late the driver woke from a pause. The next pause ends earlier by the same
+    /// time.
+    fn note_end_of_pause(&mut self, current: Current, now: Instant) {
+        let Some(until) = current.paused_until else { return };
+        let late = now.saturating_duration_since(until).checked_sub(TIMER_DELAY);
+        // A little earlier still: a pause that ends exactly with the scan would hide how late
+        // either was.
+        let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
+        let [lately, _] = &mut self.latest_end;
+        *lately = late.max(*lately);
+    }
+
+    /// Shortest time for receiving `bytes` bytes.
     fn shortest_time(&self, bytes: usize) -> Option<Duration> {
         let [lately, before] = self.shortest;
         if before.is_none() && self.measured < MEASURED_FIRST {
@@ -118,7 +147,7 @@ impl Pauses {
         Some(Duration::from_secs_f64(shortest * bytes as f64))
     }
 
-    /// Notes the time a byte of a scan that was measured.
+    /// Notes a measured time per byte.
     fn note(&mut self, time: f64) {
         let [lately, before] = &mut self.shortest;
         if self.measured >= MEASURED_LATELY {
@@ -136,12 +165,12 @@ mod tests {
 
     use super::*;
 
-    /// The bytes of a scan's first piece and of the rest, which takes 100 ms.
+    /// Length of a scan's first piece. The rest takes 100 ms.
     const PIECE: usize = 14;
     const REST: usize = 1_385;
     const REST_TIME: Duration = Duration::from_millis(100);
 
-    /// Pauses of a link of which enough scans were measured.
+    /// Pauses of a link on which enough scans were measured.
     async fn measured() -> Pauses {
         let mut pauses = Pauses::default();
         for _ in 0..MEASURED_FIRST {
@@ -153,8 +182,7 @@ mod tests {
         pauses
     }
 
-    /// Returns how long the pause is, at the first piece of a scan of which so many bytes
-    /// are missing.
+    /// How long to pause at the first piece of a scan with `missing` bytes to come.
     fn next(pauses: &mut Pauses, missing: usize) -> Option<Duration> {
         let now = Instant::now();
         pauses.next(PIECE, missing, now + Duration::from_secs(10)).map(|until| until - now)
@@ -179,6 +207,65 @@ mod tests {
         assert!(next(&mut pauses, MIN_BYTES).is_some());
     }
 
+    /// Receives a scan whose pauses end late by `late`, piece by piece while the driver is
+    /// awake. Returns the delay between its last byte and its receipt.
+    async fn delay(pauses: &mut Pauses, late: Duration) -> Duration {
+        pauses.begin_reply();
+        let begin = Instant::now();
+        let end = begin + REST_TIME;
+        loop {
+            let come = begin.elapsed().as_secs_f64() / REST_TIME.as_secs_f64() * REST as f64;
+            let missing = REST.saturating_sub(come as usize);
+            if Instant::now() >= end {
+                break;
+            }
+            match pauses.next(PIECE + REST - missing, missing, end + REST_TIME) {
+                Some(until) => advance(until - Instant::now() + late).await,
+                None => advance(Duration::from_millis(1).min(end - Instant::now())).await,
+            }
+        }
+        pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
+        Instant::now() - end
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn scans_are_in_time_20_scans_after_a_stall_however_late_timers_are() {
+        for late in (0..=100).map(|tenths| Duration::from_micros(100 * tenths)) {
+            let mut pauses = Pauses::default();
+            for _ in 0..MEASURED_FIRST {
+                pauses.begin_reply();
+                assert_eq!(next(&mut pauses, REST), None);
+                // Each is seen 14 ms late.
+                advance(REST_TIME + Duration::from_millis(14)).await;
+                pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
+            }
+            for _ in 0..20 {
+                delay(&mut pauses, late).await;
+            }
+            let mut delays = Vec::new();
+            for _ in 0..101 {
+                delays.push(delay(&mut pauses, late).await);
+            }
+            delays.sort();
+            let median = delays.get(50).copied().unwrap();
+            // Without pauses there is no delay: each piece wakes the driver.
+            assert!(median <= Duration::from_millis(1), "{late:?}: {median:?}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn pauses_return_after_timers_were_late_once() {
+        let mut pauses = measured().await;
+        delay(&mut pauses, 2 * REST_TIME).await;
+        pauses.begin_reply();
+        assert_eq!(next(&mut pauses, REST), None, "the timer may be late again");
+        for _ in 0..=2 * MEASURED_LATELY {
+            delay(&mut pauses, Duration::ZERO).await;
+        }
+        pauses.begin_reply();
+        assert!(next(&mut pauses, REST).is_some());
+    }
+
     #[tokio::test(start_paused = true)]
     async fn scans_that_take_exactly_the_shortest_time_make_no_pause_shorter() {
         let mut pauses = measured().await;
@@ -186,7 +273,9 @@ mod tests {
             pauses.begin_reply();
             let pause = next(&mut pauses, REST).unwrap();
             assert!(pause > REST_TIME - 3 * TIMER_DELAY, "{pause:?}");
-            advance(REST_TIME).await;
+            advance(pause).await;
+            assert_eq!(next(&mut pauses, 1), None);
+            advance(REST_TIME - pause).await;
             pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
         }
     }

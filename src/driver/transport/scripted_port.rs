@@ -3,26 +3,36 @@
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use crate::BaudRate;
-use crate::port::Port;
+use crate::port::{Port, PortHints};
 
-/// A port from which these reads come, one after the other, and then none. It accepts
-/// whatever is written.
+/// Port that returns these reads, one after the other, and then no bytes. It accepts all
+/// writes.
 #[derive(Debug, Default)]
 pub(super) struct ScriptedPort {
     pub(super) reads: VecDeque<Result<Vec<u8>, ErrorKind>>,
     pub(super) baud_rate: Option<BaudRate>,
-    /// True if it is read without waiting, and in no other way.
+    /// True if it can be read only without waiting.
     pub(super) has_try_read: bool,
+    /// Error of all further reads, with a count, in place of waiting.
+    pub(super) refusal: Option<(ErrorKind, Arc<AtomicU64>)>,
 }
 
 impl ScriptedPort {
     fn next(&mut self, buffer: &mut ReadBuf<'_>) -> io::Result<()> {
-        let next = self.reads.pop_front().unwrap_or(Err(ErrorKind::WouldBlock));
+        let next = self.reads.pop_front().unwrap_or_else(|| match &self.refusal {
+            Some((kind, reads)) => {
+                reads.fetch_add(1, Ordering::Relaxed);
+                Err(*kind)
+            }
+            None => Err(ErrorKind::WouldBlock),
+        });
         next.map(|bytes| buffer.put_slice(&bytes)).map_err(io::Error::from)
     }
 }
@@ -32,6 +42,12 @@ impl Port for ScriptedPort {
         self.baud_rate
     }
 
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for ScriptedPort {
     fn try_read(&mut self, bytes: &mut [u8]) -> Option<io::Result<usize>> {
         let mut buffer = ReadBuf::new(bytes);
         self.has_try_read.then(|| self.next(&mut buffer).map(|()| buffer.filled().len()))
@@ -46,7 +62,9 @@ impl AsyncRead for ScriptedPort {
     ) -> Poll<io::Result<()>> {
         assert!(!self.has_try_read, "the port is read without waiting");
         match self.next(buffer) {
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Poll::Pending,
+            Err(error) if error.kind() == ErrorKind::WouldBlock && self.refusal.is_none() => {
+                Poll::Pending
+            }
             outcome => Poll::Ready(outcome),
         }
     }

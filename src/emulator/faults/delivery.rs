@@ -6,21 +6,21 @@ use std::time::Duration;
 use super::Fault;
 use crate::emulator::random::Random;
 
-/// A reply on its way to the host.
+/// Reply on its way to the host.
 #[derive(Debug, Default)]
 pub(crate) struct Delivery {
     pub(crate) bytes: Vec<u8>,
-    /// The delay of the first byte.
+    /// Delay of the first byte.
     pub(crate) delay: Duration,
     /// Pauses, each with the index of the byte after it.
     pauses: Vec<(usize, Duration)>,
-    /// The time that a byte takes, `None` for that of the line.
+    /// Time per byte, or `None` for the speed of the line.
     pub(crate) byte_time: Option<Duration>,
-    /// The event after the last byte.
+    /// What happens after the last byte.
     pub(crate) then: Option<Aftermath>,
 }
 
-/// An event after the last byte of a reply.
+/// Event after the last byte of a reply.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Aftermath {
     Reset,
@@ -33,11 +33,11 @@ impl Delivery {
         Self { bytes, ..Self::default() }
     }
 
-    /// Applies a fault to the reply as it is by now.
+    /// Applies a fault to the reply, on top of the earlier faults.
     pub(crate) fn apply(&mut self, fault: Fault, random: &mut Random) {
         let bytes = &mut self.bytes;
         match fault {
-            // These two apply to the command, before there is a reply.
+            // These two were applied to the command, before there was a reply.
             Fault::CommandLost | Fault::Status(_) => {}
             Fault::Lost => bytes.clear(),
             Fault::Late(delay) => self.delay += delay,
@@ -88,7 +88,7 @@ impl Delivery {
     pub(crate) fn take_parts(&mut self) -> Vec<(Duration, Vec<u8>)> {
         let mut rest = std::mem::take(&mut self.bytes);
         let mut parts = Vec::with_capacity(1 + self.pauses.len());
-        // From the end, so that splitting leaves the remaining places valid.
+        // From the end, so that splitting leaves the remaining positions valid.
         self.pauses.sort_by_key(|(at, _)| std::cmp::Reverse(*at));
         for &(at, pause) in &self.pauses {
             if at < rest.len() {

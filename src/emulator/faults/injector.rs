@@ -11,7 +11,7 @@ pub(crate) struct FaultInjector {
     faults: Faults,
     random: Random,
     next_reply: u64,
-    /// The seed if the faults have none.
+    /// Seed if the faults have no seed.
     default_seed: u64,
     pub(crate) counts: FaultCounts,
 }
@@ -22,15 +22,15 @@ impl FaultInjector {
         Self { faults, random, next_reply: 0, default_seed, counts: FaultCounts::default() }
     }
 
-    /// Replaces the faults, and keeps the counts.
+    /// Replaces the faults, but keeps the counts.
     pub(crate) fn replace(&mut self, faults: Faults) {
         *self = Self { counts: self.counts, ..Self::new(faults, self.default_seed) };
     }
 
-    /// Returns the faults of the next reply, and a generator for their details.
+    /// Draws the faults of the next reply, and a generator for their details.
     pub(crate) fn draw(&mut self) -> (Vec<Fault>, Random) {
-        // Takes one number for each reply, so that its faults do not depend on the
-        // length or the faults of an earlier reply.
+        // One number for each reply, so that its faults do not depend on the length or
+        // the faults of an earlier reply.
         let mut random = Random::new(self.random.next());
         let number = self.next_reply;
         self.next_reply += 1;
@@ -54,7 +54,8 @@ impl FaultInjector {
 
 impl RandomFault {
     fn draw(&self, random: &mut Random) -> Fault {
-        // A full scan has 1,576 bytes; in a shorter reply such a place is its end.
+        // A full scan has 1,576 bytes. In a shorter reply, a position past the end means
+        // the end.
         let mut up_to = |longest: &Duration| longest.mul_f64(random.fraction());
         match self {
             Self::Late(longest) => Fault::Late(up_to(longest)),

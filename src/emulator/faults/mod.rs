@@ -1,11 +1,7 @@
-//! Faults on demand: [`Fault`] and [`Faults`], which are parsed in `parse`, drawn
-//! for each reply in `injector`, and applied to its bytes in `delivery`.
-//!
-//! These are faults of the sensor and its line. `faulty_link` makes the calls of a
-//! stream fail, whatever is at its other end.
+//! Faults on demand: [`Fault`] and [`Faults`]. `parse` parses them, `injector` draws them for
+//! each reply, and `delivery` applies them to its bytes.
 
 mod delivery;
-mod faulty_link;
 mod injector;
 mod parse;
 
@@ -13,74 +9,71 @@ use std::ops::Range;
 use std::time::Duration;
 
 pub(super) use self::delivery::{Aftermath, Delivery};
-pub use self::faulty_link::{Call, CallCounter, FaultyLink, LinkFailure};
 pub(super) use self::injector::FaultInjector;
 pub use self::parse::InvalidFaults;
 
-/// A fault of one reply.
+/// Fault of one reply.
 ///
-/// Places are byte offsets in the reply as sent, 0 being the first byte of the
-/// echo; those past its end have no effect. Several faults of one reply are
-/// applied in the order in which they were added, each to the result of the one
-/// before.
+/// Positions are byte offsets in the reply as sent: 0 is the first byte of the echo, and a
+/// position past the end has no effect. If you add several faults to one reply,
+/// each applies to the result of the previous one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
-    /// The command never reaches the sensor: nothing is done, nothing is sent.
+    /// The command never reaches the sensor: it does nothing and sends nothing.
     CommandLost,
-    /// The sensor executes the command, and the reply never arrives.
+    /// The sensor executes the command, but the reply never arrives.
     Lost,
-    /// The reply is delayed by this, and so is everything behind it: replies stay
-    /// in order.
+    /// The reply is delayed by this time, and so is everything after it: replies stay in order.
     Late(Duration),
-    /// The reply comes twice.
+    /// The reply arrives twice.
     Doubled,
     /// These bytes are lost.
     Drop(Range<usize>),
-    /// Bytes are inserted before this place.
+    /// These bytes are inserted before this position.
     Insert(usize, Vec<u8>),
-    /// The bits of the mask are inverted in the byte at this place.
+    /// The mask's bits are inverted in the byte at this position.
     Flip(usize, u8),
-    /// These bytes come twice.
+    /// These bytes arrive twice.
     Repeat(Range<usize>),
-    /// Only this many bytes are sent.
+    /// Only this number of bytes is sent.
     Cut(usize),
-    /// One byte anywhere is lost, comes twice, has one bit inverted, or is preceded
-    /// by a random one; or the reply ends there.
+    /// One byte anywhere is lost, arrives twice, has one bit inverted, or has a random byte
+    /// inserted before it; or the reply ends there.
     Damaged,
-    /// The last of the two line feeds is lost: the reply runs into the next one.
+    /// Without the last of its two line feeds, the reply runs into the next one.
     Merged,
     /// These bytes precede the reply.
     Garbage(Vec<u8>),
-    /// As many random bytes precede the reply.
+    /// This number of random bytes precedes the reply.
     Noise(usize),
-    /// The reply pauses before the byte at this place.
+    /// The reply pauses before the byte at this position.
     Pause(usize, Duration),
     /// Each byte of the reply takes this long.
     Trickle(Duration),
     /// Every line feed becomes CR LF, as on a line that is not raw.
     CrLf,
-    /// The command is refused with this status, and not executed.
+    /// Not executed: the command is refused with this status.
     Status(u8),
-    /// The sensor restarts after it has sent this many bytes of the reply: 19,200
-    /// baud, laser on, silent for its boot time.
+    /// After sending this number of bytes of the reply, the sensor restarts: 19,200 baud, laser
+    /// on, silent for its boot time.
     Reset(usize),
-    /// The link is hung up after this many bytes of the reply: reads return the end
-    /// of the stream, and it has to be opened again.
+    /// Hangs up the link after this number of bytes of the reply: reads return the end of the
+    /// stream, and you have to open the link again.
     HangUp(usize),
-    /// Instead of the reply these bytes are repeated, as fast as the line carries
-    /// them, until the sensor is reset or gets other faults.
+    /// Instead of the reply these bytes repeat, as fast as the line carries them, until the
+    /// sensor is reset or you set other faults.
     Endless(Vec<u8>),
 }
 
-/// The faults of an emulated sensor: scripted, drawn at random, or both.
+/// Faults of an emulated sensor: scripted, drawn at random, or both.
 ///
-/// Replies are numbered from 0 since the faults were set; a command that is not
-/// answered anyway has no number. A [`Sensor`](crate::Sensor) is opened with a
-/// fence and a `V`, and sends a fence after each faulty reply: their replies are
-/// numbered, too. To count from the first scan set the faults once the sensor is
-/// open ([`Emulator::set_faults`](super::Emulator::set_faults)). Random faults are
-/// drawn from [`seed`](Self::seed) alone: the same commands meet the same faults.
+/// Replies are numbered from 0 since you set the faults. A command that gets no answer anyway
+/// has no number. Opening a [`Sensor`](crate::Sensor) takes a fence and a `V`, and each faulty
+/// reply is followed by a fence: their replies are numbered, too. To count from the first scan,
+/// set the faults once the sensor is open
+/// ([`Emulator::set_faults`](super::Emulator::set_faults)). Random faults depend only on
+/// [`seed`](Self::seed): the same commands meet the same faults.
 ///
 /// ```
 /// use std::time::Duration;
@@ -97,14 +90,14 @@ pub struct Faults {
     seed: Option<u64>,
 }
 
-/// The replies that a scripted fault applies to.
+/// Replies that a scripted fault applies to.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Trigger {
     Reply(u64),
     EveryReply,
 }
 
-/// A fault whose details are drawn for each reply, up to a limit.
+/// Fault whose details are drawn for each reply, up to a limit.
 #[derive(Debug, Clone, PartialEq)]
 enum RandomFault {
     Late(Duration),
@@ -116,7 +109,7 @@ enum RandomFault {
 }
 
 impl Faults {
-    /// Returns no faults.
+    /// No faults.
     pub fn none() -> Self {
         Self::default()
     }
@@ -128,8 +121,8 @@ impl Faults {
         self
     }
 
-    /// Adds a fault of every reply. `Faults::none().every(Fault::Lost)` is a
-    /// sensor that is silent.
+    /// Adds a fault of every reply. `Faults::none().every(Fault::Lost)` makes the sensor
+    /// silent.
     #[must_use]
     pub fn every(mut self, fault: Fault) -> Self {
         self.scripted.push((Trigger::EveryReply, fault));
@@ -164,21 +157,21 @@ impl Faults {
         self
     }
 
-    /// Restarts the sensor within a reply, with this probability.
+    /// Restarts the sensor during a reply, with this probability.
     #[must_use]
     pub fn reset(mut self, probability: f64) -> Self {
         self.random.push((probability, RandomFault::Reset));
         self
     }
 
-    /// Hangs up the link within a reply, with this probability.
+    /// Hangs up the link during a reply, with this probability.
     #[must_use]
     pub fn hung_up(mut self, probability: f64) -> Self {
         self.random.push((probability, RandomFault::HangUp));
         self
     }
 
-    /// Sets the seed of random faults: the sensor's own unless set.
+    /// Sets the seed of random faults. Default: the sensor's seed.
     #[must_use]
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = Some(seed);
@@ -186,11 +179,12 @@ impl Faults {
     }
 }
 
-/// The number of faults injected so far, by kind, scripted and random ones.
+/// Number of injected faults, by kind, both scripted and random.
 ///
 /// A fault counts when it is applied to a reply, even if it changes nothing there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub struct FaultCounts {
     /// [`Fault::CommandLost`].
     pub command_lost: u64,
@@ -235,7 +229,7 @@ pub struct FaultCounts {
 }
 
 impl FaultCounts {
-    /// Returns the number of faults of all kinds.
+    /// Number of faults of all kinds.
     pub fn total(&self) -> u64 {
         let Self {
             command_lost,

@@ -5,14 +5,16 @@ use std::time::Duration;
 
 use super::{Fault, Faults};
 
-/// The names of all faults that can be written down.
+/// Names of all faults that can be written down.
 const NAMES: &str = "late, lost, command-lost, damaged, doubled, merged, noise, pause, reset, \
                      hang-up (each =PROBABILITY) and seed=NUMBER";
 const DEFAULT_LONGEST: Duration = Duration::from_secs(1);
 const DEFAULT_NOISE_BYTES: usize = 64;
+/// More bytes than any burst of noise on a line.
+const MAX_NOISE_BYTES: usize = 65_536;
 
-/// The error of parsing [`Faults`]: the part that is wrong, what was expected there
-/// and what was found.
+/// Parse error of [`Faults`]: which part is wrong, what was expected there and what was
+/// found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid fault `{part}`: {reason}")]
 pub struct InvalidFaults {
@@ -25,11 +27,11 @@ impl FromStr for Faults {
 
     /// Parses faults such as `late=0.01:3s,lost=0.005,seed=7`.
     ///
-    /// Each name is followed by the probability, 0 to 1, that a reply has the
-    /// fault: `late` (by up to 1 s, or by the time after the colon, `250ms` or `3s`),
-    /// `lost`, `command-lost`, `damaged`, `doubled`, `merged`, `noise` (up to 64
-    /// bytes, or the number after the colon), `pause` (up to 1 s, or the time after
-    /// the colon), `reset`, `hang-up`. An empty text means no faults.
+    /// Each name is followed by the probability, 0 to 1, that a reply has the fault:
+    /// `late` (by up to 1 s, or by the time after the colon, `250ms` or `3s`), `lost`,
+    /// `command-lost`, `damaged`, `doubled`, `merged`, `noise` (up to 64 bytes, or the
+    /// number after the colon), `pause` (up to 1 s, or the time after the colon),
+    /// `reset`, `hang-up`. An empty text means no faults.
     fn from_str(text: &str) -> Result<Self, InvalidFaults> {
         let mut parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
         parts.try_fold(Self::none(), |faults, part| {
@@ -38,7 +40,7 @@ impl FromStr for Faults {
     }
 }
 
-/// Adds the fault that `part` describes. The error is the reason why it cannot.
+/// Adds the fault that `part` describes, or explains why it is invalid.
 fn add(faults: Faults, part: &str) -> Result<Faults, String> {
     let (name, value) = part.split_once('=').unwrap_or((part, ""));
     if name == "seed" {
@@ -78,7 +80,7 @@ fn chance(text: &str) -> Result<f64, String> {
     })
 }
 
-/// Parses the probability of a fault that has no limit after a colon.
+/// Parses the probability of a fault that takes no limit after a colon.
 fn chance_alone(name: &str, probability: &str, detail: Option<&str>) -> Result<f64, String> {
     match detail {
         Some(detail) => Err(format!("{name} takes no limit, found `:{detail}`")),
@@ -94,7 +96,10 @@ fn longest(detail: Option<&str>) -> Result<Duration, String> {
 
 fn length(detail: Option<&str>) -> Result<usize, String> {
     let Some(text) = detail else { return Ok(DEFAULT_NOISE_BYTES) };
-    text.parse().map_err(|_| format!("expected a number of bytes after `:`, found `{text}`"))
+    let length = text.parse().ok().filter(|length| *length <= MAX_NOISE_BYTES);
+    length.ok_or_else(|| {
+        format!("expected a number of bytes up to {MAX_NOISE_BYTES} after `:`, found `{text}`")
+    })
 }
 
 fn duration(text: &str) -> Option<Duration> {
@@ -135,7 +140,11 @@ mod tests {
             ("lost=NaN", "expected a probability from 0 to 1, found NaN"),
             ("late=0.1:3", "expected a time such as 250ms or 3s after `:`, found `3`"),
             ("pause=0.1:-3s", "expected a time such as 250ms or 3s after `:`, found `-3s`"),
-            ("noise=0.1:x", "expected a number of bytes after `:`, found `x`"),
+            (
+                "noise=1:99999999999999",
+                "expected a number of bytes up to 65536 after `:`, found `99999999999999`",
+            ),
+            ("noise=0.1:x", "expected a number of bytes up to 65536 after `:`, found `x`"),
             ("lost=0.1:3s", "lost takes no limit, found `:3s`"),
             ("seed=x", "expected seed=NUMBER, found `x`"),
         ] {

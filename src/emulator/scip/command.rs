@@ -4,11 +4,11 @@ use tokio::time::Instant;
 
 use crate::BaudRate;
 
-/// The number of bytes of a line that are kept. The longest command, `S`, has 14;
-/// a host that never ends its line must not cost more memory than this.
+/// Number of bytes to keep of a line. The longest command, `S`, has 14. A host that never
+/// ends its line must not cost more memory.
 const MAX_LINE_BYTES: usize = 64;
 
-/// A command line after parsing.
+/// Command line after parsing.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum HostCommand {
     Version,
@@ -21,22 +21,22 @@ pub(crate) enum HostCommand {
     },
     /// `SCIP2.0`, which asks a sensor to switch to SCIP 2.
     Scip2,
-    /// A terminator and nothing before it.
+    /// Terminator without a command.
     Empty,
     /// Not a command of SCIP 1.1.
     Undefined,
-    /// A command of SCIP 1.1 with an error in it.
+    /// Command of SCIP 1.1 with a mistake.
     Invalid(Mistake),
 }
 
-/// The error in an invalid command.
+/// Mistake in an invalid command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Mistake {
-    /// The number of bytes does not match the command.
+    /// Wrong number of bytes for the command.
     Length,
     /// A control code, baud rate, step or cluster count that does not exist.
     Parameter,
-    /// The starting point is greater than the end point.
+    /// A starting point greater than the end point.
     Order,
 }
 
@@ -78,7 +78,7 @@ fn scan(start: Option<u16>, end: Option<u16>, cluster: Option<u16>) -> HostComma
         (Some(start @ 0..=768), Some(end @ 0..=768), Some(_)) if start > end => {
             HostCommand::Invalid(Mistake::Order)
         }
-        // The text allows 00 and does not define it; drivers treat it as 01.
+        // The text allows 00 without defining it; drivers treat it as 01.
         (Some(start @ 0..=768), Some(end @ 0..=768), Some(cluster)) => {
             HostCommand::Scan { start, end, cluster: cluster.max(1) }
         }
@@ -92,21 +92,21 @@ fn number(digits: &[u8]) -> Option<u16> {
     })
 }
 
-/// A command line whose terminator has arrived.
+/// Command line whose terminator has arrived.
 #[derive(Debug)]
 pub(crate) struct ArrivedCommand {
-    /// The time at which the terminator was through.
+    /// When the terminator had arrived.
     pub(crate) at: Instant,
-    /// The line without its terminator, cut to `MAX_LINE_BYTES`.
+    /// Line without its terminator, cut to `MAX_LINE_BYTES`.
     pub(crate) bytes: Vec<u8>,
     pub(crate) command: HostCommand,
-    /// The two ends of the line had different baud rates.
+    /// True if the two ends of the line had different baud rates.
     pub(crate) garbled: bool,
-    /// Its first byte arrived while an earlier command was unanswered.
+    /// True if its first byte arrived while an earlier command was unanswered.
     pub(crate) overlapping: bool,
 }
 
-/// The sensor's line buffer.
+/// Line buffer of the sensor.
 #[derive(Debug, Default)]
 pub(crate) struct LineBuffer {
     bytes: Vec<u8>,

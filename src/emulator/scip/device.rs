@@ -1,30 +1,31 @@
-//! The sensor without time and I/O: takes a command, returns the reply's bytes,
-//! and holds the state that commands change.
+//! Sensor without time and I/O: takes a command, returns the reply's bytes, and holds the
+//! state that commands change.
 
 use super::command::{HostCommand, Mistake};
 use super::encode;
 use crate::BaudRate;
 use crate::emulator::world::{NON_MEASURABLE, STEPS, Values};
 
-/// The firmware that an emulated sensor plays. Both know SCIP 1.1 only.
+/// Firmware that an emulated sensor plays. Both know only SCIP 1.1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Firmware {
-    /// The sensor of the protocol text: `V` has five lines with a blank after
-    /// the colon, and an undefined command is not answered. On USB it accepts
-    /// `S` (status `0`) without effect.
+    /// Firmware as in the protocol text: `V` has five lines with a blank after the colon,
+    /// and an undefined command gets no answer. On USB it accepts `S` (status `0`) without
+    /// effect.
     Text,
-    /// A URG-04LX with firmware 3.3, as captured: `V` has six lines without the
-    /// blank. An undefined command is answered with status `E`, `SCIP2.0` with
-    /// status `C`. On USB it answers `S` with status `3`.
+    /// Firmware 3.3 of a URG-04LX, as captured: `V` has six lines without the blank. An
+    /// undefined command is answered with status `E`, `SCIP2.0` with status `C`. On USB it
+    /// answers `S` with status `3`.
     #[default]
     V3,
 }
 
-/// The answer to a terminator with no command before it. That of real sensors
-/// is not known, so that a driver has to work with all three.
+/// Answer to a terminator without a command before it. How real sensors answer is unknown,
+/// so your driver has to work with all three.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub enum EmptyCommand {
     /// No answer.
     #[default]
@@ -35,42 +36,42 @@ pub enum EmptyCommand {
     LineFeeds,
 }
 
-/// The status of the answer to `L` if the laser already is in that state. It
-/// depends on the sensor: clients are known that stop at a `2`, and others that
-/// expect it.
+/// Status of the answer to `L` if the laser already is in that state. It depends on the
+/// sensor: some clients stop at a `2`, and others expect it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum RepeatedLaser {
-    /// Status `0`, as if the state had changed.
-    Status0,
-    /// Status `2`.
+    /// Status `0`, as if the state had changed. All known clients accept it.
     #[default]
+    Status0,
+    /// Status `2`. Hokuyo's own sample of 2007 stops at it.
     Status2,
 }
 
-/// The protocol that the sensor speaks.
+/// Protocol that the sensor speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
 pub enum Mode {
     /// SCIP 1.1, as after every power-up.
     #[default]
     Scip1,
     /// SCIP 2: every command of SCIP 1.1 is answered with the status line `0Eu`.
     Scip2,
-    /// SCIP 2 with continuous scanning left on: an `MD` reply with the status
-    /// line `99b` comes after every revolution, unasked.
+    /// SCIP 2 with continuous scanning left on: sends an unsolicited `MD` reply with the
+    /// status line `99b` after every revolution.
     Scip2Streaming,
 }
 
-/// The effect of a command beyond its reply.
+/// Effect of a command beyond its reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Effect {
     None,
-    /// The laser was switched on, which takes a revolution.
+    /// Laser switched on, which takes a revolution.
     LaserOn,
-    /// The baud rate changes a revolution later.
+    /// Baud rate that changes a revolution later.
     BaudRate(BaudRate),
-    /// The reply has distance data.
+    /// Distance data in the reply.
     Scan,
 }
 
@@ -80,7 +81,7 @@ pub(crate) struct Device {
     pub(crate) empty_command: EmptyCommand,
     pub(crate) repeated_laser: RepeatedLaser,
     pub(crate) serial_number: String,
-    /// The lines of the reply to `V`, in place of the firmware's.
+    /// Lines of the reply to `V`, in place of the firmware's.
     pub(crate) version_lines: Option<Vec<Vec<u8>>>,
     pub(crate) miscount: i8,
     pub(crate) mode: Mode,
@@ -97,7 +98,7 @@ impl Device {
         self.baud_rate = self.baud_rate.map(|_| BaudRate::B19200);
     }
 
-    /// Returns whether `command` gets a reply at all.
+    /// Returns true if `command` gets a reply at all.
     pub(crate) fn answers(&self, command: &HostCommand) -> bool {
         match command {
             HostCommand::Empty => self.empty_command != EmptyCommand::Silence,
@@ -108,8 +109,8 @@ impl Device {
         }
     }
 
-    /// Executes a command, and returns its reply and its effect. `measure` fills
-    /// in the distance data; it is called only if they are sent.
+    /// Executes a command, and returns its reply and its effect. Calls `measure` for the
+    /// distance data only if they are sent.
     pub(crate) fn execute(
         &mut self,
         line: &[u8],
@@ -204,7 +205,7 @@ impl Device {
         let first = usize::from(start);
         let points =
             usize::from(end.saturating_add_signed(self.miscount.into()) + 1).saturating_sub(first);
-        // A miscount may reach past the last step: those points are not measurable.
+        // A miscount may reach past the last step. Those points are not measurable.
         let mut window = values.get(first..).unwrap_or_default().to_vec();
         window.resize(points, NON_MEASURABLE);
         if cluster > 1 {

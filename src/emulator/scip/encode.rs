@@ -1,9 +1,9 @@
-//! The bytes of replies: echo, status, lines, the 6-bit encoding and its blocks.
+//! Bytes of replies: echo, status, lines, the 6-bit encoding and its blocks.
 
-/// The length of a line of data, except for the last one (C-42-3320-A p. 3).
+/// Length of a line of data, except for the last one (C-42-3320-A p. 3).
 const BLOCK_BYTES: usize = 64;
 
-/// Returns a reply without data: echo, status and the terminator (p. 3).
+/// Encodes a reply without data: echo, status and the terminator (p. 3).
 pub(crate) fn status_only(echo: &[u8], status: &[u8]) -> Vec<u8> {
     let mut reply = Vec::with_capacity(echo.len() + status.len() + 3);
     start(&mut reply, echo, status);
@@ -11,7 +11,7 @@ pub(crate) fn status_only(echo: &[u8], status: &[u8]) -> Vec<u8> {
     reply
 }
 
-/// Returns a reply of text lines, such as that to `V` (p. 4).
+/// Encodes a reply of text lines, such as the reply to `V` (p. 4).
 pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) -> Vec<u8> {
     let mut reply = Vec::with_capacity(256);
     start(&mut reply, echo, b"0");
@@ -23,8 +23,8 @@ pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) 
     reply
 }
 
-/// Returns a reply with distance data: two characters a value, 64 bytes a line
-/// (p. 5, 6).
+/// Encodes a reply with distance data: two characters per value, 64 bytes per line (p. 5,
+/// 6).
 pub(super) fn distances(echo: &[u8], values: &[u16]) -> Vec<u8> {
     let mut data = vec![0; 2 * values.len()];
     for (pair, &value) in data.as_chunks_mut().0.iter_mut().zip(values) {
@@ -41,7 +41,7 @@ pub(super) fn distances(echo: &[u8], values: &[u16]) -> Vec<u8> {
     reply
 }
 
-/// Returns a scan as a sensor in SCIP 2 streams it unasked: three characters a
+/// Encodes a scan as a sensor in SCIP 2 streams it, unsolicited: three characters per
 /// point, a time stamp in milliseconds, and a check character after every line.
 pub(crate) fn scip2_scan(values: &[u16], milliseconds: u64) -> Vec<u8> {
     let mut reply = Vec::with_capacity(2200);
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn the_texts_example_of_1234_mm() {
-        // It prints ('C', 'D'), a misprint: its own 43 and 42 are 'C' and 'B'.
+        // The text has ('C', 'D'), a misprint: its own 43 and 42 are 'C' and 'B'.
         assert_eq!(distances(b"G00000001", &[1234]), b"G00000001\n0\nCB\n\n");
     }
 

@@ -1,9 +1,9 @@
 //! SCIP 1.1 as a sensor speaks it, written from the protocol text alone.
 //!
-//! `command` parses what the host sends, `device` executes it, `encode` writes
-//! the reply. None of them uses the crate's `protocol` module except for the type
-//! `BaudRate`, so that the driver and the emulated sensor check each other: a
-//! mistake in one of the two readings of the text fails a test.
+//! `command` parses what the host sends, `device` executes it, `encode` writes the reply.
+//! They use only the type `BaudRate` of the crate's `protocol` module, so that the driver
+//! and the emulated sensor check each other: a misreading of the text in either of them
+//! fails a test.
 
 mod command;
 mod device;

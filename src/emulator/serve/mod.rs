@@ -17,30 +17,30 @@ use crate::BaudRate;
 pub use self::pty::Pty;
 
 impl Emulator {
-    /// Serves the sensor on a stream, such as one end of [`tokio::io::duplex`], until
-    /// the client closes it or the sensor is unplugged.
+    /// Serves the sensor on a stream, such as one end of [`tokio::io::duplex`], until the
+    /// client closes it or you unplug the sensor.
     ///
-    /// The stream has no baud rate, so that bytes are never garbled; they still need
-    /// their time. The client replaces any other link to this sensor.
+    /// The stream has no baud rate, so bytes are never garbled. They still take their
+    /// time. The client replaces any other link to this sensor.
     ///
     /// Dropping the future drops the stream and leaves the sensor as it is. Half a
-    /// command that was read from the stream stays in the sensor's line buffer; part
-    /// of a reply may be lost.
+    /// command that was read from the stream stays in the sensor's line buffer; part of a
+    /// reply may be lost.
     ///
     /// # Errors
     ///
-    /// Returns those of the stream.
+    /// The errors of the stream.
     pub async fn serve<S: AsyncRead + AsyncWrite>(&self, stream: S) -> io::Result<()> {
         pump(stream, self.open(HostBaudRate::FollowsSensor)).await
     }
 
-    /// Serves the sensor as [`serve`](Self::serve) does, through a bridge whose line
-    /// has a fixed baud rate, such as ser2net: bytes are garbled both ways while the
-    /// sensor has another baud rate.
+    /// Serves the sensor like [`serve`](Self::serve), through a bridge whose line has a
+    /// fixed baud rate, such as ser2net. Bytes are garbled both ways while the sensor has
+    /// another baud rate.
     ///
     /// # Errors
     ///
-    /// Returns those of the stream.
+    /// The errors of the stream.
     pub async fn serve_at<S: AsyncRead + AsyncWrite>(
         &self,
         stream: S,
@@ -49,18 +49,18 @@ impl Emulator {
         pump(stream, self.bridge(baud_rate)).await
     }
 
-    /// Serves the sensor to one TCP client at a time. The next one is served when the
-    /// one before has closed its connection; the sensor keeps its state.
+    /// Serves the sensor to one TCP client at a time, and to the next one when the
+    /// connection closes. The sensor keeps its state.
     ///
-    /// There is no access control: bind the listener to `127.0.0.1` unless other
-    /// machines are to use the sensor. While the sensor is unplugged clients are
-    /// disconnected at once. An error of one client ends only its own connection.
+    /// There is no access control: bind the listener to `127.0.0.1` unless other machines
+    /// should use the sensor. While the sensor is unplugged, clients are disconnected at
+    /// once. An error of one client ends only its own connection.
     ///
-    /// Runs until the future is dropped, which disconnects the client.
+    /// Runs until you drop the future, which disconnects the client.
     ///
     /// # Errors
     ///
-    /// Returns those of accepting connections.
+    /// The errors of accepting connections.
     pub async fn serve_tcp(&self, listener: TcpListener) -> io::Result<()> {
         loop {
             let (stream, address) = listener.accept().await?;
@@ -78,11 +78,11 @@ impl Emulator {
 
 /// Copies bytes between a client and the sensor until either hangs up.
 pub(super) async fn pump<S: AsyncRead + AsyncWrite>(stream: S, link: Link) -> io::Result<()> {
-    // Also ends if the client does not read: the copying below would then wait for it.
+    // Also ends if the client does not read, when the copying below would wait for it.
     let replaced = link.replaced();
     let (mut from_client, mut to_client) = tokio::io::split(stream);
     let (mut from_sensor, mut to_sensor) = tokio::io::split(link);
-    // Not `copy_bidirectional`: it flushes, which blocks on a terminal, and it goes on
+    // Not `copy_bidirectional`: it flushes, which blocks on a terminal, and continues
     // until both sides have hung up.
     let commands = async {
         let mut buffer = [0; 256];

@@ -11,24 +11,24 @@ use super::pump;
 use crate::emulator::handle::Emulator;
 use crate::emulator::link::HostBaudRate;
 
-/// A pseudo-terminal with an emulated sensor at the other end.
+/// Pseudo-terminal with an emulated sensor at the other end.
 ///
 /// Programs open [`path`](Self::path) as a serial port. They may close it and open it
-/// again: the terminal and the unread bytes in it stay. With a sensor on RS-232 the
-/// client's baud rate counts: both sides receive garbage if it is not the sensor's.
-/// Bytes need as much time as on a real line.
+/// again: the terminal keeps its unread bytes. With a sensor on RS-232, the client has to
+/// set the sensor's baud rate; otherwise both sides receive garbage. Bytes take as much
+/// time as on a real line.
 ///
 /// The terminal works in real time: do not use it with tokio's paused clock.
 ///
-/// Dropping it, or the future of [`serve`](Self::serve), hangs the client up and
-/// removes the symbolic link.
+/// To hang up the client and remove the symbolic link, drop the value or the future of
+/// [`serve`](Self::serve).
 ///
 /// On Linux a client that locks the terminal (`TIOCEXCL`) and is killed leaves the
 /// lock behind, and only root can open the terminal again. A client that closes the
 /// terminal leaves no lock.
 ///
-/// A program that another thread starts in the instant in which [`open`](Self::open)
-/// creates the terminal inherits it, and keeps it from hanging up as long as it runs.
+/// A program that another thread starts at the moment when [`open`](Self::open) creates
+/// the terminal inherits it. The terminal then cannot hang up while that program runs.
 #[derive(Debug)]
 pub struct Pty {
     emulator: Emulator,
@@ -37,14 +37,13 @@ pub struct Pty {
 }
 
 impl Pty {
-    /// Creates a pseudo-terminal for the sensor, in raw mode at 19,200 baud, and
-    /// a symbolic link to it if a path is given. A symbolic link that exists there is
-    /// replaced.
+    /// Creates a pseudo-terminal for the sensor, in raw mode at 19,200 baud, and a
+    /// symbolic link to it if you pass a path. Replaces an existing symbolic link.
     ///
     /// # Errors
     ///
-    /// Fails with [`AlreadyExists`](io::ErrorKind::AlreadyExists) if something other
-    /// than a symbolic link exists at the link's path, and with the system's errors.
+    /// Fails with [`AlreadyExists`](io::ErrorKind::AlreadyExists) if the path of the link
+    /// exists and is no symbolic link, and with the system's errors.
     ///
     /// # Panics
     ///
@@ -54,20 +53,20 @@ impl Pty {
         Ok(Self { emulator: emulator.clone(), symlink: symlink.map(Path::to_owned), terminal })
     }
 
-    /// Returns the path that clients open: the symbolic link if there is one.
+    /// Path for clients to open: the symbolic link if there is one.
     pub fn path(&self) -> &Path {
         self.symlink.as_deref().unwrap_or(&self.terminal.path)
     }
 
-    /// Serves the clients of the terminal until the future is dropped.
+    /// Serves the clients of the terminal until you drop the future.
     ///
-    /// When the sensor is unplugged, or a fault hangs up the link, the terminal and its
-    /// symbolic link are removed. When the sensor is plugged in again a new terminal
-    /// is created; without a symbolic link its path may differ.
+    /// When you unplug the sensor, or a fault hangs up the link, the terminal and its
+    /// symbolic link disappear. Plugging the sensor in creates a new terminal; without a
+    /// symbolic link its path may differ.
     ///
     /// # Errors
     ///
-    /// Returns those of the system.
+    /// The errors of the system.
     pub async fn serve(self) -> io::Result<()> {
         let Self { emulator, symlink, mut terminal } = self;
         loop {
@@ -86,8 +85,8 @@ impl Pty {
 #[derive(Debug)]
 struct TerminalPair {
     master: SerialStream,
-    /// Kept open so that the terminal survives its clients. It is not locked, so that
-    /// they can lock it.
+    /// Kept open so that the terminal survives its clients. Not locked, so that they can
+    /// lock it.
     slave: SerialStream,
     path: PathBuf,
     _symlink: Option<Symlink>,
@@ -108,7 +107,7 @@ impl TerminalPair {
     }
 }
 
-/// A symbolic link that is removed when it is dropped.
+/// Symbolic link that is removed when it is dropped.
 #[derive(Debug)]
 struct Symlink {
     at: PathBuf,

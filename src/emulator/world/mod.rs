@@ -1,5 +1,5 @@
-//! The surroundings that the sensor measures: the [`World`] trait, and [`Fixed`],
-//! whose values are known in advance.
+//! Surroundings that the sensor measures: the [`World`] trait, and [`Fixed`], whose
+//! values are known in advance.
 //!
 //! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
 //! turns into values. `sparse` removes distances of any world.
@@ -19,7 +19,7 @@ pub use self::scene::Scene;
 pub use self::sparse::Sparse;
 pub use self::walk::Walk;
 
-/// The number of steps that a sensor reports on, 0..=768.
+/// Number of steps in a full scan, 0..=768.
 pub const STEPS: usize = 769;
 
 /// One 12-bit value (0..=4095) for each step, at the step's index: a distance in
@@ -30,26 +30,25 @@ pub type Values = [u16; STEPS];
 /// outside its detection window, 0..=43 and 726..=768.
 pub(crate) const NON_MEASURABLE: u16 = 19;
 
-/// The time at which a world is measured.
+/// When a world is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct WorldTime {
-    /// The revolution whose distances are sent, 0 for the first one after
-    /// power-up: the last one that was finished when the command was served.
+    /// Revolution whose distances are sent, 0 for the first one after power-up: the last
+    /// one that had ended when the command was served.
     pub revolution: u64,
-    /// The number of `G` commands that this sensor answered with distances
-    /// before, over all its power-ups. With it a test can tell each reply from
-    /// every other.
+    /// Number of `G` commands that this sensor answered with distances before, over all
+    /// its power-ups. Use it to tell each reply in your test from every other.
     pub request: u64,
-    /// The time from power-up to the end of that revolution.
+    /// Time from power-up to the end of that revolution.
     pub at: Duration,
 }
 
-/// The surroundings of an emulated sensor.
+/// Surroundings of an emulated sensor.
 ///
-/// A world is called only when a `G` command is served, while the emulated
-/// sensor is locked: it must not call the [`Emulator`](super::Emulator) that it
-/// belongs to, and should not take long.
+/// A world is called only when a `G` command is served, while the emulated sensor is
+/// locked. It must not call the [`Emulator`](super::Emulator) that it belongs to, and
+/// should not take long.
 ///
 /// Closures implement it, too:
 ///
@@ -65,8 +64,8 @@ pub struct WorldTime {
 ///     .build();
 /// ```
 pub trait World: Send {
-    /// Fills in the value of each step. All are 19 ("non-measurable") before the
-    /// call; only the low 12 bits are sent.
+    /// Fills in the value of each step. All values are 19 ("non-measurable") before the
+    /// call. Only the low 12 bits are sent.
     fn measure(&mut self, time: WorldTime, values: &mut Values);
 }
 
@@ -76,7 +75,7 @@ impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {
     }
 }
 
-/// A world with the same values at any time.
+/// World with the same values at any time.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Fixed(pub Values);
 

@@ -7,24 +7,28 @@ use super::walk::Stride;
 use super::{Values, World, WorldTime};
 use crate::emulator::random::{Random, mix};
 
-/// The speed of people.
+/// Speed of people.
 const WALK_MM_PER_SECOND: f64 = 700.0;
 
-/// A rectangular room with furniture, a doorway, a window, and people who walk.
+/// Rectangular room with furniture, a doorway, a window, and people who walk.
 ///
-/// Most points are distances. The others are error codes as a real sensor sends
-/// them: 19 outside of steps 44..=725; 16 beyond 4,094 mm, 6 beyond 5.6 m, 0 beyond
-/// 12 m; 1 to 5 where little light is reflected; 9 for one point in 300; 7 for a
-/// point between two others without a distance.
+/// Most points are distances. The others are error codes as a real sensor sends them: 19
+/// outside steps 44..=725; 16 beyond 4,094 mm, 6 beyond 5.6 m, 0 beyond 12 m; 1 to 5 where
+/// little light is reflected; 9 for one point in 300; 7 for a point between two others
+/// without a distance.
 ///
-/// The same seed results in the same scans at the same times, on every machine.
+/// The same seed gives the same scans at the same times, on every machine.
 #[derive(Debug, Clone)]
 pub struct Room {
     seed: u64,
-    /// The distances of the walls: front, left, back and right.
+    /// Distances of the walls: front, left, back and right.
     walls: [f64; 4],
     furniture: Vec<Surface>,
     people: Vec<Person>,
+    /// Where the sensor stands.
+    at: Vector,
+    /// Cosine and sine of the direction that it looks in.
+    heading: Vector,
 }
 
 impl Room {
@@ -33,9 +37,9 @@ impl Room {
         Self::sized(seed, 5000, 4400, 2)
     }
 
-    /// Creates a room of `length` (along the sensor's x axis) by `width` millimetres,
-    /// at least 2,000 each, with this many people. The sensor stands a little behind
-    /// and to the right of its middle.
+    /// Creates a room of `length` (along the sensor's x axis) by `width` millimetres, at
+    /// least 2,000 each, with this number of people. The sensor stands a little behind and
+    /// to the right of the middle.
     pub fn sized(seed: u64, length: u16, width: u16, people: usize) -> Self {
         let (length, width) = (f64::from(length.max(2000)), f64::from(width.max(2000)));
         let walls = [0.58 * length, 0.53 * width, 0.42 * length, 0.47 * width];
@@ -59,41 +63,58 @@ impl Room {
         }
         let people = (0..people)
             .map(|_| {
-                // In the front half, so that nobody walks through the sensor.
+                // In the front half, so that people do not walk through the sensor.
                 let mut place =
                     || (between(0.3 * front, 0.85 * front), between(-0.75 * right, 0.8 * left));
                 Person { from: place(), to: place(), ahead: between(0.0, 10_000.0) }
             })
             .collect();
-        Self { seed, walls, furniture, people }
+        Self { seed, walls, furniture, people, at: (0.0, 0.0), heading: (1.0, 0.0) }
     }
 
-    /// Creates a room as hard to measure as the one in captures of a real sensor: 55 % of
-    /// the points have no distance, mostly with error codes 0, 6, 16 and 7. The others
-    /// are of objects from 0.25 m to about 4 m away.
+    /// Moves the sensor `x` metres ahead and `y` metres to the left of where it stands
+    /// otherwise, and turns it counter-clockwise by `yaw` degrees. Sensors in rooms with the
+    /// same seed and size measure the same walls from their places.
+    ///
+    /// A sensor outside the walls measures no distance. The sine of an angle differs between
+    /// machines in its last digit, so a turned sensor's values may differ by a millimetre.
+    #[must_use]
+    pub fn seen_from(mut self, x: f64, y: f64, yaw: f64) -> Self {
+        let (sine, cosine) = yaw.to_radians().sin_cos();
+        (self.at, self.heading) = ((x * 1000.0, y * 1000.0), (cosine, sine));
+        self
+    }
+
+    /// Creates a room as hard to measure as in captures of a real sensor: 55 % of the points
+    /// have no distance, mostly with error codes 0, 6, 16 and 7. The others lie on objects
+    /// from 0.25 m to about 4 m away.
     pub fn hard(seed: u64) -> Sparse<Self> {
         let mut room = Self::sized(seed, 5400, 4700, 3);
-        // Two posts next to the sensor, as of the vehicle that it is mounted on.
+        // Two posts next to the sensor, as on the vehicle that carries it.
         for centre in [(60.0, 280.0), (90.0, -340.0)] {
             room.furniture.push(Surface::disc(centre, 20.0, 0.6));
         }
         Sparse::new(room, 0.44, seed)
     }
 
-    /// Returns the echo of the walls, the doorway and the window.
+    /// Echo of the walls, the doorway and the window.
     fn wall(&self, (x, y): Vector) -> Echo {
         let [front, left, back, right] = self.walls;
-        let along_x = if x > 0.0 { front / x } else { back / -x };
-        let along_y = if y > 0.0 { left / y } else { right / -y };
+        let (ahead, beside) = self.at;
+        if !(-back..front).contains(&ahead) || !(-right..left).contains(&beside) {
+            return Echo::NONE;
+        }
+        let along_x = if x > 0.0 { (front - ahead) / x } else { (back + ahead) / -x };
+        let along_y = if y > 0.0 { (left - beside) / y } else { (right + beside) / -y };
         if along_x < along_y {
-            let across = y * along_x;
+            let across = beside + y * along_x;
             // A doorway in the front wall, with a corridor's wall behind it.
             if x > 0.0 && across > 0.1 * left && across < 0.1 * left + 800.0 {
-                return Echo { distance: (front + 2500.0) / x, light: 0.8 };
+                return Echo { distance: (front - ahead + 2500.0) / x, light: 0.8 };
             }
             Echo { distance: along_x, light: 0.9 * x.abs() }
         } else {
-            let across = x * along_y;
+            let across = ahead + x * along_y;
             // A window in the left wall, and nothing behind it.
             if y > 0.0 && across > 0.55 * front && across < 0.55 * front + 500.0 {
                 return Echo::NONE;
@@ -104,7 +125,7 @@ impl Room {
 }
 
 impl Default for Room {
-    /// Returns [`Room::new`] with seed 0.
+    /// Creates [`Room::new`] with seed 0.
     fn default() -> Self {
         Self::new(0)
     }
@@ -115,18 +136,22 @@ impl World for Room {
         let walked = WALK_MM_PER_SECOND * (time.at.as_micros() as f64 / 1_000_000.0);
         let people = self.people.iter();
         let legs: Vec<_> = people.flat_map(|person| person.legs(walked)).collect();
-        sweep(Noise::Seeded(self.seed), time, values, |direction| {
-            nearest(self.furniture.iter().chain(&legs), direction, self.wall(direction))
+        let things = self.furniture.iter().chain(&legs);
+        let things: Vec<_> = things.map(|thing| thing.seen_from(self.at)).collect();
+        let (cosine, sine) = self.heading;
+        sweep(Noise::Seeded(self.seed), time, values, |(x, y)| {
+            let direction = (x * cosine - y * sine, y * cosine + x * sine);
+            nearest(&things, direction, self.wall(direction))
         });
     }
 }
 
-/// A person who walks back and forth between two places.
+/// Person who walks back and forth between two positions.
 #[derive(Debug, Clone)]
 struct Person {
     from: Vector,
     to: Vector,
-    /// The way walked before power-up, in millimetres.
+    /// Distance walked before power-up, in millimetres.
     ahead: f64,
 }
 

@@ -6,15 +6,15 @@ use super::sweep::{Noise, sweep};
 use super::walk::Walk;
 use super::{Values, World, WorldTime};
 
-/// The share of the light that surfaces of a scene reflect.
+/// Fraction of the light that surfaces of a scene reflect.
 const REFLECTS: f64 = 0.7;
 
 /// Surroundings made of walls, discs and people, some of which move.
 ///
-/// Positions are in metres in the sensor's frame, x forward and y left. A direction
-/// without any surface has error code 0. Each distance is off by some millimetres, and
-/// some points are missing, as with a real sensor, drawn from the seed;
-/// [`without_noise`](Self::without_noise) makes distances exact.
+/// Positions are in metres in the sensor's frame, x forward and y left. A direction without a
+/// surface has error code 0. As with a real sensor, each distance is off by some millimetres,
+/// and some points are missing, drawn from the seed. Call
+/// [`without_noise`](Self::without_noise) to make distances exact.
 ///
 /// ```
 /// use std::time::Duration;
@@ -39,13 +39,12 @@ enum Moving {
 }
 
 impl Scene {
-    /// Creates a scene without any surface. The seed is that of the noise.
+    /// Creates a scene without surfaces. The seed determines the noise.
     pub fn new(seed: u64) -> Self {
         Self { noise: Noise::Seeded(seed), surfaces: Vec::new(), moving: Vec::new() }
     }
 
-    /// Makes distances exact, rounded to a millimetre, and lets no point miss that is in
-    /// range.
+    /// Makes distances exact, rounded to a millimetre, and measures every point in range.
     #[must_use]
     pub fn without_noise(mut self) -> Self {
         self.noise = Noise::None;
@@ -70,7 +69,7 @@ impl Scene {
             .wall((x0, y1), (x0, y0))
     }
 
-    /// Adds a disc, such as a pillar. One that has the sensor inside is not measured.
+    /// Adds a disc, such as a pillar. A disc around the sensor is not measured.
     #[must_use]
     pub fn disc(mut self, centre: (f64, f64), radius: f64) -> Self {
         self.surfaces.push(Surface::disc(millimetres(centre), radius * 1000.0, REFLECTS));
@@ -79,6 +78,7 @@ impl Scene {
 
     /// Adds a disc whose centre moves, such as a robot.
     #[must_use]
+    #[doc(hidden)] // For the tests of this crate.
     pub fn moving_disc(mut self, radius: f64, walk: Walk) -> Self {
         self.moving.push(Moving::Disc { radius: radius * 1000.0, walk });
         self

@@ -4,16 +4,16 @@ use super::sweep::WINDOW;
 use super::{Values, World, WorldTime};
 use crate::emulator::random::{fraction, mix};
 
-/// Error codes in the order of their frequency in captures of a real URG-04LX, each
-/// with the share of the runs that it and those before it have.
+/// Error codes in the order of their frequency in captures of a real URG-04LX, each with
+/// the cumulative fraction of the runs.
 const CODES: [(u16, f64); 4] = [(0, 0.40), (6, 0.70), (16, 0.88), (7, 1.0)];
 
-/// A world in which a share of the points has an error code and no distance.
+/// Another world, with error codes in place of some of its distances.
 ///
-/// In captures of a real URG-04LX indoors 55 % of the points had none, mostly with
-/// error codes 0, 6, 16 and 7, in runs of neighbouring steps that stay in place. A
-/// service that was tested with [`Room`](super::Room) alone, where 8 % are missing, meets
-/// them first at its users'.
+/// In captures of a real URG-04LX indoors 55 % of the points had no distance, mostly with
+/// error codes 0, 6, 16 and 7, in runs of neighbouring steps that stay in place. If you
+/// test your service only with [`Room`](super::Room), where 8 % are missing, it meets
+/// such scans first in production.
 ///
 /// ```
 /// use tokio_scip::emulator::{Emulator, Room, Sparse};
@@ -28,8 +28,8 @@ pub struct Sparse<W> {
 }
 
 impl<W: World> Sparse<W> {
-    /// Removes a `share` of the distances of `world`, 0 to 1, at places drawn from the
-    /// seed.
+    /// Removes the fraction `share` of the distances of `world`, 0 to 1, at positions
+    /// drawn from the seed.
     pub fn new(world: W, share: f64, seed: u64) -> Self {
         Self { world, share: share.clamp(0.0, 1.0), seed }
     }
@@ -38,15 +38,15 @@ impl<W: World> Sparse<W> {
 impl<W: World> World for Sparse<W> {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
         self.world.measure(time, values);
-        // In each block of steps one run of neighbours is missing, of the share's length,
-        // so that the share holds for every part of the scan.
+        // Each block of steps misses one run of neighbours, so that the fraction is the
+        // same in every part of the scan.
         let (mut block, mut first) = (0, *WINDOW.start());
         while first <= *WINDOW.end() {
             let drawn = mix(self.seed ^ mix(block + 1));
             let length = 8 << (drawn % 3);
             let missing = self.share * length as f64 + fraction(mix(drawn));
             let missing = (missing as usize).min(length);
-            // Divided in 64 bits, so that 32-bit systems draw the same.
+            // Divided in 64 bits, so that 32-bit systems draw the same numbers.
             let start = ((drawn >> 8) % (length - missing + 1) as u64) as usize;
             let code = code(fraction(mix(drawn ^ 1)));
             for step in first + start..first + start + missing {
@@ -64,8 +64,8 @@ impl<W: World> World for Sparse<W> {
 }
 
 impl<W> Sparse<W> {
-    /// Makes one in three distances next to a missing point miss, too, others in each
-    /// revolution: the ends of a run are not sharp.
+    /// Also removes one in three distances next to a missing point, different ones in
+    /// each revolution: the ends of a run are not sharp.
     fn flicker(&self, time: WorldTime, values: &mut Values) {
         if self.share == 0.0 {
             return;

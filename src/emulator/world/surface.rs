@@ -1,18 +1,18 @@
 //! Surfaces that reflect the sensor's beam, and where a beam meets them.
 //!
-//! Plane geometry in millimetres, x forward and y left of the sensor. It uses
-//! additions, multiplications, divisions and square roots only, which IEEE 754
-//! defines to the last bit: the scans are the same on every machine.
+//! Plane geometry in millimetres, x forward and y left of the sensor. It uses only
+//! additions, multiplications, divisions and square roots. IEEE 754 defines these to the
+//! last bit, so the scans are the same on every machine.
 
-/// A position, or a direction of length 1.
+/// Position, or direction of length 1.
 pub(super) type Vector = (f64, f64);
 
-/// The nearest surface that a beam meets.
+/// Nearest surface that a beam meets.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Echo {
-    /// The distance in millimetres.
+    /// Distance in millimetres.
     pub(super) distance: f64,
-    /// The share of the light that is reflected to the sensor.
+    /// Fraction of the light that is reflected to the sensor.
     pub(super) light: f64,
 }
 
@@ -21,11 +21,11 @@ impl Echo {
     pub(super) const NONE: Self = Self { distance: 22_000.0, light: 1.0 };
 }
 
-/// An object with a surface.
+/// Object with a surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     shape: Shape,
-    /// The share of the light that it reflects.
+    /// Fraction of the light that it reflects.
     reflects: f64,
 }
 
@@ -49,8 +49,19 @@ impl Surface {
         Self { shape: Shape::Wall { from, to }, reflects }
     }
 
-    /// Returns the echo of a beam from the sensor in this direction, if it meets the
-    /// surface. Less light is reflected at a flat angle.
+    /// Returns the surface as seen from another place: moved by `-at`.
+    pub(super) fn seen_from(mut self, at: Vector) -> Self {
+        let moved = |(x, y): Vector| (x - at.0, y - at.1);
+        self.shape = match self.shape {
+            Shape::Disc { centre, radius } => Shape::Disc { centre: moved(centre), radius },
+            Shape::Block { low, high } => Shape::Block { low: moved(low), high: moved(high) },
+            Shape::Wall { from, to } => Shape::Wall { from: moved(from), to: moved(to) },
+        };
+        self
+    }
+
+    /// Echo of a beam from the sensor in this direction, if it meets the surface. A flat
+    /// angle reflects less light.
     pub(super) fn echo(&self, direction: Vector) -> Option<Echo> {
         let (distance, cosine) = match self.shape {
             Shape::Disc { centre, radius } => disc(direction, centre, radius)?,
@@ -83,11 +94,11 @@ fn wall(direction: Vector, from: Vector, to: Vector) -> Option<(f64, f64)> {
     let flatness = cross(direction, along);
     let share = cross(from, direction) / flatness;
     let length = (along.0 * along.0 + along.1 * along.1).sqrt();
-    // Not a number for a beam along the wall, or a wall without length: no echo.
+    // NaN for a beam along the wall, or a wall without length: no echo.
     (0.0..=1.0).contains(&share).then(|| (cross(from, along) / flatness, flatness.abs() / length))
 }
 
-/// Returns the nearest echo of `surfaces`, or `background` if that is nearer.
+/// Nearest echo of `surfaces`, or `background` if that is nearer.
 pub(super) fn nearest<'a>(
     surfaces: impl IntoIterator<Item = &'a Surface>,
     direction: Vector,

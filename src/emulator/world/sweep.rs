@@ -4,19 +4,19 @@ use super::surface::{Echo, Vector};
 use super::{Values, WorldTime};
 use crate::emulator::random::{fraction, mix};
 
-/// The steps at which a sensor measures.
+/// Steps that a sensor measures.
 pub(super) const WINDOW: std::ops::RangeInclusive<usize> = 44..=725;
 
 /// Cosine and sine of one step, 1/1024 of a full angle.
 const STEP: Vector = (0.999_981_175_282_601_1, 0.006_135_884_649_154_475);
 
-/// The errors of measurement.
+/// Errors of measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Noise {
-    /// As a real sensor's, drawn from this seed: each distance is off by some
+    /// Errors like a real sensor's, drawn from this seed: each distance is off by some
     /// millimetres, and some points are missing.
     Seeded(u64),
-    /// None: each distance is exact, rounded to a millimetre.
+    /// No errors: each distance is exact, rounded to a millimetre.
     None,
 }
 
@@ -63,7 +63,7 @@ fn noisy_value(Echo { distance, light }: Echo, noise: u64) -> u16 {
     }
 }
 
-/// Returns a distance as a value: millimetres, or the error code of its range.
+/// Converts a distance to a value: millimetres, or the error code of its range.
 fn range_value(distance: f64) -> u16 {
     match distance {
         d if d < 20.0 => 8,

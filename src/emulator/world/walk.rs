@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use super::surface::{Surface, Vector};
 
-/// The usual speed of a person.
+/// Usual speed of a person.
 const WALKING_SPEED: f64 = 0.7;
 
-/// A straight way at constant speed.
+/// Straight path at constant speed.
 ///
 /// Positions are in metres, x forward and y left of the sensor; times count from the
 /// sensor's first or latest power-up.
@@ -22,24 +22,24 @@ pub struct Walk {
     repeats: bool,
 }
 
-/// A point of a walk, in millimetres.
+/// Point of a walk, in millimetres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Stride {
     pub(super) position: Vector,
-    /// The direction from the start to the end of the walk.
+    /// Direction from the start to the end of the walk.
     pub(super) heading: Vector,
-    /// The way walked so far.
+    /// Distance walked so far.
     pub(super) walked: f64,
 }
 
 impl Walk {
-    /// Creates a walk from one position to another, in metres: at 0.7 m/s, once,
-    /// beginning at power-up. Before and after the walk nothing is there.
+    /// Creates a walk from one position to another, in metres: at 0.7 m/s, once, starting
+    /// at power-up. Before and after the walk, the person or disc is absent.
     pub fn new(from: (f64, f64), to: (f64, f64)) -> Self {
         Self { from, to, starts_at: Duration::ZERO, speed: WALKING_SPEED, repeats: false }
     }
 
-    /// Sets the time at which the walk starts, counted from power-up.
+    /// Sets when the walk starts, counted from power-up.
     #[must_use]
     pub fn starting_at(mut self, time: Duration) -> Self {
         self.starts_at = time;
@@ -60,15 +60,15 @@ impl Walk {
         self
     }
 
-    /// Returns the time that the way takes in one direction.
+    /// Time that the walk takes in one direction.
     pub fn duration(&self) -> Duration {
         let (dx, dy) = (self.to.0 - self.from.0, self.to.1 - self.from.1);
         let seconds = (dx * dx + dy * dy).sqrt() / self.speed;
         Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
     }
 
-    /// Returns the point of the walk at `time` after power-up, `None` before its start
-    /// and after its end.
+    /// Point of the walk at `time` after power-up, or `None` before its start and after
+    /// its end.
     pub(super) fn at(&self, time: Duration) -> Option<Stride> {
         let since = time.checked_sub(self.starts_at)?;
         if !self.repeats && since > self.duration() {
@@ -81,7 +81,7 @@ impl Walk {
 }
 
 impl Stride {
-    /// Returns the point after `walked` millimetres back and forth between two positions.
+    /// Point after walking `walked` millimetres back and forth between two positions.
     pub(super) fn between(from: Vector, to: Vector, walked: f64) -> Self {
         let (dx, dy) = (to.0 - from.0, to.1 - from.1);
         let way = (dx * dx + dy * dy).sqrt().max(1.0);
@@ -93,7 +93,7 @@ impl Stride {
         }
     }
 
-    /// Returns the two legs of a person, which is all that a sensor at shin height meets.
+    /// Two legs of a person: a sensor at shin height meets nothing else.
     pub(super) fn legs(&self) -> [Surface; 2] {
         let Self { position: (x, y), heading: (ux, uy), walked } = *self;
         // The legs swing in opposite directions, by half a stride each.
@@ -105,7 +105,7 @@ impl Stride {
     }
 }
 
-/// Returns a position that moves from 0 to `length` and back as `distance` grows.
+/// Position that moves from 0 to `length` and back as `distance` grows.
 fn back_and_forth(distance: f64, length: f64) -> f64 {
     let phase = distance % (2.0 * length);
     if phase < length { phase } else { 2.0 * length - phase }

@@ -1,21 +1,21 @@
-//! The form of a record: its head, its fields, and which fields each kind must have.
+//! Form of a record: its head, its fields, and which fields each kind must have.
 
 use super::{Fields, MessageHeader, RECORD_HEAD, kind};
 
-/// The kind of a record and the length of its content.
+/// Kind of a record and length of its content.
 pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
     let (&kind, rest) = bytes.split_first()?;
     Some((kind, Fields(rest).u64()?))
 }
 
-/// Returns how long the fields of a record are, or `None` if they are longer than
-/// `content`. Without such a check a damaged length skips the chunks behind.
+/// Length of a record's fields, or `None` if they are longer than `content`. Without this
+/// check, a damaged length would skip the chunks after it.
 pub(super) fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
     let (numbers, texts) = match kind {
         kind::HEADER | kind::METADATA => (0, 2),
         kind::SCHEMA => (1, 3),
         kind::CHANNEL => (2, 3),
-        // Messages are as long as they are; the others are not read.
+        // Messages may have any length. The other kinds are not read.
         _ => return Some(content.len()),
     };
     let mut fields = Fields(content);
@@ -28,9 +28,8 @@ pub(super) fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
     Some(content.len() - fields.0.len())
 }
 
-/// Checks that a record has the fields of its kind, and nothing behind them. A
-/// repaired file has no others, and the reader returns no others, so that both have
-/// the same.
+/// Checks that a record has the fields of its kind and nothing else. Reader and repair
+/// both use it, so a repaired file has exactly the records that the reader returns.
 pub(in super::super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
     match kind {
         kind::MESSAGE => MessageHeader::parse(content).is_some(),

@@ -1,26 +1,26 @@
-//! [`Index`] and [`ChunkMessages`]: where a file has what, for readers that search
-//! it. The index is all that a writer keeps of what is written already, so it decides
-//! the memory of a long recording.
+//! [`Index`] and [`ChunkMessages`]: where a file has what, for readers that search it. A
+//! writer keeps only the index of what it has written, so the index decides the memory of
+//! a long recording.
 
 use std::collections::BTreeMap;
 
 use super::{Fields, MessageHeader, kind, put_bytes, put_record};
 
-/// A file's index has at most so many chunks and metadata records, 100 bytes each:
-/// 7 MB. At a chunk each second that is 18 hours.
+/// Largest number of chunks and metadata records in a file's index, 100 bytes each: 7 MB.
+/// At one chunk per second this lasts 18 hours.
 pub(in super::super) const MAX_INDEX_ENTRIES: usize = 1 << 16;
 
-/// The messages of a chunk: their times, and their places among its records.
+/// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
 pub(super) struct ChunkMessages {
     span: Option<(u64, u64)>,
     channels: BTreeMap<u16, Vec<(u64, u64)>>,
 }
 
-/// The content of a file's summary.
+/// Contents of a file's summary.
 #[derive(Default)]
 pub(super) struct Index {
-    /// The latest schema and channel of each number, as records.
+    /// Latest schema and channel of each number, as records.
     schemas: BTreeMap<u16, Vec<u8>>,
     channels: BTreeMap<u16, Vec<u8>>,
     /// One record for each chunk.
@@ -30,26 +30,26 @@ pub(super) struct Index {
     chunks: usize,
     metadata: usize,
     span: Option<(u64, u64)>,
-    /// The number of messages of each channel.
+    /// Number of messages of each channel.
     messages: BTreeMap<u16, u64>,
-    /// The summary of a file with more entries is left out: such a file can be read,
-    /// though not searched.
+    /// Limit of entries. A file with more gets no summary: it can be read but not
+    /// searched.
     max_entries: usize,
 }
 
-/// The place of a chunk in the file, and the lengths of its parts.
+/// Position of a chunk in the file, and the lengths of its parts.
 pub(super) struct ChunkPlace {
     pub(super) start: u64,
-    /// The whole record.
+    /// Length of the whole record.
     pub(super) length: u64,
-    /// The records in it.
+    /// Length of the records in it.
     pub(super) size: u64,
 }
 
-/// The records behind a chunk that list its messages.
+/// Records after a chunk that list its messages.
 pub(super) struct MessageIndexes {
     pub(super) records: Vec<u8>,
-    /// The place in the file of each channel's record, as a chunk's index has it.
+    /// Position in the file of each channel's record, as in a chunk's index.
     places: Vec<u8>,
 }
 
@@ -60,12 +60,12 @@ impl ChunkMessages {
         self.channels.entry(header.channel).or_default().push((header.log_time, place as u64));
     }
 
-    /// Returns the log times of the first and the last message, 0 if there is none.
+    /// Log times of the first and the last message, or 0 without messages.
     pub(super) fn span(&self) -> (u64, u64) {
         self.span.unwrap_or_default()
     }
 
-    /// Returns the records that stand at `start` in the file.
+    /// Encodes the records for position `start` in the file.
     pub(super) fn indexes(&self, start: u64) -> MessageIndexes {
         let (mut records, mut places) = (Vec::new(), Vec::new());
         for (channel, messages) in &self.channels {
@@ -89,18 +89,17 @@ impl Index {
         Self { max_entries, ..Self::default() }
     }
 
-    /// Returns the number of chunks and metadata records.
+    /// Number of chunks and metadata records.
     pub(super) fn entries(&self) -> usize {
         self.chunks + self.metadata
     }
 
-    /// Returns the channels declared up to now, as records.
+    /// Channels declared so far, as records.
     pub(super) fn channels(&self) -> impl Iterator<Item = &[u8]> {
         self.channels.values().map(Vec::as_slice)
     }
 
-    /// Keeps a schema or a channel for the summary. Returns its record if that is
-    /// new.
+    /// Keeps a schema or a channel for the summary. Returns its record if it is new.
     pub(super) fn declare(&mut self, kind: u8, content: &[u8]) -> Option<&[u8]> {
         let id = Fields(content).u16()?;
         let group = if kind == kind::SCHEMA { &mut self.schemas } else { &mut self.channels };
@@ -158,7 +157,7 @@ impl Index {
         });
     }
 
-    /// Returns true if the index is kept. If not, frees its memory.
+    /// Returns true if the index is within its limit. If not, frees its memory.
     fn has_room(&mut self) -> bool {
         let has_room = self.entries() <= self.max_entries;
         if !has_room {
@@ -167,9 +166,9 @@ impl Index {
         has_room
     }
 
-    /// Appends the summary to `out`, which stands at `base` in the file. Returns the
-    /// places in the file of the summary and of the offsets at its end, 0 for both if
-    /// there were too many entries.
+    /// Appends the summary to `out`, which starts at `base` in the file. Returns the
+    /// positions in the file of the summary and of the offsets at its end, or 0 for both
+    /// if there were too many entries.
     pub(super) fn put_summary(mut self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
         if !self.has_room() {
             return [0, 0];
@@ -231,10 +230,11 @@ mod tests {
     use super::super::write::header;
     use super::*;
 
-    /// Writes so many chunks of one message.
+    /// Writes `count` chunks of one message.
     fn chunks(count: usize, max_entries: usize) -> McapWriter<Vec<u8>> {
         let mut writer = McapWriter::start(Vec::new(), &header("", ""), max_entries).unwrap();
-        writer.add_channel(0, "/scan", "std_msgs/msg/String", "string data");
+        writer.add_schema(1, "std_msgs/msg/String", "string data");
+        writer.add_channel(0, 1, "/scan");
         for sequence in 0..count as u32 {
             let time = u64::from(sequence);
             let header = MessageHeader { channel: 0, sequence, log_time: time, publish_time: time };

@@ -1,5 +1,5 @@
-//! [`Input`]: the bytes of a recording. In a file its later parts can be reached
-//! without reading those before them, if the index at its end is whole.
+//! [`Input`]: the bytes of a recording. In a file with a complete index, later parts can be
+//! read without the parts before them.
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
@@ -8,18 +8,18 @@ use std::ops::Range;
 use super::form::split_record;
 use super::{FILE_END, FOOTER_BYTES, Fields, RECORD_HEAD, kind};
 
-/// A longer index is not read: the longest that is written here has 7 MB.
+/// Longest index to read. The longest that this crate writes has 7 MB.
 const MAX_INDEX_BYTES: u64 = 16 << 20;
 
-/// The bytes of a recording, one after the other.
+/// Bytes of a recording, in order.
 pub(in super::super) enum Input {
     File(File),
-    /// Anything that can only be read on.
+    /// Anything that can only be read forwards.
     Stream(Box<dyn Read + Send>),
 }
 
 impl Input {
-    /// Continues at this place of the file.
+    /// Continues at this position of the file.
     pub(super) fn continue_at(&mut self, place: u64) -> io::Result<()> {
         match self {
             Self::File(file) => file.seek(SeekFrom::Start(place)).map(drop),
@@ -27,11 +27,11 @@ impl Input {
         }
     }
 
-    /// Reads the index at the end of the file; an empty one if it is not whole, or if this
-    /// is no file. Reading continues where it was.
+    /// Reads the index at the end of the file. Returns an empty one if the index is
+    /// incomplete, or if this is not a file. Reading then continues where it was.
     pub(super) fn index(&mut self) -> io::Result<FileIndex> {
         let Self::File(file) = self else { return Ok(FileIndex::default()) };
-        // A pipe has no place.
+        // A pipe has no position.
         let Ok(here) = file.stream_position() else { return Ok(FileIndex::default()) };
         let index = index(file).unwrap_or_default();
         self.continue_at(here)?;
@@ -39,23 +39,24 @@ impl Input {
     }
 }
 
-/// The records of the index at the end of a file.
+/// Records of the index at the end of a file.
 #[derive(Default)]
 pub(in super::super) struct FileIndex(Vec<u8>);
 
 impl FileIndex {
-    /// Returns the parts of the file, in their order, that have nothing but chunks with
-    /// messages before `time` (nanoseconds since 1970).
+    /// Lists the parts of the file, in their order, that contain only chunks with messages
+    /// before `time` (nanoseconds since 1970).
     pub(super) fn parts_before(&self, time: u64) -> Vec<Range<u64>> {
         let before = |content: &[u8]| chunk(content).filter(|(_, last)| *last < time);
-        let chunks = self.contents(kind::CHUNK_INDEX).filter_map(before);
+        let chunks = self.records().filter(|(kind, _)| *kind == kind::CHUNK_INDEX);
+        let chunks = chunks.filter_map(|(_, content)| before(content));
         let mut chunks: Vec<_> = chunks.map(|(place, _)| place).collect();
         chunks.sort_unstable_by_key(|place| place.start);
         let mut parts: Vec<Range<u64>> = Vec::new();
         for chunk in chunks {
             match parts.last_mut() {
-                // Only what stands right behind another chunk, so that whatever is between
-                // two of them is read.
+                // Only chunks that follow each other directly, so that everything between
+                // two chunks is read.
                 Some(part) if part.end == chunk.start => part.end = chunk.end,
                 _ => parts.push(chunk),
             }
@@ -63,20 +64,18 @@ impl FileIndex {
         parts
     }
 
-    /// Returns the contents of the channels, which stand here again.
-    pub(in super::super) fn channels(&self) -> impl Iterator<Item = &[u8]> {
-        self.contents(kind::CHANNEL)
+    /// Message types and channels, which the index repeats: kind and content of each.
+    pub(in super::super) fn definitions(&self) -> impl Iterator<Item = (u8, &[u8])> {
+        self.records().filter(|(kind, _)| matches!(*kind, kind::SCHEMA | kind::CHANNEL))
     }
 
-    /// Returns the contents of the records of a kind.
-    fn contents(&self, wanted: u8) -> impl Iterator<Item = &[u8]> {
+    fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let mut rest = self.0.as_slice();
-        let records = std::iter::from_fn(move || {
+        std::iter::from_fn(move || {
             let (kind, content, behind) = split_record(rest)?;
             rest = behind;
             Some((kind, content))
-        });
-        records.filter(move |(kind, _)| *kind == wanted).map(|(_, content)| content)
+        })
     }
 }
 
@@ -89,8 +88,8 @@ impl Read for Input {
     }
 }
 
-/// Reads the index at the end of a file; `None` if it is not whole, or has no checksum that
-/// proves it: a wrong place would leave out what is wanted.
+/// Reads the index at the end of a file. Returns `None` if it is incomplete, or has no
+/// checksum to prove it: a wrong position would leave out wanted records.
 fn index(file: &mut File) -> Option<FileIndex> {
     let end = file.seek(SeekFrom::End(0)).ok()?.checked_sub(FILE_END as u64)?;
     file.seek(SeekFrom::Start(end)).ok()?;
@@ -105,15 +104,15 @@ fn index(file: &mut File) -> Option<FileIndex> {
     file.seek(SeekFrom::Start(start)).ok()?;
     let mut index = Vec::new();
     file.take(length).read_to_end(&mut index).ok()?;
-    // The checksum covers the footer up to itself, so nothing else of it is checked.
+    // The checksum covers the footer up to itself, so the rest needs no check.
     let mut checked = crc32fast::Hasher::new();
     checked.update(&index);
     checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
     (checked.finalize() == crc).then_some(FileIndex(index))
 }
 
-/// Parses a chunk's index: its place, with the lists of its messages behind it, and the
-/// time of its last message.
+/// Parses a chunk's index: its position, including the lists of its messages, and the time
+/// of its last message.
 fn chunk(content: &[u8]) -> Option<(Range<u64>, u64)> {
     let mut fields = Fields(content);
     let (_first, last) = (fields.u64()?, fields.u64()?);
@@ -128,7 +127,7 @@ mod tests {
     use super::super::{MAGIC, put_record};
     use super::*;
 
-    /// The index of a chunk of 10 bytes with 5 of lists at `start`.
+    /// Index entry of a chunk at `start`, with 10 bytes and 5 bytes of lists.
     fn entry(start: u64, last: u64) -> Vec<u8> {
         let mut record = vec![kind::CHUNK_INDEX];
         let mut content = Vec::new();
@@ -151,13 +150,13 @@ mod tests {
         assert_eq!(index.parts_before(1), []);
     }
 
-    /// With a checksum that is right. The memory for it is limited all the same.
+    /// The checksum is right, but the memory for it is limited all the same.
     #[test]
     fn an_index_of_16_mib_is_read_and_none_that_is_longer() {
         let path = std::env::temp_dir().join(format!("scip-index-{}", std::process::id()));
         let longest = MAX_INDEX_BYTES as usize;
         for (length, is_read) in [(longest, true), (longest + 1, false)] {
-            // All of the file is its index.
+            // The whole file is its index.
             let mut bytes = vec![0; length];
             put_record(&mut bytes, kind::FOOTER, |out| out.extend_from_slice(&[0; 16]));
             let crc = crc32fast::hash(&bytes);

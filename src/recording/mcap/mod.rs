@@ -1,13 +1,12 @@
-//! MCAP, the container format of recordings (<https://mcap.dev/spec>): written,
-//! read and repaired. Knows nothing of scans and ROS.
+//! MCAP, the container format of recordings (<https://mcap.dev/spec>): written, read and
+//! repaired. Knows nothing of scans and ROS.
 //!
-//! Written by hand, for files that are hostile, damaged or weeks long. The crate
-//! `mcap` (0.26.0) reserves 4 GiB for 21 bytes that claim a long string, and its
-//! sans-IO reader panics at a claim of 2^63 bytes unless a limit is set; here a length
-//! is checked against the bytes that are there. It does not search for the next chunk
-//! behind a damaged length. Its writer keeps an entry for each chunk however many
-//! there are; here an index has at most 65,536. The tests read with that crate what is
-//! written here.
+//! Written by hand, for files that are hostile, damaged or weeks long. The crate `mcap`
+//! (0.26.0) reserves 4 GiB for 21 bytes that claim a long string. Its sans-IO reader
+//! panics at a claim of 2^63 bytes unless you set a limit. Here a length is checked
+//! against the existing bytes. The crate does not search for the next chunk after a
+//! damaged length. Its writer keeps an entry for every chunk; here an index has at most
+//! 65,536. The tests read with that crate what is written here.
 
 mod form;
 mod index;
@@ -27,18 +26,18 @@ pub(super) use self::write::{McapWriter, header};
 
 /// Starts and ends every file.
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
-/// The kind of a record, and the length of its content.
+/// Length of a record's kind and of the length of its content.
 const RECORD_HEAD: usize = 1 + 8;
-/// The record of an uncompressed chunk up to its records: start, end, size, CRC, the
+/// Length of an uncompressed chunk's record up to its records: start, end, size, CRC, the
 /// empty name of the compression, length of the records.
 const CHUNK_HEAD: usize = RECORD_HEAD + 8 + 8 + 8 + 4 + 4 + 8;
-/// The content of a footer.
+/// Length of a footer's content.
 const FOOTER_BYTES: usize = 20;
-/// The end of a file: its footer, and the magic behind it.
+/// Length of a file's end: its footer, and the magic after it.
 const FILE_END: usize = RECORD_HEAD + FOOTER_BYTES + MAGIC.len();
-/// The longest chunk, or message outside of a chunk, that is read.
+/// Longest chunk, or message outside a chunk, to read.
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
-/// The longest record of another kind that is read.
+/// Longest record of another kind to read.
 const MAX_RECORD_BYTES: u64 = 1 << 20;
 
 /// Kinds of records.
@@ -59,7 +58,7 @@ pub(super) mod kind {
     pub(super) const DATA_END: u8 = 0x0f;
 }
 
-/// The fields of a message besides its data.
+/// Fields of a message besides its data.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct MessageHeader {
     pub(super) channel: u16,
@@ -84,8 +83,8 @@ impl MessageHeader {
     }
 }
 
-/// Reads the fields of a record. Each method returns `None` if the content is
-/// too short, and checks a length before it uses it.
+/// Reads the fields of a record. Each method checks a length before it uses it, and
+/// returns `None` if the content is too short.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fields<'a>(pub(super) &'a [u8]);
 
@@ -114,7 +113,7 @@ impl<'a> Fields<'a> {
         self.array().map(u64::from_le_bytes)
     }
 
-    /// Returns bytes behind a length of 32 bits.
+    /// Reads a length of 32 bits and that number of bytes.
     pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
         let length = usize::try_from(self.u32()?).ok()?;
         self.take(length)
@@ -125,7 +124,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-/// Returns a time since 1970, or the length of one, as files have it.
+/// Converts a duration, or a time since 1970, to the form in files.
 pub(super) fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }

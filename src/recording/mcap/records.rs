@@ -1,4 +1,4 @@
-//! [`Records`]: the records of a file one by one, those in chunks included.
+//! [`Records`]: the records of a file one by one, including those in chunks.
 
 use std::ops::Range;
 
@@ -7,13 +7,13 @@ use super::form::{is_well_formed, split_record};
 use super::input::FileIndex;
 use super::read::{FileError, Section, Sections};
 
-/// The reason of damage that no checksum covers.
-const MALFORMED: &str = "a record is not of its form";
+/// Reason for damage that no checksum covers.
+const MALFORMED: &str = "a record is malformed";
 
-/// Reads the records of a file, those in chunks included.
+/// Reads the records of a file, including those in chunks.
 pub(in super::super) struct Records {
     sections: Sections,
-    /// The records of the current chunk that were not returned yet.
+    /// Records of the current chunk that were not returned yet.
     rest: Range<usize>,
     is_cut: bool,
 }
@@ -23,24 +23,24 @@ impl Records {
         Self { sections: Sections::new(input), rest: 0..0, is_cut: false }
     }
 
-    /// Returns true if the file was read and its end is missing.
+    /// Returns true if the whole file was read and its end is missing.
     pub(in super::super) fn is_truncated(&self) -> bool {
         self.sections.is_truncated()
     }
 
-    /// Returns the place of the latest record's section in the file.
+    /// Position in the file of the latest record's section.
     pub(in super::super) fn offset(&self) -> u64 {
         self.sections.offset()
     }
 
-    /// Leaves out chunks that have nothing but messages before `time`, as far as the
-    /// file's index has them. Returns the index.
+    /// Leaves out chunks that contain only messages before `time`, if the file's index
+    /// lists them. Returns the index.
     pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<FileIndex, FileError> {
         self.sections.leave_out_before(time)
     }
 
-    /// Returns the kind and content of the next record, or `None` at the end of
-    /// the data. Only [`FileError::Damaged`] is followed by more.
+    /// Reads the kind and content of the next record, or returns `None` at the end of the
+    /// data. After an error other than [`FileError::Damaged`], no records follow.
     pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
         loop {
             if !self.rest.is_empty() {

@@ -1,5 +1,5 @@
-//! [`McapWriter`]: appends records to a file. Nothing that was written is ever
-//! changed, so whatever ends the program, the file is whole up to its last chunk.
+//! [`McapWriter`]: appends records to a file and never changes written ones. So whatever
+//! ends the program, the file is complete up to its last chunk.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -7,30 +7,32 @@ use std::io::{self, Write};
 use super::index::{ChunkMessages, ChunkPlace, Index};
 use super::{CHUNK_HEAD, MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
 
-/// A chunk of about this size is written without waiting for its end.
+/// Approximate size from which a chunk is written without waiting for its end.
 const CHUNK_BYTES: usize = 768 << 10;
 
 /// Writes an MCAP file without compression.
 pub(in super::super) struct McapWriter<W> {
     out: W,
-    /// The bytes written.
+    /// Number of bytes written.
     offset: u64,
     chunk: OpenChunk,
     index: Index,
+    /// True if each chunk begins with all channels, so that losing one chunk does not
+    /// affect the others.
+    repeats_channels: bool,
 }
 
-/// The chunk that grows in memory.
+/// Chunk that grows in memory.
 #[derive(Default)]
 struct OpenChunk {
-    /// Its record from its beginning; its head is filled in at the end.
+    /// Record of the chunk from its beginning. Its head is filled in at the end.
     record: Vec<u8>,
     messages: ChunkMessages,
 }
 
 impl<W: Write> McapWriter<W> {
-    /// Starts a file. `header` is the content of its header record, as
-    /// [`header`] makes it. A file whose index has more entries than
-    /// `max_index_entries` ends without one.
+    /// Starts a file. `header` is the content of its header record, from [`header`]. A
+    /// file whose index has more than `max_index_entries` entries ends without an index.
     pub(in super::super) fn start(
         mut out: W,
         header: &[u8],
@@ -40,15 +42,22 @@ impl<W: Write> McapWriter<W> {
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
         let (chunk, index) = (OpenChunk::default(), Index::new(max_index_entries));
-        Ok(Self { out, offset: head.len() as u64, chunk, index })
+        Ok(Self { out, offset: head.len() as u64, chunk, index, repeats_channels: true })
     }
 
-    /// Returns the bytes of the file up to now, with the open chunk.
+    /// Starts a copy of another file, and declares its channels only once: a hostile file
+    /// has many long ones, and chunks of one message.
+    pub(in super::super) fn start_copy(out: W, header: &[u8]) -> io::Result<Self> {
+        let writer = Self::start(out, header, usize::MAX)?;
+        Ok(Self { repeats_channels: false, ..writer })
+    }
+
+    /// Length of the file so far, including the open chunk.
     pub(in super::super) fn len(&self) -> u64 {
         self.offset + self.chunk.record.len() as u64
     }
 
-    /// Returns the number of chunks and metadata records written.
+    /// Number of chunks and metadata records written.
     pub(in super::super) fn index_entries(&self) -> usize {
         self.index.entries()
     }
@@ -58,21 +67,8 @@ impl<W: Write> McapWriter<W> {
         &self.index
     }
 
-    /// Declares a channel, and its message type.
-    pub(in super::super) fn add_channel(
-        &mut self,
-        id: u16,
-        topic: &str,
-        message: &str,
-        definition: &str,
-    ) {
-        // 0 is reserved for "no schema".
-        let schema = id + 1;
-        let mut content = schema.to_le_bytes().to_vec();
-        put_bytes(&mut content, message.as_bytes());
-        put_bytes(&mut content, b"ros2msg");
-        put_bytes(&mut content, definition.as_bytes());
-        self.declare(kind::SCHEMA, &content);
+    /// Declares a channel of a message type.
+    pub(in super::super) fn add_channel(&mut self, id: u16, schema: u16, topic: &str) {
         let mut content = id.to_le_bytes().to_vec();
         content.extend_from_slice(&schema.to_le_bytes());
         put_bytes(&mut content, topic.as_bytes());
@@ -81,11 +77,19 @@ impl<W: Write> McapWriter<W> {
         self.declare(kind::CHANNEL, &content);
     }
 
-    /// Writes a schema or a channel, as the content of its record, unless it was
-    /// written before.
+    /// Declares a message type of ROS 2.
+    pub(in super::super) fn add_schema(&mut self, id: u16, message: &str, definition: &str) {
+        let mut content = id.to_le_bytes().to_vec();
+        put_bytes(&mut content, message.as_bytes());
+        put_bytes(&mut content, b"ros2msg");
+        put_bytes(&mut content, definition.as_bytes());
+        self.declare(kind::SCHEMA, &content);
+    }
+
+    /// Writes the content of a schema or channel record, unless it was written before.
     pub(in super::super) fn declare(&mut self, kind: u8, content: &[u8]) {
-        // Begun first: a chunk begins with the channels known before.
-        self.chunk.begin(&self.index);
+        // First, because a chunk begins with the channels known before it.
+        self.begin_chunk();
         if let Some(record) = self.index.declare(kind, content) {
             self.chunk.record.extend_from_slice(record);
         }
@@ -100,7 +104,7 @@ impl<W: Write> McapWriter<W> {
         if self.chunk.record.len() + data.len() > CHUNK_BYTES {
             self.end_chunk()?;
         }
-        self.chunk.begin(&self.index);
+        self.begin_chunk();
         self.chunk.messages.add(header, self.chunk.record.len() - CHUNK_HEAD);
         put_record(&mut self.chunk.record, kind::MESSAGE, |out| {
             out.extend_from_slice(&header.channel.to_le_bytes());
@@ -138,14 +142,14 @@ impl<W: Write> McapWriter<W> {
         self.write(&record)
     }
 
-    /// Ends the open chunk and hands it to the system: from here on it survives a
-    /// kill.
+    /// Ends the open chunk and hands it to the system: from now on it survives the death
+    /// of the process.
     pub(in super::super) fn flush(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         self.out.flush()
     }
 
-    /// Copies a whole chunk: `record` with its head, `records` what is in it.
+    /// Copies a whole chunk: `record` includes its head, `records` is its contents.
     pub(in super::super) fn copy_chunk(&mut self, record: &[u8], records: &[u8]) -> io::Result<()> {
         self.end_chunk()?;
         let mut messages = ChunkMessages::default();
@@ -167,11 +171,17 @@ impl<W: Write> McapWriter<W> {
         self.write_chunk(record, records.len(), messages)
     }
 
-    /// Writes the index and the end of the file, and returns its writer.
+    /// Writes the index and the end of the file, and returns the inner writer.
     pub(in super::super) fn finish(mut self) -> io::Result<W> {
+        self.end()?;
+        Ok(self.out)
+    }
+
+    /// Writes the index and the end of the file. Write nothing after it.
+    pub(in super::super) fn end(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         let mut end = Vec::new();
-        // A CRC of 0: none was computed.
+        // CRC 0 means that it was not computed.
         put_record(&mut end, kind::DATA_END, |out| out.extend_from_slice(&[0; 4]));
         let summary_at = end.len();
         let index = std::mem::take(&mut self.index);
@@ -185,8 +195,18 @@ impl<W: Write> McapWriter<W> {
         end.extend_from_slice(&crc.to_le_bytes());
         end.extend_from_slice(&MAGIC);
         self.write(&end)?;
-        self.out.flush()?;
-        Ok(self.out)
+        self.out.flush()
+    }
+
+    /// Makes room for the head of the open chunk, unless it has begun.
+    fn begin_chunk(&mut self) {
+        let record = &mut self.chunk.record;
+        if record.is_empty() {
+            record.resize(CHUNK_HEAD, 0);
+            if self.repeats_channels {
+                self.index.channels().for_each(|channel| record.extend_from_slice(channel));
+            }
+        }
     }
 
     fn end_chunk(&mut self) -> io::Result<()> {
@@ -209,13 +229,13 @@ impl<W: Write> McapWriter<W> {
             place.copy_from_slice(&head);
         }
         self.write_chunk(&chunk.record, size, chunk.messages)?;
-        // The next chunk takes the same memory.
+        // The next chunk reuses the memory.
         chunk.record.clear();
         self.chunk.record = chunk.record;
         Ok(())
     }
 
-    /// Writes a chunk, and behind it where its messages are.
+    /// Writes a chunk, followed by the positions of its messages.
     fn write_chunk(
         &mut self,
         record: &[u8],
@@ -238,7 +258,7 @@ impl<W: Write> McapWriter<W> {
     }
 }
 
-/// Returns the content of a header record.
+/// Encodes the content of a header record.
 pub(in super::super) fn header(profile: &str, library: &str) -> Vec<u8> {
     let mut content = Vec::new();
     put_bytes(&mut content, profile.as_bytes());
@@ -246,22 +266,11 @@ pub(in super::super) fn header(profile: &str, library: &str) -> Vec<u8> {
     content
 }
 
-impl OpenChunk {
-    /// Makes room for the head. Each chunk repeats the channels, so that the loss
-    /// of one chunk costs nothing of the others.
-    fn begin(&mut self, index: &Index) {
-        if self.record.is_empty() {
-            self.record.resize(CHUNK_HEAD, 0);
-            index.channels().for_each(|channel| self.record.extend_from_slice(channel));
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The bytes of a message besides its data.
+    /// Length of a message besides its data.
     const MESSAGE_HEAD: usize = RECORD_HEAD + 22;
 
     #[test]
@@ -271,7 +280,7 @@ mod tests {
         for (longer, chunks) in [(0, 1), (1, 2)] {
             let mut writer = McapWriter::start(Vec::new(), &super::header("", ""), 9).unwrap();
             writer.message(header, &vec![0; first]).unwrap();
-            // With its data the chunk has the limit exactly, or a byte more.
+            // With its data the chunk has exactly the limit, or one byte more.
             let rest = CHUNK_BYTES - CHUNK_HEAD - MESSAGE_HEAD - first + longer;
             writer.message(header, &vec![0; rest]).unwrap();
             writer.flush().unwrap();

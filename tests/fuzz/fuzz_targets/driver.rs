@@ -7,5 +7,7 @@ mod driver;
 mod peer;
 #[path = "../../properties/script.rs"]
 mod script;
+#[path = "../../common/test_port.rs"]
+mod test_port;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| driver::the_driver_stands_any_port_and_any_user(data));

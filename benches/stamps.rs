@@ -1,0 +1,218 @@
+//! How far `Scan::first_ray_at` and the arrival of each scan are from the truth: the moment at
+//! which the emulated motor ended the revolution, not when the emulated sensor wrote its reply.
+//! `-- busy [PROCESSES]` measures on a pseudo-terminal in real time, beside this number of
+//! processes that only compute. The threads of the emulated sensor have real-time priority.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::process::{Child, Command};
+use std::time::Duration;
+
+use tokio::time::Instant;
+use tokio_scip::emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pty};
+use tokio_scip::scan::StampQuality;
+use tokio_scip::{BaudRate, Rate, Scan, Sensor, Window};
+
+const HOUR: Duration = Duration::from_secs(3600);
+/// Measuring time on a pseudo-terminal. The driver finds the motor during `WARM_UP` before it.
+const REAL_TIME: Duration = Duration::from_secs(120);
+const WARM_UP: Duration = Duration::from_secs(10);
+/// Interval of USB's frames.
+const FRAME: Duration = Duration::from_millis(1);
+/// The part of a revolution between the first ray of the window and the rear.
+const TURNED: f64 = 1.0 - (128.0 + 44.0) / 1024.0;
+
+fn main() {
+    println!("{:38} {:>8} {:>7}  {:22}  {:22}", "", "scans", "motor", "stamp", "arrival");
+    println!("{:38} {:>8} {:>7}  {:22}  {:22}", "", "", "", "p50, p99, max in ms", "same");
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    if let [busy, processes @ ..] = &arguments[..]
+        && busy == "busy"
+    {
+        let processes = processes.first().map_or(0, |processes| processes.parse().unwrap());
+        return on_a_terminal(processes);
+    }
+    simulated("on USB, an hour", turning(), Rate::MAX, HOUR, 0);
+    simulated("polled at 10 Hz, an hour", turning(), Rate::hz(10.0), HOUR, 0);
+    let late = || turning().faults(Faults::none().late(0.2, Duration::from_millis(30)));
+    simulated("20 % late by up to 30 ms, an hour", late(), Rate::MAX, HOUR, 0);
+    simulated("5 Hz, an hour", turning(), Rate::hz(5.0), HOUR, 0);
+    simulated("1 Hz, 6 hours", turning(), Rate::hz(1.0), 6 * HOUR, 0);
+    for baud_rate in [BaudRate::B115200, BaudRate::B19200] {
+        let name = format!("RS-232 at {} baud, an hour", baud_rate.bits_per_second());
+        simulated(&name, turning().baud_rate(baud_rate), Rate::MAX, HOUR, 0);
+    }
+    let drifting = turning().drift(0.001);
+    simulated("a day, drift 0.1 % an hour, 50 jumps", drifting, Rate::MAX, 24 * HOUR, 50);
+}
+
+/// Emulated sensor whose motor turns as fast as in the capture. tokio's timers deliver its bytes
+/// in whole milliseconds, as USB does.
+fn turning() -> EmulatorBuilder {
+    let revolution = Duration::from_nanos(99_760_500);
+    Emulator::builder().world(Fixed::filled(1234)).revolution(revolution).log_capacity(4)
+}
+
+/// What was found about all scans of a row.
+#[derive(Default)]
+struct Row {
+    stamps: Vec<Duration>,
+    arrivals: Vec<Duration>,
+    by_motor: usize,
+    /// Scans since the latest jump whose stamps were worse than their arrivals, and the
+    /// largest number of them after any jump.
+    worse: usize,
+    most_worse: usize,
+    later: usize,
+}
+
+impl Row {
+    fn add(&mut self, emulator: &Emulator, scan: &Scan) {
+        let sent = emulator.sent_scans();
+        let truth = sent.iter().find(|sent| sent.requested_at >= scan.requested_at()).unwrap();
+        let turned = scan.scan_time().mul_f64(TURNED);
+        let (end, late) = (scan.first_ray_at() + turned, scan.lateness().unwrap_or_default());
+        let arrived = end + late;
+        let error = |at: Instant| match at >= truth.revolution_end {
+            true => at - truth.revolution_end,
+            false => truth.revolution_end - at,
+        };
+        self.stamps.push(error(end));
+        self.arrivals.push(error(arrived));
+        self.later += usize::from(end > arrived);
+        self.by_motor += usize::from(scan.stamp_quality() == StampQuality::Motor);
+        self.worse += usize::from(error(end) > error(arrived) + Duration::from_micros(500));
+        self.most_worse = self.most_worse.max(self.worse);
+    }
+
+    fn print(mut self, name: &str) {
+        let mut figures = |times: fn(&mut Self) -> &mut Vec<Duration>| {
+            let times = times(&mut self);
+            times.sort_unstable();
+            let [p50, p99, max] = [0.5, 0.99, 1.0].map(|share| {
+                times[((times.len() - 1) as f64 * share) as usize].as_secs_f64() * 1000.0
+            });
+            format!("{p50:6.2} {p99:6.2} {max:8.2}")
+        };
+        let (stamps, arrivals) = (figures(|row| &mut row.stamps), figures(|row| &mut row.arrivals));
+        let scans = self.stamps.len();
+        let share = 100.0 * self.by_motor as f64 / scans as f64;
+        println!("{name:38} {scans:8} {share:5.1} %  {stamps}  {arrivals}");
+        if self.most_worse > 0 {
+            println!("{:38} worse after a jump: {} scans at most", "", self.most_worse);
+        }
+        assert_eq!(self.later, 0, "a stamp was later than the arrival");
+    }
+}
+
+/// Measures for `span` of the paused clock.
+fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, jumps: u32) {
+    let mut runtime = tokio::runtime::Builder::new_current_thread();
+    let runtime = runtime.enable_all().start_paused(true).build().unwrap();
+    runtime.block_on(async {
+        let emulator = sensor.build();
+        let mut opening = Sensor::builder();
+        if let Some(baud_rate) = emulator.baud_rate() {
+            opening = opening.baud_rate(baud_rate);
+        }
+        let sensor = opening.connect(emulator.clone()).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, rate).await.unwrap();
+        let (start, mut row) = (Instant::now(), Row::default());
+        let mut next_jump = start + span / (jumps + 1);
+        let mut drift = 0.001;
+        let mut turn = start + 2 * HOUR;
+        while start.elapsed() < span {
+            row.add(&emulator, &scans.next().await.unwrap().unwrap());
+            if jumps > 0 && Instant::now() >= next_jump {
+                // Any part of a revolution, never the same.
+                let jump = (next_jump - start).as_millis() * 37 % 100;
+                emulator.delay_motor(Duration::from_millis(jump as u64));
+                next_jump += span / (jumps + 1);
+                row.worse = 0;
+            }
+            if jumps > 0 && Instant::now() >= turn {
+                // It warms up and cools down.
+                drift = -drift;
+                emulator.set_drift(drift);
+                turn += 2 * HOUR;
+            }
+        }
+        row.print(name);
+    });
+}
+
+/// Measures a pseudo-terminal in real time, beside `processes` that only compute.
+fn on_a_terminal(processes: usize) {
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    println!("load before: {}", load.trim());
+    let busy: Vec<Busy> = (0..processes).map(|_| Busy::start()).collect();
+    let emulator_runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .on_thread_start(run_in_real_time)
+        .build()
+        .unwrap();
+    let _guard = emulator_runtime.enter();
+    let emulator = turning().build();
+    let pty = Pty::open(&emulator, None).unwrap();
+    let path = pty.path().to_owned();
+    emulator_runtime.spawn(async move { pty.serve().await });
+    let waking = emulator.clone();
+    std::thread::spawn(move || send_in_frames(&waking));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let sensor = Sensor::open(path.to_str().unwrap()).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let (start, mut row) = (Instant::now(), Row::default());
+        while start.elapsed() < WARM_UP + REAL_TIME {
+            let scan = scans.next().await.unwrap().unwrap();
+            if start.elapsed() > WARM_UP {
+                row.add(&emulator, &scan);
+            }
+        }
+        row.most_worse = 0;
+        row.print(&format!("pseudo-terminal, {processes} busy processes"));
+    });
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    println!("load after: {}", load.trim());
+    drop(busy);
+}
+
+/// Wakes the emulated sensor at each frame. By itself it waits for tokio's timers, which
+/// are late by up to two milliseconds.
+fn send_in_frames(emulator: &Emulator) {
+    run_in_real_time();
+    let start = std::time::Instant::now();
+    for frame in 1.. {
+        let next = start + FRAME * frame;
+        std::thread::sleep(next.saturating_duration_since(std::time::Instant::now()));
+        emulator.inject([]);
+    }
+}
+
+/// Gives this thread priority over all programs without it, so that the host delays the
+/// driver and not the sensor. Needs `chrt` and permission.
+fn run_in_real_time() {
+    let thread = std::fs::read_link("/proc/thread-self").unwrap();
+    let id = thread.file_name().unwrap();
+    let status = Command::new("chrt").args(["-f", "-p", "1"]).arg(id).status();
+    if !status.is_ok_and(|status| status.success()) {
+        println!("the emulated sensor runs without real-time priority: its delays count, too");
+    }
+}
+
+/// A process that computes until it is dropped.
+struct Busy(Child);
+
+impl Busy {
+    fn start() -> Self {
+        Self(Command::new("sh").args(["-c", "while :; do :; done"]).spawn().unwrap())
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

@@ -1,0 +1,71 @@
+//! Many sensors in one process, one task each, and a line each second about all of them:
+//!
+//! ```sh
+//! cargo run --example fleet emulated 100
+//! cargo run --example fleet /dev/ttyACM0 tcp://10.0.0.7:10940 serial:H0713090
+//! ```
+//!
+//! Sensors may be absent at the start, come and go. A line names those without a fresh scan.
+
+mod port;
+
+use std::time::Duration;
+
+use tokio::task::JoinSet;
+use tokio::time::{MissedTickBehavior, interval};
+use tokio_scip::{Error, ErrorChain, Rate, ScanStream, Sensor, Window};
+
+const LIMIT: Duration = Duration::from_millis(500);
+
+#[tokio::main(flavor = "current_thread")]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut ports: Vec<String> = std::env::args().skip(1).collect();
+    if let [name, count] = ports.as_slice()
+        && let Ok(count) = count.parse()
+    {
+        ports = vec![name.clone(); count];
+    }
+    if ports.is_empty() {
+        return Err("expected ports, or: emulated 100".into());
+    }
+    let mut tasks = JoinSet::new();
+    let mut fleet = Vec::new();
+    for (number, port) in ports.iter().enumerate() {
+        let name = format!("{number} {port}");
+        let (sensor, scans) = start(name.clone(), port).await?;
+        tasks.spawn(consume(name.clone(), scans));
+        fleet.push((name, sensor));
+    }
+    let mut ticks = interval(Duration::from_secs(1));
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut before = 0;
+    loop {
+        ticks.tick().await;
+        let scans: u64 = fleet.iter().map(|(_, sensor)| sensor.stats().scans).sum();
+        println!("{} sensors, {} scans", fleet.len(), scans - before);
+        before = scans;
+        for (name, sensor) in &fleet {
+            if let Err(stale) = sensor.freshness().check(LIMIT) {
+                eprintln!("{name}: {}", ErrorChain::new(&stale));
+            }
+        }
+    }
+}
+
+/// Returns at once: the sensor is opened when it comes.
+async fn start(name: String, port: &str) -> Result<(Sensor, ScanStream), Error> {
+    let builder = Sensor::builder().name(name).wait_for_sensor(true);
+    let sensor = port::open(builder, port).await?;
+    let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    Ok((sensor, scans))
+}
+
+/// What a service does with each scan. Errors are in the freshness.
+async fn consume(name: String, scans: ScanStream) {
+    let mut scans = scans.only_scans();
+    while let Some(scan) = scans.next().await {
+        if scan.points().all(|point| point.range > 1.0) && scan.sequence() % 100 == 0 {
+            println!("{name}: nothing within a metre");
+        }
+    }
+}

@@ -1,0 +1,28 @@
+//! The sensor that an argument names: a port, or `emulated` for one in software. A service
+//! of yours needs only `builder.open(port)`.
+
+use tokio_scip::emulator::{Emulator, Room};
+use tokio_scip::{Error, Sensor, SensorBuilder};
+
+/// Returns an argument of the program, without the program's name.
+#[allow(dead_code, reason = "not each example takes just one port")]
+pub(crate) fn argument() -> String {
+    std::env::args().nth(1).unwrap_or_else(|| {
+        eprintln!("expected a port, such as /dev/ttyACM0 or tcp://10.0.0.7:10940, or: emulated");
+        std::process::exit(2)
+    })
+}
+
+/// Opens the sensor at `port`. Each emulated one stands in a room of its own.
+pub(crate) async fn open(builder: SensorBuilder, port: &str) -> Result<Sensor, Error> {
+    use std::sync::atomic::{AtomicU64, Ordering};
+    static ROOMS: AtomicU64 = AtomicU64::new(0);
+
+    if port != "emulated" {
+        return builder.open(port).await;
+    }
+    let number = ROOMS.fetch_add(1, Ordering::Relaxed);
+    let emulator =
+        Emulator::builder().serial_number(format!("H{number:07}")).world(Room::new(number)).build();
+    builder.connect(emulator).await
+}

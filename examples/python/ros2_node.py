@@ -1,0 +1,33 @@
+"""A ROS 2 node from the lines of `urg stream`: urg stream PORT --wait | python3 ros2_node.py"""
+
+import json, math, sys
+import rclpy
+from sensor_msgs.msg import LaserScan
+
+rclpy.init()
+node = rclpy.create_node("urg")
+publisher = node.create_publisher(LaserScan, "scan", 10)
+for line in sys.stdin:
+    scan = json.loads(line)
+    if "event" in scan:
+        node.get_logger().warning(str(scan))
+        continue
+    message = LaserScan()
+    message.header.frame_id = "laser"
+    # ROS wants the time of the first ray. The stamp is the time of the reply, which
+    # begins when a revolution ends, at the rear.
+    stamp = scan["stamp"] - (0.5 - scan["angle_min"] / math.tau) * scan["scan_time"]
+    message.header.stamp.sec = int(stamp)
+    message.header.stamp.nanosec = int(stamp % 1 * 1e9)
+    message.angle_min = scan["angle_min"]
+    message.angle_increment = scan["angle_increment"]
+    message.angle_max = scan["angle_min"] + (len(scan["ranges"]) - 1) * scan["angle_increment"]
+    message.time_increment = scan["scan_time"] / 1024 * scan["cluster"]
+    message.scan_time = scan["scan_time"]
+    message.range_min, message.range_max = 0.020, 4.094
+    # REP 117: error codes 0, 6 and 16 and value 4095 may be beyond range, others are unknown.
+    message.ranges = [
+        r if r is not None else math.inf if v in (0, 6, 16, 4095) else math.nan
+        for r, v in zip(scan["ranges"], scan["values"])
+    ]
+    publisher.publish(message)

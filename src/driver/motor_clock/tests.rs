@@ -1,0 +1,416 @@
+//! Tests the clock against simulated motors, whose truth is known, and against the times
+//! of a real one.
+
+use super::*;
+
+const NOMINAL: Duration = Duration::from_millis(100);
+/// Reply times of a URG-04LX on USB, in seconds: request, first and last byte.
+const REPLY_TIMES: &str = include_str!("reply_times.csv");
+
+/// Numbers that only look random (SplitMix64).
+struct Draw(u64);
+
+impl Draw {
+    /// Next number, from 0 to 1.
+    fn next(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        (z ^ (z >> 31)) as f64 / u64::MAX as f64
+    }
+
+    fn exponential(&mut self, mean: f64) -> f64 {
+        -mean * (1.0 - self.next()).max(1e-9).ln()
+    }
+}
+
+/// Sensor, line and host, with all times in seconds.
+#[derive(Debug, Clone, Copy)]
+struct Setup {
+    period: f64,
+    /// Growth of the period in an hour: 0.001 is 0.1 %.
+    drift: f64,
+    /// Mean time between two jumps of the phase, drawn from 0 to twice this.
+    jumps_every: f64,
+    /// USB's frames, or zero.
+    frame: f64,
+    /// Fraction of late arrivals, and the longest delay.
+    late: (f64, f64),
+    /// Busy host: mean lateness of the replies in a spell, which follows an exponential law;
+    /// mean duration of a spell, and of the time between two.
+    busy: (f64, f64, f64),
+    /// Time between two requests; zero to request as soon as a reply is complete.
+    interval: f64,
+    /// Time from the first to the last byte.
+    transfer: f64,
+    answers_at_once: bool,
+    seconds: f64,
+    seed: u64,
+}
+
+/// Motor of the capture, requested as soon as each reply was complete.
+const USB: Setup = Setup {
+    period: 0.099_760_5,
+    drift: 0.0,
+    jumps_every: f64::INFINITY,
+    frame: 1e-3,
+    late: (0.0, 0.0),
+    busy: (0.0, 0.0, 0.0),
+    interval: 0.0,
+    transfer: 5.8e-3,
+    answers_at_once: false,
+    seconds: 600.0,
+    seed: 1,
+};
+
+/// Reply, and what the clock made of it.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    /// Errors in milliseconds: of the clock, and of the arrival.
+    error: f64,
+    arrival_error: f64,
+    /// Difference to the true period, as a fraction of it.
+    period_error: Option<f64>,
+    is_measured: bool,
+    /// Replies since the latest jump.
+    since_jump: usize,
+}
+
+impl Setup {
+    fn run(self) -> Vec<Seen> {
+        let epoch = Instant::now();
+        let at = |seconds: f64| epoch + Duration::from_secs_f64(seconds);
+        let (mut draw, mut clock) = (Draw(self.seed), MotorClock::new(NOMINAL));
+        let (mut period, mut end, mut free) = (self.period, 0.037, 0.0_f64);
+        let mut next_jump = 2.0 * self.jumps_every * draw.next();
+        let (mut seen, mut since_jump) = (Vec::new(), 0);
+        let (mut is_busy, mut spell_ends) = (false, 0.0);
+        while free < self.seconds {
+            let requested = match self.interval {
+                0.0 => free + 1e-4,
+                interval => (free / interval).ceil() * interval,
+            };
+            while end < requested + 5e-4 {
+                period *= 1.0 + self.drift / 3600.0 * period;
+                end += period;
+                if end > next_jump {
+                    next_jump = end + 2.0 * self.jumps_every * draw.next();
+                    end += period * draw.next();
+                    since_jump = 0;
+                }
+            }
+            let truth = if self.answers_at_once { requested + 1e-3 } else { end };
+            let mut arrived = truth + 1e-4 * draw.next();
+            if self.frame > 0.0 {
+                arrived = (arrived / self.frame).ceil() * self.frame;
+            }
+            if draw.next() < self.late.0 {
+                arrived += self.late.1 * draw.next();
+            }
+            let (lateness, spell, between) = self.busy;
+            if spell > 0.0 && arrived > spell_ends {
+                is_busy = !is_busy;
+                spell_ends = arrived + draw.exponential(if is_busy { spell } else { between });
+            }
+            if is_busy {
+                arrived += draw.exponential(lateness);
+            }
+            let revolution = clock.observe(at(requested), at(arrived));
+            let estimate = arrived - revolution.lateness.unwrap_or_default().as_secs_f64();
+            let period_error = |found: Duration| (found.as_secs_f64() / period - 1.0).abs();
+            since_jump += 1;
+            seen.push(Seen {
+                error: (estimate - truth).abs() * 1e3,
+                arrival_error: (arrived - truth) * 1e3,
+                period_error: revolution.period.map(period_error),
+                is_measured: revolution.lateness.is_some(),
+                since_jump,
+            });
+            free = arrived + self.transfer;
+        }
+        seen
+    }
+
+    /// 99th percentiles of the errors in milliseconds: of the clock, and of the arrivals.
+    fn p99(self) -> (f64, f64) {
+        p99(&self.run())
+    }
+}
+
+fn p99(seen: &[Seen]) -> (f64, f64) {
+    let p99 = |errors: fn(&Seen) -> f64| {
+        let mut errors: Vec<_> = seen.iter().map(errors).collect();
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() * 99 / 100]
+    };
+    (p99(|seen| seen.error), p99(|seen| seen.arrival_error))
+}
+
+#[test]
+fn the_replies_of_a_real_sensor_lie_on_one_line() {
+    let epoch = Instant::now();
+    let mut clock = MotorClock::new(NOMINAL);
+    let mut ends = Vec::new();
+    let mut period = None;
+    for line in REPLY_TIMES.lines().skip(1) {
+        let mut times = line.split(',').map(|time| time.parse().unwrap());
+        let mut next = || epoch + Duration::from_secs_f64(times.next().unwrap());
+        let (requested, arrived) = (next(), next());
+        let revolution = clock.observe(requested, arrived);
+        period = revolution.period;
+        if let Some(lateness) = revolution.lateness {
+            ends.push((seconds(epoch, arrived - lateness), seconds(epoch, arrived)));
+        }
+    }
+    assert_eq!(ends.len(), 62 - 8);
+    let found = period.unwrap().as_secs_f64();
+    assert!((found - 0.099_760_5).abs() < 5e-6, "{found}");
+    // Distances from one revolution to the next, and from one arrival to the next.
+    let worst = |times: fn(&(f64, f64)) -> f64| {
+        let off = |two: &[(f64, f64)]| (times(&two[1]) - times(&two[0]) - 0.099_760_5).abs();
+        ends.windows(2).map(off).fold(0.0, f64::max)
+    };
+    assert!(worst(|(_, arrival)| *arrival) > 1.5e-3);
+    assert!(worst(|(end, _)| *end) < 0.5e-3);
+}
+
+#[test]
+fn on_usb_the_line_runs_along_the_lower_edge_of_the_arrivals() {
+    for interval in [0.0, 0.1, 0.2, 0.333] {
+        let (clock, arrivals) = Setup { interval, ..USB }.p99();
+        assert!(clock < 0.3 && arrivals > 1.0, "{interval}: {clock}, {arrivals}");
+    }
+    // Few replies within the memory.
+    let (clock, _) = Setup { interval: 1.0, seconds: 3600.0, ..USB }.p99();
+    assert!(clock < 0.4, "{clock}");
+}
+
+#[test]
+fn a_serial_line_slower_than_the_motor_does_not_matter() {
+    for transfer in [0.121, 0.243, 0.729] {
+        let (clock, arrivals) = Setup { transfer, frame: 0.0, seconds: 1800.0, ..USB }.p99();
+        assert!(clock < 0.05 && arrivals < 0.11, "{transfer}: {clock}, {arrivals}");
+    }
+}
+
+#[test]
+fn late_replies_are_not_followed() {
+    let (clock, arrivals) = Setup { late: (0.2, 0.03), ..USB }.p99();
+    assert!(clock < 0.3 && arrivals > 28.0, "{clock}, {arrivals}");
+    let (clock, _) = Setup { late: (0.2, 0.03), interval: 1.0, seconds: 7200.0, ..USB }.p99();
+    assert!(clock < 0.5, "{clock}");
+    // Not even a single late one, at any time.
+    for late in [0.002, 0.02, 0.09] {
+        let setup = Setup { late: (0.01, late), ..USB };
+        assert!(setup.run().iter().skip(20).all(|seen| seen.error < 0.5), "{late}");
+    }
+}
+
+#[test]
+fn drift_is_followed() {
+    for drift in [0.001, -0.001] {
+        let setup = Setup { drift, seconds: 3600.0, ..USB };
+        let (clock, _) = setup.p99();
+        assert!(clock < 0.5, "{drift}: {clock}");
+        let periods = setup.run().into_iter().filter_map(|seen| seen.period_error);
+        assert!(periods.fold(0.0, f64::max) < 1e-4, "{drift}");
+    }
+}
+
+#[test]
+fn a_jump_of_the_phase_is_followed_within_five_scans() {
+    for interval in [0.0, 0.1, 0.2] {
+        let seen = Setup { jumps_every: 20.0, interval, seconds: 40_000.0, ..USB }.run();
+        let jumps = seen.iter().filter(|seen| seen.since_jump == 1).count();
+        assert!(jumps > 1500);
+        let after = |seen: &&Seen| seen.since_jump > 5;
+        let worse = seen.iter().filter(after).filter(|seen| seen.error > seen.arrival_error + 0.2);
+        // A jump that a USB frame hides is followed as drift is.
+        let (count, worst) = worse.fold((0, 0.0), |(n, most), seen| (n + 1, seen.error.max(most)));
+        assert!(count < jumps / 10 && worst < 1.5, "{interval}: {count} of {jumps}, {worst}");
+    }
+}
+
+#[test]
+fn the_period_is_reported_once_it_is_known_to_a_ten_thousandth() {
+    for interval in [0.0, 0.1, 0.2, 1.0] {
+        let seen = Setup { interval, ..USB }.run();
+        let first = seen.iter().position(|seen| seen.period_error.is_some()).unwrap();
+        assert!((10..=80).contains(&first), "{first}");
+        let known = seen.iter().filter_map(|seen| seen.period_error);
+        assert!(known.fold(0.0, f64::max) < 1e-4, "{interval}");
+        assert!(seen[first..].iter().all(|seen| seen.period_error.is_some()));
+    }
+}
+
+#[test]
+fn a_sensor_that_answers_at_once_has_no_motor_to_follow() {
+    let at_once = Setup { answers_at_once: true, ..USB };
+    for setup in [
+        at_once,
+        Setup { interval: 0.1, ..at_once },
+        Setup { interval: 1.0, ..at_once },
+        Setup { interval: 0.1, late: (0.3, 0.03), ..at_once },
+        Setup { transfer: 0.729, ..at_once },
+        Setup { transfer: 0.0985, ..at_once },
+    ] {
+        assert!(setup.run().iter().all(|seen| !seen.is_measured), "{setup:?}");
+    }
+}
+
+#[test]
+fn there_is_no_line_below_a_reply_every_three_seconds_or_far_from_the_nominal_period() {
+    for (interval, has_line) in [(2.0, true), (4.0, false), (10.0, false)] {
+        let seen = Setup { interval, seconds: 2000.0, ..USB }.run();
+        assert_eq!(seen.iter().any(|seen| seen.is_measured), has_line, "{interval}");
+    }
+    for period in [0.095, 0.0975, 0.1025, 0.105] {
+        let seen = Setup { period, ..USB }.run();
+        let worse = seen.iter().filter(|seen| seen.error > seen.arrival_error + 0.2).count();
+        assert!(worse < seen.len() / 50, "{period}: {worse} of {}", seen.len());
+    }
+}
+
+#[test]
+fn without_a_line_the_end_is_the_arrival() {
+    let mut clock = MotorClock::new(NOMINAL);
+    let start = Instant::now();
+    for n in 1..=8 {
+        let arrived = start + n * NOMINAL;
+        let revolution = clock.observe(arrived - NOMINAL / 2, arrived);
+        assert_eq!(revolution, Revolution { lateness: None, period: None });
+        assert_eq!(clock.stats(), None);
+    }
+    let arrived = start + 9 * NOMINAL;
+    assert!(clock.observe(arrived - NOMINAL / 2, arrived).lateness.is_some());
+}
+
+#[test]
+fn after_a_pause_the_line_is_found_again() {
+    let mut clock = MotorClock::new(NOMINAL);
+    let mut arrived = Instant::now();
+    let mut errors = Vec::new();
+    for pause in [0, 1, 10, 100, 1000, 100_000] {
+        // The phase changes, too.
+        arrived += Duration::from_secs(pause) + Duration::from_millis(30);
+        for n in 0..200 {
+            arrived += Duration::from_micros(99_760);
+            let late = Duration::from_micros(n % 5 * 200);
+            let revolution = clock.observe(arrived - NOMINAL / 2, arrived + late);
+            errors.push(late.abs_diff(revolution.lateness.unwrap_or_default()));
+        }
+        assert!(errors.iter().rev().take(190).all(|error| *error < Duration::from_micros(400)));
+    }
+}
+
+#[test]
+fn times_without_sense_neither_panic_nor_bend_the_period() {
+    let mut draw = Draw(7);
+    let mut clock = MotorClock::new(NOMINAL);
+    let mut now = Instant::now();
+    for _ in 0..200_000 {
+        let wait = Duration::from_secs_f64(10_f64.powf(6.0 * draw.next() - 5.0));
+        let requested = now;
+        now += wait;
+        let revolution = clock.observe(requested, now);
+        let lateness = revolution.lateness.unwrap_or_default();
+        assert!(lateness < wait.max(NOMINAL + NOMINAL / 10), "{lateness:?} after {wait:?}");
+        assert!((clock.period / clock.nominal - 1.0).abs() <= LARGEST_DIFFERENCE);
+        // The clock of a virtual machine may stand still.
+        if draw.next() < 0.1 {
+            clock.observe(now, now);
+        }
+    }
+}
+
+#[test]
+fn on_a_busy_host_the_line_keeps_to_the_few_replies_in_time() {
+    // Half of the replies are late by more than 7 ms, 1 % by more than 46 ms.
+    let busy = Setup { busy: (0.01, 1e9, 0.0), seconds: 3600.0, ..USB };
+    for setup in [busy, Setup { interval: 0.1, ..busy }, Setup { drift: 0.001, ..busy }] {
+        for seed in 1..=3 {
+            let seen = Setup { seed, ..setup }.run();
+            assert!(seen.iter().position(|seen| seen.is_measured).unwrap() < 100);
+            let (clock, arrivals) = p99(&seen[200..]);
+            assert!(clock < 1.5 && arrivals > 45.0, "{setup:?}: {clock}, {arrivals}");
+        }
+    }
+}
+
+#[test]
+fn spells_of_late_replies_neither_end_nor_move_the_line() {
+    // Within 3 s nearly all replies are late, by 20 ms on average; then 3 s without.
+    for seed in 1..=3 {
+        let seen = Setup { busy: (0.02, 3.0, 3.0), seconds: 3600.0, seed, ..USB }.run();
+        let (clock, arrivals) = p99(&seen[200..]);
+        assert!(clock < 5.0 && arrivals > 70.0, "{seed}: {clock}, {arrivals}");
+    }
+}
+
+#[test]
+fn a_reply_late_by_more_than_a_revolution_is_of_the_revolution_that_it_answers() {
+    let mut clock = MotorClock::new(NOMINAL);
+    let start = Instant::now();
+    let end = |n: u32| start + n * NOMINAL;
+    for n in 1..=20 {
+        clock.observe(end(n) - NOMINAL / 2, end(n));
+    }
+    let lateness = |after| {
+        let arrived = end(21) + after;
+        clock.clone().observe(end(21) - NOMINAL / 2, arrived).lateness.unwrap()
+    };
+    for late in [0, 20, 80, 120, 180, 250, 390].map(Duration::from_millis) {
+        assert!(lateness(late).abs_diff(late) < Duration::from_millis(1), "{late:?}");
+    }
+}
+
+#[test]
+fn late_replies_that_agree_by_chance_are_forgotten() {
+    let mut clock = MotorClock::new(NOMINAL);
+    let start = Instant::now();
+    let mut observe = |n: u32, late: u64| {
+        let (end, late) = (start + n * NOMINAL, Duration::from_millis(late));
+        let lateness = clock.observe(end - NOMINAL / 2, end + late).lateness;
+        (lateness.map(|lateness| lateness.abs_diff(late)), clock.jumps)
+    };
+    for n in 1..=100 {
+        observe(n, 0);
+    }
+    let errors: Vec<_> = (101..=106).map(|n| observe(n, 30).0.unwrap()).collect();
+    assert_eq!(errors.iter().filter(|error| **error > NOMINAL / 4).count(), 3);
+    for n in 107..200 {
+        let (error, jumps) = observe(n, 0);
+        assert!(error.unwrap() < Duration::from_micros(100));
+        assert_eq!(jumps, 0);
+    }
+}
+
+#[test]
+fn two_jumps_within_few_scans_are_both_followed() {
+    let mut clock = MotorClock::new(NOMINAL);
+    let mut end = Instant::now();
+    for (count, jump) in [(100, 40), (2, 12), (100, 0)] {
+        let mut late = 0;
+        for _ in 0..count {
+            end += NOMINAL;
+            let revolution = clock.observe(end - NOMINAL / 2, end);
+            late += usize::from(revolution.lateness.unwrap_or_default() > NOMINAL / 100);
+        }
+        assert!(late <= 6, "{late}");
+        end += Duration::from_millis(jump);
+    }
+    assert!(clock.stats().unwrap().jumps >= 1);
+}
+
+#[test]
+fn a_jump_is_followed_beside_late_replies() {
+    let late = Setup { late: (0.2, 0.03), jumps_every: 60.0, seconds: 40_000.0, ..USB };
+    let seen = late.run();
+    let jumps = seen.iter().filter(|seen| seen.since_jump == 1).count();
+    let after = |seen: &&Seen| seen.since_jump > 5;
+    let worse = seen.iter().filter(after).filter(|seen| seen.error > seen.arrival_error + 0.5);
+    // The sixth or seventh scan is worse if several of the five were late.
+    let worse = worse.count();
+    assert!(jumps > 500 && worse < jumps, "{worse} scans after {jumps} jumps");
+}

@@ -1,0 +1,150 @@
+//! A fence proves that no older reply is on its way.
+//!
+//! A fence is a single-step `G`, with a different step each time, repeated until it is
+//! answered. Replies come in order, and the sensor echoes even an invalid command. So no
+//! older reply can follow the answer.
+
+use std::time::Duration;
+
+use tracing::Instrument;
+
+use super::super::failure::{ExchangeError, LinkError};
+use super::super::transport::{Received, Transport};
+use super::Session;
+use crate::codec::Frame;
+use crate::event::RawReply;
+use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
+use crate::{Error, Window};
+
+/// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
+/// may have restarted at another baud rate.
+const FENCES: usize = 6;
+const FENCES_AT_A_BAUD_RATE: usize = 3;
+
+impl Session {
+    /// Sends fences until the latest one is answered, and returns the status of that
+    /// answer.
+    ///
+    /// # Errors
+    ///
+    /// [`LinkError::Silent`] if the sensor answers no fence.
+    pub(crate) async fn fence(&mut self) -> Result<Status, ExchangeError> {
+        let mut failure = LinkError::Silent(Error::disconnected(None));
+        let searchable = self.transport.is_adjustable() && self.transport.baud_rate().is_some();
+        let latency = self.transport.latency(&Command::Distances(Window::FULL));
+        for _ in 0..if searchable { FENCES_AT_A_BAUD_RATE } else { FENCES } {
+            match self.fence_once(latency).await {
+                Err(ExchangeError::Command(error)) => failure = LinkError::Silent(error),
+                outcome => return outcome,
+            }
+            if self.telemetry.is_closing() {
+                break;
+            }
+        }
+        Err(failure.into())
+    }
+
+    /// Sends one fence. Waits for its answer for `latency`, in addition to its time on
+    /// the wire.
+    pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
+        let command = Command::Distances(self.unique_requests.fence());
+        self.transport.mark_dirty();
+        self.telemetry.stats().fences += 1;
+        let span = tracing::trace_span!("fence", %command);
+        let mut malformed = None;
+        let answer = self.answer_to_fence(&command, latency, &mut malformed).instrument(span).await;
+        let answer = match answer {
+            Err(timeout @ ExchangeError::Command(Error::Timeout { .. })) => {
+                let explained = explain_silence(&self.transport, &command);
+                Err(explained.or(malformed).unwrap_or(timeout))
+            }
+            answer => answer,
+        };
+        match &answer {
+            Ok(_) => {
+                self.transport.mark_clean();
+                self.unique_requests.clear();
+            }
+            Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
+                self.telemetry.stats().fence_timeouts += 1;
+            }
+            Err(_) => {}
+        }
+        answer
+    }
+
+    /// Sends a fence and waits for its answer, skipping the frames before it. Stores the
+    /// error of the latest malformed frame in `malformed`.
+    async fn answer_to_fence(
+        &mut self,
+        command: &Command,
+        latency: Duration,
+        malformed: &mut Option<ExchangeError>,
+    ) -> Result<Status, ExchangeError> {
+        let deadline = self.transport.send(command, latency).await?;
+        let sent = self.transport.sent().to_vec();
+        loop {
+            let Received { frame, timing, .. } = self.transport.next_frame(deadline).await?;
+            if let Frame::Reply(bytes) = frame {
+                self.telemetry.observers().pass(|| RawReply {
+                    command: None,
+                    bytes,
+                    received_at: timing.received,
+                    stamp: timing.stamp,
+                });
+            }
+            let error = match judge(command, frame) {
+                Ok(_) if is_echoed(&sent, command, frame) => {
+                    return Err(LinkError::Lost(Error::Loopback { sensor: None }).into());
+                }
+                Ok(status) => {
+                    if timing.disproves_baud_rate(command, status) {
+                        self.transport.note_outrun();
+                    }
+                    return Ok(status);
+                }
+                Err(ReplyError::Scip2 { status }) => {
+                    let error = Error::WrongProtocol { sensor: None, status };
+                    return Err(ExchangeError::Command(error));
+                }
+                Err(error) => error,
+            };
+            self.telemetry.stats().malformed.count(&error);
+            if let ReplyError::Malformed(source) = error {
+                let error = Error::Malformed { sensor: None, command: *command, source };
+                *malformed = Some(ExchangeError::Command(error));
+            }
+        }
+    }
+}
+
+/// Looks for the reply to `command` at the end of `frame`: the bytes before it are older.
+fn judge(command: &Command, frame: Frame<&[u8]>) -> Result<Status, ReplyError> {
+    match frame {
+        Frame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status()),
+        Frame::Overlong { bytes } => Err(Malformed::Overlong { bytes }.into()),
+    }
+}
+
+/// Returns true if `frame` is the bytes that were sent, followed by a reply to them.
+fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
+    let Frame::Reply(bytes) = frame else { return false };
+    bytes.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
+}
+
+/// Explains why no frame answered `command`, if the unfinished frame shows the cause.
+fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeError> {
+    let pending = transport.unfinished_frame();
+    if pending.starts_with(b"\n") && pending == transport.sent() {
+        return Some(LinkError::Lost(Error::Loopback { sensor: None }).into());
+    }
+    // A wrong baud rate can produce any bytes. So look for telnet only on a port without
+    // a settable baud rate.
+    let telnet = !transport.is_adjustable() && transport.began_as_telnet();
+    let echo = [&command.bytes(), &b"\r\n"[..]].concat();
+    let translated = pending.windows(echo.len()).any(|part| part == echo);
+    (telnet || translated).then(|| {
+        let (command, source) = (*command, Malformed::NotRaw);
+        ExchangeError::Command(Error::Malformed { sensor: None, command, source })
+    })
+}

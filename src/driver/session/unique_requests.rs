@@ -1,0 +1,148 @@
+//! [`UniqueRequests`]: chooses the window of each `G`, so that its echo differs from
+//! every other `G` whose reply may still be on its way.
+
+use crate::Window;
+
+/// Number of steps that a fence can ask for.
+const STEPS: u16 = 769;
+
+/// Window to request in place of another one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Widened {
+    pub(crate) asked: Window,
+    /// Index of the window's first value. The values before it are extra.
+    pub(crate) first: usize,
+    /// True if the latest `G` asked for the same: the window has no room to differ.
+    pub(crate) repeats: bool,
+}
+
+/// Recently requested windows.
+#[derive(Debug, Default)]
+pub(crate) struct UniqueRequests {
+    /// Windows of the last `G`s, polls and fences, newest first.
+    recent: [Option<Window>; Window::MAX_EXTRA_POINTS as usize],
+    /// Steps requested alone since the last answered fence. The next fence must use
+    /// another step.
+    single: [u64; STEPS.div_ceil(64) as usize],
+    /// Step of the next fence.
+    fence: u16,
+}
+
+impl UniqueRequests {
+    /// Starts at a random step, so that a reply to an earlier process's fence hardly ever
+    /// matches ours.
+    pub(crate) fn starting(seed: u64) -> Self {
+        Self { fence: (seed % u64::from(STEPS)) as u16, ..Self::default() }
+    }
+
+    /// Chooses the window to request in order to get `window`: the same window, or one
+    /// with extra points.
+    ///
+    /// The choice differs from the latest `G`s as far as the window leaves room. Then
+    /// even a reply that a faulty line delivers twice cannot match the next poll.
+    pub(crate) fn widen(&mut self, window: Window) -> Widened {
+        let (asked, first) = self.choose(window);
+        let repeats = self.recent.first() == Some(&Some(asked));
+        self.note(asked);
+        Widened { asked, first, repeats }
+    }
+
+    fn choose(&self, window: Window) -> (Window, usize) {
+        let age = |asked: &Window| {
+            let place = self.recent.iter().position(|recent| recent.as_ref() == Some(asked));
+            place.unwrap_or(self.recent.len())
+        };
+        // Of several equally old choices the last one wins, which has no points in front.
+        (0..=self.recent.len() as u16)
+            .rev()
+            .filter_map(|groups| window.widened(groups))
+            .max_by_key(|(asked, _)| age(asked))
+            .unwrap_or((window, 0))
+    }
+
+    /// Chooses the single step to request as a fence. No other `G` asked for it alone, so
+    /// no older reply can match it.
+    pub(crate) fn fence(&mut self) -> Window {
+        for _ in 0..STEPS {
+            if !self.was_asked_alone(self.fence) {
+                break;
+            }
+            self.fence = (self.fence + 1) % STEPS;
+        }
+        let window = Window::single(self.fence);
+        self.fence = (self.fence + 1) % STEPS;
+        self.note(window);
+        window
+    }
+
+    /// Notes an answered fence: no older reply is on its way.
+    pub(crate) fn clear(&mut self) {
+        self.single = Default::default();
+    }
+
+    fn note(&mut self, window: Window) {
+        self.recent.rotate_right(1);
+        if let Some(newest) = self.recent.first_mut() {
+            *newest = Some(window);
+        }
+        let step = window.start().number();
+        if window.steps() == 1
+            && let Some(word) = self.single.get_mut(usize::from(step / 64))
+        {
+            *word |= 1 << (step % 64);
+        }
+    }
+
+    fn was_asked_alone(&self, step: u16) -> bool {
+        let word = self.single.get(usize::from(step / 64));
+        word.is_some_and(|word| word & (1 << (step % 64)) != 0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fence_is_no_step_that_was_asked_for_since_the_last_answered_one() {
+        let mut unique_requests = UniqueRequests::default();
+        assert_eq!(unique_requests.fence(), Window::single(0));
+        // Widening to the right adds a second step. Widening to the left leaves a single
+        // step.
+        let alone = |asked| Widened { asked, first: 0, repeats: false };
+        for step in [Window::single(1), Window::single(3)] {
+            assert_eq!(unique_requests.widen(step), alone(step));
+        }
+        assert_eq!(unique_requests.fence(), Window::single(2));
+        assert_eq!(unique_requests.fence(), Window::single(4));
+        unique_requests.clear();
+        unique_requests.fence = 1;
+        assert_eq!(unique_requests.fence(), Window::single(1));
+    }
+
+    #[test]
+    fn the_first_fence_is_a_step_that_the_seed_selects() {
+        for (seed, step) in [(7, 7), (768, 768), (769, 0), (u64::from(STEPS) * 5 + 3, 3)] {
+            assert_eq!(UniqueRequests::starting(seed).fence(), Window::single(step), "{seed}");
+        }
+    }
+
+    #[test]
+    fn fences_go_round_all_steps_even_if_all_were_asked_for() {
+        let mut unique_requests = UniqueRequests::default();
+        let round: Vec<Window> = (0..STEPS).map(|_| unique_requests.fence()).collect();
+        assert_eq!(round, (0..STEPS).map(Window::single).collect::<Vec<_>>());
+        assert_eq!(unique_requests.fence(), Window::single(0));
+    }
+
+    #[test]
+    fn a_poll_differs_from_the_fence_before_it() {
+        let mut unique_requests = UniqueRequests::default();
+        let fence = unique_requests.fence();
+        let Widened { asked, first, repeats } = unique_requests.widen(fence);
+        assert!(!repeats);
+        assert_ne!(asked, fence);
+        assert_eq!(asked.points(), 2);
+        assert_eq!(first, 0);
+    }
+}

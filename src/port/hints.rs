@@ -1,0 +1,142 @@
+//! What your port or connector can tell the driver beyond its bytes: [`PortHints`] and
+//! [`ConnectHints`]. All methods are optional, and each default is safe. Override a method only if
+//! it is true of your transport: its documentation says what breaks otherwise.
+//!
+//! A port returns its hints from [`Port::hints`](super::Port::hints), a connector from
+//! [`Connect::hints`](super::Connect::hints):
+//!
+//! ```
+//! # use std::pin::Pin;
+//! # use std::task::{Context, Poll};
+//! # use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+//! use tokio_scip::port::{Port, PortHints};
+//!
+//! /// A radio link, which falls silent when it is out of range.
+//! struct Radio(tokio::net::TcpStream);
+//!
+//! impl Port for Radio {
+//!     fn hints(&mut self) -> Option<&mut dyn PortHints> {
+//!         Some(self)
+//!     }
+//! }
+//!
+//! impl PortHints for Radio {
+//!     fn can_die_silently(&mut self) -> bool {
+//!         true
+//!     }
+//! }
+//! # impl AsyncRead for Radio {
+//! #     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
+//! #         Pin::new(&mut self.0).poll_read(cx, buffer)
+//! #     }
+//! # }
+//! # impl AsyncWrite for Radio {
+//! #     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<std::io::Result<usize>> {
+//! #         Pin::new(&mut self.0).poll_write(cx, bytes)
+//! #     }
+//! #     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+//! #         Pin::new(&mut self.0).poll_flush(cx)
+//! #     }
+//! #     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<std::io::Result<()>> {
+//! #         Pin::new(&mut self.0).poll_shutdown(cx)
+//! #     }
+//! # }
+//! ```
+
+use std::io;
+use std::time::SystemTime;
+
+/// Abilities of a [`Port`](super::Port) beyond reading and writing. The driver calls all methods in
+/// its task: they must not block.
+pub trait PortHints {
+    /// Returns true if the link can be lost without a failing read or write, as a TCP
+    /// connection or an RS-232 line can. The driver then probes the sensor while it is idle
+    /// ([`SensorBuilder::idle_probe`](crate::SensorBuilder::idle_probe)). Default: `false`.
+    ///
+    /// If you wrongly return `false`, a lost link looks connected until the next request. If you
+    /// wrongly return `true`, probes cost 26 bytes every 5 s.
+    fn can_die_silently(&mut self) -> bool {
+        false
+    }
+
+    /// Returns true if the link has ended permanently, for example at the end of a recording. The
+    /// driver asks after a read or a write has failed or the stream has ended. If you return true,
+    /// it stops instead of reconnecting: with `Ok` after the end of the stream, otherwise with the
+    /// error of the read or write. Default: `false`.
+    ///
+    /// If you wrongly return `true`, the first lost link stops the driver. If you wrongly return
+    /// `false`, the driver reconnects for ever.
+    fn is_over(&mut self) -> bool {
+        false
+    }
+
+    /// Wall clock for [`Scan::stamp`](crate::Scan::stamp). A port that replays a recording returns
+    /// when the bytes that you read now were recorded. Default: `None`, the bytes arrive now.
+    ///
+    /// A wrong clock makes wrong stamps. Replayed bytes tell nothing about the sensor's motor, so
+    /// their scans have [`StampQuality::Arrival`](crate::scan::StampQuality::Arrival). The driver
+    /// schedules and times out by tokio's clock alone.
+    fn wall_clock(&mut self) -> Option<SystemTime> {
+        None
+    }
+
+    /// Reads the bytes that the system has now, without waiting for the runtime's I/O driver to
+    /// report them. The driver calls it before each command to drop pending bytes; otherwise it
+    /// yields to the runtime once. Return `None` (the default) if the port cannot do this.
+    ///
+    /// If it reports `WouldBlock` while the system has bytes, the driver does not drop a late reply
+    /// before the next command. It then detects the reply by its echo, and loses a scan. If it
+    /// always returns bytes, the driver gives up on the link after 64 KiB.
+    ///
+    /// # Errors
+    ///
+    /// Fails with `ErrorKind::WouldBlock` if the system has no bytes, and otherwise as
+    /// `poll_read` does.
+    fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
+        let _ = buffer;
+        None
+    }
+
+    /// Stops waking the driver for bytes that arrive, until the next `poll_read`. That `poll_read`
+    /// must first read the bytes that the system has by then, and resume the wake-ups. Return
+    /// whether the port has done so. Default: `false`.
+    ///
+    /// The driver calls it after a `poll_read` that returned `Pending`, while the rest of a reply
+    /// is still some milliseconds away. A serial line delivers a scan in 20 to 100 pieces, each of
+    /// which would wake the driver.
+    ///
+    /// If the next `poll_read` does not look for bytes itself, each scan waits for its timeout. If
+    /// you return `true` and wake the driver nevertheless, you only lose the savings.
+    fn suspend_wakeups(&mut self) -> bool {
+        false
+    }
+
+    /// Drops bytes that were written and are not on the line yet, so that closing the port does not
+    /// wait for them. The driver calls it once, before it drops the port. Default: does nothing.
+    ///
+    /// Without it, dropping a serial port whose line has stalled may block while the system waits
+    /// for its output.
+    fn discard_output(&mut self) {}
+}
+
+/// What a [`Connect`](super::Connect) that searches several ports can tell the driver.
+pub trait ConnectHints {
+    /// Returns true if there is another candidate, after the last opened port turned out to have no
+    /// sensor or the wrong one. If true, the driver calls [`connect`](super::Connect::connect)
+    /// again at once; if false (the default), it backs off first.
+    ///
+    /// If you always return `true`, the driver backs off after 64 candidates.
+    fn has_more(&mut self) -> bool {
+        false
+    }
+
+    /// Accepts the last opened port: it has the right sensor. After a loss of the link, start the
+    /// next [`connect`](super::Connect::connect) with the first candidate again.
+    fn found(&mut self) {}
+
+    /// Serial number (`SERI:`) that the sensor must have, or `None` (the default) to accept any
+    /// sensor. The driver asks once, when you build it.
+    fn expected_serial_number(&mut self) -> Option<&str> {
+        None
+    }
+}

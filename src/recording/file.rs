@@ -1,0 +1,298 @@
+//! [`RecordingFile`]: a file to record into. One recorder owns and locks it, and notices changes by
+//! other programs before the next write.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use super::RecordingError;
+use super::output::{Durable, FileGone, Output};
+
+/// File to record into, for [`RecorderBuilder::record_into`](super::RecorderBuilder::record_into).
+///
+/// Opens and locks the file at once, so that you get an error at once. Keeps its content until you
+/// call [`begin`](Self::begin): until then, a recorder's output waits in memory. Dropping the value
+/// before `begin` removes a file that it created.
+#[derive(Debug)]
+pub struct RecordingFile {
+    path: PathBuf,
+    /// Path of the recording's first file.
+    first: PathBuf,
+    is_unused: bool,
+    contents: Arc<Mutex<Contents>>,
+}
+
+#[derive(Debug)]
+struct Contents {
+    file: File,
+    /// True unless it is a pipe or a device.
+    is_regular: bool,
+    /// Bytes to write once the recording begins; `None` from then on.
+    waiting: Option<Vec<u8>>,
+    /// Length of the file if no other program writes to it.
+    length: u64,
+}
+
+impl RecordingFile {
+    /// Opens a file. Opens an existing, non-empty file only with `overwrite`.
+    ///
+    /// If the file is a pipe, blocks the thread until a reader opens it.
+    ///
+    /// # Errors
+    ///
+    /// Fails with [`RecordingError::Exists`] if there is such a file, [`RecordingError::Busy`] if
+    /// another recorder writes it, and [`RecordingError::Open`] if it cannot be opened.
+    pub fn open(path: impl Into<PathBuf>, overwrite: bool) -> Result<Self, RecordingError> {
+        let path = path.into();
+        Self::open_part(path.clone(), path, overwrite)
+    }
+
+    /// Opens a further file of a recording.
+    pub(super) fn open_part(
+        first: PathBuf,
+        path: PathBuf,
+        overwrite: bool,
+    ) -> Result<Self, RecordingError> {
+        let failed = |path: &Path, error: io::Error| RecordingError::Open {
+            path: path.to_owned(),
+            source: Arc::new(error),
+        };
+        let (file, is_new) = match options().create_new(true).open(&path) {
+            Ok(file) => (file, true),
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                // Find out before opening a pipe, which would wait for a reader.
+                let is_empty = path.metadata().is_ok_and(|file| file.is_file() && file.len() == 0);
+                if !overwrite && !is_empty {
+                    return Err(RecordingError::Exists { path });
+                }
+                match options().open(&path) {
+                    Ok(file) => (file, false),
+                    Err(error) if is_locked_elsewhere(&error) => {
+                        return Err(RecordingError::Busy { path });
+                    }
+                    Err(error) => return Err(failed(&path, error)),
+                }
+            }
+            Err(error) => return Err(failed(&path, error)),
+        };
+        let metadata = file.metadata().map_err(|error| failed(&path, error))?;
+        let is_regular = metadata.is_file();
+        if is_regular && !lock(&file) {
+            return Err(RecordingError::Busy { path });
+        }
+        let contents = Contents { file, is_regular, waiting: Some(Vec::new()), length: 0 };
+        Ok(Self { path, first, is_unused: is_new, contents: Arc::new(Mutex::new(contents)) })
+    }
+
+    /// Empties the file, and writes what the recorder has written so far.
+    ///
+    /// # Errors
+    ///
+    /// Fails with [`RecordingError::Write`].
+    pub fn begin(&mut self) -> Result<(), RecordingError> {
+        self.is_unused = false;
+        self.empty().map_err(RecordingError::write)
+    }
+
+    fn empty(&self) -> io::Result<()> {
+        let mut contents = locked(&self.contents);
+        if contents.is_regular {
+            contents.file.set_len(0)?;
+        }
+        let waiting = contents.waiting.take().unwrap_or_default();
+        contents.write_all(&waiting)
+    }
+
+    /// Path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns true unless it is a pipe or a device. Only a regular file can be followed by further
+    /// files.
+    pub fn is_regular(&self) -> bool {
+        locked(&self.contents).is_regular
+    }
+
+    pub(super) fn first(&self) -> &Path {
+        &self.first
+    }
+
+    /// Returns true if a recorder writes this file.
+    pub(super) fn is_busy(path: &Path) -> bool {
+        match options().open(path) {
+            Ok(file) => !lock(&file),
+            Err(error) => is_locked_elsewhere(&error),
+        }
+    }
+
+    pub(super) fn output(&self) -> Box<dyn Output> {
+        Box::new(FileOutput { path: self.path.clone(), contents: Arc::clone(&self.contents) })
+    }
+}
+
+impl Drop for RecordingFile {
+    fn drop(&mut self) {
+        if self.is_unused {
+            // An empty file does no harm: the next recording uses it.
+            let _ = std::fs::remove_file(&self.path);
+        }
+    }
+}
+
+impl Contents {
+    /// Writes as much of `bytes` as the system takes, unless another program has changed the file.
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        if self.is_regular {
+            check(&self.file, self.length)?;
+        }
+        let written = self.file.write(bytes)?;
+        self.length += written as u64;
+        Ok(written)
+    }
+
+    fn write_all(&mut self, mut bytes: &[u8]) -> io::Result<()> {
+        while !bytes.is_empty() {
+            let written = self.write(bytes)?;
+            if written == 0 {
+                return Err(io::ErrorKind::WriteZero.into());
+            }
+            bytes = bytes.get(written..).unwrap_or_default();
+        }
+        Ok(())
+    }
+}
+
+/// Fails if the file was removed, or its length is not the written one: further bytes would be
+/// lost, or follow a hole.
+fn check(file: &File, length: u64) -> io::Result<()> {
+    let metadata = file.metadata()?;
+    #[cfg(unix)]
+    if std::os::unix::fs::MetadataExt::nlink(&metadata) == 0 {
+        return Err(io::Error::other(FileGone("was removed")));
+    }
+    if metadata.len() != length {
+        return Err(io::Error::other(FileGone("was cut short or written to")));
+    }
+    Ok(())
+}
+
+/// Writes a [`RecordingFile`].
+struct FileOutput {
+    path: PathBuf,
+    contents: Arc<Mutex<Contents>>,
+}
+
+impl Write for FileOutput {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let mut contents = locked(&self.contents);
+        if let Some(waiting) = &mut contents.waiting {
+            return waiting.write(bytes);
+        }
+        contents.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Unlocks the file, although its owner and the thread that syncs it may still have it open: from
+/// now on it is an old part, which may be removed.
+impl Drop for FileOutput {
+    fn drop(&mut self) {
+        let contents = locked(&self.contents);
+        if contents.is_regular {
+            unlock(&contents.file);
+        }
+    }
+}
+
+impl Output for FileOutput {
+    fn durable(&self) -> Option<Box<dyn Durable>> {
+        let contents = locked(&self.contents);
+        let file = contents.file.try_clone().ok().filter(|_| contents.is_regular)?;
+        Some(Box::new(DurableFile { file, path: self.path.clone() }))
+    }
+}
+
+/// File, as the thread that syncs it sees it.
+struct DurableFile {
+    file: File,
+    path: PathBuf,
+}
+
+impl Durable for DurableFile {
+    fn sync(&self) -> io::Result<()> {
+        self.file.sync_data()
+    }
+
+    /// Without this, the file has no name after a power failure.
+    fn sync_folder(&self) -> io::Result<()> {
+        if cfg!(unix) {
+            let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            return File::open(folder.unwrap_or(Path::new(".")))?.sync_all();
+        }
+        Ok(())
+    }
+}
+
+fn options() -> OpenOptions {
+    let mut options = OpenOptions::new();
+    options.write(true);
+    // Others may read; there is no other lock on Windows.
+    #[cfg(windows)]
+    std::os::windows::fs::OpenOptionsExt::share_mode(&mut options, 1);
+    options
+}
+
+#[cfg(unix)]
+fn lock(file: &File) -> bool {
+    use rustix::fs::{FlockOperation, flock};
+    // Record even on a file system without locks.
+    flock(file, FlockOperation::NonBlockingLockExclusive) != Err(rustix::io::Errno::WOULDBLOCK)
+}
+
+#[cfg(unix)]
+fn unlock(file: &File) {
+    // Fails only on a file system without locks.
+    let _ = rustix::fs::flock(file, rustix::fs::FlockOperation::Unlock);
+}
+
+#[cfg(not(unix))]
+fn unlock(_: &File) {}
+
+#[cfg(not(unix))]
+fn lock(_: &File) -> bool {
+    true
+}
+
+/// ERROR_SHARING_VIOLATION.
+fn is_locked_elsewhere(error: &io::Error) -> bool {
+    cfg!(windows) && error.raw_os_error() == Some(32)
+}
+
+fn locked(contents: &Mutex<Contents>) -> MutexGuard<'_, Contents> {
+    // No code that holds the lock can panic.
+    contents.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_finished_file_is_free_although_its_owner_and_its_sync_still_have_it_open() {
+        let path = std::env::temp_dir().join(format!("scip-lock-{}.mcap", std::process::id()));
+        let mut file = RecordingFile::open(&path, true).unwrap();
+        let output = file.output();
+        let durable = output.durable().unwrap();
+        file.begin().unwrap();
+        assert!(RecordingFile::is_busy(&path));
+        drop(output);
+        assert!(!RecordingFile::is_busy(&path));
+        drop((file, durable));
+        std::fs::remove_file(&path).unwrap();
+    }
+}

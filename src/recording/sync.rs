@@ -1,0 +1,243 @@
+//! [`Syncer`]: makes the system write a recording to its disk, from a separate thread. So a
+//! slow disk delays neither the writing thread nor a stream.
+
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use super::output::Durable;
+
+/// Handle of the thread, which ends with the last clone.
+#[derive(Debug, Clone)]
+pub(super) struct Syncer {
+    steps: mpsc::Sender<SyncStep>,
+    outcome: Arc<SyncOutcome>,
+}
+
+/// Results of the syncs.
+#[derive(Debug, Default)]
+pub(super) struct SyncOutcome {
+    /// Number of syncs that took longer than the interval.
+    late: AtomicU64,
+    failure: Mutex<Option<io::Error>>,
+}
+
+enum SyncStep {
+    /// New file. The previous one gets no more bytes.
+    Begin(Box<dyn Durable>),
+    Written,
+    /// Syncs the rest, and confirms it.
+    Finish(mpsc::Sender<()>),
+}
+
+impl Syncer {
+    /// Starts the thread. It syncs the written bytes, at most once per `interval`.
+    pub(super) fn start(interval: Duration) -> io::Result<Self> {
+        let (steps, receiver) = mpsc::channel();
+        let outcome = Arc::new(SyncOutcome::default());
+        let thread = {
+            let outcome = Arc::clone(&outcome);
+            move || run(&receiver, interval, &outcome)
+        };
+        std::thread::Builder::new().name("recorder-sync".to_owned()).spawn(thread)?;
+        Ok(Self { steps, outcome })
+    }
+
+    /// Syncs another file from now on, and its folder at once.
+    pub(super) fn begin(&self, file: Box<dyn Durable>) {
+        self.send(SyncStep::Begin(file));
+    }
+
+    /// Requests a sync of the bytes written so far. Fails if an earlier sync has failed: the
+    /// system may have dropped those bytes, and reports that only once.
+    pub(super) fn written(&self) -> io::Result<()> {
+        self.send(SyncStep::Written);
+        self.failure()
+    }
+
+    /// Waits until everything is on the disk.
+    pub(super) fn finish(&self) -> io::Result<()> {
+        let (done, finished) = mpsc::channel();
+        self.send(SyncStep::Finish(done));
+        // Fails if the thread has ended, and so has failed.
+        let _ = finished.recv();
+        self.failure()
+    }
+
+    /// Number of syncs that took longer than the interval.
+    pub(super) fn late(&self) -> u64 {
+        self.outcome.late.load(Ordering::Relaxed)
+    }
+
+    fn send(&self, step: SyncStep) {
+        // Fails if the thread has ended; `failure` tells why.
+        let _ = self.steps.send(step);
+    }
+
+    fn failure(&self) -> io::Result<()> {
+        let failure = self.outcome.failure.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*failure {
+            Some(error) => {
+                let text = format!("cannot sync the recording to the disk: {error}");
+                Err(io::Error::new(error.kind(), text))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, outcome: &SyncOutcome) {
+    let mut file: Option<Box<dyn Durable>> = None;
+    // When to sync next, once there is something to sync.
+    let mut due: Option<Instant> = None;
+    let mut next = Instant::now();
+    let sync = |file: &Option<Box<dyn Durable>>| {
+        let began = Instant::now();
+        let synced = file.as_ref().map_or(Ok(()), |file| file.sync());
+        if began.elapsed() > interval {
+            outcome.late.fetch_add(1, Ordering::Relaxed);
+        }
+        if let Err(error) = synced {
+            let mut failure = outcome.failure.lock().unwrap_or_else(PoisonError::into_inner);
+            failure.get_or_insert(error);
+        }
+        began + interval
+    };
+    loop {
+        let step = match due {
+            None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            Some(due) => steps.recv_timeout(due.saturating_duration_since(Instant::now())),
+        };
+        match step {
+            Ok(SyncStep::Written) => due = due.or(Some(next)),
+            Err(RecvTimeoutError::Timeout) => {
+                next = sync(&file);
+                due = None;
+            }
+            Ok(SyncStep::Begin(begun)) => {
+                // Last sync of the previous file.
+                next = sync(&file);
+                if let Err(error) = begun.sync_folder() {
+                    // Some file systems cannot sync a folder. If anything else is wrong, the
+                    // next sync shows it.
+                    tracing::debug!(%error, "the folder of the recording cannot be synced");
+                }
+                file = Some(begun);
+            }
+            Ok(SyncStep::Finish(done)) => {
+                sync(&file);
+                let _ = done.send(());
+                return;
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                sync(&file);
+                return;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Disk that logs its calls, and returns `answers`.
+    struct Disk {
+        name: &'static str,
+        log: mpsc::Sender<String>,
+        answers: mpsc::Receiver<io::Result<()>>,
+    }
+
+    impl Durable for Disk {
+        fn sync(&self) -> io::Result<()> {
+            self.log.send(format!("sync {}", self.name)).unwrap();
+            self.answers.recv().unwrap_or(Ok(()))
+        }
+
+        fn sync_folder(&self) -> io::Result<()> {
+            self.log.send(format!("folder of {}", self.name)).unwrap();
+            Ok(())
+        }
+    }
+
+    /// Also returns the sender of the disk's answers.
+    fn disk(
+        name: &'static str,
+        log: &mpsc::Sender<String>,
+    ) -> (Box<dyn Durable>, mpsc::Sender<io::Result<()>>) {
+        let (answer, answers) = mpsc::channel();
+        (Box::new(Disk { name, log: log.clone(), answers }), answer)
+    }
+
+    #[test]
+    fn a_file_is_synced_behind_its_folder_and_before_the_next_one() {
+        let (log, logged) = mpsc::channel();
+        let syncer = Syncer::start(Duration::from_secs(3600)).unwrap();
+        let ((one, _), (two, _)) = (disk("one", &log), disk("two", &log));
+        syncer.begin(one);
+        syncer.written().unwrap();
+        syncer.begin(two);
+        syncer.written().unwrap();
+        syncer.finish().unwrap();
+        drop((log, syncer));
+        let logged: Vec<String> = logged.iter().collect();
+        let last = logged.len() - 1;
+        assert_eq!(logged[0], "folder of one");
+        assert_eq!(&logged[logged.len() - 3..last], ["sync one", "folder of two"]);
+        assert_eq!(logged[last], "sync two");
+    }
+
+    /// In real time, like a disk: written bytes are synced without a further call.
+    #[test]
+    fn written_bytes_are_synced_after_the_interval_and_not_again_without_more() {
+        let (log, logged) = mpsc::channel();
+        let syncer = Syncer::start(Duration::from_millis(20)).unwrap();
+        syncer.begin(disk("one", &log).0);
+        assert_eq!(logged.recv().unwrap(), "folder of one");
+        for _ in 0..3 {
+            syncer.written().unwrap();
+            assert_eq!(logged.recv_timeout(Duration::from_secs(60)).unwrap(), "sync one");
+        }
+        assert!(logged.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_slow_disk_is_counted_and_nobody_waits_for_it() {
+        let (log, logged) = mpsc::channel();
+        let syncer = Syncer::start(Duration::ZERO).unwrap();
+        let (file, answer) = disk("one", &log);
+        syncer.begin(file);
+        syncer.written().unwrap();
+        logged.recv().unwrap();
+        logged.recv().unwrap();
+        // The disk hangs, but each of these calls returns.
+        for _ in 0..1000 {
+            syncer.written().unwrap();
+        }
+        answer.send(Ok(())).unwrap();
+        drop(answer);
+        syncer.finish().unwrap();
+        assert!(syncer.late() > 0);
+    }
+
+    #[test]
+    fn a_sync_that_fails_is_told_by_every_later_write_and_by_the_end() {
+        let (log, logged) = mpsc::channel();
+        let syncer = Syncer::start(Duration::ZERO).unwrap();
+        let (file, answer) = disk("one", &log);
+        answer.send(Err(io::ErrorKind::StorageFull.into())).unwrap();
+        drop(answer);
+        syncer.begin(file);
+        syncer.written().unwrap();
+        for _ in 0..2 {
+            logged.recv().unwrap();
+        }
+        for outcome in [syncer.finish(), syncer.written()] {
+            let error = outcome.unwrap_err();
+            assert_eq!(error.kind(), io::ErrorKind::StorageFull);
+            assert!(error.to_string().contains("cannot sync the recording"), "{error}");
+        }
+    }
+}

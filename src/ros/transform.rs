@@ -1,0 +1,93 @@
+//! `tf2_msgs/msg/TFMessage`: its definition, and how the place of a sensor is encoded.
+
+use std::time::SystemTime;
+
+use super::cdr::CdrWriter;
+use super::{MessageType, write_header};
+
+pub(super) const TYPE: MessageType = MessageType {
+    name: "tf2_msgs/msg/TFMessage",
+    definition: concat!(
+        "\
+geometry_msgs/TransformStamped[] transforms
+================================================================================
+MSG: geometry_msgs/TransformStamped
+std_msgs/Header header
+string child_frame_id
+geometry_msgs/Transform transform
+================================================================================
+MSG: geometry_msgs/Transform
+geometry_msgs/Vector3 translation
+geometry_msgs/Quaternion rotation
+================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+================================================================================
+MSG: geometry_msgs/Quaternion
+float64 x 0
+float64 y 0
+float64 z 0
+float64 w 1
+",
+        header_definition!()
+    ),
+    hash: "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087",
+};
+
+/// Place of a frame within another, as in `geometry_msgs/msg/TransformStamped`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Transform {
+    /// The frame that the place is in, such as `base_link`.
+    pub parent: String,
+    /// The frame that has this place, such as `laser`.
+    pub child: String,
+    /// Position of the child's origin: x, y and z in metres.
+    pub translation: [f64; 3],
+    /// Rotation of the child about the parent's z axis, in radians counter-clockwise.
+    pub yaw: f64,
+}
+
+/// Writes a `tf2_msgs/msg/TFMessage` into `out`, in place of what was there. A `stamp`
+/// before 1970 is written as 1970.
+pub fn write_transforms(out: &mut Vec<u8>, stamp: SystemTime, transforms: &[Transform]) {
+    let mut cdr = CdrWriter::new(out);
+    cdr.length(transforms.len());
+    for transform in transforms {
+        write_header(&mut cdr, stamp, &transform.parent);
+        cdr.string(&transform.child);
+        let (sin, cos) = (transform.yaw / 2.0).sin_cos();
+        let rotation = [0.0, 0.0, sin, cos];
+        transform.translation.into_iter().chain(rotation).for_each(|number| cdr.f64(number));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::PI;
+    use std::time::Duration;
+
+    use super::*;
+
+    #[test]
+    fn a_transform_is_seven_numbers_of_eight_bytes_aligned_behind_its_frames() {
+        let transform = Transform {
+            parent: "base".to_owned(),
+            child: "laser".to_owned(),
+            translation: [0.5, -1.0, 2.0],
+            yaw: PI,
+        };
+        let mut out = vec![9];
+        write_transforms(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 100), &[transform]);
+        let mut expected = b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x64\0\0\0\x05\0\0\0base\0\0\0\0\
+            \x06\0\0\0laser\0\0\0\0\0\0\0"
+            .to_vec();
+        // Alignment counts from the end of the header.
+        assert_eq!((expected.len() - 4) % 8, 0);
+        for number in [0.5, -1.0, 2.0, 0.0, 0.0, 1.0, (PI / 2.0).cos()] {
+            expected.extend_from_slice(&f64::to_le_bytes(number));
+        }
+        assert_eq!(out, expected);
+    }
+}

@@ -1,0 +1,154 @@
+//! [`Pose`]: a place and a heading in the plane, and points moved by it.
+
+use std::f64::consts::{PI, TAU};
+use std::ops::Mul;
+
+use super::{Point, Scan};
+
+/// Position and heading of a sensor (or vehicle) in another frame, after REP 103 of ROS.
+///
+/// It maps coordinates of the sensor's frame to the other frame. `a * b` applies `b` first, so
+/// poses chain as transforms of tf2 and `nalgebra` do:
+///
+/// ```
+/// use tokio_scip::scan::Pose;
+///
+/// let vehicle = Pose { x: 10.0, y: 5.0, heading: 90f64.to_radians() }; // on the map
+/// let sensor = Pose { x: 0.2, y: 0.0, heading: 0.0 }; // on the vehicle
+/// let (x, y) = (vehicle * sensor).transform(1.0, 0.0); // 1 m ahead of the sensor
+/// assert!((x - 10.0).abs() < 1e-9 && (y - 6.2).abs() < 1e-9);
+/// ```
+///
+/// Numbers that are not finite make results that are not finite. As data (feature `serde`) it
+/// is `x`, `y` and `heading`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Pose {
+    /// Metres ahead of the other frame's origin.
+    pub x: f64,
+    /// Metres to its left.
+    pub y: f64,
+    /// Radians counter-clockwise from its x axis.
+    pub heading: f64,
+}
+
+impl Pose {
+    /// Transforms coordinates in metres to the other frame.
+    pub fn transform(&self, x: impl Into<f64>, y: impl Into<f64>) -> (f64, f64) {
+        self.transformer()(x.into(), y.into())
+    }
+
+    /// Transforms a point to the other frame. Changes its `x` and `y`; its range, angle and
+    /// offset stay as the sensor measured them.
+    pub fn transform_point(&self, point: Point) -> Point {
+        moved(point, self.transformer())
+    }
+
+    /// Iterates over the [points](Scan::points) of a scan in the other frame.
+    pub fn transform_scan<'a>(
+        &self,
+        scan: &'a Scan,
+    ) -> impl Iterator<Item = Point> + Clone + use<'a> {
+        let transform = self.transformer();
+        scan.points().map(move |point| moved(point, transform))
+    }
+
+    /// Returns the pose that maps back: the pose of the other frame in this one.
+    pub fn inverse(&self) -> Self {
+        let back = Self { x: 0.0, y: 0.0, heading: -self.heading };
+        let (x, y) = back.transform(-self.x, -self.y);
+        Self { x, y, heading: wrapped(back.heading) }
+    }
+
+    /// Computes the sine once for all points.
+    fn transformer(&self) -> impl Fn(f64, f64) -> (f64, f64) + Copy + use<> {
+        let (Self { x: ahead, y: left, .. }, (sin, cos)) = (*self, self.heading.sin_cos());
+        move |x, y| (ahead + x * cos - y * sin, left + x * sin + y * cos)
+    }
+}
+
+impl Mul for Pose {
+    type Output = Self;
+
+    /// Chains two poses: `inner` is in the frame whose pose is `self`. The heading is in -pi
+    /// to pi.
+    #[expect(clippy::suspicious_arithmetic_impl, reason = "a product of rotations adds angles")]
+    fn mul(self, inner: Self) -> Self {
+        let (x, y) = self.transform(inner.x, inner.y);
+        Self { x, y, heading: wrapped(self.heading + inner.heading) }
+    }
+}
+
+fn moved(point: Point, transform: impl Fn(f64, f64) -> (f64, f64)) -> Point {
+    let (x, y) = transform(point.x.into(), point.y.into());
+    Point { x: x as f32, y: y as f32, ..point }
+}
+
+/// Wraps an angle into -pi..=pi.
+fn wrapped(angle: f64) -> f64 {
+    if angle.abs() <= PI { angle } else { angle - TAU * (angle / TAU).round() }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use proptest::prelude::*;
+
+    use super::super::scan::tests::{scan, window};
+    use super::*;
+
+    fn near(a: (f64, f64), b: (f64, f64)) -> bool {
+        (a.0 - b.0).abs() < 1e-9 && (a.1 - b.1).abs() < 1e-9
+    }
+
+    #[test]
+    fn a_sensor_that_looks_back_sees_its_front_behind_the_origin() {
+        let rear = Pose { x: -0.2, y: 0.5, heading: PI };
+        assert!(near(rear.transform(0.0, 0.0), (-0.2, 0.5)));
+        assert!(near(rear.transform(2.0, 0.0), (-2.2, 0.5)));
+        // Its left is the other frame's right.
+        assert!(near(rear.transform(0.0, 2.0), (-0.2, -1.5)));
+    }
+
+    #[test]
+    fn a_chain_applies_the_inner_pose_first() {
+        let (outer, inner) = (
+            Pose { x: 1.0, y: 2.0, heading: FRAC_PI_2 },
+            Pose { x: 3.0, y: -1.0, heading: 3.0 * FRAC_PI_2 },
+        );
+        let (x, y) = inner.transform(0.3, 0.4);
+        assert!(near((outer * inner).transform(0.3, 0.4), outer.transform(x, y)));
+        assert!((outer * inner).heading.abs() < 1e-9);
+        let twice = Pose { heading: 0.75 * PI, ..Pose::default() };
+        assert!(((twice * twice).heading + FRAC_PI_2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_moved_scan_keeps_what_the_sensor_measured() {
+        let scan = scan(window(384, 640, 1));
+        let pose = Pose { x: 10.0, y: -4.0, heading: 1.0 };
+        assert_eq!(pose.transform_scan(&scan).count(), 257);
+        for (moved, point) in pose.transform_scan(&scan).zip(scan.points()) {
+            assert_eq!(moved, pose.transform_point(point));
+            assert_eq!(Point { x: point.x, y: point.y, ..moved }, point);
+            let (x, y) = pose.transform(point.x, point.y);
+            assert_eq!((moved.x, moved.y), (x as f32, y as f32));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_point_moved_there_and_back_is_where_it_was(
+            x in -100.0..100.0, y in -100.0..100.0, heading in -10.0..10.0,
+            point in (-100.0..100.0, -100.0..100.0),
+        ) {
+            let pose = Pose { x, y, heading };
+            let (there_x, there_y) = pose.transform(point.0, point.1);
+            prop_assert!(near(pose.inverse().transform(there_x, there_y), point));
+            let nowhere = pose * pose.inverse();
+            prop_assert!(near((nowhere.x, nowhere.y), (0.0, 0.0)) && nowhere.heading.abs() < 1e-9);
+            prop_assert!(pose.inverse().heading.abs() <= PI);
+        }
+    }
+}

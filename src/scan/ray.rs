@@ -1,0 +1,210 @@
+//! [`Ray`] and [`Point`]: a scan, one direction at a time.
+
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::{Scan, Sector};
+use crate::protocol::{Measurement, Step};
+
+/// One direction of a scan and what was measured in it, distance or error code.
+///
+/// In a scan with a cluster count above 1 a ray stands for several steps: `step` is the first
+/// of them, `angle` lies in their middle, and the measurement is their smallest value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub struct Ray {
+    /// Step, or the first step of a cluster.
+    pub step: Step,
+    /// Radians counter-clockwise from the front.
+    pub angle: f32,
+    /// What was measured.
+    pub measurement: Measurement,
+    /// Seconds from the scan's first ray to this one. [`Scan::measured_at`] turns it into an
+    /// `Instant`.
+    pub offset: f32,
+}
+
+impl Ray {
+    /// Range in metres: a distance as it is, otherwise `+Inf` or `NaN`, as
+    /// [`Measurement::range`] defines them.
+    pub fn range(&self) -> f32 {
+        self.measurement.range()
+    }
+
+    /// Returns the point that was measured, or `None` without a distance.
+    pub fn point(&self) -> Option<Point> {
+        self.measurement.distance()?;
+        let Self { step, angle, offset, .. } = *self;
+        let (range, (sin, cos)) = (self.range(), angle.sin_cos());
+        Some(Point { x: range * cos, y: range * sin, range, angle, step, offset })
+    }
+}
+
+/// Point in the sensor's frame, or after [`Pose::transform_point`](super::Pose::transform_point)
+/// in another one.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct Point {
+    /// Metres ahead of the frame's origin, which is the sensor.
+    pub x: f32,
+    /// Metres to the left of the origin.
+    pub y: f32,
+    /// Metres from the sensor, 0.020..=4.094, in any frame.
+    pub range: f32,
+    /// Radians counter-clockwise from the sensor's front, in any frame.
+    pub angle: f32,
+    /// Step of its ray, or the first step of a cluster.
+    pub step: Step,
+    /// Seconds from the scan's first ray ([`Scan::first_ray_at`]) to this point. A robot
+    /// at 1 m/s moves 7 cm from the first point to the last: without it your map bends.
+    pub offset: f32,
+}
+
+impl Scan {
+    /// Iterates over all rays, in the order of their steps.
+    ///
+    /// ```
+    /// use tokio_scip::{Scan, Window};
+    ///
+    /// let scan = Scan::builder(Window::new(383..=385)?, [900, 7, 1250]).build()?;
+    /// for ray in scan.rays() {
+    ///     match ray.point() {
+    ///         Some(point) => println!("step {}: {:.3} {:.3}", ray.step, point.x, point.y),
+    ///         None => println!("step {}: {:?}", ray.step, ray.measurement),
+    ///     }
+    /// }
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn rays(&self) -> impl ExactSizeIterator<Item = Ray> + Clone + '_ {
+        let increment = self.increment();
+        let (first, cluster) = (self.window.start().number(), self.window.cluster_count());
+        let rays = self.measurements().zip(self.angles()).enumerate();
+        rays.map(move |(n, (measurement, angle))| {
+            // At most 768, so the cast is exact and there is such a step.
+            let step = Step::new(first + n as u16 * u16::from(cluster)).unwrap_or(Step::LAST);
+            Ray { step, angle, measurement, offset: (n as f64 * increment) as f32 }
+        })
+    }
+
+    /// Iterates over the points that have a distance, in the order of their steps. To
+    /// compare scans point by point, use [`rays`](Self::rays) instead: each step has a ray.
+    pub fn points(&self) -> impl Iterator<Item = Point> + Clone + '_ {
+        self.rays().filter_map(|ray| ray.point())
+    }
+
+    /// Returns the nearest point, or `None` if no ray has a distance. That is no proof of
+    /// free space.
+    pub fn nearest(&self) -> Option<Point> {
+        nearest(self.points())
+    }
+
+    /// Returns the nearest point whose ray lies in `sector`.
+    ///
+    /// ```
+    /// use tokio_scip::scan::Sector;
+    /// use tokio_scip::{Scan, Window};
+    ///
+    /// let scan = Scan::builder(Window::degrees(-90.0..=90.0)?, vec![1500; 513]).build()?;
+    /// let left = scan.nearest_in(Sector::degrees(30.0, 90.0)?);
+    /// assert_eq!(left.map(|point| point.range), Some(1.5));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn nearest_in(&self, sector: Sector) -> Option<Point> {
+        nearest(self.points().filter(|point| sector.contains(point.angle)))
+    }
+
+    /// Returns when the ray with this [`offset`](Ray::offset) was measured, on tokio's clock.
+    /// Returns [`first_ray_at`](Self::first_ray_at) for an offset that is not of this scan:
+    /// negative, or not a number.
+    ///
+    /// On the wall clock it is `first_ray_stamp() + Duration::from_secs_f32(offset)`.
+    pub fn measured_at(&self, offset: f32) -> Instant {
+        let first = self.first_ray_at();
+        let offset = Duration::try_from_secs_f32(offset).unwrap_or_default();
+        first.checked_add(offset).unwrap_or(first)
+    }
+}
+
+fn nearest(points: impl Iterator<Item = Point>) -> Option<Point> {
+    points.min_by(|a, b| a.range.total_cmp(&b.range))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::scan::tests::{scan, window};
+    use super::*;
+    use crate::Window;
+
+    #[test]
+    fn points_are_ahead_of_the_sensor_and_to_its_left() {
+        let mut scan = scan(window(384, 640, 1));
+        scan.values = std::iter::repeat_n(1000, 257).collect();
+        let points: Vec<Point> = scan.points().collect();
+        let (front, left) = (points[0], points[256]);
+        assert_eq!((front.x, front.y), (1.0, 0.0));
+        assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
+        scan.values = std::iter::repeat_n(7, 257).collect();
+        assert_eq!(scan.points().count(), 0);
+    }
+
+    #[test]
+    fn each_value_has_a_ray_and_each_distance_the_point_of_its_ray() {
+        let mut scan = scan(Window::DETECTION);
+        scan.values = (0..682).map(|n| if n % 3 == 0 { n % 20 } else { 1000 + n }).collect();
+        let rays: Vec<Ray> = scan.rays().collect();
+        assert_eq!(scan.rays().len(), 682);
+        for (n, (ray, angle)) in rays.iter().zip(scan.angles()).enumerate() {
+            assert_eq!((ray.step.number(), ray.angle), (44 + n as u16, angle));
+            assert_eq!(ray.measurement.value(), scan.values()[n]);
+            assert!((ray.angle - ray.step.angle()).abs() < 1e-6);
+        }
+        let with_point: Vec<&Ray> = rays.iter().filter(|ray| ray.point().is_some()).collect();
+        assert_eq!(with_point.len(), scan.points().count());
+        for (ray, point) in with_point.into_iter().zip(scan.points()) {
+            assert_eq!((ray.step, ray.angle, ray.offset), (point.step, point.angle, point.offset));
+            assert_eq!(Some(point), ray.point());
+            assert!((point.y.atan2(point.x) - ray.angle).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_ray_of_a_cluster_has_its_first_step_and_its_middle_direction() {
+        // Groups 10..=13, 14..=17, and the rest 18..=20.
+        let grouped = scan(window(10, 20, 4));
+        let rays: Vec<(u16, f32)> =
+            grouped.rays().map(|ray| (ray.step.number(), ray.angle)).collect();
+        let middle = |step: f64| crate::protocol::angle(step) as f32;
+        // The last one as if it were whole.
+        assert_eq!(rays, [(10, middle(11.5)), (14, middle(15.5)), (18, middle(19.5))]);
+        let part = grouped.crop(window(14, 20, 1)).unwrap();
+        assert!(part.rays().map(|ray| (ray.step.number(), ray.angle)).eq(rays[1..].to_vec()));
+    }
+
+    #[test]
+    fn each_ray_is_measured_its_offset_after_the_first() {
+        let scan = scan(Window::DETECTION);
+        let last = scan.rays().last().unwrap();
+        let after = scan.measured_at(last.offset) - scan.first_ray_at();
+        assert!((after.as_secs_f64() - 681.0 * 0.1 / 1024.0).abs() < 1e-7, "{after:?}");
+        for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+            assert_eq!(scan.measured_at(hostile), scan.first_ray_at());
+        }
+    }
+
+    #[test]
+    fn the_nearest_point_is_no_error_code_and_in_its_sector() {
+        let mut scan = scan(window(128, 640, 1));
+        let mut values = [3000; 513];
+        (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
+        scan.values = values.into();
+        // The first of two.
+        assert_eq!(scan.nearest().unwrap().step.number(), 228);
+        let nearest = |from, to| scan.nearest_in(Sector::degrees(from, to).unwrap());
+        assert_eq!(nearest(-30.0, 30.0).unwrap().step.number(), 384);
+        assert_eq!(nearest(30.0, -30.0).unwrap().step.number(), 228);
+        assert_eq!(nearest(120.0, -120.0), None);
+        scan.values = [0; 513].into();
+        assert_eq!(scan.nearest(), None);
+    }
+}

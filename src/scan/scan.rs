@@ -1,0 +1,218 @@
+//! [`Scan`]: the values of one reply to `G`, with their geometry and times.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use crate::protocol::{Measurement, Window};
+
+/// Values of all directions of a [`Window`], measured in one revolution.
+///
+/// Cheap to clone: copies share the values. The fields of ROS's `sensor_msgs/LaserScan` are
+/// methods of the same names, in the same units: radians, metres, and a `Duration` for
+/// times. The frame is the sensor's: x forward, y to the left, angles counter-clockwise from
+/// the front (REP 103).
+///
+/// Two scans are equal if their windows, values, numbers and stamps are. The times at which
+/// this process got them, [`requested_at`](Self::requested_at) and
+/// [`received_at`](Self::received_at), are not compared.
+///
+/// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
+/// with [`Scan::builder`].
+///
+/// # As data
+///
+/// With the feature `serde` a scan is written as `sequence`, `stamp` (seconds since 1970
+/// with microseconds), `first_ray` (likewise), `stamp_quality`, `lateness` (seconds, or
+/// null), `start`, `end`, `cluster`, `angle_min`, `angle_increment` (radians), `scan_time`
+/// (seconds), `repeat`, `reconnects`, the raw `values`, and `ranges` in metres, null where
+/// there is no distance. To read a scan back you need `start`, `end` and `values`; the rest
+/// may be missing. Reading ignores `ranges`, `first_ray`, `stamp_quality` and the increment,
+/// and sets both instants to the time of reading.
+#[derive(Clone)]
+pub struct Scan {
+    pub(super) window: Window,
+    pub(super) values: Arc<[u16]>,
+    /// Index of the first value in `values`, which a cropped scan shares.
+    pub(super) first: usize,
+    /// Number of steps in the first cluster; its point lies in their middle. A crop keeps
+    /// it, so that the point keeps its direction.
+    pub(super) first_cluster: u8,
+    pub(super) meta: ScanMeta,
+}
+
+/// Properties of a scan besides its values.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct ScanMeta {
+    pub(crate) sequence: u64,
+    pub(crate) requested_at: Instant,
+    pub(crate) first_byte_at: Instant,
+    pub(crate) received_at: Instant,
+    /// Wall clock at `first_byte_at`.
+    pub(crate) stamp: SystemTime,
+    /// Time from the end of the revolution to `first_byte_at`, if the motor is known.
+    pub(crate) lateness: Option<Duration>,
+    pub(crate) repeat: bool,
+    pub(crate) scan_time: Duration,
+    pub(crate) nominal_scan_time: Duration,
+    pub(crate) reconnects: u64,
+}
+
+impl Scan {
+    /// Creates a scan. `values` has one value for each point of `window`, starting at
+    /// `first`.
+    pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
+        Self { window, values, first, first_cluster: window.first_cluster(), meta }
+    }
+
+    /// Marks this scan if its values equal those of `latest`. Returns whether they do.
+    pub(crate) fn note_repeat_of(&mut self, latest: &Self) -> bool {
+        self.meta.repeat = self.values() == latest.values();
+        self.meta.repeat
+    }
+
+    /// Unwraps the block with the values.
+    pub(crate) fn into_block(self) -> Arc<[u16]> {
+        self.values
+    }
+
+    /// Requested window.
+    pub fn window(&self) -> Window {
+        self.window
+    }
+
+    /// Number of points, at least 1; the same as [`Window::points`].
+    #[expect(clippy::len_without_is_empty, reason = "a scan is never empty")]
+    pub fn len(&self) -> usize {
+        self.values().len()
+    }
+
+    /// 12-bit values as the sensor sent them, 0..=4095, in the order of their steps: below
+    /// 20 an [`ErrorCode`](crate::ErrorCode), 20..=4094 millimetres (C-42-3320-A p. 5 and
+    /// 7).
+    pub fn values(&self) -> &[u16] {
+        let end = self.first + self.window.points();
+        self.values.get(self.first..end).unwrap_or_default()
+    }
+
+    /// Iterates over the meanings of the values.
+    pub fn measurements(&self) -> impl ExactSizeIterator<Item = Measurement> + Clone + '_ {
+        self.values().iter().map(|&value| Measurement::from_value(value))
+    }
+
+    /// Iterates over the ranges in metres, as REP 117 of ROS defines them: distances
+    /// unchanged, `+Inf` for the values 0, 6, 16 and 4095 (possibly beyond range: do not take it as
+    /// free space), `NaN` for all other error codes. Never yields `-Inf`.
+    pub fn ranges(&self) -> impl ExactSizeIterator<Item = f32> + Clone + '_ {
+        self.measurements().map(Measurement::range)
+    }
+
+    /// Shortest measurable range: 0.020 m (C-42-3320-A p. 7).
+    pub fn range_min(&self) -> f32 {
+        0.020
+    }
+
+    /// Longest measurable range: 4.094 m (C-42-3320-A p. 7).
+    pub fn range_max(&self) -> f32 {
+        4.094
+    }
+
+    /// Number of this scan in its schedule, from 0. A gap means that your consumer was too
+    /// slow and missed the scans in between. 0 for a single
+    /// [`Sensor::scan`](crate::Sensor::scan).
+    pub fn sequence(&self) -> u64 {
+        self.meta.sequence
+    }
+
+    /// How often the sensor had been found again before this scan, as in
+    /// [`Stats::reconnects`](crate::Stats::reconnects). Compare it with the previous scan: a
+    /// different number marks the first scan after a reconnect, even if your consumer missed
+    /// scans in between.
+    pub fn reconnects(&self) -> u64 {
+        self.meta.reconnects
+    }
+
+    /// Returns true if all values equal the values of the previous scan. Most likely both
+    /// polls fell in one revolution of the motor. SCIP 1.1 has no time stamps to prove it.
+    pub fn is_repeat(&self) -> bool {
+        self.meta.repeat
+    }
+}
+
+impl fmt::Debug for Scan {
+    /// Writes only the values of the window: other scans may share the block.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut scan = f.debug_struct("Scan");
+        scan.field("window", &self.window).field("values", &self.values());
+        scan.field("meta", &self.meta).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Scan {
+    fn eq(&self, other: &Self) -> bool {
+        let meta = |scan: &Self| {
+            let ScanMeta { sequence, stamp, lateness, repeat, scan_time, reconnects, .. } =
+                scan.meta;
+            (sequence, stamp, lateness, repeat, scan_time, reconnects)
+        };
+        self.window == other.window
+            && self.first_cluster == other.first_cluster
+            && meta(self) == meta(other)
+            && self.values() == other.values()
+    }
+}
+
+impl Eq for Scan {}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub(in crate::scan) fn scan(window: Window) -> Scan {
+        let now = Instant::now();
+        let meta = ScanMeta {
+            sequence: 0,
+            requested_at: now,
+            first_byte_at: now,
+            received_at: now,
+            stamp: SystemTime::now(),
+            lateness: None,
+            repeat: false,
+            scan_time: Duration::from_millis(100),
+            nominal_scan_time: Duration::from_millis(100),
+            reconnects: 0,
+        };
+        // Each value equals its index.
+        let values = (0..window.points() as u16).map(|n| 20 + n).collect();
+        Scan::new(window, values, 0, meta)
+    }
+
+    pub(in crate::scan) fn window(from: u16, to: u16, cluster_count: u8) -> Window {
+        Window::new(from..=to).and_then(|window| window.with_cluster_count(cluster_count)).unwrap()
+    }
+
+    #[test]
+    fn scans_are_equal_if_what_they_hold_is() {
+        let (a, b) = (scan(Window::DETECTION), scan(Window::DETECTION));
+        let with = |meta: ScanMeta| Scan { meta, ..a.clone() };
+        let later = a.received_at() + Duration::from_secs(1);
+        let instants =
+            ScanMeta { requested_at: later, first_byte_at: later, received_at: later, ..a.meta };
+        assert_eq!(a, with(instants));
+        assert_ne!(a, with(ScanMeta { lateness: Some(Duration::ZERO), ..a.meta }));
+        assert_ne!(a, with(ScanMeta { sequence: 1, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { reconnects: 1, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { repeat: true, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { stamp: SystemTime::UNIX_EPOCH, ..a.meta }));
+        assert_ne!(a, with(ScanMeta { scan_time: Duration::ZERO, ..a.meta }));
+        let mut other = Scan { meta: a.meta, ..b };
+        assert_eq!(a, other);
+        other.values = std::iter::repeat_n(0, 682).collect();
+        assert_ne!(a, other);
+        // Equal values at another position of a shared block.
+        let part = a.crop(window(50, 60, 1)).unwrap();
+        assert_eq!(part, a.crop(window(45, 60, 1)).unwrap().crop(window(50, 60, 1)).unwrap());
+    }
+}

@@ -1,0 +1,205 @@
+//! Times of a [`Scan`]: on the monotonic clock, on the wall clock, and of each ray.
+
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use super::Scan;
+
+/// Basis of the time of a scan's rays.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
+#[non_exhaustive]
+pub enum StampQuality {
+    /// Arrival of this scan alone. A busy host and the frames of USB make it late.
+    #[default]
+    Arrival,
+    /// Motor of the sensor, as the driver knows it from the arrivals so far.
+    Motor,
+}
+
+impl Scan {
+    /// When the `G` was sent, on tokio's clock, which a test may pause. Never decreases
+    /// from one scan to the next.
+    pub fn requested_at(&self) -> Instant {
+        self.meta.requested_at
+    }
+
+    /// When the last byte was read, on tokio's clock, which a test may pause. Never
+    /// decreases from one scan to the next.
+    pub fn received_at(&self) -> Instant {
+        self.meta.received_at
+    }
+
+    /// Time since [`received_at`](Self::received_at). The measurement itself is older, by
+    /// the time of the reply and by up to a revolution.
+    pub fn age(&self) -> Duration {
+        self.meta.received_at.elapsed()
+    }
+
+    /// Wall clock when the reply's first byte arrived. The sensor sends what it has in
+    /// memory, so the motor's revolution was over by then. The time can jump back when
+    /// someone sets the system's clock.
+    ///
+    /// Uses the system's clock even where you pause tokio's. In such a test only
+    /// `requested_at`, `received_at` and `first_ray_at` follow the test's time. A replay
+    /// has the stamps of its recording.
+    pub fn stamp(&self) -> SystemTime {
+        self.meta.stamp
+    }
+
+    /// Wall clock when the first point was measured. Use it as the time in the header of a
+    /// `sensor_msgs/LaserScan`. Point `n` was measured `n * time_increment` later, see
+    /// [`Point::offset`](super::Point::offset).
+    ///
+    /// SCIP 1.1 has no time stamps, so this one is computed. The motor turns
+    /// counter-clockwise, and a revolution begins and ends at the rear (-180 degrees). The
+    /// reply begins when a revolution ends, so the first point was measured
+    /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
+    /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms. A [crop](Self::crop) has the
+    /// time of its own first point.
+    ///
+    /// The revolution ended its [`lateness`](Self::lateness) before the reply arrived. Check
+    /// [`stamp_quality`](Self::stamp_quality) to see whether the lateness is known.
+    ///
+    /// # Accuracy
+    ///
+    /// If the speed of the motor is right, the true time is this one or earlier:
+    ///
+    /// - by a delay common to all scans, between the end of the revolution and the
+    ///   arrival of the first byte: on USB one or two milliseconds. You can only find it by
+    ///   a measurement with the sensor ([`guide::time`](crate::guide::time));
+    /// - with [`StampQuality::Motor`] by 0.3 ms more, on USB;
+    /// - with [`StampQuality::Arrival`] by a USB frame (1 ms), and by the time that a
+    ///   busy host does not run the driver. A sensor that answers at once from its memory,
+    ///   as it may on RS-232, ended the revolution up to one `scan_time` earlier, on
+    ///   average half of one;
+    /// - for a [repeat](Self::is_repeat), by the time between the two replies: it most
+    ///   likely shows the revolution of the previous scan.
+    ///
+    /// The sensor's angles and the phase of its replies come from the protocol's text and
+    /// from captures of replies. Moving objects were not measured.
+    pub fn first_ray_stamp(&self) -> SystemTime {
+        let stamp = self.meta.stamp;
+        stamp.checked_sub(self.since_first_ray()).unwrap_or(stamp)
+    }
+
+    /// Same as [`first_ray_stamp`](Self::first_ray_stamp), but on tokio's monotonic clock.
+    /// Use it to compare the scan with other events in your service, whatever happens to
+    /// the wall clock. A replay has the times of the replay.
+    pub fn first_ray_at(&self) -> Instant {
+        let arrived = self.meta.first_byte_at;
+        arrived.checked_sub(self.since_first_ray()).unwrap_or(arrived)
+    }
+
+    /// What [`first_ray_stamp`](Self::first_ray_stamp) is based on.
+    pub fn stamp_quality(&self) -> StampQuality {
+        match self.meta.lateness {
+            Some(_) => StampQuality::Motor,
+            None => StampQuality::Arrival,
+        }
+    }
+
+    /// How long after the end of the revolution the first byte arrived, or `None` if that
+    /// is unknown ([`StampQuality::Arrival`]). Excludes the delay common to all scans.
+    pub fn lateness(&self) -> Option<Duration> {
+        self.meta.lateness
+    }
+
+    /// Time from one point to the next: the part of the motor's revolution between them,
+    /// 97.66 us per step at 600 rpm.
+    pub fn time_increment(&self) -> Duration {
+        self.meta.scan_time.mul_f64(f64::from(self.window.cluster_count()) / 1024.0)
+    }
+
+    /// Time of one revolution of the motor: the measured time, once it is known to 0.01 %,
+    /// before that the [nominal](Self::nominal_scan_time) one.
+    pub fn scan_time(&self) -> Duration {
+        self.meta.scan_time
+    }
+
+    /// Nominal time of one revolution of the motor, from the sensor's firmware line,
+    /// otherwise 100 ms (600 rpm).
+    pub fn nominal_scan_time(&self) -> Duration {
+        self.meta.nominal_scan_time
+    }
+
+    /// Exact time from one point to the next in seconds.
+    pub(super) fn increment(&self) -> f64 {
+        let revolution = self.meta.scan_time.as_secs_f64();
+        revolution * f64::from(self.window.cluster_count()) / 1024.0
+    }
+
+    /// Time from the first ray to the arrival of the first byte.
+    fn since_first_ray(&self) -> Duration {
+        let from_rear = (f64::from(self.angle_min()) / std::f64::consts::TAU + 0.5).clamp(0.0, 1.0);
+        let turned = self.meta.scan_time.mul_f64(1.0 - from_rear);
+        turned.saturating_add(self.meta.lateness.unwrap_or_default())
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::super::scan::tests::{scan, window};
+    use super::*;
+    use crate::Window;
+
+    #[test]
+    fn the_first_ray_is_as_long_before_the_reply_as_the_motor_turned_on() {
+        let before = |scan: &Scan| {
+            let before = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
+            (before.as_secs_f64() * 1e5).round() / 100.0
+        };
+        // Steps from the rear to the first one, of 1,024: 128 to step 0.
+        let ms = |steps: f64| ((1.0 - steps / 1024.0) * 1e4).round() / 100.0;
+        assert_eq!(before(&scan(Window::FULL)), 87.5);
+        assert_eq!(before(&scan(Window::DETECTION)), ms(128.0 + 44.0));
+        assert_eq!(before(&scan(window(640, 700, 1))), ms(128.0 + 640.0));
+        // The middle of the first cluster.
+        assert_eq!(before(&scan(window(640, 700, 3))), ms(128.0 + 641.0));
+        let part = scan(Window::FULL).crop(window(384, 768, 1)).unwrap();
+        assert_eq!(before(&part), 50.0);
+        let mut slow = scan(Window::FULL);
+        slow.meta.scan_time = Duration::from_millis(200);
+        assert_eq!(before(&slow), 175.0);
+    }
+
+    #[test]
+    fn a_late_scan_has_its_rays_before_the_arrival_by_its_lateness() {
+        let mut scan = scan(Window::DETECTION);
+        let (stamp, at) = (scan.first_ray_stamp(), scan.first_ray_at());
+        assert_eq!((scan.stamp_quality(), scan.lateness()), (StampQuality::Arrival, None));
+        let late = Duration::from_micros(1_234);
+        scan.meta.lateness = Some(late);
+        assert_eq!((scan.stamp_quality(), scan.lateness()), (StampQuality::Motor, Some(late)));
+        assert_eq!((stamp - late, at - late), (scan.first_ray_stamp(), scan.first_ray_at()));
+        // Both clocks by the same time.
+        let by_wall = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
+        assert_eq!(by_wall, scan.meta.first_byte_at - scan.first_ray_at());
+    }
+
+    #[test]
+    fn the_measured_revolution_sets_the_time_of_each_point() {
+        let mut scan = scan(Window::DETECTION);
+        scan.meta.scan_time = Duration::from_micros(99_760);
+        let nominal = Duration::from_millis(100);
+        assert_eq!((scan.scan_time(), scan.nominal_scan_time()), (scan.meta.scan_time, nominal));
+        let last = scan.points().last().unwrap();
+        assert!((last.offset - 681.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
+        assert!((last.offset - 681.0 * 0.09976 / 1024.0).abs() < 1e-6);
+        assert_eq!(scan.points().next().unwrap().offset, 0.0);
+        // A part has the same times.
+        let part = scan.crop(window(384, 725, 1)).unwrap();
+        let into = part.first_ray_at() - scan.first_ray_at();
+        assert!((into.as_secs_f32() - 340.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_age_of_a_scan_is_on_the_clock_that_a_test_pauses() {
+        let scan = scan(Window::DETECTION);
+        tokio::time::advance(Duration::from_secs(3)).await;
+        assert_eq!(scan.age(), Duration::from_secs(3));
+    }
+}

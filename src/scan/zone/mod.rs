@@ -1,0 +1,327 @@
+//! [`Zone`]: an area around the sensor, and whether a scan shows it clear.
+
+mod error;
+mod polygon;
+mod state;
+#[cfg(test)]
+mod tests;
+
+use std::ops::RangeInclusive;
+
+pub use self::error::InvalidZone;
+use self::polygon::Polygon;
+pub use self::state::ZoneState;
+use super::{Ray, Scan, Sector};
+use crate::protocol::{ErrorCode, Measurement, Window, angle};
+
+/// Tolerance at the edges in metres: points of scans are rounded to `f32`.
+const TOLERANCE: f64 = 1e-6;
+/// The sensor measures nothing nearer (C-42-3320-A p. 7).
+const RANGE_MIN: f64 = 0.020;
+/// The sensor measures nothing farther (p. 7).
+const RANGE_MAX: f64 = 4.094;
+/// Step number of the rear, -180 degrees.
+const REAR: i32 = -128;
+/// Steps in a full revolution of the motor (p. 7).
+const STEPS: i32 = 1024;
+
+/// Area in the sensor's frame, a sector or a polygon, and the rule by which a scan shows it
+/// clear.
+///
+/// ```
+/// use tokio_scip::scan::{CountsAs, Sector, ZoneState, Zone};
+/// use tokio_scip::{Scan, Window};
+///
+/// // 60 degrees ahead, up to 0.6 m. An obstacle 0.1 m wide must be seen.
+/// let zone = Zone::sector(Sector::degrees(-30.0, 30.0)?, 0.0..=0.6)?
+///     .smallest_obstacle(0.1)
+///     .beyond_range(CountsAs::Free);
+///
+/// let mut values = vec![2000; 171];
+/// let window = Window::degrees(-30.0..=30.0)?;
+/// assert_eq!(zone.check(&Scan::builder(window, values.clone()).build()?), ZoneState::Clear);
+/// values[85] = 570;
+/// match zone.check(&Scan::builder(window, values).build()?) {
+///     ZoneState::Obstacle(ray) => assert_eq!((ray.step.number(), ray.range()), (384, 0.57)),
+///     state => println!("{state}"),
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Rule
+///
+/// [`check`](Self::check) looks at every ray that crosses the zone farther than 20 mm from
+/// the sensor. Along each ray the zone is
+///
+/// - an **obstacle** if the measured point is in the zone
+/// - **free** if the measured point is behind the zone
+/// - **unknown** if the measured point is in front of a part of the zone and hides it
+/// - what you chose for the error code, if there is no distance: by default unknown. A code that
+///   counts as free is still unknown where the zone reaches beyond 4.094 m, the end of
+///   the sensor's range.
+///
+/// The zone is clear if no ray is an obstacle, if the scan has all rays that cross the zone, and
+/// if no more than a tolerated number of consecutive rays are unknown. By default none is
+/// tolerated. A ray that does not cross the zone does not end a gap.
+///
+/// A ray of a cluster is judged at each of its steps, and the worst result counts. The smallest
+/// value of a cluster may come from any of them.
+///
+/// # What this means
+///
+/// - A zone with the sensor inside is never clear, because no sensor sees behind itself. An edge
+///   or a vertex may lie on the sensor.
+/// - A zone that reaches beyond 4.094 m is never clear: no point can be measured behind it.
+/// - `CountsAs::Free` trusts that an obstacle in the zone returns light. Black, slanted and
+///   transparent ones may not.
+/// - The sensor's error of some centimetres is not part of the rule: make the zone larger by it.
+///
+/// This is no safety device: nothing in it is certified.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Zone {
+    shape: Shape,
+    tolerated: Tolerated,
+    /// What each error code counts as, by its number.
+    codes: [CountsAs; 20],
+    saturated: CountsAs,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+enum Shape {
+    /// Directions, and the ranges in metres.
+    Sector(Sector, f64, f64),
+    Polygon(Polygon),
+}
+
+/// How many consecutive rays may be unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Tolerated {
+    Rays(usize),
+    /// Fewer than an obstacle of this width in metres covers.
+    NarrowerThan(f64),
+}
+
+/// What a ray without a distance says about a [`Zone`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum CountsAs {
+    /// The zone is free along this ray.
+    Free,
+    /// The ray says nothing.
+    #[default]
+    Unknown,
+    /// There is an obstacle in the zone.
+    Obstacle,
+}
+
+impl Zone {
+    /// Creates the zone of all points in a sector that are `range` metres from the sensor.
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidZone::Range`] unless the range has two finite numbers, 0 or more, the smaller one
+    /// first.
+    pub fn sector(sector: Sector, range: RangeInclusive<f64>) -> Result<Self, InvalidZone> {
+        let (near, far) = range.into_inner();
+        if !(0.0 <= near && near < far && far.is_finite()) {
+            return Err(InvalidZone::Range { near, far });
+        }
+        Ok(Self::new(Shape::Sector(sector, near, far)))
+    }
+
+    /// Creates the zone inside a polygon. `vertices` are x and y in metres, clockwise or
+    /// counter-clockwise, 3 to 1,000 of them. The last vertex may repeat the first one.
+    ///
+    /// To use vertices of another frame, such as the vehicle's, move them into the sensor's:
+    ///
+    /// ```
+    /// use tokio_scip::scan::{Pose, Zone};
+    ///
+    /// let sensor = Pose { x: 0.2, y: 0.0, heading: 0.0 }; // on the vehicle
+    /// let path = [(0.25, -0.3), (1.0, -0.3), (1.0, 0.3), (0.25, 0.3)];
+    /// let zone = Zone::polygon(path.map(|(x, y)| sensor.inverse().transform(x, y)))?;
+    /// assert!(zone.contains(0.7, 0.0) && !zone.contains(0.9, 0.0));
+    /// # Ok::<(), tokio_scip::scan::InvalidZone>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidZone`] for too few or too many vertices, for coordinates that are no numbers or
+    /// beyond 1,000 m, and for edges that cross, touch or cover each other.
+    pub fn polygon(vertices: impl IntoIterator<Item = (f64, f64)>) -> Result<Self, InvalidZone> {
+        Ok(Self::new(Shape::Polygon(Polygon::new(vertices)?)))
+    }
+
+    fn new(shape: Shape) -> Self {
+        let (codes, saturated) = Default::default();
+        Self { shape, tolerated: Tolerated::Rays(0), codes, saturated }
+    }
+
+    /// Tolerates up to `rays` consecutive unknown rays. Default: 0.
+    pub fn tolerate(self, rays: usize) -> Self {
+        Self { tolerated: Tolerated::Rays(rays), ..self }
+    }
+
+    /// Tolerates consecutive unknown rays as long as no obstacle of `width` metres fits behind
+    /// them. `width` is the width as seen from the sensor.
+    ///
+    /// Replaces [`tolerate`](Self::tolerate): the number of rays is one less than such an obstacle
+    /// covers at the zone's farthest point, where it covers the fewest. For 0.1 m at 0.6 m that
+    /// is 26 rays. A width that is too small, or not a finite number, tolerates none.
+    pub fn smallest_obstacle(self, width: f64) -> Self {
+        Self { tolerated: Tolerated::NarrowerThan(width), ..self }
+    }
+
+    /// Sets what the error codes 0, 6 and 16 and the value 4095 count as: an object may be
+    /// beyond the sensor's range. Default: [`CountsAs::Unknown`].
+    pub fn beyond_range(mut self, counts_as: CountsAs) -> Self {
+        self.saturated = counts_as;
+        let beyond = ErrorCode::all().filter(|code| code.is_beyond_range());
+        beyond.fold(self, |zone, code| zone.error_code(code, counts_as))
+    }
+
+    /// Sets what one error code counts as. Default: [`CountsAs::Unknown`].
+    pub fn error_code(mut self, code: ErrorCode, counts_as: CountsAs) -> Self {
+        self.codes.get_mut(usize::from(code.number())).into_iter().for_each(|one| *one = counts_as);
+        self
+    }
+
+    /// Returns true if the point with these coordinates in metres is in the zone, or within
+    /// 1 µm of its edge. No zone contains NaN.
+    pub fn contains(&self, x: impl Into<f64>, y: impl Into<f64>) -> bool {
+        let (x, y) = (x.into(), y.into());
+        match &self.shape {
+            Shape::Sector(sector, near, far) => {
+                let ranges = near - TOLERANCE..=far + TOLERANCE;
+                ranges.contains(&x.hypot(y)) && sector.contains(y.atan2(x))
+            }
+            Shape::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
+        }
+    }
+
+    /// Judges whether a scan shows the zone clear, by the rule [above](#rule). Obstacles come
+    /// first, then directions without a ray, then gaps.
+    pub fn check(&self, scan: &Scan) -> ZoneState {
+        let (mut crossing, mut nearest) = (false, None::<Ray>);
+        let (mut gap, mut longest) = (None, None::<Gap>);
+        for ray in scan.rays() {
+            let Some(found) = self.along(ray, scan.window()) else { continue };
+            crossing = true;
+            match found {
+                CountsAs::Free => gap = None,
+                CountsAs::Unknown => {
+                    let now = Gap::with(gap, ray);
+                    gap = Some(now);
+                    longest = longest.filter(|longest| longest.rays >= now.rays).or(gap);
+                }
+                CountsAs::Obstacle => {
+                    let nearer = |other: &Ray| other.range().total_cmp(&ray.range()).is_le();
+                    nearest = nearest.filter(nearer).or(Some(ray));
+                }
+            }
+        }
+        if let Some(ray) = nearest {
+            return ZoneState::Obstacle(ray);
+        }
+        if let Some(angle) = self.uncovered(scan.window(), crossing) {
+            return ZoneState::Uncovered { angle: angle as f32 };
+        }
+        match longest {
+            Some(Gap { first, last, rays }) if rays > self.tolerated(scan) => {
+                ZoneState::Blind { first, last, rays }
+            }
+            _ => ZoneState::Clear,
+        }
+    }
+
+    /// Returns the worst that a ray says about the zone at any of its steps, or `None` if it
+    /// does not cross the zone.
+    fn along(&self, ray: Ray, window: Window) -> Option<CountsAs> {
+        let first = ray.step.number();
+        let last = window.end().number().min(first + u16::from(window.cluster_count()) - 1);
+        let each = (first..=last).filter_map(|step| {
+            let angle = angle(step.into());
+            Some(self.at(ray.measurement, angle, self.far(angle)?))
+        });
+        each.max()
+    }
+
+    /// Returns what a measurement in one direction says about a zone that ends `far` metres
+    /// away.
+    fn at(&self, measurement: Measurement, angle: f64, far: f64) -> CountsAs {
+        let counts_as = match measurement {
+            Measurement::Distance(millimetres) => {
+                let range = f64::from(millimetres) / 1000.0;
+                let (sin, cos) = angle.sin_cos();
+                return match range {
+                    _ if self.contains(range * cos, range * sin) => CountsAs::Obstacle,
+                    _ if range > far => CountsAs::Free,
+                    _ => CountsAs::Unknown,
+                };
+            }
+            Measurement::Error(code) => {
+                self.codes.get(usize::from(code.number())).copied().unwrap_or_default()
+            }
+            Measurement::Saturated => self.saturated,
+        };
+        match counts_as {
+            CountsAs::Free if far > RANGE_MAX => CountsAs::Unknown,
+            counts_as => counts_as,
+        }
+    }
+
+    /// Returns the distance to the zone's far end in a direction, or `None` if the zone does
+    /// not lie there.
+    fn far(&self, angle: f64) -> Option<f64> {
+        let far = match &self.shape {
+            Shape::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
+            Shape::Polygon(polygon) => polygon.far(angle),
+        };
+        far.filter(|far| *far > RANGE_MIN)
+    }
+
+    /// Returns a direction of the zone outside of the window; any direction if no ray crosses
+    /// the zone.
+    fn uncovered(&self, window: Window, crossing: bool) -> Option<f64> {
+        let (start, end) = (window.start().number().into(), i32::from(window.end().number()));
+        let mut outside = (REAR..start).chain(end + 1..REAR + STEPS).map(|step| angle(step.into()));
+        let lies_between = || match &self.shape {
+            Shape::Sector(sector, ..) => sector.from(),
+            Shape::Polygon(polygon) => polygon.direction(),
+        };
+        let found = outside.find(|angle| self.far(*angle).is_some());
+        found.or_else(|| (!crossing).then(lies_between))
+    }
+
+    /// Returns how many consecutive rays of a scan may be unknown.
+    fn tolerated(&self, scan: &Scan) -> usize {
+        match self.tolerated {
+            Tolerated::Rays(rays) => rays,
+            Tolerated::NarrowerThan(width) => {
+                let reach = match &self.shape {
+                    Shape::Sector(_, _, far) => *far,
+                    Shape::Polygon(polygon) => polygon.reach(),
+                };
+                let width = if width.is_finite() { width } else { 0.0 };
+                let covered = 2.0 * (width / 2.0).atan2(reach) / f64::from(scan.angle_increment());
+                // The cast turns a negative number into 0.
+                (covered as usize).saturating_sub(1)
+            }
+        }
+    }
+}
+
+/// Consecutive unknown rays.
+#[derive(Debug, Clone, Copy)]
+struct Gap {
+    first: Ray,
+    last: Ray,
+    rays: usize,
+}
+
+impl Gap {
+    /// Returns the gap with one more ray.
+    fn with(before: Option<Self>, ray: Ray) -> Self {
+        let Self { first, rays, .. } = before.unwrap_or(Self { first: ray, last: ray, rays: 0 });
+        Self { first, last: ray, rays: rays + 1 }
+    }
+}

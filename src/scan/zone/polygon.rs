@@ -1,0 +1,289 @@
+//! [`Polygon`]: which points and directions a simple polygon contains.
+
+use super::InvalidZone;
+
+/// Largest coordinate of a vertex in metres. Products of larger numbers could overflow.
+const FARTHEST: f64 = 1000.0;
+/// Most vertices; comparing all pairs of edges takes milliseconds then.
+const MAX_VERTICES: usize = 1000;
+
+/// Point or vector in metres, x and y.
+type Vector = (f64, f64);
+
+/// Polygon whose edges do not touch each other.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Polygon(Box<[Vector]>);
+
+impl Polygon {
+    pub(super) fn new(vertices: impl IntoIterator<Item = Vector>) -> Result<Self, InvalidZone> {
+        let mut kept: Vec<Vector> = Vec::new();
+        for (index, (x, y)) in vertices.into_iter().enumerate() {
+            // No range contains NaN.
+            if ![x, y].iter().all(|number| (-FARTHEST..=FARTHEST).contains(number)) {
+                return Err(InvalidZone::Vertex { index, x, y });
+            }
+            if index >= MAX_VERTICES {
+                return Err(InvalidZone::Vertices { found: index + 1 });
+            }
+            kept.push((x, y));
+        }
+        kept.dedup();
+        // Many formats repeat the first vertex at the end.
+        if kept.len() > 1 && kept.first() == kept.last() {
+            kept.pop();
+        }
+        if kept.len() < 3 {
+            return Err(InvalidZone::Vertices { found: kept.len() });
+        }
+        let polygon = Self(kept.into());
+        match polygon.crossing() {
+            Some((x, y)) => Err(InvalidZone::Crossing { x, y }),
+            None => Ok(polygon),
+        }
+    }
+
+    /// Returns true if the point is inside, or at most `tolerance` metres from an edge.
+    pub(super) fn contains(&self, point: Vector, tolerance: f64) -> bool {
+        let mut winding = 0;
+        for (a, b) in self.edges() {
+            if squared_distance(point, a, b) <= tolerance * tolerance {
+                return true;
+            }
+            // Edges that cross the line through the point, to the point's right.
+            let side = cross(minus(b, a), minus(point, a));
+            if a.1 <= point.1 && b.1 > point.1 && side > 0.0 {
+                winding += 1;
+            } else if a.1 > point.1 && b.1 <= point.1 && side < 0.0 {
+                winding -= 1;
+            }
+        }
+        winding != 0
+    }
+
+    /// Returns the distance from the origin to the farthest edge in the direction of `angle`
+    /// radians, or `None` if no edge lies there.
+    pub(super) fn far(&self, angle: f64) -> Option<f64> {
+        let (sin, cos) = angle.sin_cos();
+        let ray = (cos, sin);
+        let hits = self.edges().filter_map(|(a, b)| {
+            let (beside_a, beside_b) = (cross(ray, a), cross(ray, b));
+            let (along_a, along_b) = (dot(ray, a), dot(ray, b));
+            if beside_a * beside_b > 0.0 {
+                None
+            } else if beside_a == beside_b {
+                Some(along_a.max(along_b))
+            } else {
+                Some(along_a + (along_b - along_a) * beside_a / (beside_a - beside_b))
+            }
+        });
+        hits.filter(|far| *far >= 0.0).reduce(f64::max)
+    }
+
+    /// Returns the distance from the origin to the farthest vertex.
+    pub(super) fn reach(&self) -> f64 {
+        self.0.iter().map(|vertex| vertex.0.hypot(vertex.1)).fold(0.0, f64::max)
+    }
+
+    /// Returns the direction of a vertex.
+    pub(super) fn direction(&self) -> f64 {
+        self.0.first().map_or(0.0, |vertex| vertex.1.atan2(vertex.0))
+    }
+
+    fn edges(&self) -> impl Iterator<Item = (Vector, Vector)> + Clone + '_ {
+        let ends = self.0.iter().skip(1).chain(self.0.first());
+        self.0.iter().copied().zip(ends.copied())
+    }
+
+    /// Returns the start of an edge that touches another one elsewhere than at their common
+    /// vertex.
+    fn crossing(&self) -> Option<Vector> {
+        let last = self.0.len() - 1;
+        for (n, (a, b)) in self.edges().enumerate() {
+            for (m, (c, d)) in self.edges().enumerate().skip(n + 1) {
+                let touch = match () {
+                    () if m == n + 1 => turns_back(a, b, d),
+                    () if n == 0 && m == last => turns_back(c, d, b),
+                    () => touch((a, b), (c, d)),
+                };
+                if touch {
+                    return Some(c);
+                }
+            }
+        }
+        None
+    }
+}
+
+fn minus(a: Vector, b: Vector) -> Vector {
+    (a.0 - b.0, a.1 - b.1)
+}
+
+fn dot(a: Vector, b: Vector) -> f64 {
+    a.0 * b.0 + a.1 * b.1
+}
+
+/// Positive if `b` points to the left of `a`.
+fn cross(a: Vector, b: Vector) -> f64 {
+    a.0 * b.1 - a.1 * b.0
+}
+
+/// Returns true if the way from `a` over `b` to `c` turns back onto itself.
+fn turns_back(a: Vector, b: Vector, c: Vector) -> bool {
+    let (first, second) = (minus(b, a), minus(c, b));
+    cross(first, second) == 0.0 && dot(first, second) < 0.0
+}
+
+/// Returns true if two edges have a point in common.
+fn touch((a, b): (Vector, Vector), (c, d): (Vector, Vector)) -> bool {
+    let on_both_sides = |from, to, p, q| {
+        let edge = minus(to, from);
+        cross(edge, minus(p, from)) * cross(edge, minus(q, from)) <= 0.0
+    };
+    let overlap = |a: f64, b: f64, c: f64, d: f64| a.min(b) <= c.max(d) && c.min(d) <= a.max(b);
+    // The rectangles around them matter where all four points lie on one line.
+    overlap(a.0, b.0, c.0, d.0)
+        && overlap(a.1, b.1, c.1, d.1)
+        && on_both_sides(a, b, c, d)
+        && on_both_sides(c, d, a, b)
+}
+
+/// Returns the squared distance from a point to the edge from `a` to `b`.
+fn squared_distance(point: Vector, a: Vector, b: Vector) -> f64 {
+    let (edge, to_point) = (minus(b, a), minus(point, a));
+    let along = (dot(to_point, edge) / dot(edge, edge)).clamp(0.0, 1.0);
+    let rest = minus(to_point, (edge.0 * along, edge.1 * along));
+    dot(rest, rest)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SQUARE: [Vector; 4] = [(1.0, -1.0), (3.0, -1.0), (3.0, 1.0), (1.0, 1.0)];
+
+    /// Returns a polygon with a vertex at these distances from `middle`, at equal angles.
+    fn star(middle: Vector, distances: &[f64]) -> Vec<Vector> {
+        let angle = TAU / distances.len() as f64;
+        let vertex = |(n, distance): (usize, &f64)| {
+            let (sin, cos) = (n as f64 * angle).sin_cos();
+            (middle.0 + distance * cos, middle.1 + distance * sin)
+        };
+        distances.iter().enumerate().map(vertex).collect()
+    }
+
+    /// Winding number by the angles that the vertices make around the point.
+    fn is_wound_around(vertices: &[Vector], point: Vector) -> bool {
+        let direction = |vertex: Vector| (vertex.1 - point.1).atan2(vertex.0 - point.0);
+        let turned: f64 = (0..vertices.len())
+            .map(|n| direction(vertices[(n + 1) % vertices.len()]) - direction(vertices[n]))
+            .map(|turn| turn - TAU * (turn / TAU).round())
+            .sum();
+        turned.abs() > 1.0
+    }
+
+    proptest! {
+        #[test]
+        fn a_polygon_contains_what_it_is_wound_around(
+            distances in prop::collection::vec(0.1..3.0, 3..12),
+            middle in (-2.0..2.0, -2.0..2.0),
+            points in prop::collection::vec((-5.0..5.0, -5.0..5.0), 50),
+            reversed in any::<bool>(),
+        ) {
+            let mut vertices = star(middle, &distances);
+            if reversed {
+                vertices.reverse();
+            }
+            let polygon = Polygon::new(vertices.clone()).unwrap();
+            for point in points {
+                let inside = is_wound_around(&vertices, point);
+                prop_assert_eq!(polygon.contains(point, 0.0), inside, "{:?}", point);
+            }
+        }
+
+        #[test]
+        fn nothing_of_a_polygon_is_beyond_its_far_end(
+            distances in prop::collection::vec(0.1..3.0, 3..12),
+            middle in (-2.0..2.0, -2.0..2.0),
+            angle in -4.0..4.0,
+        ) {
+            let polygon = Polygon::new(star(middle, &distances)).unwrap();
+            let (sin, cos) = f64::sin_cos(angle);
+            let inside = |range: f64| polygon.contains((range * cos, range * sin), 1e-9);
+            let last = (0..600).rev().map(|n| f64::from(n) * 0.01).find(|range| inside(*range));
+            match (polygon.far(angle), last) {
+                (Some(far), last) => {
+                    prop_assert!(inside(far), "{}", far);
+                    prop_assert!(last.is_none_or(|last| last <= far + 1e-9 && far <= polygon.reach() + 1e-9));
+                }
+                (None, last) => prop_assert_eq!(last, None),
+            }
+        }
+    }
+
+    #[test]
+    fn edges_and_vertices_belong_to_the_polygon() {
+        let square = Polygon::new(SQUARE).unwrap();
+        for point in [(1.0, -1.0), (3.0, 1.0), (2.0, 1.0), (1.0, 0.3), (2.0, 0.0)] {
+            assert!(square.contains(point, 1e-6), "{point:?}");
+        }
+        for point in [(0.999, 0.0), (2.0, 1.001), (4.0, 1.0), (f64::NAN, 0.0), (2.0, f64::NAN)] {
+            assert!(!square.contains(point, 1e-6), "{point:?}");
+        }
+        assert!(square.contains((2.0, 1.000_000_5), 1e-6));
+    }
+
+    #[test]
+    fn the_far_end_lies_behind_all_of_the_polygon() {
+        let square = Polygon::new(SQUARE).unwrap();
+        let far = |degrees: f64| square.far(degrees.to_radians());
+        assert_eq!((far(0.0), far(180.0), far(46.0), far(-90.0)), (Some(3.0), None, None, None));
+        assert!((far(30.0).unwrap() - 2.0).abs() < 1e-9);
+        // Two arms, one behind the other, and an edge along the ray.
+        let hook = [(1.0, 0.0), (3.0, 0.0), (3.0, 1.0), (2.5, 1.0), (2.5, 0.2), (1.0, 0.2)];
+        let hook = Polygon::new(hook).unwrap();
+        assert_eq!(hook.far(0.0), Some(3.0));
+    }
+
+    #[test]
+    fn vertices_that_make_no_outline_are_refused() {
+        let refused = |vertices: &[Vector]| Polygon::new(vertices.to_vec()).unwrap_err();
+        let few = |found| InvalidZone::Vertices { found };
+        assert_eq!(refused(&[]), few(0));
+        assert_eq!(refused(&[(1.0, 1.0)]), few(1));
+        assert_eq!(refused(&[(1.0, 1.0), (2.0, 1.0)]), few(2));
+        assert_eq!(refused(&[(1.0, 1.0), (1.0, 1.0), (2.0, 1.0), (1.0, 1.0)]), few(2));
+        let (vertices, most) = (star((0.0, 0.0), &[1.0; 1001]), star((0.0, 0.0), &[1.0; 1000]));
+        assert_eq!(refused(&vertices), few(1001));
+        assert!(Polygon::new(most).is_ok());
+        for x in [f64::NAN, f64::INFINITY, 1000.1, -1e300] {
+            let error = refused(&[(0.0, 0.0), (1.0, 0.0), (x, 1.0)]);
+            assert!(matches!(error, InvalidZone::Vertex { index: 2, y: 1.0, .. }), "{error}");
+            let error = refused(&[(0.0, x), (1.0, 0.0), (0.0, 1.0)]);
+            assert!(matches!(error, InvalidZone::Vertex { index: 0, x: 0.0, .. }), "{error}");
+        }
+        for crossing in [
+            // A bow tie, a spike, three vertices on a line, and an outline that touches itself.
+            vec![(0.0, 0.0), (1.0, 1.0), (1.0, 0.0), (0.0, 1.0)],
+            vec![(0.0, 0.0), (2.0, 0.0), (1.0, 0.0), (1.0, 1.0)],
+            vec![(0.0, 0.0), (1.0, 1.0), (2.0, 2.0)],
+            vec![(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (1.0, 0.0), (0.0, 2.0)],
+        ] {
+            let error = refused(&crossing);
+            assert!(matches!(error, InvalidZone::Crossing { .. }), "{crossing:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_repeated_vertex_and_one_inside_of_an_edge_change_nothing() {
+        let closed = SQUARE.into_iter().chain([SQUARE[0]]);
+        assert_eq!(Polygon::new(closed), Polygon::new(SQUARE));
+        let doubled = SQUARE.into_iter().flat_map(|vertex| [vertex, vertex]);
+        assert_eq!(Polygon::new(doubled), Polygon::new(SQUARE));
+        let straight = [(1.0, -1.0), (2.0, -1.0), (3.0, -1.0), (3.0, 1.0), (1.0, 1.0)];
+        assert!(Polygon::new(straight).unwrap().contains((2.0, 0.0), 0.0));
+    }
+}

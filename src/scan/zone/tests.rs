@@ -1,0 +1,309 @@
+//! What a zone reports of scans.
+
+use proptest::prelude::*;
+
+use super::*;
+
+/// Steps 128..=640, 180 degrees ahead.
+fn half() -> Window {
+    Window::degrees(-90.0..=90.0).unwrap()
+}
+
+fn scan(window: Window, values: Vec<u16>) -> Scan {
+    Scan::builder(window, values).build().unwrap()
+}
+
+/// Returns a scan of `half` that measures 2 m, but `value` in these steps.
+fn with(steps: RangeInclusive<u16>, value: u16) -> Scan {
+    let value = |step| if steps.contains(&step) { value } else { 2000 };
+    scan(half(), (128..=640).map(value).collect())
+}
+
+fn sector(degrees: f64, range: RangeInclusive<f64>) -> Zone {
+    Zone::sector(Sector::degrees(-degrees, degrees).unwrap(), range).unwrap()
+}
+
+/// Returns first and last step of the gap and its rays.
+fn blind(state: ZoneState) -> (u16, u16, usize) {
+    let ZoneState::Blind { first, last, rays } = state else { panic!("{state:?}") };
+    (first.step.number(), last.step.number(), rays)
+}
+
+fn obstacle(state: ZoneState) -> u16 {
+    let ZoneState::Obstacle(ray) = state else { panic!("{state:?}") };
+    ray.step.number()
+}
+
+#[test]
+fn an_obstacle_is_found_at_its_nearest_ray() {
+    // Steps 299..=469.
+    let zone = sector(30.0, 0.0..=0.6);
+    assert_eq!(zone.check(&with(384..=384, 601)), ZoneState::Clear);
+    assert_eq!(obstacle(zone.check(&with(384..=384, 600))), 384);
+    assert_eq!(obstacle(zone.check(&with(299..=299, 20))), 299);
+    assert_eq!(zone.check(&with(298..=298, 20)), ZoneState::Clear);
+    let mut values = vec![2000; 513];
+    (values[172], values[260], values[300]) = (500, 400, 400);
+    // The first of two that are equally near.
+    assert_eq!(obstacle(zone.check(&scan(half(), values))), 388);
+}
+
+#[test]
+fn a_gap_is_tolerated_up_to_its_number_of_rays() {
+    let zone = sector(30.0, 0.0..=0.6);
+    for rays in 1..20 {
+        let scan = with(400..=399 + rays, 7);
+        assert!(zone.clone().tolerate(rays.into()).check(&scan).is_clear());
+        let state = zone.clone().tolerate(usize::from(rays) - 1).check(&scan);
+        assert_eq!(blind(state), (400, 399 + rays, rays.into()));
+    }
+    // A free ray ends a gap, and the longest gap is reported.
+    let mut values = vec![2000; 513];
+    values[200..240].fill(7);
+    (values[210], values[225]) = (700, 700);
+    let scan = scan(half(), values);
+    assert_eq!(blind(zone.clone().tolerate(9).check(&scan)), (339, 352, 14));
+    assert!(zone.tolerate(14).check(&scan).is_clear());
+    // A gap counts only inside the zone.
+    let zone = sector(30.0, 0.0..=0.6).tolerate(9);
+    assert!(zone.check(&with(461..=500, 7)).is_clear());
+    assert_eq!(blind(zone.check(&with(460..=500, 7))), (460, 469, 10));
+}
+
+#[test]
+fn each_error_code_counts_as_it_is_set() {
+    let zone = sector(30.0, 0.0..=0.6);
+    let trusting = zone.clone().beyond_range(CountsAs::Free);
+    for value in (0..20).chain([4095]) {
+        let scan = with(384..=384, value);
+        assert_eq!(blind(zone.check(&scan)), (384, 384, 1), "{value}");
+        let is_beyond = matches!(value, 0 | 6 | 16 | 4095);
+        assert_eq!(trusting.check(&scan).is_clear(), is_beyond, "{value}");
+        let Some(code) = ErrorCode::new(value as u8).filter(|_| value < 20) else { continue };
+        let strict = trusting.clone().error_code(code, CountsAs::Obstacle);
+        assert_eq!(obstacle(strict.check(&scan)), 384, "{value}");
+        assert!(zone.clone().error_code(code, CountsAs::Free).check(&scan).is_clear());
+        // The other codes stay as they were.
+        let other = (value + 1) % 20;
+        let others = [&trusting, &strict].map(|zone| zone.check(&with(384..=384, other)));
+        assert_eq!(others[0], others[1], "{value}");
+    }
+}
+
+#[test]
+fn a_zone_beyond_the_range_is_free_by_no_error_code() {
+    let free = |far| sector(30.0, 0.0..=far).beyond_range(CountsAs::Free);
+    for value in [0, 6, 16, 4095] {
+        let scan = scan(half(), vec![value; 513]);
+        assert!(free(4.094).check(&scan).is_clear());
+        assert_eq!(blind(free(4.095).check(&scan)), (299, 469, 171));
+    }
+}
+
+#[test]
+fn what_stands_in_front_of_the_zone_hides_it() {
+    let zone = sector(30.0, 0.3..=0.6);
+    assert_eq!(blind(zone.check(&with(380..=390, 299))), (380, 390, 11));
+    assert_eq!(obstacle(zone.check(&with(380..=390, 300))), 380);
+    // Between the arms of a U the farther one is not seen.
+    let arms = [
+        (1.0, -0.5),
+        (1.2, -0.5),
+        (1.2, 0.3),
+        (1.6, 0.3),
+        (1.6, -0.5),
+        (1.8, -0.5),
+        (1.8, 0.5),
+        (1.0, 0.5),
+    ];
+    let arms = Zone::polygon(arms).unwrap().tolerate(3);
+    assert!(arms.check(&with(384..=386, 1400)).is_clear());
+    assert_eq!(blind(arms.check(&with(384..=387, 1400))), (384, 387, 4));
+    assert_eq!(obstacle(arms.check(&with(384..=387, 1700))), 384);
+    assert_eq!(obstacle(arms.check(&with(384..=387, 1100))), 384);
+}
+
+#[test]
+fn a_direction_that_the_window_leaves_out_is_not_clear() {
+    let uncovered = |state| match state {
+        ZoneState::Uncovered { angle } => angle.to_degrees(),
+        state => panic!("{state:?}"),
+    };
+    // The window of the same degrees covers a sector.
+    for degrees in 1..=135 {
+        let degrees = f64::from(degrees);
+        let window = Window::degrees(-degrees..=degrees).unwrap();
+        let all = |window: Window| scan(window, vec![4000; window.points()]);
+        assert!(sector(degrees, 0.0..=0.6).check(&all(window)).is_clear(), "{degrees}");
+        let (start, end) = (window.start().number(), window.end().number());
+        for smaller in [start + 1..=end, start..=end - 1] {
+            let part = all(Window::new(smaller).unwrap());
+            let angle = uncovered(sector(degrees, 0.0..=0.6).check(&part)).abs();
+            assert!(f64::from(angle) <= degrees && f64::from(angle) > degrees - 0.36);
+        }
+    }
+    let all = scan(Window::FULL, vec![4000; 769]);
+    assert!(uncovered(sector(136.0, 0.0..=0.6).check(&all)).abs() > 135.0);
+    let behind = Zone::sector(Sector::degrees(170.0, -170.0).unwrap(), 0.0..=0.6).unwrap();
+    assert!(uncovered(behind.check(&all)).abs() >= 170.0);
+    // Between two rays, and nearer than any distance.
+    let narrow = Zone::sector(Sector::degrees(0.1, 0.2).unwrap(), 0.0..=0.6).unwrap();
+    assert!((uncovered(narrow.check(&all)) - 0.1).abs() < 1e-3);
+    uncovered(sector(30.0, 0.0..=0.02).check(&all));
+    let dot = Zone::polygon([(3.0, 0.005), (3.001, 0.005), (3.0, 0.006)]).unwrap();
+    uncovered(dot.check(&all));
+    // An obstacle comes first.
+    let part = scan(Window::new(384..=400).unwrap(), vec![500; 17]);
+    assert_eq!(obstacle(sector(30.0, 0.0..=0.6).check(&part)), 384);
+}
+
+#[test]
+fn a_polygon_begins_at_the_sensor_but_does_not_surround_it() {
+    let path = |back: f64| [(back, -0.3), (1.0, -0.3), (1.0, 0.3), (back, 0.3)];
+    let zone = Zone::polygon(path(0.0)).unwrap();
+    assert_eq!(zone.check(&with(0..=0, 0)), ZoneState::Clear);
+    // 90 degrees to the right is along an edge, and 1 m ahead is on one.
+    assert_eq!(obstacle(zone.check(&with(128..=128, 300))), 128);
+    assert_eq!(zone.check(&with(128..=128, 301)), ZoneState::Clear);
+    assert_eq!(obstacle(zone.check(&with(384..=384, 1000))), 384);
+    assert_eq!(zone.check(&with(384..=384, 1001)), ZoneState::Clear);
+    let all = scan(Window::FULL, vec![4000; 769]);
+    let around = Zone::polygon(path(-0.1)).unwrap().check(&all);
+    assert!(matches!(around, ZoneState::Uncovered { .. }), "{around}");
+    let triangle = Zone::polygon([(0.0, 0.0), (1.0, -0.5), (1.0, 0.5)]).unwrap();
+    assert!(triangle.check(&all).is_clear());
+}
+
+#[test]
+fn a_ray_of_a_cluster_is_judged_at_each_of_its_steps() {
+    // The zone is steps 374..=394, and clusters of 10 begin at 128, 138, ...
+    let zone = sector(3.6, 0.0..=0.6);
+    let window = half().with_cluster_count(10).unwrap();
+    // The cluster's middle is outside the zone, its last step inside.
+    for (cluster, first, is_crossed) in
+        [(23, 358, false), (24, 368, true), (26, 388, true), (27, 398, false)]
+    {
+        let mut values = vec![2000; 52];
+        values[cluster] = 500;
+        let state = zone.check(&scan(window, values.clone()));
+        assert_eq!(
+            matches!(state, ZoneState::Obstacle(ray) if ray.step.number() == first),
+            is_crossed
+        );
+        values[cluster] = 7;
+        let state = zone.check(&scan(window, values));
+        assert_eq!(state.is_clear(), !is_crossed);
+        if is_crossed {
+            assert_eq!(blind(state), (first, first, 1));
+        }
+    }
+    // The rest of the window is the last cluster, 638..=640.
+    let left = Sector::degrees(89.6, 90.0).unwrap();
+    let left = Zone::sector(left, 0.0..=0.6).unwrap();
+    let mut values = vec![2000; 52];
+    assert!(left.check(&scan(window, values.clone())).is_clear());
+    values[51] = 500;
+    assert_eq!(obstacle(left.check(&scan(window, values))), 638);
+}
+
+#[test]
+fn the_smallest_obstacle_covers_more_rays_than_are_tolerated() {
+    let rays = |width: f64, cluster: u8| {
+        let window = half().with_cluster_count(cluster).unwrap();
+        let scan = scan(window, vec![2000; window.points()]);
+        sector(30.0, 0.0..=0.6).smallest_obstacle(width).tolerated(&scan)
+    };
+    assert_eq!((rays(0.1, 1), rays(0.1, 4), rays(0.1, 99)), (26, 5, 0));
+    for hostile in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e-9] {
+        assert_eq!(rays(hostile, 1), 0, "{hostile}");
+    }
+    // A polygon by its farthest vertex.
+    let square = Zone::polygon([(0.0, -0.3), (0.4, -0.3), (0.4, 0.3), (0.0, 0.3)]).unwrap();
+    let scan = with(0..=0, 0);
+    assert_eq!(square.smallest_obstacle(0.1).tolerated(&scan), 31);
+}
+
+#[test]
+fn a_range_that_contains_nothing_is_refused() {
+    for range in
+        [0.5..=0.5, 0.6..=0.5, -0.1..=0.5, f64::NAN..=0.5, 0.0..=f64::NAN, 0.0..=f64::INFINITY]
+    {
+        let refused = Zone::sector(Sector::ALL, range.clone());
+        assert!(matches!(refused, Err(InvalidZone::Range { .. })), "{range:?}");
+    }
+    let zone = sector(30.0, 0.1..=0.6);
+    assert!(zone.contains(0.6_f32, 0.0_f32) && zone.contains(0.1_f32, 0.0_f32));
+    for (x, y) in [(0.09, 0.0), (0.61, 0.0), (0.3, 0.3), (f64::NAN, 0.0), (0.0, f64::NAN)] {
+        assert!(!zone.contains(x, y), "{x} {y}");
+    }
+}
+
+#[test]
+fn a_state_says_where_and_why() {
+    let zone = sector(30.0, 0.0..=0.6);
+    let code = ErrorCode::new(3).unwrap();
+    let strict = zone.clone().error_code(code, CountsAs::Obstacle);
+    let text = |zone: &Zone, scan: &Scan| zone.check(scan).to_string();
+    assert_eq!(text(&zone, &with(0..=0, 0)), "clear");
+    assert_eq!(text(&zone, &with(400..=400, 500)), "obstacle at 5.6°, 0.500 m");
+    let expected = "obstacle at 5.6°: error code 3: Reflected light has low intensity";
+    assert_eq!(text(&strict, &with(400..=400, 3)), expected);
+    assert_eq!(text(&zone, &with(400..=410, 3)), "blind from 5.6° to 9.1°, 11 rays");
+    assert_eq!(text(&sector(100.0, 0.0..=0.6), &with(0..=0, 0)), "no ray at -99.8°");
+}
+
+proptest! {
+    /// The rule in the words of a safety stop: no ray measures an obstacle, and none can
+    /// hide between the rays.
+    #[test]
+    fn a_sector_is_clear_by_the_rule_of_a_safety_stop(
+        values in prop::collection::vec(
+            prop_oneof![Just(7_u16), Just(7), Just(0), 595_u16..605, 605_u16..4096], 171),
+        cluster in 1_u8..8, smallest in 0.02..0.1,
+    ) {
+        let window = Window::degrees(-30.0..=30.0).unwrap().with_cluster_count(cluster).unwrap();
+        let scan = scan(window, values[..window.points()].to_vec());
+        let zone = sector(30.0, 0.0..=0.6).smallest_obstacle(smallest);
+        let zone = zone.beyond_range(CountsAs::Free);
+        let covered = 2.0 * f64::atan(smallest / 1.2) / f64::from(scan.angle_increment());
+        let mut missing = 0;
+        let is_clear = scan.ranges().all(|range| {
+            missing = if range.is_nan() { missing + 1 } else { 0 };
+            missing < (covered as usize).max(1) && (range.is_nan() || range > 0.6)
+        });
+        prop_assert_eq!(zone.check(&scan).is_clear(), is_clear);
+    }
+
+    #[test]
+    fn a_polygon_is_blocked_by_each_point_inside_and_no_other(
+        values in prop::collection::vec(300_u16..4000, 513),
+        (front, right, left) in (1.0..2.0, -1.0..-0.1, 0.1..1.0),
+    ) {
+        let outline = [(0.0, right), (front, right), (front, left), (0.0, left)];
+        let zone = Zone::polygon(outline).unwrap();
+        let scan = scan(half(), values);
+        // How far a point is inside, or as a negative number outside.
+        let depth = |x: f32, y: f32| {
+            (front - f64::from(x)).min(f64::from(y) - right).min(left - f64::from(y))
+        };
+        prop_assume!(scan.points().all(|point| depth(point.x, point.y).abs() > 1e-5));
+        let found = scan.points().filter(|point| depth(point.x, point.y) > 0.0);
+        let nearest = found.min_by(|a, b| a.range.total_cmp(&b.range));
+        match (zone.check(&scan), nearest) {
+            (ZoneState::Obstacle(ray), Some(point)) => prop_assert_eq!(ray.step, point.step),
+            (ZoneState::Clear, None) => {}
+            (state, nearest) => prop_assert!(false, "{:?} {:?}", state, nearest),
+        }
+    }
+}
+
+#[test]
+fn a_cluster_is_judged_by_its_worst_step() {
+    // 1 m deep to the right of the front, 0.3 m deep to the left of it.
+    let corners = [(0.0, -0.5), (1.0, -0.5), (1.0, 0.0), (0.3, 0.0), (0.3, 0.5), (0.0, 0.5)];
+    let zone = Zone::polygon(corners).unwrap();
+    // One ray for the steps 334..=432 on both sides of the front, at the first of them an obstacle.
+    let window = Window::new(136..=630).unwrap().with_cluster_count(99).unwrap();
+    assert_eq!(window.points(), 5);
+    assert_eq!(obstacle(zone.check(&scan(window, vec![2000, 2000, 900, 2000, 2000]))), 334);
+}

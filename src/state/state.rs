@@ -1,0 +1,112 @@
+//! [`State`]: the state of the driver and its link.
+
+use tokio::time::Instant;
+
+use crate::protocol::Text;
+use crate::{BaudRate, Error};
+
+/// State of the driver and its link. Watch it with
+/// [`Sensor::state`](crate::Sensor::state). [`Closed`](Self::Closed) is final.
+///
+/// `Connected` means that the sensor answers, not that its scans are whole: check
+/// [`Sensor::freshness`](crate::Sensor::freshness) for that.
+///
+/// Serialises (feature `serde`) as an object such as
+/// `{"state":"disconnected","since":1.5,"error":"..."}`. `state` is the name of the state
+/// in snake case. The other fields follow: `baud_rate` in baud, `since` as seconds
+/// before now, `error` as the text of the error and its causes.
+///
+/// Only `Connected` may get more fields. You can construct the other states, to test how
+/// your service reacts.
+#[derive(Debug, Clone)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[cfg_attr(feature = "serde", serde(tag = "state", rename_all = "snake_case"))]
+#[non_exhaustive]
+pub enum State {
+    /// The driver opens the port for the first time, or searches for the sensor.
+    Connecting {
+        /// Why this has failed so far, if you let the driver [wait for the
+        /// sensor](crate::SensorBuilder::wait_for_sensor).
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
+        error: Option<Error>,
+    },
+    /// The sensor answers.
+    #[non_exhaustive]
+    Connected {
+        /// Baud rate of the line to the sensor, or `None` without a serial line (USB).
+        baud_rate: Option<BaudRate>,
+        /// True if scans are polled: a stream is open, and the laser is not switched off.
+        streaming: bool,
+        /// Serial number, as in the sensor's `SERI:` line. It changes when another sensor
+        /// replaces this one, if you allow that with
+        /// [`any_sensor`](crate::SensorBuilder::any_sensor).
+        serial_number: Text,
+    },
+    /// The sensor does not answer, but its port is still open. The driver searches for it
+    /// at every baud rate.
+    Recovering,
+    /// The link is lost; the driver reconnects.
+    Disconnected {
+        /// When the link was lost, on tokio's clock.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "elapsed"))]
+        since: Instant,
+        /// Latest reason.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain"))]
+        error: Error,
+    },
+    /// The driver has ended permanently.
+    Closed {
+        /// Cause, or `None` if you closed the driver or dropped its last handle.
+        #[cfg_attr(feature = "serde", serde(serialize_with = "chain_if_any"))]
+        error: Option<Error>,
+    },
+}
+
+impl State {
+    /// Baud rate of the line to the sensor. `None` on USB, and unless
+    /// [connected](Self::Connected).
+    pub fn baud_rate(&self) -> Option<BaudRate> {
+        match self {
+            Self::Connected { baud_rate, .. } => *baud_rate,
+            _ => None,
+        }
+    }
+
+    /// Returns the state with its error, if it has one, replaced by what `change` returns.
+    pub(super) fn map_error(self, change: impl Fn(Error) -> Error) -> Self {
+        match self {
+            Self::Connecting { error } => Self::Connecting { error: error.map(change) },
+            Self::Disconnected { since, error } => {
+                Self::Disconnected { since, error: change(error) }
+            }
+            Self::Closed { error } => Self::Closed { error: error.map(change) },
+            Self::Connected { .. } | Self::Recovering => self,
+        }
+    }
+}
+
+/// Serialises an error and its causes as one text.
+#[cfg(feature = "serde")]
+fn chain<S: serde::Serializer>(error: &Error, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&error.chain())
+}
+
+#[cfg(feature = "serde")]
+pub(super) fn chain_if_any<S: serde::Serializer>(
+    error: &Option<Error>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    match error {
+        Some(error) => chain(error, serializer),
+        None => serializer.serialize_none(),
+    }
+}
+
+/// Serialises an instant as its age: instants mean nothing in another process.
+#[cfg(feature = "serde")]
+pub(super) fn elapsed<S: serde::Serializer>(
+    since: &Instant,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.serialize_f64(since.elapsed().as_secs_f64())
+}

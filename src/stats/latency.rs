@@ -1,0 +1,163 @@
+//! [`LatencyStats`]: distribution of reply times, in a histogram of fixed size that never
+//! allocates.
+
+use std::fmt;
+use std::time::Duration;
+
+/// Number of buckets for each doubling of the time, so a bucket is at most an eighth
+/// wide.
+const PER_OCTAVE: u64 = 8;
+/// Width of the narrowest buckets in microseconds.
+const UNIT_MICROS: u64 = 64;
+/// Reaches 16.8 s, longer than the longest deadline.
+const BUCKETS: usize = 128;
+
+/// Times from a `G` to the last byte of its reply. All zero before the first reply.
+///
+/// As data (feature `serde`) it is `count`, and in seconds `last`, `min`, `max`,
+/// `total`, and the quantiles `p50`, `p90` and `p99`.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct LatencyStats {
+    /// Latest time.
+    pub last: Duration,
+    /// Shortest time.
+    pub min: Duration,
+    /// Longest time.
+    pub max: Duration,
+    /// Sum of all times.
+    pub total: Duration,
+    /// Number of replies.
+    pub count: u64,
+    histogram: Histogram,
+}
+
+impl LatencyStats {
+    /// Mean time, or zero before the first reply.
+    pub fn mean(&self) -> Duration {
+        if self.count == 0 { Duration::ZERO } else { self.total.div_f64(self.count as f64) }
+    }
+
+    /// Time within which the fraction `q` of the replies arrived: pass 0.5 for the
+    /// median, or 0.99 for the time that one reply in a hundred exceeds. Zero before the
+    /// first reply. Clamps `q` to 0..=1.
+    ///
+    /// Never shorter than the exact quantile, and longer by at most an eighth or 64 us,
+    /// whichever is more. Above 16 s it is [`max`](Self::max).
+    pub fn quantile(&self, q: f64) -> Duration {
+        let rank = (q.clamp(0.0, 1.0) * self.count as f64).ceil() as u64;
+        let mut counted = 0;
+        let bucket = self.histogram.0.iter().position(|count| {
+            counted += count;
+            counted >= rank.max(1)
+        });
+        let bound = bucket.filter(|bucket| bucket + 1 < BUCKETS).map_or(self.max, upper_bound);
+        bound.clamp(self.min, self.max)
+    }
+
+    pub(crate) fn add(&mut self, latency: Duration) {
+        self.last = latency;
+        self.min = if self.count == 0 { latency } else { self.min.min(latency) };
+        self.max = self.max.max(latency);
+        self.total += latency;
+        self.count += 1;
+        if let Some(count) = self.histogram.0.get_mut(bucket_of(latency)) {
+            *count += 1;
+        }
+    }
+}
+
+/// Number of replies in each bucket.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Histogram([u64; BUCKETS]);
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self([0; BUCKETS])
+    }
+}
+
+impl fmt::Debug for Histogram {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("..")
+    }
+}
+
+/// Finds the bucket of a time: one unit wide up to 16 units, then eight for each
+/// doubling.
+fn bucket_of(latency: Duration) -> usize {
+    let seconds = latency.as_secs().saturating_mul(1_000_000);
+    let units = seconds.saturating_add(latency.subsec_micros().into()) / UNIT_MICROS;
+    let octave = (units | PER_OCTAVE).ilog2() - PER_OCTAVE.ilog2();
+    let bucket = u64::from(octave) * PER_OCTAVE + (units >> octave);
+    usize::try_from(bucket).map_or(BUCKETS - 1, |bucket| bucket.min(BUCKETS - 1))
+}
+
+/// Shortest time above all times of a bucket.
+fn upper_bound(bucket: usize) -> Duration {
+    let next = bucket as u64 + 1;
+    let octave = (next / PER_OCTAVE).saturating_sub(1);
+    Duration::from_micros(((next - octave * PER_OCTAVE) << octave) * UNIT_MICROS)
+}
+
+#[cfg(feature = "serde")]
+impl serde::Serialize for LatencyStats {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeStruct;
+
+        let mut stats = serializer.serialize_struct("LatencyStats", 8)?;
+        stats.serialize_field("last", &self.last.as_secs_f64())?;
+        stats.serialize_field("min", &self.min.as_secs_f64())?;
+        stats.serialize_field("max", &self.max.as_secs_f64())?;
+        stats.serialize_field("total", &self.total.as_secs_f64())?;
+        stats.serialize_field("count", &self.count)?;
+        stats.serialize_field("p50", &self.quantile(0.5).as_secs_f64())?;
+        stats.serialize_field("p90", &self.quantile(0.9).as_secs_f64())?;
+        stats.serialize_field("p99", &self.quantile(0.99).as_secs_f64())?;
+        stats.end()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_time_lies_in_its_bucket_and_buckets_touch() {
+        for bucket in 0..BUCKETS - 1 {
+            let end = upper_bound(bucket);
+            assert_eq!(bucket_of(end - Duration::from_nanos(1)), bucket);
+            assert_eq!(bucket_of(end), bucket + 1);
+        }
+        assert!(upper_bound(BUCKETS - 2) > Duration::from_secs(15));
+        assert_eq!(bucket_of(Duration::ZERO), 0);
+        assert_eq!(bucket_of(Duration::MAX), BUCKETS - 1);
+    }
+
+    #[test]
+    fn a_quantile_is_never_too_short_and_too_long_by_an_eighth_at_most() {
+        let mut stats = LatencyStats::default();
+        assert_eq!(stats.quantile(0.5), Duration::ZERO);
+        // One of each: the exact quantile of q is q * 10,000 times 100 us.
+        for n in 1..=10_000 {
+            stats.add(Duration::from_micros(100 * n));
+        }
+        for n in [1, 10, 100, 1000, 5000, 9000, 9900, 9999, 10_000] {
+            let (exact, found) = (n as f64 * 1e-4, stats.quantile(n as f64 / 1e4).as_secs_f64());
+            assert!((exact..=exact * 1.125 + 64e-6).contains(&found), "{n}: {exact} {found}");
+        }
+        assert_eq!((stats.quantile(1.0), stats.quantile(7.0)), (stats.max, stats.max));
+        assert!(stats.quantile(f64::NAN) >= stats.min);
+        stats.add(Duration::from_secs(3600));
+        assert_eq!(stats.quantile(1.0), Duration::from_secs(3600));
+    }
+
+    #[test]
+    fn all_quantiles_of_one_time_are_that_time() {
+        let mut stats = LatencyStats::default();
+        stats.add(Duration::from_micros(95_123));
+        for q in [0.0, 0.5, 0.99, 1.0] {
+            assert_eq!(stats.quantile(q), Duration::from_micros(95_123));
+        }
+    }
+}

@@ -1,0 +1,279 @@
+//! [`Metric`]: figures of [`Stats`] in the form that monitoring systems want.
+
+use std::borrow::Cow;
+
+use super::{MalformedCounts, ScheduleStats, Stats};
+
+/// Figure of [`Stats::metrics`]. Its name and labels are the same as in `/metrics` of `urg serve`,
+/// and follow the conventions of Prometheus: base units, and `_total` at the end of counters.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Metric {
+    /// Name, such as `urg_scans_total`. Figures of the same name differ only in suffix, labels and
+    /// value, and follow each other.
+    pub name: &'static str,
+    /// What a sample of a [`Summary`](MetricKind::Summary) adds to the name: nothing for its
+    /// quantiles, `_sum` and `_count` for the rest. Nothing for the other kinds.
+    pub suffix: &'static str,
+    /// How the figure changes.
+    pub kind: MetricKind,
+    /// Description: one line without a backslash.
+    pub help: &'static str,
+    /// Unit: `seconds`, `bytes` or `hertz`. `None` for plain numbers.
+    pub unit: Option<&'static str>,
+    /// Names and values of labels, such as `cause` and `timeout`, without quotes, backslashes and
+    /// line feeds.
+    pub labels: Vec<(&'static str, Cow<'static, str>)>,
+    /// Value.
+    pub value: f64,
+}
+
+/// How a [`Metric`] changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum MetricKind {
+    /// Only grows, from 0 when the driver starts.
+    Counter,
+    /// Rises and falls.
+    Gauge,
+    /// Distribution since the driver started: its quantiles, and its sum and count, which only
+    /// grow.
+    Summary,
+}
+
+impl MetricKind {
+    /// Word for a `# TYPE` line: `counter`, `gauge` or `summary`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Counter => "counter",
+            Self::Gauge => "gauge",
+            Self::Summary => "summary",
+        }
+    }
+}
+
+impl Stats {
+    /// Iterates over all figures, for an exporter. Leaves out unknown figures: latencies before the
+    /// first reply, and the rate of a stream in its first three seconds.
+    ///
+    /// In Prometheus' text format, without a library:
+    ///
+    /// ```
+    /// # let stats = tokio_scip::Stats::default();
+    /// let mut text = String::new();
+    /// let mut name = "";
+    /// for metric in stats.metrics() {
+    ///     if name != metric.name {
+    ///         name = metric.name;
+    ///         text += &format!("# HELP {name} {}\n# TYPE {name} {}\n", metric.help, metric.kind.as_str());
+    ///     }
+    ///     let labels = metric.labels.iter().map(|(name, value)| format!("{name}=\"{value}\""));
+    ///     let (suffix, labels) = (metric.suffix, labels.collect::<Vec<_>>().join(","));
+    ///     text += &format!("{name}{suffix}{{{labels}}} {}\n", metric.value);
+    /// }
+    /// assert!(text.contains("# TYPE urg_scans_total counter\nurg_scans_total{} 0\n"));
+    /// assert!(text.contains("urg_poll_failures_total{cause=\"timeout\"} 0\n"));
+    /// ```
+    pub fn metrics(&self) -> impl Iterator<Item = Metric> + use<> {
+        // Without `..`, so that a new field cannot be forgotten.
+        let Self {
+            polls,
+            scans,
+            repeats,
+            timeouts,
+            refused,
+            malformed: MalformedCounts { echo, status, length, character, overlong },
+            fences,
+            fence_timeouts,
+            disconnects,
+            reconnects,
+            bytes_skipped,
+            missed,
+            polls_skipped,
+            baud_rate_outrun,
+            reply_latency: latency,
+            motor,
+            schedules,
+        } = self;
+        let mut all = Figures::default();
+        all.count("urg_polls_total", "Polls sent to the sensor", *polls);
+        all.count("urg_scans_total", "Scans received from the sensor", *scans);
+        all.count("urg_repeats_total", "Scans equal to the one before", *repeats);
+        let causes =
+            [("timeout", *timeouts), ("malformed", self.malformed.total()), ("refused", *refused)];
+        let help = "Commands without a good reply, by cause";
+        all.count_each("urg_poll_failures_total", help, "cause", causes);
+        let faults = [
+            ("echo", *echo),
+            ("status", *status),
+            ("length", *length),
+            ("character", *character),
+            ("overlong", *overlong),
+        ];
+        all.count_each("urg_malformed_total", "Malformed replies, by fault", "fault", faults);
+        all.count("urg_fences_total", "Fences sent", *fences);
+        all.count("urg_fence_timeouts_total", "Fences without an answer", *fence_timeouts);
+        all.count("urg_disconnects_total", "Losses of the link", *disconnects);
+        all.count("urg_reconnects_total", "Returns of the link", *reconnects);
+        all.count("urg_missed_total", "Scans that slow consumers missed", *missed);
+        all.count("urg_polls_skipped_total", "Polls that were not sent in time", *polls_skipped);
+        all.count("urg_skipped_bytes_total", "Bytes that were in no reply", *bytes_skipped);
+        all.unit("bytes");
+        let help = "1 if replies came faster than the baud rate of the port carries, else 0";
+        all.gauge("urg_baud_rate_outrun", help, u8::from(*baud_rate_outrun).into());
+        if latency.count > 0 {
+            let (name, help) = ("urg_reply_latency_seconds", "Time from a poll to its whole reply");
+            for (label, q) in [("0.5", 0.5), ("0.9", 0.9), ("0.99", 0.99), ("1", 1.0)] {
+                all.summary(name, "", help, latency.quantile(q).as_secs_f64());
+                all.unit("seconds").label("quantile", label);
+            }
+            all.summary(name, "_sum", help, latency.total.as_secs_f64());
+            all.unit("seconds");
+            all.summary(name, "_count", help, latency.count as f64);
+        }
+        if let Some(motor) = motor {
+            if let Some(revolution) = motor.revolution {
+                let help = "Measured time of a revolution of the motor";
+                all.gauge("urg_motor_revolution_seconds", help, revolution.as_secs_f64());
+                all.unit("seconds");
+            }
+            let help = "Mean time from the end of a revolution to the arrival of its scan";
+            all.gauge("urg_motor_lateness_seconds", help, motor.lateness.as_secs_f64());
+            all.unit("seconds");
+            let help = "Jumps of the motor's phase since the link was found";
+            all.gauge("urg_motor_jumps", help, motor.jumps as f64);
+        }
+        for ScheduleStats { window, rate, reached, .. } in schedules {
+            if let Some(reached) = reached {
+                all.gauge("urg_scan_rate_hertz", "Scans a second over some seconds", *reached);
+                all.unit("hertz").label("window", window.to_string());
+                all.label("rate", rate.to_string());
+            }
+        }
+        all.0.into_iter()
+    }
+}
+
+/// Figures so far.
+#[derive(Default)]
+struct Figures(Vec<Metric>);
+
+impl Figures {
+    fn push(&mut self, name: &'static str, kind: MetricKind, help: &'static str, value: f64) {
+        let (suffix, labels) = ("", Vec::new());
+        self.0.push(Metric { name, suffix, kind, help, unit: None, labels, value });
+    }
+
+    fn count(&mut self, name: &'static str, help: &'static str, value: u64) {
+        self.push(name, MetricKind::Counter, help, value as f64);
+    }
+
+    fn count_each<const N: usize>(
+        &mut self,
+        name: &'static str,
+        help: &'static str,
+        label: &'static str,
+        values: [(&'static str, u64); N],
+    ) {
+        for (which, value) in values {
+            self.count(name, help, value);
+            self.label(label, which);
+        }
+    }
+
+    fn gauge(&mut self, name: &'static str, help: &'static str, value: f64) {
+        self.push(name, MetricKind::Gauge, help, value);
+    }
+
+    fn summary(
+        &mut self,
+        name: &'static str,
+        suffix: &'static str,
+        help: &'static str,
+        value: f64,
+    ) {
+        self.push(name, MetricKind::Summary, help, value);
+        self.0.last_mut().into_iter().for_each(|metric| metric.suffix = suffix);
+    }
+
+    /// Sets the unit of the latest figure.
+    fn unit(&mut self, unit: &'static str) -> &mut Self {
+        self.0.last_mut().into_iter().for_each(|metric| metric.unit = Some(unit));
+        self
+    }
+
+    /// Adds a label to the latest figure.
+    fn label(&mut self, name: &'static str, value: impl Into<Cow<'static, str>>) {
+        let value = value.into();
+        self.0.last_mut().into_iter().for_each(|metric| metric.labels.push((name, value.clone())));
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+    use std::time::Duration;
+
+    use super::*;
+    use crate::{Rate, Window};
+
+    #[test]
+    fn each_figure_has_a_name_and_labels_of_its_own_and_its_value() {
+        let malformed = MalformedCounts { echo: 1, ..MalformedCounts::default() };
+        let mut stats = Stats { scans: 7, malformed, ..Stats::default() };
+        stats.reply_latency.add(Duration::from_millis(250));
+        let keyed = stats.metrics().map(|metric| {
+            ((format!("{}{}", metric.name, metric.suffix), metric.labels), metric.value)
+        });
+        let metrics: BTreeMap<_, _> = keyed.collect();
+        assert_eq!(metrics.len(), stats.metrics().count());
+        let value = |name: &str, labels: &[(&'static str, &'static str)]| {
+            let labels = labels.iter().map(|(name, value)| (*name, Cow::from(*value))).collect();
+            metrics.get(&(name.to_owned(), labels)).copied()
+        };
+        assert_eq!(value("urg_scans_total", &[]), Some(7.0));
+        assert_eq!(value("urg_malformed_total", &[("fault", "echo")]), Some(1.0));
+        assert_eq!(value("urg_poll_failures_total", &[("cause", "malformed")]), Some(1.0));
+        assert_eq!(value("urg_reply_latency_seconds", &[("quantile", "0.5")]), Some(0.25));
+        assert_eq!(value("urg_reply_latency_seconds_sum", &[]), Some(0.25));
+        assert_eq!(value("urg_reply_latency_seconds_count", &[]), Some(1.0));
+    }
+
+    #[test]
+    fn what_is_not_known_is_left_out() {
+        let schedule = |reached| ScheduleStats::new(Window::FULL, Rate::hz(10.0), reached, 0);
+        let mut stats = Stats { schedules: vec![schedule(None)], ..Stats::default() };
+        let names: BTreeSet<_> = stats.metrics().map(|metric| metric.name).collect();
+        assert!(names.contains("urg_scans_total"));
+        assert!(
+            !names.contains("urg_scan_rate_hertz") && !names.contains("urg_reply_latency_seconds")
+        );
+        stats.schedules = vec![schedule(Some(0.0))];
+        let rate = stats.metrics().find(|metric| metric.name == "urg_scan_rate_hertz").unwrap();
+        let labels = vec![("window", "steps 0..=768".into()), ("rate", "10 Hz".into())];
+        assert_eq!((rate.value, rate.unit, rate.labels), (0.0, Some("hertz"), labels));
+    }
+
+    #[test]
+    fn figures_of_one_name_follow_each_other_and_agree_in_all_but_labels() {
+        let mut stats = Stats::default();
+        stats.reply_latency.add(Duration::from_millis(250));
+        let mut seen: Vec<Metric> = Vec::new();
+        for metric in stats.metrics() {
+            if let Some(first) = seen.iter().find(|first| first.name == metric.name) {
+                assert_eq!(seen.last().unwrap().name, metric.name);
+                assert_eq!((first.kind, first.help), (metric.kind, metric.help));
+                assert!(first.unit == metric.unit || metric.suffix == "_count", "{metric:?}");
+            }
+            // Prometheus reserves both ends and the label for a summary.
+            let is_total = metric.name.ends_with("_total");
+            assert_eq!(is_total, metric.kind == MetricKind::Counter, "{metric:?}");
+            assert!(!metric.name.ends_with("_sum") && !metric.name.ends_with("_count"));
+            let is_quantile = metric.labels.iter().any(|(name, _)| *name == "quantile");
+            let is_summary = is_quantile || !metric.suffix.is_empty();
+            assert_eq!(is_summary, metric.kind == MetricKind::Summary, "{metric:?}");
+            seen.push(metric);
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! Counters of everything that the driver does, for a metrics exporter or a log. Get a
+//! copy from [`Sensor::stats`](crate::Sensor::stats).
+//!
+//! ```
+//! # use tokio_scip::emulator::Emulator;
+//! use tokio_scip::{Rate, Sensor, Window};
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), tokio_scip::Error> {
+//! # let sensor = Sensor::builder().connect(Emulator::default()).await?;
+//! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+//! for _ in 0..10 {
+//!     scans.next().await;
+//! }
+//! let stats = sensor.stats();
+//! println!("{} scans, {} malformed replies", stats.scans, stats.malformed.total());
+//! println!("99 % of the replies came within {:?}", stats.reply_latency.quantile(0.99));
+//! # assert_eq!((stats.scans, stats.malformed.total()), (10, 0));
+//! # Ok(())
+//! # }
+//! ```
+
+mod latency;
+mod metrics;
+mod motor;
+#[expect(clippy::module_inception, reason = "it is named after its type")]
+mod stats;
+
+pub use self::latency::LatencyStats;
+pub use self::metrics::{Metric, MetricKind};
+pub use self::motor::MotorStats;
+#[doc(no_inline)]
+pub use self::stats::Stats;
+pub use self::stats::{MalformedCounts, ScheduleStats};

@@ -1,0 +1,115 @@
+//! [`Stats`]: counters of everything that the driver does.
+
+use crate::protocol::{Malformed, ReplyError};
+use crate::stats::{LatencyStats, MotorStats};
+use crate::{Rate, Window};
+
+/// Counters since the driver started: a copy, from [`Sensor::stats`](crate::Sensor::stats).
+/// Counts never decrease, not even when the link is lost. Serialises (feature `serde`) as its
+/// fields. [`metrics`](Self::metrics) adds names, kinds and units for an exporter.
+#[derive(Debug, Clone, Default, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct Stats {
+    /// `G`s sent for streams and single scans.
+    pub polls: u64,
+    /// Scans received.
+    pub scans: u64,
+    /// Scans with the same values as the previous one.
+    pub repeats: u64,
+    /// Commands, other than fences, that the sensor did not answer in time.
+    pub timeouts: u64,
+    /// Commands that the sensor refused.
+    pub refused: u64,
+    /// Malformed replies, by fault.
+    pub malformed: MalformedCounts,
+    /// Fences sent: single-step `G`s that prove that no older reply is on its way.
+    pub fences: u64,
+    /// Fences that the sensor did not answer in time.
+    pub fence_timeouts: u64,
+    /// Losses of the link.
+    pub disconnects: u64,
+    /// Number of times a sensor was found again, on the same port or a new one.
+    pub reconnects: u64,
+    /// Bytes received that were not part of a reply to the driver's commands.
+    pub bytes_skipped: u64,
+    /// Scans that streams missed because their consumers were slow.
+    pub missed: u64,
+    /// Polls that were never sent, because the line or the host was busy until the next poll
+    /// was due. Excludes polls that fell due without a link.
+    pub polls_skipped: u64,
+    /// True if a reply arrived faster than the baud rate of the port allows, since the link
+    /// was found or the baud rate changed. The port then uses another baud rate, or ignores it, as a pseudo-terminal, a sensor on USB and a
+    /// serial server do. Limits computed from the baud rate do not apply.
+    pub baud_rate_outrun: bool,
+    /// Times from a `G` to the last byte of its reply.
+    pub reply_latency: LatencyStats,
+    /// Motor of the sensor. `None` until enough replies have followed its revolutions,
+    /// and while the link is lost.
+    pub motor: Option<MotorStats>,
+    /// Windows that are polled now, each with its rate.
+    pub schedules: Vec<ScheduleStats>,
+}
+
+/// Malformed replies, by fault.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct MalformedCounts {
+    /// Another command was echoed, or the echo was damaged.
+    pub echo: u64,
+    /// The status is missing, or is not one character.
+    pub status: u64,
+    /// A line, or the data as a whole, has the wrong length.
+    pub length: u64,
+    /// A character encodes no 6-bit number.
+    pub character: u64,
+    /// The reply does not end where it should.
+    pub overlong: u64,
+}
+
+impl MalformedCounts {
+    /// Number of all malformed replies.
+    pub fn total(&self) -> u64 {
+        self.echo + self.status + self.length + self.character + self.overlong
+    }
+
+    pub(crate) fn count(&mut self, error: &ReplyError) {
+        let counter = match error {
+            ReplyError::Foreign { .. } => &mut self.echo,
+            ReplyError::Scip2 { .. } => &mut self.status,
+            ReplyError::Malformed(malformed) => match malformed {
+                Malformed::Echo { .. } | Malformed::Early { .. } => &mut self.echo,
+                Malformed::NoStatus | Malformed::Status { .. } => &mut self.status,
+                Malformed::Character { .. } => &mut self.character,
+                Malformed::Overlong { .. } | Malformed::NotRaw => &mut self.overlong,
+                _ => &mut self.length,
+            },
+        };
+        *counter += 1;
+    }
+}
+
+/// Requested and achieved rate of one schedule.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[non_exhaustive]
+pub struct ScheduleStats {
+    /// Window that is polled.
+    pub window: Window,
+    /// Requested rate.
+    pub rate: Rate,
+    /// Scans received per second, over about the last three seconds of polling. `None`
+    /// before that, and while nothing is polled: the link is lost or searched for, the laser
+    /// is switched off, or the driver has ended.
+    pub reached: Option<f64>,
+    /// Number of polls in those seconds whose replies were lost, malformed or refused. Unless
+    /// it is 0, the line and the sensor may be able to carry more than `reached`.
+    pub failed: u32,
+}
+
+impl ScheduleStats {
+    pub(crate) fn new(window: Window, rate: Rate, reached: Option<f64>, failed: u32) -> Self {
+        Self { window, rate, reached, failed }
+    }
+}

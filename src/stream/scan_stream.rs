@@ -1,0 +1,131 @@
+//! [`ScanStream`]: reads scans from its own position in the ring.
+
+use std::fmt;
+use std::future::poll_fn;
+use std::pin::Pin;
+use std::task::{Context, Poll};
+
+use futures_core::stream::{FusedStream, Stream};
+
+use crate::driver::Client;
+use crate::ring::Cursor;
+use crate::{Error, Freshness, Rate, Scan, Window};
+
+/// Scans of a [`Window`] at a [`Rate`], live: a `Stream<Item = Result<Scan, Error>>`.
+///
+/// The stream keeps only the newest scans: one, or the number that you set as its
+/// [depth](crate::stream::StreamBuilder::depth). A slow consumer gets the newest scans, and no
+/// backlog. Missed scans show as a gap in [`Scan::sequence`] and in [`missed`](Self::missed).
+///
+/// Errors are items: the stream continues after one. No scan overwrites the latest error, and you
+/// get it in order, before the scans that followed it. You get one error for each change of
+/// condition: the first timeout after a scan, `Disconnected` once. When the driver has ended, the
+/// stream yields the cause and then `None`; after [`Sensor::close`](crate::Sensor::close) just
+/// `None`.
+///
+/// A clone continues from the same position and shares the polls: one `G` serves all. To start with
+/// the next scan instead, use [`resubscribe`](Self::resubscribe). Dropping the last copy stops the
+/// polling within a period. A stream keeps its driver alive, even if you drop every
+/// [`Sensor`](crate::Sensor).
+///
+/// Like tokio's own types, it takes part in cooperative scheduling: a task that always finds a scan
+/// yields now and then.
+#[derive(Clone)]
+#[must_use = "polling stops when the stream is dropped"]
+pub struct ScanStream {
+    pub(super) cursor: Cursor,
+    pub(super) window: Window,
+    pub(super) rate: Rate,
+    /// Keeps the driver alive.
+    pub(super) client: Client,
+}
+
+impl ScanStream {
+    /// Waits for the next scan or error, or `None` after the end. The same as `StreamExt::next`,
+    /// without an import.
+    ///
+    /// Cancel-safe: you lose no item by dropping this future.
+    pub async fn next(&mut self) -> Option<Result<Scan, Error>> {
+        poll_fn(|cx| self.poll_item(cx)).await
+    }
+
+    /// Takes the next scan or error without waiting. `None` means that nothing new has arrived, or
+    /// that the stream has ended: [`is_terminated`](FusedStream::is_terminated) tells which.
+    pub fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
+        self.cursor.next_if_ready().map(|item| self.named(item))
+    }
+
+    fn poll_item(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Scan, Error>>> {
+        self.cursor.poll_next(cx).map(|item| item.map(|item| self.named(item)))
+    }
+
+    fn named(&self, item: Result<Scan, Error>) -> Result<Scan, Error> {
+        item.map_err(|error| self.client.telemetry().named(error))
+    }
+
+    /// Newest scan, read or not, or `None` before the first. Reads nothing: [`next`](Self::next)
+    /// still yields a scan that you have not read. The newest scan may be old: check its
+    /// [age](Scan::age), or [`freshness`](Self::freshness).
+    pub fn latest(&self) -> Option<Scan> {
+        self.cursor.latest()
+    }
+
+    /// When the newest scan arrived, and why there is no newer one.
+    pub fn freshness(&self) -> Freshness {
+        let (last_scan, error) = self.cursor.freshness();
+        // Errors of other streams' polls do not matter here.
+        let telemetry = self.client.telemetry();
+        let error = telemetry.pause_reason().or(error).map(|error| telemetry.named(error));
+        Freshness::new(last_scan, error)
+    }
+
+    /// Creates a stream of the same scans that starts with the next one, like
+    /// [`Sensor::scans`](crate::Sensor::scans), but without waiting for the driver. If no scan has
+    /// arrived since the latest error, it starts with that error.
+    ///
+    /// Use it if you keep one stream only to make others, as in a service that shares the scans
+    /// among its clients. A clone would start with everything that the kept stream has not read,
+    /// including an old error, and would count overwritten scans as missed.
+    pub fn resubscribe(&self) -> Self {
+        Self { cursor: self.cursor.resubscribe(), client: self.client.clone(), ..*self }
+    }
+
+    /// Polled window.
+    pub fn window(&self) -> Window {
+        self.window
+    }
+
+    /// Rate of the polls.
+    pub fn rate(&self) -> Rate {
+        self.rate
+    }
+
+    /// Number of scans that this copy missed because its consumer was slow.
+    pub fn missed(&self) -> u64 {
+        self.cursor.missed()
+    }
+}
+
+impl fmt::Debug for ScanStream {
+    /// Leaves out the kept scans, because there may be many.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { window, rate, .. } = self;
+        let mut stream = f.debug_struct("ScanStream");
+        stream.field("window", window).field("rate", rate).field("missed", &self.missed());
+        stream.finish_non_exhaustive()
+    }
+}
+
+impl Stream for ScanStream {
+    type Item = Result<Scan, Error>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        self.poll_item(cx)
+    }
+}
+
+impl FusedStream for ScanStream {
+    fn is_terminated(&self) -> bool {
+        self.cursor.is_finished()
+    }
+}

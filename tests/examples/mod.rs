@@ -1,0 +1,6 @@
+//! The programs in `examples/`, asked for what they promise: as a user runs them, and on the
+//! paused clock where faults and hours cost little.
+
+mod programs;
+mod promises;
+mod run;

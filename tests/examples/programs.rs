@@ -1,0 +1,16 @@
+//! The examples, included as they are, for tests that call parts of them.
+
+#![allow(dead_code, reason = "their main functions are those of programs")]
+#![allow(clippy::duplicate_mod, reason = "each has the same module `port`")]
+
+#[path = "../../examples/count_people.rs"]
+pub(super) mod count_people;
+#[path = "../../examples/graceful_shutdown.rs"]
+pub(super) mod graceful_shutdown;
+#[path = "../../examples/merged.rs"]
+pub(super) mod merged;
+#[cfg(unix)]
+#[path = "../../examples/own_transport.rs"]
+pub(super) mod own_transport;
+#[path = "../../examples/safety_stop.rs"]
+pub(super) mod safety_stop;

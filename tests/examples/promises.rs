@@ -1,0 +1,237 @@
+//! What examples promise, on the paused clock, where hours and faults cost little.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, sleep, timeout};
+use tokio_scip::emulator::{
+    Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, World, WorldTime,
+};
+use tokio_scip::{Sensor, State};
+
+use crate::common::{limit::limit, ms};
+
+#[cfg(unix)]
+use super::programs::own_transport;
+use super::programs::{count_people, graceful_shutdown, merged, safety_stop};
+
+/// A room in which an obstacle appears: the smallest that must be seen, at the limit of the
+/// clearance, 20 degrees to the left.
+struct Appearing {
+    room: Box<dyn World>,
+    blocked: Box<dyn World>,
+    is_blocked: Arc<AtomicBool>,
+}
+
+impl World for Appearing {
+    fn measure(&mut self, time: WorldTime, values: &mut Values) {
+        let blocked = self.is_blocked.load(Ordering::Relaxed);
+        let world = if blocked { &mut self.blocked } else { &mut self.room };
+        world.measure(time, values);
+    }
+}
+
+/// Figures of a run of the safety stop.
+#[derive(Debug, Default)]
+struct Run {
+    /// The longest time from an obstacle to the stop.
+    reaction: Duration,
+    /// The age of the oldest good scan that permitted to drive.
+    age: Duration,
+    /// The share of the time in which the path was clear and the vehicle could drive.
+    clear: f64,
+}
+
+/// Runs the safety stop for `obstacles` obstacles, two seconds each, with three seconds
+/// between them, and looks at its output every 5 ms.
+async fn run(world: Appearing, faults: Faults, is_blocked: &AtomicBool, obstacles: u32) -> Run {
+    limit();
+    let emulator = Emulator::builder().world(world).build();
+    let sensor = safety_stop::settings().jitter_seed(7).connect(emulator.clone()).await.unwrap();
+    let (output, may_drive) = watch::channel(false);
+    let (scans, path) = (safety_stop::ahead(&sensor).await.unwrap(), safety_stop::path().unwrap());
+    let guard = tokio::spawn(safety_stop::guard(scans, path, output));
+    emulator.set_faults(faults);
+    let mut run = Run::default();
+    let (mut driving, mut total) = (0, 0);
+    for _ in 0..obstacles {
+        for (blocked, length) in [(false, 3000), (true, 2000)] {
+            is_blocked.store(blocked, Ordering::Relaxed);
+            let start = Instant::now();
+            while start.elapsed() < ms(length) {
+                sleep(ms(5)).await;
+                let drives = *may_drive.borrow();
+                if drives {
+                    run.age = run.age.max(sensor.freshness().age().unwrap());
+                }
+                if drives && blocked {
+                    run.reaction = run.reaction.max(start.elapsed());
+                }
+                // From then on it would see a clear path without faults.
+                if !blocked && start.elapsed() > safety_stop::REACTION {
+                    (driving, total) = (driving + u32::from(drives), total + 1);
+                }
+            }
+        }
+    }
+    run.clear = f64::from(driving) / f64::from(total);
+    drop(sensor);
+    guard.abort();
+    assert!(guard.await.is_err());
+    assert!(!*may_drive.borrow(), "a guard that ends stops the vehicle");
+    run
+}
+
+/// An obstacle of the smallest width, facing the sensor.
+fn obstacle() -> Scene {
+    let (distance, width) = (safety_stop::CLEARANCE - 0.03, safety_stop::WIDTH);
+    let end = |left: f64| {
+        let angle = 20f64.to_radians();
+        (distance * angle.cos() - left * angle.sin(), distance * angle.sin() + left * angle.cos())
+    };
+    Scene::new(1).rectangle((-2.0, -2.0), (3.0, 2.0)).wall(end(-width / 2.0), end(width / 2.0))
+}
+
+fn appearing(room: impl World + 'static) -> (Appearing, Arc<AtomicBool>) {
+    let is_blocked = Arc::new(AtomicBool::new(false));
+    // Its distances are as sparse as those of the hard room.
+    let blocked = Box::new(Sparse::new(obstacle(), 0.44, 3));
+    let world = Appearing { room: Box::new(room), blocked, is_blocked: Arc::clone(&is_blocked) };
+    (world, is_blocked)
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_vehicle_stops_in_time_with_every_fault() {
+    let faults = [
+        Fault::CommandLost,
+        Fault::Lost,
+        Fault::Late(ms(80)),
+        Fault::Late(ms(700)),
+        Fault::Doubled,
+        Fault::Drop(100..101),
+        Fault::Insert(100, b"0".to_vec()),
+        Fault::Repeat(20..85),
+        Fault::Cut(200),
+        Fault::Damaged,
+        Fault::Merged,
+        Fault::Garbage(b"x\n\n".to_vec()),
+        Fault::Noise(50),
+        Fault::Pause(100, ms(400)),
+        Fault::Trickle(ms(1)),
+        Fault::CrLf,
+        Fault::Status(b'7'),
+        Fault::Reset(100),
+        Fault::HangUp(100),
+        Fault::Endless(b"x".to_vec()),
+    ];
+    for (share, fault) in [(0.0, Fault::Lost)].into_iter().chain(faults.map(|fault| (0.2, fault))) {
+        let (world, is_blocked) = appearing(Fixed::filled(3000));
+        let faults = Faults::none().rate(share, fault.clone());
+        let run = run(world, faults, &is_blocked, 4).await;
+        println!("{share} {fault:?}: {run:?}");
+        assert!(run.reaction <= safety_stop::REACTION, "{fault:?}: {run:?}");
+        assert!(run.age <= safety_stop::LIMIT + ms(5), "{fault:?}: {run:?}");
+        assert!(share > 0.0 || run.clear == 1.0, "{run:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn in_the_hard_room_with_lost_replies_no_obstacle_is_missed_and_the_vehicle_drives() {
+    let (world, is_blocked) = appearing(Room::hard(1));
+    let run = run(world, Faults::none().rate(0.01, Fault::Lost), &is_blocked, 60).await;
+    println!("{run:?}");
+    assert!(run.reaction <= safety_stop::REACTION, "{run:?}");
+    assert!(run.clear >= 0.99, "{run:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_person_at_a_door_is_counted_also_after_the_cable_was_out() {
+    limit();
+    let someone = Arc::new(AtomicBool::default());
+    let seen = Arc::clone(&someone);
+    let emulator = Emulator::builder()
+        .world(move |_: WorldTime, values: &mut Values| {
+            values.fill(3000);
+            if seen.load(Ordering::Relaxed) {
+                values[300..330].fill(1200);
+            }
+        })
+        .build();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    let (people, mut counts) = mpsc::channel(16);
+    tokio::spawn(count_people::watch("door".to_owned(), sensor, people));
+    let mut next = async || timeout(ms(60_000), counts.recv()).await.unwrap().unwrap().1;
+    assert_eq!(next().await, 0);
+    someone.store(true, Ordering::Relaxed);
+    assert_eq!(next().await, 1);
+    someone.store(false, Ordering::Relaxed);
+    assert_eq!(next().await, 0);
+    emulator.unplug();
+    sleep(ms(5000)).await;
+    emulator.plug_in();
+    sleep(ms(5000)).await;
+    someone.store(true, Ordering::Relaxed);
+    assert_eq!(next().await, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_point_ahead_of_a_sensor_that_looks_back_is_behind_the_vehicle() {
+    limit();
+    let emulator = Emulator::builder().world(Fixed::filled(1000)).build();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    let scan = sensor.scan(tokio_scip::Window::new(384..=384).unwrap()).await.unwrap();
+    let pose = merged::parse("-0.5,0.1,180").unwrap();
+    let point = pose.transform_scan(&scan).next().unwrap();
+    assert!((point.x + 1.5).abs() < 1e-5 && (point.y - 0.1).abs() < 1e-5, "{point:?}");
+    assert_eq!(merged::parse("1,2"), None);
+
+    // A sensor that is lost leaves the cloud.
+    let mut scans = sensor.scans(scan.window(), tokio_scip::Rate::hz(10.0)).await.unwrap();
+    scans.next().await.unwrap().unwrap();
+    let (sensors, mut cloud) = ([(pose, scans)], Vec::new());
+    assert_eq!((merged::merge(&sensors, &mut cloud), cloud.len()), (1, 1));
+    emulator.unplug();
+    sleep(ms(500)).await;
+    assert_eq!((merged::merge(&sensors, &mut cloud), cloud.len()), (0, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_graceful_shutdown_leaves_the_laser_off_and_the_port_free() {
+    limit();
+    let emulator = Emulator::default();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    graceful_shutdown::run(sensor, sleep(ms(1000))).await.unwrap();
+    assert!(!emulator.is_laser_on() && !emulator.is_connected());
+}
+
+/// In real time: the link is the standard input and output of a real program.
+#[cfg(unix)]
+#[tokio::test]
+async fn a_program_that_ends_is_started_again() {
+    limit();
+    let emulator = Emulator::default();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let (hang_up, _) = tokio::sync::broadcast::channel::<()>(1);
+    let hang_ups = hang_up.clone();
+    tokio::spawn(async move {
+        while let Ok((client, _)) = listener.accept().await {
+            let (emulator, mut hang_up) = (emulator.clone(), hang_ups.subscribe());
+            tokio::spawn(async move {
+                tokio::select! {
+                    _ = emulator.serve(client) => {}
+                    _ = hang_up.recv() => {}
+                }
+            });
+        }
+    });
+    let command = format!("exec 3<>/dev/tcp/127.0.0.1/{port}; cat <&3 & exec cat >&3");
+    let program = own_transport::Program::new(format!("exec bash -c '{command}'"));
+    let sensor = Sensor::builder().connect(program).await.unwrap();
+    let mut state = sensor.state();
+    hang_up.send(()).unwrap();
+    state.wait_for(|state| !matches!(state, State::Connected { .. })).await.unwrap();
+    state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
+}

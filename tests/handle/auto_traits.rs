@@ -1,0 +1,75 @@
+//! Checks at compile time that handles and data can be moved between tasks and shared
+//! between threads as services need it.
+
+use std::fmt::Debug;
+
+use futures::stream::{FusedStream, Stream};
+use tokio_scip::emulator::Emulator;
+use tokio_scip::port::Connect;
+use tokio_scip::port::StreamPort;
+use tokio_scip::scan::Zone;
+use tokio_scip::stream::OnlyScans;
+use tokio_scip::{
+    Driver, Endpoint, Error, Point, Rate, Scan, ScanStream, Sensor, SensorBuilder, State, Stats,
+    Version, Window,
+};
+
+fn shared<T: Send + Sync + Unpin + Debug + 'static>() {}
+fn sent<T: Send + 'static>(_: &T) {}
+fn stream<T: FusedStream + Stream + Clone + Unpin + Send + Sync + 'static>() {}
+
+#[test]
+fn handles_streams_and_data_are_shared_between_threads() {
+    shared::<Sensor>();
+    shared::<SensorBuilder>();
+    shared::<Endpoint>();
+    shared::<StreamPort<tokio::io::Empty>>();
+    shared::<ScanStream>();
+    shared::<OnlyScans>();
+    shared::<Scan>();
+    shared::<Point>();
+    shared::<Zone>();
+    shared::<Window>();
+    shared::<Rate>();
+    shared::<Version>();
+    shared::<State>();
+    shared::<Stats>();
+    shared::<Error>();
+}
+
+#[test]
+fn streams_need_no_pinning_and_are_fused() {
+    stream::<ScanStream>();
+    stream::<OnlyScans>();
+}
+
+#[test]
+fn the_driver_is_a_future_that_can_be_spawned() {
+    fn spawned<T: Future<Output = Result<(), Error>> + Send + Unpin + Debug + 'static>() {}
+    spawned::<Driver>();
+    let (_sensor, driver) = Sensor::builder().build(Emulator::builder().build());
+    assert_eq!(format!("{driver:?}"), "Driver { .. }");
+}
+
+/// Never called: the test is that it compiles.
+#[allow(dead_code)]
+fn every_future_can_be_awaited_in_a_spawned_task(
+    sensor: &'static Sensor,
+    stream: &'static mut ScanStream,
+    scans: &'static mut OnlyScans,
+    connect: impl Connect,
+) {
+    sent(&Sensor::open("/dev/ttyACM0"));
+    sent(&Sensor::attach(tokio::io::empty()));
+    sent(&Sensor::builder().connect(connect));
+    sent(&sensor.opened());
+    sent(&sensor.version());
+    sent(&sensor.laser_on());
+    sent(&sensor.laser_off());
+    sent(&sensor.set_baud_rate(tokio_scip::BaudRate::B19200));
+    sent(&sensor.scan(Window::FULL));
+    sent(&sensor.scans(Window::FULL, Rate::MAX));
+    sent(&sensor.close());
+    sent(&stream.next());
+    sent(&scans.next());
+}

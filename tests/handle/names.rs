@@ -1,0 +1,140 @@
+//! Errors name the sensor that they concern, whichever way they reach the service.
+
+use std::process::Command as Process;
+
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::port::StreamPort;
+use tokio_scip::{Error, Rate, Sensor, State, Window};
+
+use crate::common::{ConnectFn, builder, ms};
+
+const WINDOW: Window = Window::DETECTION;
+
+async fn left(emulator: &Emulator) -> Sensor {
+    builder().name("left").connect(emulator.clone()).await.unwrap()
+}
+
+/// Checks that the error has the name, also in its text, and returns it.
+#[track_caller]
+fn named(error: Error) -> Error {
+    assert_eq!(error.sensor(), Some("left"), "{error}");
+    assert!(error.to_string().contains("left"), "{error}");
+    error
+}
+
+/// Returns the error of a poll whose reply, fence and second reply have the faults.
+async fn poll_with(faults: Faults) -> Error {
+    let emulator = Emulator::default();
+    let sensor = left(&emulator).await;
+    emulator.set_faults(faults);
+    named(sensor.scan(WINDOW).await.unwrap_err())
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_error_of_a_request_names_the_sensor() {
+    let both = |fault: Fault| Faults::none().at(0, fault.clone()).at(2, fault);
+    let error = poll_with(both(Fault::Lost)).await;
+    assert!(matches!(error, Error::Timeout { .. }), "{error}");
+    assert!(error.to_string().starts_with("left did not answer G"), "{error}");
+    let error = poll_with(both(Fault::Drop(100..101))).await;
+    assert!(matches!(error, Error::Malformed { .. }), "{error}");
+    assert!(error.to_string().starts_with("the reply of left to G"), "{error}");
+    let error = poll_with(Faults::none().every(Fault::Status(b'6'))).await;
+    assert!(matches!(error, Error::Refused { .. } | Error::NotConfirmed { .. }), "{error}");
+
+    let emulator = Emulator::default();
+    let sensor = left(&emulator).await;
+    sensor.laser_off().await.unwrap();
+    let error = named(sensor.scan(WINDOW).await.unwrap_err());
+    assert!(matches!(error, Error::LaserOff { .. }), "{error}");
+    emulator.set_faults(Faults::none().every(Fault::Status(b'1')));
+    let error = named(sensor.laser_on().await.unwrap_err());
+    assert!(matches!(error, Error::Refused { .. } | Error::NotConfirmed { .. }), "{error}");
+    sensor.close().await;
+    let error = named(sensor.version().await.unwrap_err());
+    assert!(matches!(error, Error::Closed { .. }), "{error}");
+    assert_eq!(error.to_string(), "the driver of left has ended");
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() {
+    let emulator = Emulator::default();
+    let (sensor, driver) = builder().name("left").reconnect(false).build(emulator.clone());
+    let driver = tokio::spawn(driver);
+    sensor.opened().await.unwrap();
+    let mut scans = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    scans.next().await.unwrap().unwrap();
+    emulator.set_faults(Faults::none().at(0, Fault::Drop(100..101)));
+    let error = named(scans.next().await.unwrap().unwrap_err());
+    assert!(matches!(error, Error::Malformed { .. }), "{error}");
+    named(scans.freshness().error().unwrap().clone());
+    named(sensor.freshness().error().unwrap().clone());
+
+    sensor.laser_off().await.unwrap();
+    for freshness in [sensor.freshness(), scans.freshness()] {
+        let error = named(freshness.error().unwrap().clone());
+        assert!(matches!(error, Error::LaserOff { .. }), "{error}");
+        named(freshness.check(ms(0)).unwrap_err().source.unwrap());
+    }
+    sensor.laser_on().await.unwrap();
+    emulator.unplug();
+    let lost = loop {
+        match scans.next_if_ready() {
+            Some(Err(error)) => break error,
+            _ => tokio::time::sleep(ms(10)).await,
+        }
+    };
+    assert!(matches!(named(lost), Error::Disconnected { .. }));
+    named(driver.await.unwrap().unwrap_err());
+    named(sensor.state().closed().await.unwrap_err());
+    named(sensor.state().connected().await.unwrap_err());
+    let State::Closed { error: Some(error) } = sensor.state().get() else { panic!() };
+    named(error);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_watch_of_a_driver_that_was_dropped_names_the_sensor() {
+    let (sensor, driver) = builder().name("left").build(Emulator::default());
+    drop(driver);
+    named(sensor.state().connected().await.unwrap_err());
+    named(sensor.freshness().error().unwrap().clone());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_panic_of_the_driver_names_the_sensor() {
+    std::panic::set_hook(Box::new(|_| {}));
+    let connect = || -> Result<StreamPort<tokio::io::DuplexStream>, Error> { panic!("injected") };
+    let (sensor, driver) = builder().name("left").build(ConnectFn(connect));
+    assert!(tokio::spawn(driver).await.unwrap_err().is_panic());
+    let error = named(sensor.opened().await.unwrap_err());
+    let _ = std::panic::take_hook();
+    assert_eq!(error.to_string(), "the driver of left has panicked: injected");
+}
+
+#[test]
+fn an_error_of_opening_names_the_port_and_no_program() {
+    let errors = [
+        Error::NoSuchPort { port: "left".to_owned() },
+        Error::NotASerialPort { port: "left".to_owned() },
+        Error::Busy { port: "left".to_owned() },
+        Error::NoSuchSensor { serial_number: "left".to_owned() },
+    ];
+    for error in errors {
+        assert!(!named(error.clone()).to_string().contains("`urg"), "{error}");
+    }
+}
+
+/// In real time, as a user runs it.
+#[test]
+fn a_main_that_returns_the_error_prints_its_text_and_what_to_do() {
+    crate::common::limit::limit();
+    let tests = std::env::current_exe().unwrap();
+    let examples = tests.parent().unwrap().parent().unwrap().join("examples");
+    let output = Process::new(examples.join("first_scans")).arg("/dev/no-such-port").output();
+    // `cargo test --test it` does not build them.
+    let output = output.expect("run `cargo build --examples` first");
+    assert!(!output.status.success());
+    let text = String::from_utf8(output.stderr).unwrap();
+    let remedy = "plug the sensor in, and check the name of the port";
+    assert_eq!(text.trim_end(), format!("Error: no port /dev/no-such-port: {remedy}"));
+}

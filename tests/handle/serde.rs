@@ -1,0 +1,185 @@
+//! Scans and related types as data (feature `serde`), in the documented shape.
+
+use std::sync::Arc;
+use std::time::{Duration, UNIX_EPOCH};
+
+use serde_json::{Value, json};
+use tokio_scip::emulator::{Emulator, Values, WorldTime};
+use tokio_scip::port::UsbId;
+use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
+
+/// A distance, an error code for nothing in range, one for no echo, and saturation.
+async fn sensor() -> (Sensor, Emulator) {
+    let emulator = Emulator::builder()
+        .world(|_: WorldTime, codes: &mut Values| {
+            codes[382..=385].copy_from_slice(&[1234, 0, 7, 4095])
+        })
+        .build();
+    (Sensor::builder().connect(emulator.clone()).await.unwrap(), emulator)
+}
+
+async fn scan() -> Scan {
+    let (sensor, _) = sensor().await;
+    sensor.scan(Window::new(382..=385).unwrap()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_is_a_line_of_ndjson_with_null_for_what_is_not_finite() {
+    let scan = scan().await;
+    let text = serde_json::to_string(&scan).unwrap();
+    let micros = scan.stamp().duration_since(UNIX_EPOCH).unwrap().as_micros();
+    let stamp = micros as f64 / 1e6;
+    let first_ray = scan.first_ray_stamp().duration_since(UNIX_EPOCH).unwrap().as_micros();
+    let first_ray = first_ray as f64 / 1e6;
+    let expected = format!(
+        "{{\"sequence\":0,\"stamp\":{stamp},\"first_ray\":{first_ray},\
+         \"stamp_quality\":\"arrival\",\"lateness\":null,\"start\":382,\"end\":385,\"cluster\":1,\
+         \"angle_min\":{},\"angle_increment\":{},\"scan_time\":0.1,\"repeat\":false,\"reconnects\":0,\"values\":[1234,0,7,4095],\
+         \"ranges\":[1.234,null,null,null]}}",
+        scan.angle_min(),
+        scan.angle_increment(),
+    );
+    assert_eq!(text, expected);
+    // To the microsecond, however many digits that takes.
+    let read: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!((read["stamp"].as_f64().unwrap() * 1e6).round() as u128, micros);
+}
+
+#[test]
+fn a_scan_that_was_written_is_read_back_as_the_same() {
+    let window =
+        |from, to, cluster| Window::new(from..=to).unwrap().with_cluster_count(cluster).unwrap();
+    let scan = |window: Window| {
+        let values: Vec<u16> = (0..window.points() as u16).map(|n| n % 4096).collect();
+        let stamp = UNIX_EPOCH + Duration::from_micros(1_795_000_000_123_457);
+        let scan = Scan::builder(window, values).sequence(41).stamp(stamp).repeat(true);
+        let scan = scan.lateness(Duration::from_nanos(1_234_567));
+        scan.scan_time(Duration::from_millis(99)).reconnects(2).build().unwrap()
+    };
+    let grouped = scan(window(10, 20, 4));
+    // The rest of a cluster keeps its direction.
+    let part = grouped.crop(window(18, 20, 1)).unwrap();
+    for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped, part] {
+        let line = serde_json::to_string(&scan).unwrap();
+        let read: Scan = serde_json::from_str(&line).unwrap();
+        assert_eq!(read, scan);
+        assert_eq!(serde_json::to_string(&read).unwrap(), line);
+    }
+}
+
+#[test]
+fn a_scan_is_deserialized_from_few_fields_and_never_an_invalid_one() {
+    let read = |value: Value| serde_json::from_value::<Scan>(value);
+    let scan = read(json!({"start": 384, "end": 385, "values": [1234, 0]})).unwrap();
+    assert_eq!((scan.values(), scan.sequence()), (&[1234, 0][..], 0));
+    assert_eq!(scan.scan_time(), std::time::Duration::from_millis(100));
+    assert_eq!(scan.stamp(), UNIX_EPOCH);
+    for bad in [
+        json!({"start": 384, "end": 385, "values": [1234]}),
+        json!({"start": 384, "end": 385, "values": [1234, 4096]}),
+        json!({"start": 385, "end": 384, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "cluster": 0, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "scan_time": -1, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "lateness": -1, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385, "stamp": 1e300, "values": [1234, 0]}),
+        json!({"start": 384, "end": 385}),
+    ] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+}
+
+#[test]
+fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
+    for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::MAX] {
+        let data = serde_json::to_value(rate).unwrap();
+        assert_eq!(data, json!(rate.to_string()));
+        assert_eq!(serde_json::from_value::<Rate>(data).unwrap(), rate);
+    }
+    let read = |value: Value| serde_json::from_value::<Rate>(value);
+    assert_eq!(read(json!(10)).unwrap(), Rate::hz(10.0));
+    assert_eq!(read(json!(0.5)).unwrap(), Rate::hz(0.5));
+    for bad in [json!(0), json!(-1), json!(1001.0), json!("fast"), json!(null)] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+    let error = read(json!(0)).unwrap_err().to_string();
+    assert!(error.contains("invalid rate \"0\": expected more than 0"), "{error}");
+
+    let endpoint: Endpoint = "tcp://bridge:4001?baud=57600".parse().unwrap();
+    let data = serde_json::to_value(&endpoint).unwrap();
+    assert_eq!(data, json!("tcp://bridge:4001?baud=57600"));
+    assert_eq!(serde_json::from_value::<Endpoint>(data).unwrap(), endpoint);
+    let error = serde_json::from_value::<Endpoint>(json!("tcp://bridge")).unwrap_err();
+    assert!(error.to_string().contains("invalid port \"tcp://bridge\""), "{error}");
+}
+
+#[test]
+fn a_window_is_deserialized_and_never_an_invalid_one() {
+    let window = Window::DETECTION.with_cluster_count(4).unwrap();
+    let data = serde_json::to_value(window).unwrap();
+    assert_eq!(data, json!({"start": 44, "end": 725, "cluster": 4}));
+    assert_eq!(serde_json::from_value::<Window>(data).unwrap(), window);
+    let read = |value: Value| serde_json::from_value::<Window>(value);
+    assert_eq!(read(json!({"start": 44, "end": 725})).unwrap(), Window::DETECTION);
+    for bad in [
+        json!({"start": 44, "end": 769}),
+        json!({"start": 45, "end": 44}),
+        json!({"start": 44, "end": 725, "cluster": 0}),
+        json!({"start": 44}),
+    ] {
+        assert!(read(bad.clone()).is_err(), "{bad}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn measurements_version_and_stats_are_data() {
+    let all: Vec<Measurement> = scan().await.measurements().collect();
+    let data = serde_json::to_value(&all).unwrap();
+    assert_eq!(data, json!([{"distance": 1234}, {"error": 0}, {"error": 7}, "saturated"]));
+    assert_eq!(serde_json::from_value::<Vec<Measurement>>(data).unwrap(), all);
+
+    let (sensor, _) = sensor().await;
+    let version = serde_json::to_value(sensor.version().await.unwrap()).unwrap();
+    assert_eq!(version["serial_number"], "H0713090");
+    assert_eq!(version["specification"]["motor_speed"], 600);
+    let text = serde_json::to_string(&version).unwrap();
+    let read: tokio_scip::Version = serde_json::from_str(&text).unwrap();
+    assert_eq!(read, sensor.version().await.unwrap());
+
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    scans.next().await.unwrap().unwrap();
+    let stats = serde_json::to_value(sensor.stats()).unwrap();
+    assert_eq!(stats["scans"], 1);
+    let last = stats["reply_latency"]["last"].as_f64().unwrap();
+    assert_eq!(last, sensor.stats().reply_latency.last.as_secs_f64());
+    assert_eq!(stats["schedules"][0]["window"]["start"], 44);
+}
+
+#[test]
+fn an_error_in_a_state_is_serialized_with_all_its_causes() {
+    let refused = std::io::Error::new(std::io::ErrorKind::NotFound, "no such device");
+    let error = Error::Open { port: "/dev/ttyACM0".to_owned(), source: Arc::new(refused) };
+    let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
+    let text = data["error"].as_str().unwrap();
+    assert!(text.ends_with(": no such device"), "{text}");
+    assert_eq!(serde_json::to_value(UsbId::URG).unwrap(), "15d1:0000");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_state_is_serialized_without_instants() {
+    let data = |state: &State| serde_json::to_value(state).unwrap();
+    let (sensor, emulator) = sensor().await;
+    let connected = json!({
+        "state": "connected", "baud_rate": null, "streaming": false, "serial_number": "H0713090"
+    });
+    assert_eq!(data(&sensor.state().get()), connected);
+    let mut state = sensor.state();
+    emulator.unplug();
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    let lost = data(&state.get());
+    assert_eq!(lost["state"], "disconnected");
+    assert!((2.9..3.1).contains(&lost["since"].as_f64().unwrap()), "{lost}");
+    assert!(lost["error"].as_str().unwrap().contains("no port"), "{lost}");
+    sensor.close().await;
+    assert_eq!(data(&sensor.state().get()), json!({"state": "closed", "error": null}));
+}

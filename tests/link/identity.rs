@@ -1,0 +1,208 @@
+//! The sensor that a link belongs to is known by its serial number: another one in its
+//! place is refused, and a damaged reply is not taken for another sensor.
+
+use std::time::Duration;
+
+use super::reconnect::open;
+use crate::common::{ConnectFn, builder, truthful};
+use tokio::time::Instant;
+use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
+use tokio_scip::{BaudRate, Error, Rate, State, Window};
+
+#[tokio::test(start_paused = true)]
+async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
+    let emulator = truthful().serial_number("H0000001").build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    emulator.unplug();
+    emulator.set_serial_number("H0000002");
+    emulator.plug_in();
+    let mut errors = Vec::new();
+    let end = Instant::now() + Duration::from_secs(60);
+    while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
+        errors.extend(item.unwrap().err());
+    }
+    assert!(
+        matches!(
+            &errors[..],
+            [Error::Disconnected { .. }, Error::AnotherSensor { .. }]
+                | [Error::AnotherSensor { .. }]
+        ),
+        "{errors:?}"
+    );
+    let state = sensor.state().get();
+    assert!(matches!(state, State::Disconnected { error: Error::AnotherSensor { .. }, .. }));
+    emulator.set_serial_number("H0000001");
+    stream.next().await.unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn d09_any_sensor_accepts_a_spare_and_restores_the_settings_on_it() {
+    let emulator = truthful().serial_number("H0000001").build();
+    let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    let mut state = sensor.state();
+    emulator.unplug();
+    emulator.set_serial_number("H0000002");
+    emulator.power_cycle();
+    emulator.plug_in();
+    let spare = |state: &State| matches!(state, State::Connected { serial_number, .. } if *serial_number == "H0000002");
+    state.wait_for(spare).await.unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0000002");
+    assert!(!emulator.is_laser_on());
+}
+
+#[tokio::test(start_paused = true)]
+async fn d09_waiting_for_a_sensor_goes_on_while_another_one_is_there() {
+    let emulator = truthful().serial_number("H0000002").build();
+    let builder = builder().wait_for_sensor(true).serial_number("H0000001");
+    let opening = tokio::spawn(builder.connect(emulator.clone()));
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert!(!opening.is_finished());
+    emulator.unplug();
+    emulator.set_serial_number("H0000001");
+    emulator.plug_in();
+    opening.await.unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn w25_a_flipped_bit_in_the_serial_number_does_not_refuse_the_sensor() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    emulator.unplug();
+    // Behind the fence comes the first `V`, whose fifth line is the serial number.
+    emulator.set_faults(Faults::none().at(1, Fault::Flip(160, 1)));
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+    assert_eq!(emulator.fault_counts().flipped, 1);
+}
+
+/// Opens a sensor whose first replies to `V` are damaged in this way, and unplugs it for a
+/// moment: it must not be refused as another one.
+async fn replug_after(damage: Vec<Fault>) {
+    let flipped = damage.len() as u64;
+    // The first command is the fence. The fifth line of a `V` is the serial number.
+    let replies = (1..).zip(damage);
+    let faults = replies.fold(Faults::none(), |faults, (reply, fault)| faults.at(reply, fault));
+    let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(emulator.fault_counts().flipped, flipped);
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    emulator.unplug();
+    emulator.plug_in();
+    sensor.scan(Window::FULL).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn w25_a_damaged_first_serial_number_does_not_refuse_the_sensor_later() {
+    replug_after(vec![Fault::Flip(160, 1)]).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn w25_a_first_serial_number_that_is_damaged_twice_alike_does_not_refuse_the_sensor_later() {
+    // A byte that no text has, in the same place of both replies.
+    replug_after(vec![Fault::Flip(160, 0x80), Fault::Flip(160, 0x80)]).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn w25_a_serial_number_that_is_damaged_differently_each_time_is_requested_again() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    emulator.unplug();
+    // Another digit first, then twice another name of the field, which means no serial
+    // number at all.
+    let digit = Fault::Flip(160, 1);
+    let name = || Fault::Flip(152, 1);
+    emulator.set_faults(Faults::none().at(1, digit).at(2, name()).at(3, name()));
+    emulator.plug_in();
+    let mut errors = Vec::new();
+    while let Err(error) = stream.next().await.unwrap() {
+        errors.push(error);
+    }
+    assert_eq!(emulator.fault_counts().flipped, 3);
+    // One for each time that the port was opened.
+    assert_eq!(sensor.stats().fences, 2);
+    assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_serial_number_is_requested_twice_also_if_it_is_empty_or_another_one_is_expected() {
+    let requests = |emulator: &Emulator| {
+        emulator.log().iter().filter(|received| received.line.starts_with(b"V")).count()
+    };
+    let nameless = truthful().serial_number("").build();
+    builder().connect(nameless.clone()).await.unwrap();
+    let other = truthful().serial_number("H0000001").build();
+    let error = builder().serial_number("H0000002").connect(other.clone()).await.unwrap_err();
+    assert!(matches!(error, Error::AnotherSensor { .. }), "{error:?}");
+    assert_eq!((requests(&nameless), requests(&other)), (2, 2));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_scan_has_the_time_of_a_revolution_that_the_version_states() {
+    let emulator = |specification: &str| {
+        let lines = [
+            "VEND:Hokuyo Automatic Co.,Ltd.",
+            "PROD:SOKUIKI Sensor URG-04LX",
+            &format!("FIRM:3.3.00,08/04/16{specification}"),
+            "PROT:00003,(SCIP 1.0)",
+            "SERI:H0713090",
+        ];
+        truthful().version_lines(lines).build()
+    };
+    let with = emulator("(20-4095[mm],240[deg],44-725[step],1200[rpm])");
+    for (emulator, milliseconds) in [(with, 50), (emulator(""), 100)] {
+        let sensor = builder().connect(emulator).await.unwrap();
+        assert_eq!(
+            sensor.scan(Window::DETECTION).await.unwrap().scan_time(),
+            Duration::from_millis(milliseconds)
+        );
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_sensor_that_refuses_the_wanted_baud_rate_is_not_the_expected_one_ever_after() {
+    let emulator = truthful().serial_number("H0000001").baud_rate(BaudRate::B19200).build();
+    // After the replies to a fence at the wrong baud rate and to one at the right one, to two
+    // `V` and another fence.
+    emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
+    let builder = builder().wait_for_sensor(true).baud_rate(BaudRate::B115200);
+    let (sensor, driver) = builder.build(emulator.clone());
+    tokio::spawn(driver);
+    let refused =
+        |state: &State| matches!(state, State::Connecting { error: Some(Error::Refused { .. }) });
+    sensor.state().wait_for(refused).await.map(drop).unwrap();
+    emulator.unplug();
+    emulator.set_serial_number("H0000002");
+    emulator.plug_in();
+    tokio::time::timeout(Duration::from_secs(60), sensor.opened()).await.unwrap().unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0000002");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_spare_that_does_not_tell_its_motor_speed_does_not_inherit_the_one_before() {
+    let lines = |serial_number: &str, bracket: &str| {
+        [format!("FIRM:3.3.00,08/04/16{bracket}"), format!("SERI:{serial_number}")]
+    };
+    let slow = "(20-4095[mm],240[deg],44-725[step],300[rpm])";
+    let first = truthful().version_lines(lines("H0000001", slow)).build();
+    let spare = truthful().version_lines(lines("H0000002", "")).build();
+    let sensors = [first.clone(), spare];
+    let mut opened = 0;
+    let connect = move || {
+        opened += 1;
+        Ok(sensors[(opened - 1).min(1)].link())
+    };
+    let sensor = builder().any_sensor(true).connect(ConnectFn(connect)).await.unwrap();
+    assert_eq!(
+        sensor.scan(Window::DETECTION).await.unwrap().scan_time(),
+        Duration::from_millis(200)
+    );
+    first.unplug();
+    assert_eq!(
+        sensor.scan(Window::DETECTION).await.unwrap().scan_time(),
+        Duration::from_millis(100)
+    );
+}

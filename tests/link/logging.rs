@@ -1,0 +1,204 @@
+//! What the driver logs, inside of which span, and how often.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use tokio::time::sleep;
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::{Error, Rate, State, Window};
+use tracing::field::{Field, Visit};
+use tracing::span::{Attributes, Id, Record};
+use tracing::{Event, Level, Metadata, Subscriber};
+
+use crate::common::{ConnectFn, builder};
+use crate::polling::fresh::sensor;
+
+const WINDOW: Window = Window::DETECTION;
+
+/// Collects log lines, each with its level and the fields of its spans.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Logged>>);
+
+#[derive(Default)]
+struct Logged {
+    spans: Vec<(String, Option<Id>)>,
+    entered: Vec<Id>,
+    lines: Vec<(Level, String)>,
+}
+
+struct Text<'a>(&'a mut String);
+
+impl Visit for Text<'_> {
+    fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
+        *self.0 += &format!(" {}={value:?}", field.name());
+    }
+}
+
+impl Subscriber for Log {
+    fn enabled(&self, metadata: &Metadata<'_>) -> bool {
+        *metadata.level() <= Level::DEBUG
+    }
+
+    fn new_span(&self, span: &Attributes<'_>) -> Id {
+        let mut text = span.metadata().name().to_owned();
+        span.record(&mut Text(&mut text));
+        let mut log = self.0.lock().unwrap();
+        let parent = span
+            .parent()
+            .cloned()
+            .or_else(|| log.entered.last().filter(|_| span.is_contextual()).cloned());
+        log.spans.push((text, parent));
+        Id::from_u64(log.spans.len() as u64)
+    }
+
+    fn record(&self, _: &Id, _: &Record<'_>) {}
+
+    fn record_follows_from(&self, _: &Id, _: &Id) {}
+
+    fn event(&self, event: &Event<'_>) {
+        let mut log = self.0.lock().unwrap();
+        let mut line = String::new();
+        let mut span = log.entered.last().cloned();
+        while let Some(id) = span {
+            let (text, parent) = &log.spans[id.into_u64() as usize - 1];
+            line = format!("{text}:{line}");
+            span = parent.clone();
+        }
+        event.record(&mut Text(&mut line));
+        log.lines.push((*event.metadata().level(), line));
+    }
+
+    fn enter(&self, span: &Id) {
+        self.0.lock().unwrap().entered.push(span.clone());
+    }
+
+    fn exit(&self, _: &Id) {
+        self.0.lock().unwrap().entered.pop();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    let (sensor, driver) = {
+        let _entered = tracing::info_span!("line", number = 7).entered();
+        builder().name("left").reconnect(false).build(emulator.clone())
+    };
+    tokio::spawn(driver);
+    sensor.opened().await.unwrap();
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    emulator.unplug();
+    let error = stream.next().await.unwrap().unwrap_err();
+    assert_eq!(error.to_string(), "the link to left is lost");
+    let log = log.0.lock().unwrap();
+    let connected = log.lines.iter().find(|(_, line)| line.contains("connected")).unwrap();
+    assert_eq!(connected.0, Level::INFO);
+    assert!(connected.1.starts_with("line number=7:sensor name=left:"), "{}", connected.1);
+    assert!(log.lines.iter().all(|(_, line)| line.contains("sensor name=left")), "{:?}", log.lines);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_every_ten_minutes() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    emulator.unplug();
+    let (_sensor, driver) = builder().name("left").wait_for_sensor(true).build(emulator.clone());
+    tokio::spawn(driver);
+    sleep(Duration::from_secs(3600 - 60)).await;
+    let log = log.0.lock().unwrap();
+    let is_waiting = |(level, line): &&(Level, String)| {
+        *level == Level::INFO && line.contains("waiting for the sensor")
+    };
+    let waiting = log.lines.iter().filter(is_waiting).count();
+    // Only at level debug and above, which the log collects.
+    assert_eq!((waiting, log.lines.len()), (6, 6), "once, and every ten minutes: {:?}", log.lines);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_lost_link_is_logged_once_for_each_reason_why_it_stays_lost() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    let (port, mut opened) = (emulator.clone(), 0);
+    let connect = move || {
+        opened += 1;
+        let port = port.clone();
+        match opened {
+            1 => Ok(port.link()),
+            n if n % 2 == 0 => Err(Error::NoSuchPort { port: "left".to_owned() }),
+            _ => Err(Error::PermissionDenied { port: "left".to_owned(), group: None }),
+        }
+    };
+    let sensor = builder().connect(ConnectFn(connect)).await.unwrap();
+    emulator.unplug();
+    sleep(Duration::from_secs(3600 - 60)).await;
+    let state = sensor.state().get();
+    assert!(matches!(state, State::Disconnected { .. }));
+    let log = log.0.lock().unwrap();
+    let warnings = log.lines.iter().filter(|(level, _)| *level == Level::WARN).count();
+    // The loss, and each of the two reasons.
+    assert_eq!(warnings, 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_only() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    sensor.scan(WINDOW).await.unwrap();
+    let mut state = sensor.state();
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    drop(sensor.scan(WINDOW).await);
+    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
+    let log = log.0.lock().unwrap();
+    let search = log.lines.iter().find(|(_, line)| line.contains("was not found")).unwrap();
+    assert!(!search.1.contains("bytes"), "the scan before it is counted: {}", search.1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
+    for (faults, reason) in [
+        (Faults::none(), "the line or the sensor cannot keep up"),
+        (Faults::none().rate(0.5, Fault::Lost).seed(1), "replies are lost"),
+    ] {
+        let log = Log::default();
+        let _guard = crate::common::logs::collect(log.clone());
+        let emulator = Emulator::builder().revolution(Duration::from_millis(200)).build();
+        let sensor = sensor(&emulator).await;
+        emulator.set_faults(faults);
+        let _stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        sleep(Duration::from_secs(20)).await;
+        let log = log.0.lock().unwrap();
+        let is_warning = |(level, _): &&(Level, String)| *level == Level::WARN;
+        let warnings: Vec<_> = log.lines.iter().filter(is_warning).collect();
+        assert!(matches!(warnings[..], [(_, line)] if line.contains(reason)), "{warnings:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_spare_sensor_is_logged_and_the_same_sensor_is_not() {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().serial_number("H0000001").build();
+    let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    let mut replug = async |serial_number: &str| {
+        emulator.unplug();
+        state
+            .wait_for(|state| matches!(state, State::Disconnected { .. }))
+            .await
+            .map(drop)
+            .unwrap();
+        emulator.set_serial_number(serial_number);
+        emulator.plug_in();
+        state.wait_for(|state| matches!(state, State::Connected { .. })).await.map(drop).unwrap();
+        let log = log.0.lock().unwrap();
+        log.lines.iter().filter(|(_, line)| line.contains("another sensor")).count()
+    };
+    assert_eq!((replug("H0000001").await, replug("H0000002").await), (0, 1));
+}

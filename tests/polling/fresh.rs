@@ -1,0 +1,216 @@
+//! Freshness, depth and late subscription: the needs of an unattended service.
+
+use std::time::Duration;
+
+use tokio::time::{Instant, sleep};
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+use tokio_scip::{Error, ErrorChain, Rate, Sensor, State, Window};
+
+use crate::common::builder;
+
+const LIMIT: Duration = Duration::from_millis(500);
+const WINDOW: Window = Window::DETECTION;
+
+pub(crate) async fn sensor(emulator: &Emulator) -> Sensor {
+    builder().connect(emulator.clone()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    assert!(sensor.freshness().check(LIMIT).unwrap_err().age.is_none());
+    let scan = stream.next().await.unwrap().unwrap();
+    for freshness in [sensor.freshness(), stream.freshness()] {
+        assert_eq!(freshness.last_scan(), Some(scan.received_at()));
+        assert!(freshness.check(LIMIT).is_ok() && freshness.error().is_none());
+    }
+
+    emulator.set_faults(Faults::none().every(Fault::Flip(700, 0x80)));
+    sleep(Duration::from_secs(5)).await;
+    let state = sensor.state().get();
+    assert!(matches!(state, State::Connected { .. }), "{state:?}");
+    for freshness in [sensor.freshness(), stream.freshness()] {
+        let stale = freshness.check(LIMIT).unwrap_err();
+        assert!(stale.age.unwrap() > Duration::from_secs(4), "{stale}");
+        let text = ErrorChain::new(&stale).to_string();
+        assert!(
+            text.contains("the reply of the sensor to G") && text.contains("expected"),
+            "{text}"
+        );
+    }
+
+    emulator.set_faults(Faults::none());
+    sleep(Duration::from_secs(1)).await;
+    assert!(sensor.freshness().check(LIMIT).is_ok() && stream.freshness().check(LIMIT).is_ok());
+}
+
+#[tokio::test(start_paused = true)]
+async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_driver_gone() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    stream.next().await.unwrap().unwrap();
+    sensor.laser_off().await.unwrap();
+    sleep(Duration::from_secs(2)).await;
+    for freshness in [sensor.freshness(), stream.freshness()] {
+        assert!(matches!(freshness.error(), Some(Error::LaserOff { .. })), "{freshness:?}");
+    }
+    sensor.laser_on().await.unwrap();
+    sleep(Duration::from_secs(1)).await;
+    assert!(stream.freshness().check(LIMIT).is_ok());
+    emulator.unplug();
+    sleep(Duration::from_secs(2)).await;
+    for freshness in [sensor.freshness(), stream.freshness()] {
+        let text = ErrorChain::new(&freshness.check(LIMIT).unwrap_err()).to_string();
+        assert!(text.contains("no port") || text.contains("is lost"), "{text}");
+    }
+    sensor.close().await;
+    assert!(matches!(sensor.freshness().error(), Some(Error::Closed { .. })));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_polls() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let rate = Rate::hz(10.0);
+    let mut all = sensor.stream(WINDOW, rate).depth(100).open().await.unwrap();
+    let mut newest = sensor.scans(WINDOW, rate).await.unwrap();
+    sleep(Duration::from_secs(5)).await;
+    assert_eq!(sensor.stats().schedules.len(), 1);
+    let latest = newest.latest().unwrap();
+    assert_eq!(newest.next().await.unwrap().unwrap(), latest);
+    // It may have been opened after the first scan.
+    assert!(newest.missed() + 1 >= latest.sequence(), "{}", newest.missed());
+    for sequence in 0..=latest.sequence() {
+        assert_eq!(all.next_if_ready().unwrap().unwrap().sequence(), sequence);
+    }
+    assert_eq!(all.missed(), 0);
+    assert!(all.next_if_ready().is_none(), "nothing is new");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_kept_for_resubscribing_passes_on_no_old_error_and_misses_nothing() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let kept = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    kept.resubscribe().next().await.unwrap().unwrap();
+    emulator.unplug();
+    sleep(Duration::from_secs(1)).await;
+    // The current error is reported, even to a new stream.
+    let during = kept.resubscribe().next().await.unwrap();
+    assert!(matches!(during, Err(Error::Disconnected { .. })), "{during:?}");
+    emulator.plug_in();
+    sleep(Duration::from_secs(20)).await;
+    let asked = Instant::now();
+    let mut late = kept.resubscribe();
+    let scan = late.next().await.unwrap().unwrap();
+    assert!(scan.received_at() >= asked, "an old scan");
+    assert_eq!((late.missed(), sensor.stats().missed), (0, 0));
+    assert!(kept.clone().next().await.unwrap().is_err(), "a clone has the place of its original");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_first_scan_after_a_reconnect_is_marked_also_if_scans_were_missed() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap().only_scans();
+    assert_eq!(stream.next().await.unwrap().reconnects(), 0);
+    for reconnects in 1..=3 {
+        emulator.unplug();
+        sleep(Duration::from_secs(2)).await;
+        emulator.plug_in();
+        // A slow consumer: the very first scan is overwritten.
+        sleep(Duration::from_secs(10)).await;
+        let scan = stream.next().await.unwrap();
+        assert_eq!((scan.reconnects(), sensor.stats().reconnects), (reconnects, reconnects));
+        assert_eq!(stream.next().await.unwrap().reconnects(), reconnects);
+    }
+    assert_eq!(sensor.scan(WINDOW).await.unwrap().reconnects(), 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn streams_opened_before_the_first_link_begin_with_a_scan_however_many_there_are() {
+    let emulator = Emulator::builder().build();
+    emulator.unplug();
+    let (sensor, driver) = builder().wait_for_sensor(true).build(emulator.clone());
+    tokio::spawn(driver);
+    let mut streams = Vec::new();
+    for _ in 0..3 {
+        streams.push(sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap());
+        sleep(Duration::from_secs(1)).await;
+    }
+    let reason = streams[0].freshness();
+    assert!(matches!(reason.error(), Some(Error::NoSuchPort { .. })), "{reason:?}");
+    emulator.plug_in();
+    for mut stream in streams {
+        let first = stream.next().await.unwrap();
+        assert!(first.is_ok(), "{first:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_gets_no_error_because_another_one_is_opened_while_the_link_is_lost() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut first = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    first.next().await.unwrap().unwrap();
+    emulator.unplug();
+    while first.next().await.unwrap().is_ok() {}
+    // The port is gone, which is another error than the loss of the link.
+    sleep(Duration::from_secs(5)).await;
+    let mut second = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    assert!(second.next().await.unwrap().is_err());
+    let item = first.next_if_ready();
+    assert!(item.is_none(), "{item:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_laser_that_is_on_again_is_no_reason_any_more_also_before_the_next_scan() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let slow = sensor.scans(WINDOW, Rate::every(Duration::from_secs(60))).await.unwrap();
+    sensor.laser_off().await.unwrap();
+    emulator.unplug();
+    emulator.plug_in();
+    sleep(Duration::from_secs(10)).await;
+    for freshness in [sensor.freshness(), slow.freshness()] {
+        assert!(matches!(freshness.error(), Some(Error::LaserOff { .. })), "{freshness:?}");
+    }
+    sensor.laser_on().await.unwrap();
+    for freshness in [sensor.freshness(), slow.freshness()] {
+        assert!(!matches!(freshness.error(), Some(Error::LaserOff { .. })), "{freshness:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_slow_stream_that_is_well_does_not_report_the_timeouts_of_another_one() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut slow = sensor.scans(WINDOW, Rate::every(Duration::from_secs(60))).await.unwrap();
+    slow.next().await.unwrap().unwrap();
+    let mut fast = sensor.scans(Window::FULL, Rate::hz(5.0)).await.unwrap();
+    fast.next().await.unwrap().unwrap();
+    emulator.set_faults(Faults::none().at(0, Fault::Lost));
+    let lost = fast.next().await.unwrap();
+    assert!(matches!(lost, Err(Error::Timeout { .. })), "{lost:?}");
+    assert!(matches!(sensor.freshness().error(), Some(Error::Timeout { .. })));
+    assert!(slow.freshness().error().is_none(), "{:?}", slow.freshness());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_debug_text_of_a_scan_has_its_own_values_and_that_of_a_deep_stream_is_short() {
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    let mut stream = sensor.stream(WINDOW, Rate::hz(10.0)).depth(100).open().await.unwrap();
+    let scan = stream.next().await.unwrap().unwrap();
+    let part = scan.crop(Window::new(100..=102).unwrap()).unwrap();
+    let text = format!("{part:?}");
+    assert!(text.contains(&format!("values: {:?}", part.values())), "{text}");
+    assert!(text.len() < 1000, "{text}");
+    sleep(Duration::from_secs(15)).await;
+    for text in [format!("{stream:?}"), format!("{sensor:?}")] {
+        assert!(text.len() < 6000, "{}", text.len());
+    }
+}

@@ -1,0 +1,59 @@
+//! Bounds, text and conversions of `Rate`.
+
+use std::time::Duration;
+
+use tokio_scip::Rate;
+
+const DAY: Duration = Duration::from_secs(24 * 60 * 60);
+
+#[test]
+fn a_rate_lies_between_once_a_day_and_a_thousand_a_second() {
+    let table = [
+        (Rate::hz(10.0), Duration::from_millis(100)),
+        (Rate::hz(1000.0), Duration::from_millis(1)),
+        (Rate::hz(1e-9), DAY),
+        (Rate::every(Duration::ZERO), Duration::from_millis(1)),
+        (Rate::every(Duration::from_micros(999)), Duration::from_millis(1)),
+        (Rate::every(Duration::from_micros(1001)), Duration::from_micros(1001)),
+        (Rate::every(DAY), DAY),
+        (Rate::every(Duration::MAX), DAY),
+    ];
+    for (rate, period) in table {
+        assert_eq!(rate.period(), Some(period), "{rate}");
+    }
+    assert_eq!(Rate::MAX.period(), None);
+}
+
+#[test]
+fn a_rate_is_parsed_from_its_own_text() {
+    for (text, rate) in [
+        ("10 Hz", Rate::hz(10.0)),
+        ("12.5 Hz", Rate::hz(12.5)),
+        ("0.1 Hz", Rate::every(Duration::from_secs(10))),
+        ("1000 Hz", Rate::hz(1000.0)),
+        ("max", Rate::MAX),
+    ] {
+        assert_eq!(rate.to_string(), text);
+        assert_eq!(text.parse::<Rate>().unwrap(), rate);
+    }
+    assert_eq!("10".parse::<Rate>().unwrap(), Rate::hz(10.0));
+    assert_eq!("10Hz".parse::<Rate>().unwrap(), Rate::hz(10.0));
+}
+
+#[test]
+fn an_invalid_rate_is_refused_with_the_valid_ones() {
+    for text in [
+        "", "0", "-1", "1001", "nan", "inf", "fast", "max Hz", "10 kHz", "Hz", "10HzHz",
+        "10 Hz Hz", "HzHz",
+    ] {
+        let error = text.parse::<Rate>().unwrap_err().to_string();
+        assert!(error.starts_with(&format!("invalid rate {text:?}: expected")), "{error}");
+        assert!(error.contains("more than 0 and at most 1000 Hz"), "{error}");
+    }
+}
+
+#[test]
+fn a_duration_becomes_the_rate_of_its_period() {
+    assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
+    assert_eq!(Rate::from(Duration::ZERO), Rate::every(Duration::ZERO));
+}

@@ -1,0 +1,389 @@
+//! Polls on a grid, and the scans that streams deliver from them.
+
+use std::time::Duration;
+
+use crate::common::{builder, ms, request_of, truthful};
+use futures::StreamExt;
+use futures::stream::FusedStream;
+use tokio::time::{Instant, advance, timeout};
+use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
+use tokio_scip::{BaudRate, Error, Rate, Scan, ScanStream, Sensor, State, Window};
+
+async fn take(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
+    let mut scans = Vec::new();
+    while scans.len() < count {
+        scans.push(stream.next().await.unwrap().unwrap());
+    }
+    scans
+}
+
+/// Returns whether the stream yields nothing for a minute.
+async fn is_silent(stream: &mut ScanStream) -> bool {
+    timeout(Duration::from_secs(60), stream.next()).await.is_err()
+}
+
+async fn open(emulator: &Emulator) -> Sensor {
+    builder().connect(emulator.clone()).await.unwrap()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_motor_a_little_slow_or_fast_is_polled_every_revolution() {
+    for revolution in [99_500, 100_000, 100_500].map(Duration::from_micros) {
+        let emulator = truthful().revolution(revolution).build();
+        let sensor = open(&emulator).await;
+        let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        take(&mut stream, 1).await;
+        let start = Instant::now();
+        let scans = take(&mut stream, 6000).await.len();
+        let rate = scans as f64 / start.elapsed().as_secs_f64();
+        assert!(rate >= 9.9, "{rate} scans a second at a revolution of {revolution:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn polls_lie_on_the_grid_without_drift() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let scans = take(&mut stream, 36_000).await;
+    let start = scans[0].requested_at();
+    for (n, scan) in (0..).zip(&scans) {
+        let place = ms(100) * n;
+        let late = scan.requested_at() - start;
+        assert!(late >= place && late - place <= ms(1), "scan {n} is at {late:?}");
+        assert_eq!(scan.sequence(), u64::from(n));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn t06_a_line_that_is_too_slow_is_polled_at_its_own_rate_and_reported_once() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let start = Instant::now();
+    take(&mut stream, 20).await;
+    let wire = Window::DETECTION.wire_time(BaudRate::B19200);
+    assert!(start.elapsed() < wire.mul_f64(21.5), "{:?}", start.elapsed());
+    let stats = sensor.stats();
+    assert!(stats.polls_skipped > 100, "{stats:?}");
+    let [schedule] = &stats.schedules[..] else { panic!("{stats:?}") };
+    assert_eq!(schedule.rate, Rate::hz(10.0));
+    assert!((1.2..1.5).contains(&schedule.reached.unwrap()), "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a02_a_slow_consumer_gets_the_newest_scan_and_sees_the_gap() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let first = take(&mut stream, 1).await.remove(0);
+    // Sixty scans later.
+    tokio::time::sleep(Duration::from_secs(6)).await;
+    let now = Instant::now();
+    let next = take(&mut stream, 1).await.remove(0);
+    assert!(now - next.received_at() <= ms(100), "an old scan");
+    assert_eq!(next.sequence() - first.sequence() - 1, stream.missed());
+    assert!((58..=60).contains(&stream.missed()));
+    assert!(request_of(&next) > request_of(&first));
+    take(&mut stream, 1).await;
+    assert_eq!(sensor.stats().missed, stream.missed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a02_no_error_is_lost_to_a_slow_consumer() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 1).await;
+    emulator.set_faults(Faults::none().at(0, Fault::Lost));
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert!(matches!(stream.next().await, Some(Err(Error::Timeout { .. }))));
+    let scan = take(&mut stream, 1).await.remove(0);
+    assert!(scan.sequence() > 500);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_error_is_reported_once_for_each_change_of_condition() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    // Ten polls in a row are damaged; the fences between them are not.
+    let mut faults = Faults::none();
+    for reply in (0..20).step_by(2) {
+        faults = faults.at(reply, Fault::Drop(100..101));
+    }
+    take(&mut stream, 1).await;
+    emulator.set_faults(faults);
+    let mut errors = 0;
+    for _ in 0..20 {
+        errors += usize::from(stream.next().await.unwrap().is_err());
+    }
+    assert_eq!(errors, 1);
+    assert_eq!(sensor.stats().malformed.length, 10);
+}
+
+#[tokio::test(start_paused = true)]
+async fn two_streams_of_the_same_window_and_rate_cost_one_poll_a_period() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut two = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut three = one.clone();
+    // The first poll may have been sent before the second stream existed.
+    take(&mut two, 1).await;
+    take(&mut one, 1).await;
+    take(&mut three, 1).await;
+    let before = emulator.counts().scans;
+    for _ in 0..100 {
+        let scans = [take(&mut one, 1).await, take(&mut two, 1).await, take(&mut three, 1).await];
+        assert_eq!(request_of(&scans[0][0]), request_of(&scans[1][0]));
+        assert_eq!(request_of(&scans[0][0]), request_of(&scans[2][0]));
+    }
+    assert_eq!(emulator.counts().scans - before, 100);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a03_polling_stops_within_a_period_of_the_last_streams_end() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let two = one.clone();
+    drop(two);
+    take(&mut one, 10).await;
+    drop(one);
+    let before = emulator.counts().commands;
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert_eq!(emulator.counts().commands, before);
+    assert!(emulator.is_connected());
+}
+
+#[tokio::test(start_paused = true)]
+async fn streams_of_different_windows_share_the_sensor_fairly() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let narrow = Window::new(300..=400).unwrap();
+    let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut two = sensor.scans(narrow, Rate::MAX).await.unwrap();
+    let count = async |stream: &mut ScanStream| {
+        let mut count = 0;
+        let end = Instant::now() + Duration::from_secs(20);
+        while tokio::time::timeout_at(end, stream.next()).await.is_ok() {
+            count += 1;
+        }
+        count
+    };
+    let (one, two) = tokio::join!(count(&mut one), count(&mut two));
+    // Ten revolutions a second for both.
+    assert!((98..=102).contains(&one) && (98..=102).contains(&two), "{one} and {two}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a07_requests_and_polls_alternate_however_many_requests_there_are() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    take(&mut stream, 1).await;
+    let window = Window::new(100..=120).unwrap();
+    let asked: Vec<_> = (0..1000)
+        .map(|_| {
+            let sensor = sensor.clone();
+            tokio::spawn(async move { sensor.scan(window).await.unwrap() })
+        })
+        .collect();
+    let before = sensor.stats().scans;
+    let mut answers = Vec::new();
+    for answer in asked {
+        answers.push(request_of(&answer.await.unwrap()).unwrap());
+    }
+    // Requests in order, with a poll of the stream between any two.
+    assert!(answers.windows(2).all(|pair| pair[0] < pair[1]));
+    let polled = sensor.stats().scans - before - 1000;
+    assert!((998..=1002).contains(&polled), "{polled} polls between 1000 requests");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_ends_with_none_after_close_and_stays_ended() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 1).await;
+    sensor.close().await;
+    assert!(!emulator.is_connected());
+    // Scans received before the end are still delivered.
+    while let Some(item) = stream.next().await {
+        item.unwrap();
+    }
+    assert!(stream.is_terminated());
+    assert!(stream.next().await.is_none());
+    assert!(matches!(sensor.scan(Window::FULL).await, Err(Error::Closed { .. })));
+    assert!(matches!(sensor.scans(Window::FULL, Rate::MAX).await, Err(Error::Closed { .. })));
+    sensor.close().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a04_the_driver_lives_as_long_as_the_last_handle_or_stream() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut state = sensor.state();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    drop(sensor);
+    take(&mut stream, 10).await;
+    let clone = stream.clone();
+    drop(stream);
+    assert!(emulator.is_connected());
+    drop(clone);
+    state
+        .wait_for(|state| matches!(state, tokio_scip::State::Closed { error: None }))
+        .await
+        .unwrap();
+    assert!(!emulator.is_connected());
+}
+
+#[tokio::test(start_paused = true)]
+async fn only_scans_leaves_the_errors_out() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    emulator.set_faults(Faults::none().at(1, Fault::Lost).at(5, Fault::Drop(50..51)));
+    let scans: Vec<Scan> = StreamExt::take(stream.only_scans(), 20).collect().await;
+    assert_eq!(scans.len(), 20);
+    assert_eq!(sensor.stats().timeouts, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn only_scans_ends_where_the_stream_ends_and_returns_the_cause() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut scans = stream.only_scans();
+    assert_eq!(scans.next().await.unwrap().sequence(), 0);
+    emulator.unplug();
+    let lost = timeout(Duration::from_secs(60), scans.next()).await;
+    assert!(lost.is_err(), "an error is not the end");
+    emulator.plug_in();
+    assert!(scans.next().await.is_some());
+    assert!(!scans.is_terminated());
+    sensor.close().await;
+    assert!(scans.next().await.is_none());
+    assert!(scans.is_terminated());
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_time_that_replies_take_is_reported_with_its_mean() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    assert_eq!(sensor.stats().reply_latency.mean(), Duration::ZERO);
+    emulator.set_faults(Faults::none().at(1, Fault::Late(ms(90))));
+    for _ in 0..3 {
+        sensor.scan(Window::DETECTION).await.unwrap();
+    }
+    let latency = sensor.stats().reply_latency;
+    assert_eq!(latency.count, 3);
+    assert!(latency.min <= latency.mean() && latency.mean() <= latency.max);
+    assert!(latency.max - latency.min >= ms(80), "{latency:?}");
+    assert_eq!(latency.mean() * 3, latency.total, "{latency:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn t11_the_same_data_again_is_marked_as_a_repeat() {
+    use tokio_scip::emulator::Fixed;
+    let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let repeats: Vec<bool> = take(&mut stream, 3).await.iter().map(Scan::is_repeat).collect();
+    assert_eq!(repeats, [false, true, true]);
+    assert_eq!(sensor.stats().repeats, 2);
+}
+
+#[tokio::test(start_paused = true)]
+async fn o21_hours_of_suspend_cause_no_burst() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 3).await;
+    let before = emulator.counts().scans;
+    advance(Duration::from_secs(8 * 3600)).await;
+    take(&mut stream, 2).await;
+    assert!(emulator.counts().scans - before <= 4);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a09_polls_rest_while_the_laser_is_off_by_request() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 3).await;
+    sensor.laser_off().await.unwrap();
+    let before = emulator.counts().scans;
+    while let Ok(Some(item)) = timeout(ms(500), stream.next()).await {
+        item.unwrap();
+    }
+    assert!(is_silent(&mut stream).await);
+    assert_eq!(emulator.counts().scans, before);
+    assert!(matches!(sensor.scan(Window::FULL).await, Err(Error::LaserOff { .. })));
+    sensor.laser_on().await.unwrap();
+    take(&mut stream, 3).await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stream_that_is_opened_again_polls_at_once() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let rate = Rate::every(Duration::from_secs(3600));
+    let mut stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
+    take(&mut stream, 1).await;
+    drop(stream);
+    let start = Instant::now();
+    let mut again = sensor.scans(Window::DETECTION, rate).await.unwrap();
+    assert_eq!(take(&mut again, 1).await[0].sequence(), 0);
+    assert!(start.elapsed() < ms(1000), "{:?}", start.elapsed());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_pause_of_polling_is_neither_skipped_polls_nor_a_low_rate() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 35).await;
+    sensor.laser_off().await.unwrap();
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    sensor.laser_on().await.unwrap();
+    take(&mut stream, 1).await;
+    let skipped = sensor.stats().polls_skipped;
+    assert!(skipped < 3, "{skipped}");
+    take(&mut stream, 40).await;
+    let reached = sensor.stats().schedules[0].reached.unwrap();
+    assert!(reached > 9.5, "{reached}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_rate_that_is_reached_falls_when_no_scans_come() {
+    let emulator = truthful().pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    take(&mut stream, 40).await;
+    let mut faults = Faults::none();
+    for reply in (1..2000).step_by(2) {
+        faults = faults.at(reply, Fault::Drop(100..101));
+    }
+    emulator.set_faults(faults.at(0, Fault::Drop(100..101)));
+    tokio::time::sleep(Duration::from_secs(10)).await;
+    let stats = sensor.stats();
+    assert!(stats.schedules[0].reached.unwrap() < 6.0, "{stats:?}");
+    assert!(stats.schedules[0].failed > 10, "{stats:?}");
+    drop(stream);
+    assert_eq!(sensor.stats().schedules, [], "the schedule of a stream that is gone");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_state_reports_whether_scans_are_polled() {
+    let emulator = truthful().build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let mut state = sensor.state();
+    let streaming = |state: &State| matches!(state, State::Connected { streaming: true, .. });
+    assert!(!streaming(&state.get()));
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    state.wait_for(streaming).await.unwrap();
+    drop(stream);
+    state.wait_for(|state| !streaming(state)).await.unwrap();
+}

@@ -1,0 +1,374 @@
+//! Endpoints as text, TCP ports, and listing: everything that needs no pseudo-terminal.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
+use std::time::SystemTime;
+
+use futures::FutureExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadBuf};
+use tokio::net::TcpListener;
+use tokio_scip::emulator::Emulator;
+use tokio_scip::port::{
+    Connect, ConnectHints, EndpointConnector, Port, PortHints, StreamPort, TcpPort,
+};
+use tokio_scip::{BaudRate, Endpoint, Error, Sensor, Window};
+
+use crate::common::test_port::{FarEnd, TestPort};
+
+fn tcp(host: &str, port: u16, baud_rate: BaudRate) -> Endpoint {
+    Endpoint::Tcp { host: host.to_owned(), port, baud_rate }
+}
+
+#[test]
+fn tcp_addresses_are_read_and_written() {
+    let table = [
+        ("tcp://bridge:4001", tcp("bridge", 4001, BaudRate::B19200)),
+        ("tcp://10.0.0.7:1?baud=750000", tcp("10.0.0.7", 1, BaudRate::B750000)),
+        ("tcp://my-host.lan:65535?baud=57600", tcp("my-host.lan", 65_535, BaudRate::B57600)),
+        ("tcp://[::1]:4001", tcp("::1", 4001, BaudRate::B19200)),
+        ("tcp://[fe80::1%eth0]:4001?baud=115200", tcp("fe80::1%eth0", 4001, BaudRate::B115200)),
+    ];
+    for (text, endpoint) in table {
+        assert_eq!(text.parse::<Endpoint>().unwrap(), endpoint);
+        assert_eq!(endpoint.to_string(), text);
+        assert_eq!(Endpoint::try_from(text.to_owned()).unwrap(), endpoint);
+    }
+    let explicit: Endpoint = "tcp://bridge:4001?baud=19200".parse().unwrap();
+    assert_eq!(explicit.to_string(), "tcp://bridge:4001", "the default goes without saying");
+}
+
+#[test]
+fn an_invalid_port_is_refused_with_the_reason() {
+    let table = [
+        ("", "empty"),
+        (" /dev/ttyACM0", "white space"),
+        ("/dev/ttyACM0\n", "white space"),
+        ("/dev/tty\0ACM0", "control"),
+        ("tcp://", "TCP port is missing"),
+        ("tcp://bridge", "TCP port is missing"),
+        ("tcp://bridge:", "TCP port is missing"),
+        ("tcp://[::1]", "TCP port is missing"),
+        ("tcp://:4001", "host is missing"),
+        ("tcp://bridge:0", "1 to 65535"),
+        ("tcp://bridge:65536", "1 to 65535"),
+        ("tcp://bridge:+80", "1 to 65535"),
+        ("tcp://bridge:4001/", "1 to 65535"),
+        ("tcp://::1:4001", "brackets"),
+        ("tcp://[::1:4001", "closing bracket"),
+        ("tcp://[bridge]:4001", "IPv6"),
+        ("tcp://[fe80::1%]:4001", "IPv6"),
+        ("tcp://ada@bridge:4001", "expected a host name or an address"),
+        ("tcp://bridge:4001?", "baud=N"),
+        ("tcp://bridge:4001?speed=19200", "baud=N"),
+        ("tcp://bridge:4001?baud=", "19200"),
+        ("tcp://bridge:4001?baud=9600", "19200"),
+        ("tcp://bridge:4001?baud=+19200", "19200"),
+        ("tcp://bridge:4001?baud=19200&x=1", "19200"),
+        ("http://bridge:80", "tcp://HOST:PORT"),
+        ("bridge:4001", "tcp://HOST:PORT"),
+        ("tcp:bridge:4001", "tcp://HOST:PORT"),
+    ];
+    for (text, expected) in table {
+        match text.parse::<Endpoint>() {
+            Err(Error::InvalidEndpoint { text: quoted, reason, .. }) => {
+                assert_eq!(quoted, text);
+                assert!(reason.contains(expected), "{text:?}: {reason}");
+            }
+            other => panic!("{text:?}: {other:?}"),
+        }
+    }
+}
+
+#[cfg(feature = "serial")]
+#[test]
+fn device_paths_and_serial_numbers_are_read_and_written() {
+    let by_path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0";
+    for path in ["/dev/ttyACM0", "COM3", r"\\.\COM10", "./ttyACM0", "emulated", by_path] {
+        let endpoint: Endpoint = path.parse().unwrap();
+        assert_eq!(endpoint, Endpoint::Serial(path.to_owned()));
+        assert_eq!(endpoint.to_string(), path);
+    }
+    for number in ["H0713090", "0713090"] {
+        let text = format!("serial:{number}");
+        let endpoint: Endpoint = text.parse().unwrap();
+        assert_eq!(endpoint, Endpoint::SerialNumber(number.to_owned()));
+        assert_eq!(endpoint.to_string(), text);
+    }
+    for text in ["serial:", "serial:H0713090 ", "serial:H 0713090", "serial:Ü1"] {
+        assert!(matches!(text.parse::<Endpoint>(), Err(Error::InvalidEndpoint { .. })), "{text}");
+    }
+}
+
+#[cfg(not(feature = "serial"))]
+#[test]
+fn without_the_feature_a_device_path_is_refused_naming_the_feature() {
+    for text in ["/dev/ttyACM0", "COM3", "serial:H0713090"] {
+        let error = text.parse::<Endpoint>().unwrap_err();
+        assert!(error.to_string().contains("feature `serial`"), "{error}");
+    }
+}
+
+#[test]
+fn a_connector_can_be_moved_to_the_drivers_task() {
+    fn is_fit<C: Connect + Send + 'static>() {}
+    is_fit::<EndpointConnector>();
+    fn is_port<P: Port>() {}
+    is_port::<Box<dyn Port>>();
+}
+
+#[tokio::test]
+async fn bytes_go_both_ways_over_tcp() {
+    for host in ["127.0.0.1", "localhost"] {
+        let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+        let address = format!("tcp://{host}:{}?baud=57600", server.local_addr().unwrap().port());
+        let mut connector = Endpoint::try_from(&address).unwrap().into_connector();
+        let mut port = connector.connect().await.unwrap();
+        let (mut peer, _) = server.accept().await.unwrap();
+
+        port.write_all(b"V\n").await.unwrap();
+        let mut command = [0; 2];
+        peer.read_exact(&mut command).await.unwrap();
+        assert_eq!(&command, b"V\n");
+        let every_byte: Vec<u8> = (0..=255).collect();
+        peer.write_all(&every_byte).await.unwrap();
+        let mut reply = [0; 256];
+        port.read_exact(&mut reply).await.unwrap();
+        assert_eq!(reply.as_slice(), every_byte);
+
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
+        assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        assert!(port.hints().unwrap().can_die_silently());
+        let hints = connector.hints().unwrap();
+        assert!(!hints.has_more());
+        assert_eq!(hints.expected_serial_number(), None);
+
+        drop(peer);
+        assert_eq!(port.read(&mut reply).await.unwrap(), 0, "the end comes as it is");
+    }
+}
+
+/// A port that has another answer to each question than the default.
+struct Unusual {
+    is_discarded: Arc<AtomicBool>,
+}
+
+impl FarEnd for Unusual {
+    fn read(&mut self, _: &mut Context<'_>, _: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn baud_rate(&self) -> Option<BaudRate> {
+        Some(BaudRate::B57600)
+    }
+
+    fn set_baud_rate(&mut self, _: BaudRate) -> io::Result<()> {
+        Ok(())
+    }
+
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        Some(self)
+    }
+}
+
+impl PortHints for Unusual {
+    fn wall_clock(&mut self) -> Option<SystemTime> {
+        Some(SystemTime::UNIX_EPOCH)
+    }
+
+    fn try_read(&mut self, _: &mut [u8]) -> Option<io::Result<usize>> {
+        Some(Ok(3))
+    }
+
+    fn suspend_wakeups(&mut self) -> bool {
+        true
+    }
+
+    fn can_die_silently(&mut self) -> bool {
+        true
+    }
+
+    fn is_over(&mut self) -> bool {
+        true
+    }
+
+    fn discard_output(&mut self) {
+        self.is_discarded.store(true, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_has_no_hints() {
+    let is_discarded = Arc::new(AtomicBool::new(false));
+    let mut boxed: Box<dyn Port> =
+        Box::new(TestPort(Unusual { is_discarded: Arc::clone(&is_discarded) }));
+    assert_eq!(boxed.baud_rate(), Some(BaudRate::B57600));
+    assert!(boxed.set_baud_rate(BaudRate::B19200).is_ok());
+    let hints = Port::hints(&mut boxed).unwrap();
+    assert_eq!(hints.wall_clock(), Some(SystemTime::UNIX_EPOCH));
+    assert_eq!(hints.try_read(&mut [0; 8]).unwrap().unwrap(), 3);
+    assert!(hints.suspend_wakeups() && hints.can_die_silently() && hints.is_over());
+    hints.discard_output();
+    assert!(is_discarded.load(Ordering::Relaxed));
+
+    let mut plain = StreamPort::new(tokio::io::empty());
+    assert_eq!(plain.baud_rate(), None);
+    let refused = plain.set_baud_rate(BaudRate::B19200).unwrap_err();
+    assert_eq!(refused.kind(), io::ErrorKind::Unsupported);
+    assert!(plain.hints().is_none());
+}
+
+/// A stream of which only the bytes are known.
+struct NoHints;
+
+impl PortHints for NoHints {}
+impl ConnectHints for NoHints {}
+
+#[test]
+fn a_hint_that_is_not_given_is_the_safe_one() {
+    let port: &mut dyn PortHints = &mut NoHints;
+    assert!(port.try_read(&mut [0; 8]).is_none());
+    assert!(!port.suspend_wakeups() && !port.can_die_silently() && !port.is_over());
+    assert_eq!(port.wall_clock(), None);
+    port.discard_output();
+    let connect: &mut dyn ConnectHints = &mut NoHints;
+    assert!(!connect.has_more());
+    assert_eq!(connect.expected_serial_number(), None);
+    connect.found();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_closure_and_a_boxed_connector_open_ports_again_after_each_loss() {
+    let emulator = Emulator::default();
+    let closure = || {
+        let mut emulator = emulator.clone();
+        move || {
+            let link = emulator.connect().now_or_never();
+            async { link.unwrap_or(Err(Error::Closed { sensor: None })) }
+        }
+    };
+    let boxed = [closure().boxed(), emulator.clone().boxed()];
+    assert_eq!(boxed.each_ref().map(|connect| connect.name()), [None, None]);
+    for connect in boxed {
+        let sensor = Sensor::builder().connect(connect).await.unwrap();
+        for _ in 0..2 {
+            emulator.unplug();
+            emulator.plug_in();
+            sensor.scan(Window::DETECTION).await.unwrap_or_else(|error| panic!("{error}"));
+        }
+        sensor.close().await;
+    }
+}
+
+#[tokio::test]
+async fn a_stream_port_flushes_and_shuts_down_its_stream() {
+    let (near, mut far) = tokio::io::duplex(64);
+    let mut port = StreamPort::new(tokio::io::BufStream::new(near));
+    let mut bytes = [0; 8];
+    port.write_all(b"V\n").await.unwrap();
+    assert!(far.read(&mut bytes).now_or_never().is_none(), "the stream holds it back");
+    port.flush().await.unwrap();
+    assert_eq!(far.read(&mut bytes).now_or_never().unwrap().unwrap(), 2);
+    port.shutdown().await.unwrap();
+    assert_eq!(far.read(&mut bytes).now_or_never().unwrap().unwrap(), 0);
+}
+
+#[tokio::test]
+async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
+    // IPv6 where the machine has it.
+    let (host, server) = match TcpListener::bind(("::1", 0)).await {
+        Ok(server) => ("::1", server),
+        Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
+    };
+    let port = server.local_addr().unwrap().port();
+    let mut port = TcpPort::connect(host, port, BaudRate::B19200).await.unwrap();
+    let (mut peer, _) = server.accept().await.unwrap();
+    port.write_all(b"V\n").await.unwrap();
+    port.flush().await.unwrap();
+    port.shutdown().await.unwrap();
+    let mut all = Vec::new();
+    peer.read_to_end(&mut all).await.unwrap();
+    assert_eq!(all, b"V\n");
+}
+
+#[tokio::test]
+async fn a_server_that_is_not_there_yet_is_a_transient_error() {
+    let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+    let port = server.local_addr().unwrap().port();
+    drop(server);
+    let error = TcpPort::connect("127.0.0.1", port, BaudRate::B19200).await.unwrap_err();
+    assert!(error.is_transient());
+    assert_eq!(error.to_string(), format!("cannot open tcp://127.0.0.1:{port}"));
+    let Error::Open { source, .. } = error else { panic!("{error:?}") };
+    assert_eq!(source.kind(), std::io::ErrorKind::ConnectionRefused);
+}
+
+#[cfg(feature = "serial")]
+#[tokio::test]
+async fn listing_the_ports_puts_likely_sensors_first() {
+    let ports = tokio_scip::port::list().await.unwrap();
+    let sensors = ports.iter().take_while(|port| port.is_likely_sensor()).count();
+    assert!(ports.iter().skip(sensors).all(|port| !port.is_likely_sensor()), "sensors first");
+}
+
+#[cfg(feature = "serial")]
+#[test]
+fn a_path_is_a_serial_port_whatever_it_looks_like() {
+    use std::path::{Path, PathBuf};
+    for path in ["/dev/ttyACM0", "serial:H0713090", "tcp://bridge:4001"] {
+        let expected = Endpoint::Serial(path.to_owned());
+        assert_eq!(Endpoint::try_from(Path::new(path)).unwrap(), expected);
+        assert_eq!(Endpoint::try_from(PathBuf::from(path)).unwrap(), expected);
+        assert_eq!(Endpoint::try_from(&PathBuf::from(path)).unwrap(), expected);
+    }
+    for path in ["", "/dev/tty\nACM0"] {
+        let error = Endpoint::try_from(Path::new(path)).unwrap_err();
+        assert!(matches!(error, Error::InvalidEndpoint { .. }), "{error}");
+    }
+}
+
+#[cfg(all(unix, feature = "serial"))]
+#[test]
+fn a_path_that_is_not_utf_8_is_refused() {
+    use std::os::unix::ffi::OsStrExt;
+    let path = std::path::Path::new(std::ffi::OsStr::from_bytes(b"/dev/tty\xff"));
+    let error = Endpoint::try_from(path).unwrap_err().to_string();
+    assert!(error.contains("must be UTF-8"), "{error}");
+}
+
+#[cfg(feature = "serde")]
+#[test]
+fn an_endpoint_is_serialized_as_its_text() {
+    for text in ["/dev/ttyACM0", "serial:H0713090", "tcp://[::1]:4001?baud=57600"] {
+        let endpoint: Endpoint = text.parse().unwrap();
+        let json = serde_json::to_string(&endpoint).unwrap();
+        assert_eq!(json, format!("{text:?}"));
+        assert_eq!(serde_json::from_str::<Endpoint>(&json).unwrap(), endpoint);
+    }
+    let error = serde_json::from_str::<Endpoint>("\"tcp://bridge\"").unwrap_err().to_string();
+    assert!(error.contains("the TCP port is missing"), "{error}");
+}
+
+/// A server that does not accept connections, because its queue is full.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
+    use std::time::Duration;
+    use tokio::net::{TcpSocket, TcpStream};
+    let full = TcpSocket::new_v4().unwrap();
+    full.bind(([127, 0, 0, 1], 0).into()).unwrap();
+    let full = full.listen(0).unwrap();
+    let address = full.local_addr().unwrap();
+    let mut queued = Vec::new();
+    let limit = Duration::from_millis(200);
+    while let Ok(connection) = tokio::time::timeout(limit, TcpStream::connect(address)).await {
+        queued.push(connection.unwrap());
+    }
+    let endpoint = format!("tcp://{address}");
+    let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
+    let error = opened.unwrap_err();
+    assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
+}

@@ -1,0 +1,7 @@
+//! Ports: endpoints, TCP, pseudo-terminals and real terminals.
+
+mod endpoints;
+#[cfg(all(unix, feature = "serial"))]
+mod serial;
+#[cfg(all(unix, feature = "serial"))]
+mod terminal;

@@ -1,0 +1,283 @@
+//! Serial ports on pseudo-terminals, and on files that are not serial ports. In real time,
+//! without sleeping: each wait is for bytes. `wakeups` counts what a read costs, and `usb`
+//! lists pseudo-terminals as sensors on USB.
+
+#[cfg(target_os = "linux")]
+mod usb;
+mod wakeups;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::common::limit::limit;
+use futures::FutureExt;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_scip::port::{Connect, Port};
+use tokio_scip::port::{EndpointConnector, SerialPort};
+use tokio_scip::{BaudRate, Endpoint, Error};
+use tokio_serial::SerialPort as _;
+use tokio_serial::SerialStream;
+
+/// A serial line with two ends, and the path of one of them.
+struct Line {
+    far: SerialStream,
+    /// Held open, so that the line does not hang up between two openings, and to read the
+    /// line's settings.
+    near: SerialStream,
+    path: String,
+}
+
+fn line() -> Line {
+    limit();
+    // Copies, which the programs that other tests start do not inherit.
+    let (far, near) = serialport::TTYPort::pair().unwrap();
+    let [far, near] = [far, near].map(|end| {
+        let copy = end.try_clone_native().unwrap();
+        SerialStream::try_from(copy).unwrap()
+    });
+    let path = near.name().unwrap();
+    Line { far, near, path }
+}
+
+/// A directory that is removed with its content.
+struct Scratch(PathBuf);
+
+impl Scratch {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("tokio-scip-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.join(name).to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+#[tokio::test]
+async fn all_six_baud_rates_are_set_and_in_force() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    assert_eq!(port.baud_rate(), Some(BaudRate::B19200), "as a sensor after power-up");
+    assert_eq!(line.near.baud_rate().unwrap(), 19_200);
+    assert!(port.hints().unwrap().can_die_silently(), "it counts as a sensor's own USB port");
+    for baud_rate in BaudRate::ALL.into_iter().rev() {
+        port.set_baud_rate(baud_rate).unwrap();
+        assert_eq!(port.baud_rate(), Some(baud_rate));
+        assert_eq!(line.near.baud_rate().unwrap(), baud_rate.bits_per_second());
+    }
+}
+
+#[tokio::test]
+async fn the_line_is_8n1_without_flow_control() {
+    let mut line = line();
+    line.near.set_parity(tokio_serial::Parity::Even).unwrap();
+    line.near.set_stop_bits(tokio_serial::StopBits::Two).unwrap();
+    line.near.set_flow_control(tokio_serial::FlowControl::Software).unwrap();
+    let _port = SerialPort::open(&line.path).await.unwrap();
+    assert_eq!(line.near.data_bits().unwrap(), tokio_serial::DataBits::Eight);
+    assert_eq!(line.near.parity().unwrap(), tokio_serial::Parity::None);
+    assert_eq!(line.near.stop_bits().unwrap(), tokio_serial::StopBits::One);
+    assert_eq!(line.near.flow_control().unwrap(), tokio_serial::FlowControl::None);
+}
+
+#[tokio::test]
+async fn every_byte_passes_unchanged_both_ways() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let every_byte: Vec<u8> = (0..=255).collect();
+    let mut there = [0; 256];
+    port.write_all(&every_byte).await.unwrap();
+    line.far.read_exact(&mut there).await.unwrap();
+    assert_eq!(there.as_slice(), every_byte);
+    let mut back = [0; 256];
+    line.far.write_all(&every_byte).await.unwrap();
+    port.read_exact(&mut back).await.unwrap();
+    assert_eq!(back.as_slice(), every_byte);
+}
+
+#[tokio::test]
+async fn a_long_stream_in_pieces_of_all_sizes_is_read_to_its_end() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let bytes: Vec<u8> =
+        (0..500_000_u32).map(|n| (n.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
+    let write = async {
+        let mut rest = bytes.as_slice();
+        for size in (1..6000).step_by(7).cycle() {
+            let Some((piece, after)) = rest.split_at_checked(size) else { break };
+            line.far.write_all(piece).await.unwrap();
+            rest = after;
+        }
+        line.far.write_all(rest).await.unwrap();
+    };
+    let mut came = vec![0; bytes.len()];
+    let read = port.read_exact(&mut came);
+    let both = tokio::time::timeout(Duration::from_secs(60), async { tokio::join!(write, read) });
+    both.await.expect("the reader is not woken").1.unwrap();
+    assert!(came == bytes);
+}
+
+/// Writes until the line accepts no more, as when a sensor does not read. Returns the
+/// number of bytes accepted.
+fn stall(port: &mut SerialPort) -> usize {
+    let mut taken = 0;
+    while let Some(written) = port.write(&[b'x'; 1024]).now_or_never() {
+        taken += written.unwrap();
+    }
+    taken
+}
+
+#[tokio::test]
+async fn o16_flush_and_shutdown_do_not_wait_for_a_stalled_line() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    stall(&mut port);
+    port.flush().now_or_never().unwrap().unwrap();
+    port.shutdown().now_or_never().unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_stalled_write_goes_on_when_the_line_moves_again() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let taken = stall(&mut port);
+    let mut came = vec![0; taken + 1];
+    let both = async { tokio::join!(port.write_all(b"V"), line.far.read_exact(&mut came)) };
+    let both = tokio::time::timeout(Duration::from_secs(60), both);
+    let (written, read) = both.await.expect("the writer waits on");
+    written.unwrap();
+    read.unwrap();
+    assert_eq!(came.pop(), Some(b'V'));
+}
+
+#[tokio::test]
+async fn o17_dropping_a_port_discards_its_unsent_output() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let taken = stall(&mut port);
+    drop(port);
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let write = tokio::time::timeout(Duration::from_secs(5), port.write_all(b"V"));
+    write.await.expect("the line still does not move").unwrap();
+    // A pseudo-terminal passes on a few KiB at once: those were sent.
+    let mut came = 0;
+    while line.far.read_u8().await.unwrap() != b'V' {
+        came += 1;
+    }
+    assert!(came <= 4096 && came < taken, "{came} of {taken} bytes came");
+}
+
+#[tokio::test]
+async fn o04_an_open_port_is_busy_until_it_is_dropped() {
+    let line = line();
+    let scratch = Scratch::new("busy");
+    let link = scratch.path("sensor");
+    std::os::unix::fs::symlink(&line.path, &link).unwrap();
+
+    let port = SerialPort::open(&link).await.unwrap();
+    for path in [&line.path, &link] {
+        match SerialPort::open(path).await {
+            Err(error @ Error::Busy { .. }) => assert!(error.to_string().contains(path)),
+            other => panic!("{other:?}"),
+        }
+    }
+    drop(port);
+    SerialPort::open(&line.path).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_dropped_opening_leaves_no_port_open() {
+    let line = line();
+    let mut connector = Endpoint::Serial(line.path.clone()).into_connector();
+    let mut given_up = 0;
+    // A program that another test starts has this one's open ports, too, for a moment:
+    // from its fork until its exec. A port that stays open is busy for ever.
+    let open = async |connector: &mut EndpointConnector| {
+        loop {
+            match connector.connect().await {
+                Err(Error::Busy { .. }) => {}
+                outcome => return outcome.unwrap(),
+            }
+        }
+    };
+    for _ in 0..100 {
+        given_up += usize::from(connector.connect().now_or_never().is_none());
+        drop(tokio::time::timeout(Duration::from_secs(10), open(&mut connector)).await.unwrap());
+    }
+    assert!(given_up > 0, "opening takes a thread, which is seldom done at the first poll");
+}
+
+#[tokio::test]
+async fn o07_bytes_received_before_the_port_was_opened_are_read() {
+    let mut line = line();
+    line.far.write_all(b"left").await.unwrap();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut bytes = [0; 4];
+    port.read_exact(&mut bytes).await.unwrap();
+    assert_eq!(&bytes, b"left");
+}
+
+#[tokio::test]
+async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
+    let line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let Line { far, near, .. } = line;
+    drop((far, near));
+    for _ in 0..3 {
+        match port.read(&mut [0; 16]).await {
+            Ok(read) => assert_eq!(read, 0),
+            Err(error) => assert!(error.raw_os_error().is_some(), "{error:?}"),
+        }
+    }
+    assert!(port.write(b"V\n").await.unwrap_err().raw_os_error().is_some());
+    assert!(port.set_baud_rate(BaudRate::B57600).is_err());
+    assert_eq!(port.baud_rate(), Some(BaudRate::B19200));
+    port.hints().unwrap().discard_output();
+}
+
+#[tokio::test]
+async fn o06_a_file_that_is_not_a_serial_port_and_a_missing_path_have_different_errors() {
+    let scratch = Scratch::new("files");
+    let file = scratch.path("file");
+    std::fs::write(&file, "no port").unwrap();
+    let dangling = scratch.path("dangling");
+    std::os::unix::fs::symlink(scratch.path("gone"), &dangling).unwrap();
+
+    for path in [&scratch.path("missing"), &dangling, &format!("{file}/below")] {
+        match SerialPort::open(path).await {
+            Err(Error::NoSuchPort { port }) => assert_eq!(port, *path),
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+    for path in [&file, &scratch.path(""), "/dev/null"] {
+        match SerialPort::open(path).await {
+            Err(Error::NotASerialPort { port }) => assert_eq!(port, *path),
+            other => panic!("{path}: {other:?}"),
+        }
+    }
+    assert_eq!(std::fs::read(&file).unwrap(), b"no port");
+}
+
+#[tokio::test]
+async fn a_serial_number_that_no_port_has_is_an_error() {
+    let mut connector = Endpoint::SerialNumber("H0000000".to_owned()).into_connector();
+    assert_eq!(connector.hints().unwrap().expected_serial_number(), Some("H0000000"));
+    loop {
+        match connector.connect().await {
+            // A machine with sensors: this one is not theirs.
+            Ok(port) => drop(port),
+            Err(error) => {
+                assert!(matches!(error, Error::NoSuchSensor { .. }), "{error}");
+                break;
+            }
+        }
+    }
+    assert!(!connector.hints().unwrap().has_more());
+}

@@ -1,0 +1,219 @@
+//! Sensors on USB, found by their serial numbers: the system's list of ports, the search,
+//! and what differs from RS-232.
+//!
+//! No sensor is needed. Each test runs itself once more in a mount namespace of its own, in
+//! which /dev and /sys/class are empty but for what it puts there: pseudo-terminals with
+//! emulated sensors behind names like /dev/ttyACM0. Where a user may not make such a
+//! namespace, it prints a line that begins with `skipped:`.
+
+use std::fs;
+use std::io::Write as _;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Command;
+
+use tokio_scip::emulator::Pty;
+use tokio_scip::port::{Connect, Port};
+use tokio_scip::port::{SerialPort, UsbId, list};
+use tokio_scip::{BaudRate, Endpoint, Error, State};
+
+use super::{Scratch, line};
+use crate::common::{builder, truthful};
+
+/// Set in the namespace.
+const INSIDE: &str = "SCIP_TEST_USB";
+
+/// The namespace, for unshare(1).
+const NAMESPACE: [&str; 3] = ["--user", "--map-root-user", "--mount"];
+
+/// The exit code of the script below where it may not mount.
+const NOT_ALLOWED: i32 = 77;
+
+/// Makes the file systems, in a folder, and runs a program: FOLDER PROGRAM ARGUMENTS.
+const MAKE: &str = r#"
+dev=$1
+shift
+{
+    mount -t tmpfs none /sys/class &&
+        mount -t tmpfs none "$dev" &&
+        mkdir "$dev/pts" &&
+        mount -t devpts -o newinstance,ptmxmode=0666 none "$dev/pts" &&
+        ln -s pts/ptmx "$dev/ptmx" &&
+        touch "$dev/null" &&
+        mount --bind /dev/null "$dev/null" &&
+        mount --rbind "$dev" /dev &&
+        mkdir /sys/class/tty
+} || exit 77
+exec "$@"
+"#;
+
+/// Returns true in the namespace. Otherwise runs the test with this name there, and fails if
+/// it fails.
+fn is_inside(test: &str) -> bool {
+    if std::env::var_os(INSIDE).is_some() {
+        return true;
+    }
+    let scratch = Scratch::new(test);
+    let inside = Command::new("unshare")
+        .args(NAMESPACE)
+        .args(["sh", "-c", MAKE, "sh"])
+        .arg(scratch.path(""))
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", "--nocapture", &format!("ports::serial::usb::{test}")])
+        .env(INSIDE, "1")
+        .output();
+    match inside {
+        Ok(output) if output.status.success() => {
+            let text = String::from_utf8_lossy(&output.stdout);
+            assert!(text.contains("1 passed"), "no such test: {text}");
+        }
+        Ok(output) if output.status.code() != Some(NOT_ALLOWED) && may_make_namespaces() => {
+            panic!("{}", String::from_utf8_lossy(&[output.stdout, output.stderr].concat()))
+        }
+        _ => {
+            // `eprintln!` would be captured.
+            let _ = writeln!(std::io::stderr(), "skipped: mount namespaces, for {test}");
+        }
+    }
+    false
+}
+
+fn may_make_namespaces() -> bool {
+    let outcome = Command::new("unshare").args(NAMESPACE).arg("true").output();
+    outcome.is_ok_and(|output| output.status.success())
+}
+
+/// Adds a port to the system's list, of a USB device or of the mainboard.
+fn list_port(name: &str, usb_id: Option<UsbId>) {
+    let class = Path::new("/sys/class");
+    let interface = class.join("devices").join(name).join("1.0");
+    fs::create_dir_all(&interface).unwrap();
+    let device = interface.parent().unwrap();
+    if let Some(UsbId { vendor, product }) = usb_id {
+        fs::write(device.join("idVendor"), format!("{vendor:04x}\n")).unwrap();
+        fs::write(device.join("idProduct"), format!("{product:04x}\n")).unwrap();
+        fs::write(device.join("product"), "URG-Series USB Driver\n").unwrap();
+    }
+    let subsystem = class.join(if usb_id.is_some() { "usb" } else { "pnp" });
+    fs::create_dir_all(&subsystem).unwrap();
+    symlink(subsystem, interface.join("subsystem")).unwrap();
+    let tty = class.join("tty").join(name);
+    fs::create_dir(&tty).unwrap();
+    symlink(interface, tty.join("device")).unwrap();
+}
+
+/// Plugs in a sensor, at this name below /dev.
+fn plug_in(name: &str, serial_number: &str) {
+    list_port(name, Some(UsbId::URG));
+    let emulator = truthful().usb().serial_number(serial_number).build();
+    let terminal = Pty::open(&emulator, Some(&Path::new("/dev").join(name))).unwrap();
+    tokio::spawn(terminal.serve());
+}
+
+#[tokio::test]
+async fn a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is() {
+    if !is_inside("a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is") {
+        return;
+    }
+    plug_in("ttyACM0", "H0000001");
+    plug_in("ttyACM1", "H0713090");
+    let sensor = builder().open("serial:H0713090").await.unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
+    let state = sensor.state().get();
+    assert!(matches!(state, State::Connected { baud_rate: None, .. }), "{state:?}");
+    // The other one was closed again.
+    let other = builder().open("/dev/ttyACM0").await.unwrap();
+    assert_eq!(other.version().await.unwrap().serial_number, "H0000001");
+    other.close().await;
+    let error = builder().open("serial:H0000002").await.unwrap_err();
+    assert!(matches!(error, Error::NoSuchSensor { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn a_search_goes_through_the_sensors_and_starts_over_when_its_own_was_found() {
+    if !is_inside("a_search_goes_through_the_sensors_and_starts_over_when_its_own_was_found") {
+        return;
+    }
+    for name in ["ttyACM0", "ttyACM1"] {
+        plug_in(name, "H0000001");
+    }
+    let mut connector = Endpoint::SerialNumber("H0713090".to_owned()).into_connector();
+    assert!(!connector.hints().unwrap().has_more(), "it has not begun");
+    for _ in 0..2 {
+        drop(connector.connect().await.unwrap());
+        assert!(connector.hints().unwrap().has_more());
+    }
+    let error = connector.connect().await.map(drop).unwrap_err();
+    assert!(matches!(error, Error::NoSuchSensor { .. }), "{error}");
+    assert!(!connector.hints().unwrap().has_more());
+
+    drop(connector.connect().await.unwrap());
+    connector.hints().unwrap().found();
+    assert!(!connector.hints().unwrap().has_more());
+    let _first_again = connector.connect().await.unwrap();
+    let error = SerialPort::open("/dev/ttyACM0").await.unwrap_err();
+    assert!(matches!(error, Error::Busy { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn a_sensors_own_port_has_no_baud_rate_and_an_adapter_has_one() {
+    if !is_inside("a_sensors_own_port_has_no_baud_rate_and_an_adapter_has_one") {
+        return;
+    }
+    plug_in("ttyACM0", "H0713090");
+    let line = line();
+    symlink(&line.path, "/dev/ttyUSB0").unwrap();
+    list_port("ttyUSB0", Some(UsbId { vendor: 0x0403, product: 0x6001 }));
+    fs::create_dir_all("/dev/serial/by-path").unwrap();
+    symlink("../../ttyACM0", "/dev/serial/by-path/usb-0:1").unwrap();
+
+    for path in ["/dev/ttyACM0", "/dev/serial/by-path/usb-0:1"] {
+        let mut port = SerialPort::open(path).await.unwrap();
+        assert_eq!(
+            (port.baud_rate(), port.hints().unwrap().can_die_silently()),
+            (None, false),
+            "{path}"
+        );
+    }
+    let mut port = SerialPort::open("/dev/ttyUSB0").await.unwrap();
+    assert_eq!(
+        (port.baud_rate(), port.hints().unwrap().can_die_silently()),
+        (Some(BaudRate::B19200), true)
+    );
+}
+
+#[tokio::test]
+async fn the_list_has_sensors_first_and_no_name_without_hardware() {
+    if !is_inside("the_list_has_sensors_first_and_no_name_without_hardware") {
+        return;
+    }
+    assert_eq!(list().await.unwrap(), []);
+    let adapter = UsbId { vendor: 0x0403, product: 0x6001 };
+    let ports = [
+        ("ttyS0", None),
+        ("ttyS1", None),
+        ("ttyUSB0", Some(adapter)),
+        ("ttyACM0", Some(UsbId::URG)),
+    ];
+    for (name, usb_id) in ports {
+        list_port(name, usb_id);
+        fs::write(Path::new("/dev").join(name), "").unwrap();
+    }
+    // A UART of the mainboard, and a name that the kernel has reserved.
+    fs::write("/sys/class/tty/ttyS0/type", "4\n").unwrap();
+    fs::write("/sys/class/tty/ttyS1/type", "0\n").unwrap();
+    fs::create_dir_all("/dev/serial/by-path").unwrap();
+    symlink("../../ttyACM0", "/dev/serial/by-path/usb-0:1").unwrap();
+
+    let ports = list().await.unwrap();
+    let names: Vec<_> = ports.iter().map(|port| port.path.as_str()).collect();
+    assert_eq!(names, ["/dev/ttyACM0", "/dev/ttyUSB0", "/dev/ttyS0"]);
+    let ids: Vec<_> = ports.iter().map(|port| port.usb_id).collect();
+    assert_eq!(ids, [Some(UsbId::URG), Some(adapter), None]);
+    let product = ports[0].product.as_ref().map(ToString::to_string);
+    assert_eq!(product.as_deref(), Some("URG-Series USB Driver"));
+    assert_eq!(ports[0].stable_paths, ["/dev/serial/by-path/usb-0:1"]);
+
+    fs::remove_dir_all("/sys/class/tty").unwrap();
+    assert_eq!(list().await.unwrap(), [], "a container without the folder");
+}

@@ -1,0 +1,248 @@
+//! Options that several commands share, and the parsers of their values. Options of a single
+//! command are in its own file.
+
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use tokio_scip::emulator::Firmware;
+use tokio_scip::{BaudRate, Rate, Window};
+
+use crate::failure::Failure;
+
+/// Options for the link to the sensor.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Link")]
+pub(crate) struct LinkArgs {
+    /// Baud rate to use [default: the sensor's current baud rate]
+    ///
+    /// One of 19200, 57600, 115200, 250000, 500000 and 750000. You need not know the
+    /// current one: the sensor is detected at any of them, then set to this one. A
+    /// sensor on USB has no baud rate.
+    #[arg(long, value_name = "RATE")]
+    pub(crate) baud: Option<BaudRate>,
+    /// Wait for the sensor to appear, without a time limit
+    #[arg(long)]
+    pub(crate) wait: bool,
+    /// Fail if the sensor is not found within this time [default: 5s]
+    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "wait")]
+    pub(crate) timeout: Option<Duration>,
+    /// Firmware dialect of the sensor at PORT `emulated` [default: v3]
+    #[arg(long, value_enum)]
+    pub(crate) firmware: Option<FirmwareArg>,
+}
+
+/// Firmware dialect of emulated sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FirmwareArg {
+    /// As in the protocol text: V has five lines, unknown commands get no reply
+    Text,
+    /// As in real sensors: V has six lines, unknown commands get the reply E
+    V3,
+}
+
+impl From<FirmwareArg> for Firmware {
+    fn from(firmware: FirmwareArg) -> Self {
+        match firmware {
+            FirmwareArg::Text => Self::Text,
+            FirmwareArg::V3 => Self::V3,
+        }
+    }
+}
+
+/// Options for the steps to measure. A recording has its own default.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Window")]
+pub(crate) struct WindowArgs {
+    /// Steps to measure: detection (44..725), full (0..768), or START..END, both
+    /// included [default: detection, or as recorded]
+    #[arg(long, value_name = "WINDOW", value_parser = named_window,
+        conflicts_with_all = ["start", "end", "from", "to"])]
+    window: Option<Window>,
+    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44, or as recorded]
+    #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
+    start: Option<u16>,
+    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725, or as recorded]
+    #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
+    end: Option<u16>,
+    /// Steps per point, 1 to 99; the sensor sends the smallest value of each
+    /// cluster, so an error code hides any distance [default: 1, or as recorded]
+    #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
+    cluster: Option<u8>,
+    /// First direction, -135deg (right) to 135deg (left), instead of --start
+    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true,
+        conflicts_with_all = ["start", "end"])]
+    from: Option<f64>,
+    /// Last direction, as for --from, instead of --end
+    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true,
+        conflicts_with_all = ["start", "end"])]
+    to: Option<f64>,
+}
+
+impl WindowArgs {
+    /// Computes the requested window. `default` provides what the options leave out.
+    pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
+        let window = if let Some(window) = self.window {
+            Ok(window)
+        } else if self.from.is_some() || self.to.is_some() {
+            let from = self.from.unwrap_or_else(|| default.start().degrees().into());
+            let to = self.to.unwrap_or_else(|| default.end().degrees().into());
+            Window::degrees(from..=to)
+        } else {
+            let start = self.start.unwrap_or(default.start().number());
+            Window::new(start..=self.end.unwrap_or(default.end().number()))
+        };
+        window
+            .and_then(|window| {
+                window.with_cluster_count(self.cluster.unwrap_or(default.cluster_count()))
+            })
+            .map_err(|error| Failure::Usage(error.to_string()))
+    }
+}
+
+/// Options for the rate and the length of a stream.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Pace")]
+pub(crate) struct PaceArgs {
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ", allow_hyphen_values = true)]
+    pub(crate) rate: Option<Rate>,
+    /// Stop after this many scans
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) count: Option<u64>,
+    /// Stop after this time: 10s, 500ms, 5m, 1h
+    #[arg(long, value_name = "TIME", value_parser = duration)]
+    pub(crate) duration: Option<Duration>,
+}
+
+/// Parses `detection`, `full` or `44..725`.
+fn named_window(text: &str) -> Result<Window, String> {
+    let steps = || text.split_once("..").map(|(from, to)| (from, to.trim_start_matches('=')));
+    match text {
+        "detection" => return Ok(Window::DETECTION),
+        "full" => return Ok(Window::FULL),
+        _ => {}
+    }
+    match steps().map(|(from, to)| (from.parse::<u16>(), to.parse::<u16>())) {
+        Some((Ok(from), Ok(to))) => Window::new(from..=to).map_err(|error| error.to_string()),
+        _ => Err("expected detection, full, or two steps such as 44..725".to_owned()),
+    }
+}
+
+/// Parses `-90deg` or `-90`.
+fn degrees(text: &str) -> Result<f64, &'static str> {
+    let number = text.strip_suffix("deg").unwrap_or(text).trim_end();
+    number
+        .parse()
+        .ok()
+        .filter(|degrees: &f64| degrees.is_finite())
+        .ok_or("expected a number of degrees, such as -90 or -90deg")
+}
+
+/// Parses an address to listen on. A port number alone, such as `8080`, means this machine
+/// only: there is no password.
+pub(crate) fn listen_address(text: &str) -> Result<String, &'static str> {
+    let (host, port) = text.rsplit_once(':').unwrap_or(("", text));
+    match (host, port.parse::<u16>()) {
+        ("", Ok(port)) => Ok(format!("127.0.0.1:{port}")),
+        (_, Ok(_)) => Ok(text.to_owned()),
+        (_, Err(_)) => {
+            Err("expected a port number such as 8080, or ADDRESS:PORT such as 0.0.0.0:8080")
+        }
+    }
+}
+
+/// Checks the name of a coordinate frame. ROS uses it unchanged.
+pub(crate) fn frame_id(text: &str) -> Result<String, &'static str> {
+    let is_name = !text.is_empty() && !text.contains(|c: char| c.is_control() || c.is_whitespace());
+    is_name.then(|| text.to_owned()).ok_or("expected a name without blanks and control characters")
+}
+
+/// Parses `10s`, `500ms`, `5m`, `1h`, a sum such as `1h 30m`, or `1:30:00`.
+pub(crate) fn duration(text: &str) -> Result<Duration, &'static str> {
+    clock_time(text)
+        .filter(|duration| !duration.is_zero())
+        .ok_or("expected a time above 0 with its unit, such as 500ms, 10s, 5m or 1h")
+}
+
+/// Parses `90s`, `1m 30s`, `0s`, `1:30` or `1:02:03`.
+pub(crate) fn clock_time(text: &str) -> Option<Duration> {
+    if !text.contains(':') {
+        return humantime::parse_duration(&text.replace(',', " ")).ok();
+    }
+    let parts = text.split(':').map(|part| part.parse::<f64>().ok().filter(|n| *n >= 0.0));
+    let seconds = parts.into_iter().try_fold(0.0, |sum, part| Some(sum * 60.0 + part?))?;
+    Duration::try_from_secs_f64(seconds).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_is_a_number_and_a_unit() {
+        for (text, millis) in [
+            ("10s", 10_000),
+            ("500ms", 500),
+            ("1.5m", 90_000),
+            ("5min", 300_000),
+            ("1h", 3_600_000),
+            ("1h 30m", 5_400_000),
+            ("1 hour, 30 minutes", 5_400_000),
+            ("1:30:00", 5_400_000),
+        ] {
+            assert_eq!(duration(text), Ok(Duration::from_millis(millis)), "{text}");
+        }
+        for text in ["10", "s", "", "-1s", "0s", "nans", "infs", "1e30h", "1:-30"] {
+            assert!(duration(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_frame_has_a_name() {
+        assert_eq!(frame_id("front/laser"), Ok("front/laser".to_owned()));
+        for text in ["", " ", "a b", "a\u{1b}[2J", "a\n"] {
+            assert!(frame_id(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn a_window_has_a_name_or_two_steps() {
+        assert_eq!(named_window("detection"), Ok(Window::DETECTION));
+        assert_eq!(named_window("full"), Ok(Window::FULL));
+        for text in ["100..200", "100..=200"] {
+            assert_eq!(named_window(text), Ok(Window::new(100..=200).unwrap()), "{text}");
+        }
+        for text in ["", "half", "..", "1..", "200..100", "0..769", "-1..5"] {
+            assert!(named_window(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn degrees_may_have_their_unit() {
+        assert_eq!(degrees("-90deg"), Ok(-90.0));
+        assert_eq!(degrees("12.5"), Ok(12.5));
+        assert!(degrees("inf").is_err());
+        assert!(degrees("1rad").is_err());
+    }
+
+    #[test]
+    fn a_port_number_alone_is_of_this_machine() {
+        for (text, address) in [
+            ("4001", "127.0.0.1:4001"),
+            (":4001", "127.0.0.1:4001"),
+            ("0.0.0.0:4001", "0.0.0.0:4001"),
+            ("[::]:4001", "[::]:4001"),
+            ("robot.local:0", "robot.local:0"),
+        ] {
+            assert_eq!(listen_address(text).as_deref(), Ok(address), "{text}");
+        }
+    }
+
+    #[test]
+    fn an_address_to_listen_on_has_a_port_number() {
+        for text in ["", ":", "1.2.3.4", "localhost", "localhost:", "[::1]", "0.0.0.0:65536"] {
+            assert!(listen_address(text).is_err(), "{text}");
+        }
+    }
+}

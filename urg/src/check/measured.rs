@@ -1,0 +1,260 @@
+//! Measures a stream of scans and judges it by the limits below.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use tokio::time::Instant;
+use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
+
+use super::steps::{Step, Verdict};
+use crate::port::open::ignored_baud_rate;
+use crate::stream::jitter::Jitter;
+use crate::stream::rate_watch::{ENOUGH, sufficient_baud_rate};
+
+/// Maximum fraction of polls without a scan. Any smaller loss is weak.
+const MAX_LOSS: f64 = 0.05;
+/// Fraction of the rate that the link can carry. A lower rate fails the check.
+const FAILED_RATE: f64 = 0.5;
+/// Maximum latency, in revolutions of the motor. A good sensor answers within one or two.
+const MAX_REVOLUTIONS: f64 = 2.5;
+
+/// Maximum mean lateness in milliseconds: five USB frames. Later scans are weak.
+const MAX_LATENESS_MS: f64 = 5.0;
+
+/// Stream with its measurements.
+#[derive(Debug)]
+pub(super) struct Measured {
+    window: Window,
+    baud_rate: Option<BaudRate>,
+    /// Requested rate in scans a second.
+    asked: f64,
+    scans: Vec<Seen>,
+    /// Baud rate that the port ignores, as fast replies show. `baud_rate` is `None` then.
+    outrun: Option<BaudRate>,
+    /// Statistics of the driver before and after the measurement.
+    before: Stats,
+    after: Stats,
+}
+
+/// Measurements of one scan.
+#[derive(Debug)]
+struct Seen {
+    requested_at: Instant,
+    received_at: Instant,
+    lateness: Option<Duration>,
+    points: usize,
+    distances: usize,
+}
+
+impl Measured {
+    pub(super) async fn over(
+        sensor: &Sensor,
+        window: Window,
+        recorded: Option<Rate>,
+        duration: Duration,
+    ) -> Result<Self, Error> {
+        let version = sensor.version().await?;
+        let rpm = version.specification.and_then(|specification| specification.motor_speed);
+        let period = recorded.and_then(Rate::period).map(|period| period.as_secs_f64());
+        let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
+        let before = sensor.stats();
+        let mut stream = sensor.scans(window, Rate::hz(asked)).await?;
+        let link_rate = sensor.state().get().baud_rate();
+        let mut scans = Vec::new();
+        let watch = async {
+            // The driver counts the errors.
+            while let Some(item) = stream.next().await {
+                scans.extend(item.iter().map(Seen::of));
+            }
+        };
+        let _ = tokio::time::timeout(duration, watch).await;
+        drop(stream);
+        // This request waits for the poll in flight, so that `after` counts its outcome.
+        let _ = sensor.laser_on().await;
+        let mut after = sensor.stats();
+        if recorded.is_some() && matches!(sensor.state().get(), State::Closed { .. }) {
+            // A replay ends with a poll that has no recorded reply.
+            after.polls = after.polls.saturating_sub(1);
+        }
+        let outrun = link_rate.filter(|_| after.baud_rate_outrun);
+        let baud_rate = link_rate.filter(|_| !after.baud_rate_outrun);
+        Ok(Self { window, baud_rate, asked, scans, outrun, before, after })
+    }
+
+    pub(super) fn steps(&self) -> Vec<Step> {
+        let polls = self.polls();
+        if self.scans.is_empty() {
+            return vec![polls];
+        }
+        vec![polls, self.rate(), self.latency(), self.motor(), self.sight()]
+    }
+
+    fn count(&self, counter: impl Fn(&Stats) -> u64) -> u64 {
+        counter(&self.after).saturating_sub(counter(&self.before))
+    }
+
+    /// Number of polls without a scan.
+    fn lost(&self) -> u64 {
+        self.count(|stats| stats.polls).saturating_sub(self.count(|stats| stats.scans))
+    }
+
+    fn polls(&self) -> Step {
+        let polls = self.count(|stats| stats.polls);
+        let lost = self.lost();
+        let reasons = [
+            (self.count(|stats| stats.timeouts), "unanswered in time"),
+            (self.count(|stats| stats.malformed.total()), "malformed"),
+            (self.count(|stats| stats.refused), "refused"),
+            (self.count(|stats| stats.disconnects), "times the link was lost"),
+        ];
+        let reasons: Vec<_> = reasons
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, reason)| format!("{count} {reason}"))
+            .collect();
+        let verdict = if polls == 0
+            || self.scans.is_empty()
+            || self.count(|stats| stats.disconnects) > 0
+            || lost as f64 > MAX_LOSS * polls as f64
+        {
+            Verdict::Failed
+        } else if lost > 0 || !reasons.is_empty() {
+            Verdict::Weak
+        } else {
+            Verdict::Ok
+        };
+        let mut text = format!("{} of {polls} answered with a whole scan", polls - lost);
+        if !reasons.is_empty() {
+            text.push_str(": ");
+            text.push_str(&reasons.join(", "));
+            text.push_str("; check cable, plugs and power");
+        }
+        Step::new("polls", verdict, text)
+    }
+
+    fn rate(&self) -> Step {
+        const NAME: &str = "rate";
+        let (Some(first), Some(last)) = (self.scans.first(), self.scans.last()) else {
+            return Step::new(NAME, Verdict::Failed, "no scan came");
+        };
+        let time = last.received_at.saturating_duration_since(first.received_at).as_secs_f64();
+        if time <= 0.0 {
+            return Step::new(NAME, Verdict::Weak, "only one scan came: test for longer");
+        }
+        let reached = (self.scans.len() - 1) as f64 / time;
+        let asked = self.asked;
+        let mut text = format!("{reached:.1} scans a second of {asked:.1}, {}", self.jitter());
+        if let Some(baud_rate) = self.outrun {
+            // Writing to a `String` is infallible.
+            let _ = write!(text, "; {}", ignored_baud_rate(baud_rate));
+        }
+        if reached >= ENOUGH * asked {
+            return Step::new(NAME, Verdict::Ok, text);
+        }
+        let carried = self
+            .baud_rate
+            .map_or(f64::INFINITY, |rate| 1.0 / self.window.wire_time(rate).as_secs_f64());
+        let verdict = match reached < FAILED_RATE * asked.min(carried) {
+            true => Verdict::Failed,
+            false => Verdict::Weak,
+        };
+        let cause = match self.baud_rate {
+            Some(baud_rate) if carried < asked / ENOUGH => {
+                let helps = match sufficient_baud_rate(self.window, asked) {
+                    Some(faster) => format!("--baud {faster} would do"),
+                    None => "fewer steps would help".to_owned(),
+                };
+                format!("a line at {baud_rate} baud carries {carried:.1}; {helps}")
+            }
+            _ if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
+            _ => "some revolutions of the motor brought no scan".to_owned(),
+        };
+        Step::new(NAME, verdict, format!("{text}: {cause}"))
+    }
+
+    /// Describes the spread of the intervals between scans.
+    fn jitter(&self) -> String {
+        let Some(jitter) = Jitter::of(self.scans.iter().map(|seen| seen.received_at)) else {
+            return "one scan".to_owned();
+        };
+        let [min, max, deviation] =
+            [jitter.min, jitter.max, jitter.deviation].map(|seconds| seconds * 1000.0);
+        format!("one every {min:.0} to {max:.0} ms, standard deviation {deviation:.1} ms")
+    }
+
+    fn latency(&self) -> Step {
+        let latency = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
+        let longest = self.scans.iter().map(latency).max().unwrap_or_default();
+        let mean =
+            self.scans.iter().map(latency).sum::<Duration>() / self.scans.len().max(1) as u32;
+        let (mean, most) = (mean.as_millis(), longest.as_millis());
+        let text = format!("a whole scan takes {mean} ms, {most} ms at most");
+        let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
+        let good = Duration::from_secs_f64(MAX_REVOLUTIONS / self.asked) + wire.unwrap_or_default();
+        if longest <= good {
+            return Step::new("latency", Verdict::Ok, text);
+        }
+        let text = format!("{text}: expected at most {} ms", good.as_millis());
+        Step::new("latency", Verdict::Weak, text)
+    }
+
+    fn motor(&self) -> Step {
+        const NAME: &str = "motor";
+        let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
+        let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
+            let text = "unknown: scans have the times of their arrivals";
+            return Step::new(NAME, Verdict::Ok, text);
+        };
+        let mut text = match motor.rpm() {
+            Some(rpm) => format!("{rpm:.2} rpm"),
+            None => "speed not known yet".to_owned(),
+        };
+        let milliseconds = |time: Duration| time.as_secs_f64() * 1000.0;
+        let mean = milliseconds(lateness.iter().sum::<Duration>()) / lateness.len() as f64;
+        let most = milliseconds(lateness.iter().max().copied().unwrap_or_default());
+        // Writing to a `String` is infallible.
+        let _ = write!(text, "; scans arrive {mean:.1} ms late, {most:.1} ms at most");
+        if motor.jumps > 0 {
+            let _ = write!(text, "; it jumped {} times: check the power", motor.jumps);
+            return Step::new(NAME, Verdict::Weak, text);
+        }
+        if mean > MAX_LATENESS_MS {
+            text.push_str(": this computer is busy, or its USB is");
+            return Step::new(NAME, Verdict::Weak, text);
+        }
+        Step::new(NAME, Verdict::Ok, text)
+    }
+
+    fn sight(&self) -> Step {
+        const NAME: &str = "sight";
+        let points = self.scans.iter().map(|seen| seen.points).max().unwrap_or_default();
+        let distances = self.scans.iter().map(|seen| seen.distances).sum::<usize>();
+        let distances = distances / self.scans.len().max(1);
+        let text = format!("{distances} of {points} points have a distance");
+        let repeats = self.count(|stats| stats.repeats) as usize;
+        if distances == 0 {
+            Step::new(
+                NAME,
+                Verdict::Weak,
+                format!("{text}: is the sensor covered, or everything farther away than 4 m?"),
+            )
+        } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
+            let text = format!("{text}, and all scans are equal: does the sensor measure at all?");
+            Step::new(NAME, Verdict::Weak, text)
+        } else {
+            Step::new(NAME, Verdict::Ok, text)
+        }
+    }
+}
+
+impl Seen {
+    fn of(scan: &Scan) -> Self {
+        Self {
+            requested_at: scan.requested_at(),
+            received_at: scan.received_at(),
+            lateness: scan.lateness(),
+            points: scan.len(),
+            distances: scan.points().count(),
+        }
+    }
+}

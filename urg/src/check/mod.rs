@@ -1,0 +1,99 @@
+//! `urg check`: a self-test of a sensor. `steps` defines the steps, and `measured` judges
+//! the stream of scans.
+
+mod measured;
+mod steps;
+
+use std::time::{Duration, Instant};
+
+use self::steps::{Step, Verdict};
+use crate::args::{LinkArgs, duration};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::stdout::Output;
+use crate::port::name::PortArg;
+use crate::port::open::Delivery;
+use crate::port::open::open;
+
+/// Test a sensor, with a verdict for each step
+///
+/// Finds the sensor, asks for its identity, switches its laser off and on, and
+/// streams scans for some seconds. The laser is on afterwards. A step is ok, weak
+/// (it works, but not as well as it should) or FAILED. The exit code is 0 unless
+/// a step has failed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg check /dev/ttyACM0
+  urg check /dev/ttyUSB0 --baud 115200 --duration 60s && echo good")]
+pub(crate) struct Check {
+    #[command(flatten)]
+    port: PortArg,
+    /// Duration of the stream of scans: 10s, 500ms, 5m, 1h
+    #[arg(long, value_name = "TIME", value_parser = duration, default_value = "5s")]
+    duration: Duration,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl Check {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = self.check() => outcome,
+            // Without a verdict, the sensor must not count as good.
+            _ = interrupt.requested() => Err(Failure::Failed("interrupted before the end of the test".to_owned())),
+        }
+    }
+
+    async fn check(&self) -> Result<(), Failure> {
+        let (port, rate) = self.port.polled_at(None).await?;
+        let recorded = port.recorded().map(|_| rate);
+        let mut report = CheckReport { output: Output::new(), steps: Vec::new() };
+        let begin = Instant::now();
+        match open(&port, &self.link, Delivery::Newest).await {
+            Ok(sensor) => {
+                report.add(steps::link(&sensor, recorded.is_some(), begin.elapsed())).await?;
+                report.add(steps::version(&sensor).await).await?;
+                report.add(steps::laser(&sensor).await).await?;
+                for step in
+                    steps::scans(&sensor, port.default_window(), recorded, self.duration).await
+                {
+                    report.add(step).await?;
+                }
+            }
+            Err(Failure::Failed(line)) => {
+                report.add(Step::new("link", Verdict::Failed, line)).await?;
+            }
+            Err(other) => return Err(other),
+        }
+        report.end(&port.to_string()).await
+    }
+}
+
+/// Findings, written one by one as the steps finish.
+struct CheckReport {
+    output: Output,
+    steps: Vec<Step>,
+}
+
+impl CheckReport {
+    async fn add(&mut self, step: Step) -> Result<(), Failure> {
+        self.output.write(&format!("{step}\n")).await?;
+        self.steps.push(step);
+        Ok(())
+    }
+
+    async fn end(mut self, port: &str) -> Result<(), Failure> {
+        let of = |verdict| {
+            let steps = self.steps.iter().filter(|step| step.verdict == verdict);
+            steps.map(|step| step.name).collect::<Vec<_>>().join(", ")
+        };
+        let (failed, weak) = (of(Verdict::Failed), of(Verdict::Weak));
+        let line = match (failed.as_str(), weak.as_str()) {
+            ("", "") => "all is well".to_owned(),
+            ("", weak) => format!("it works; weak: {weak}"),
+            (failed, _) => return Err(Failure::Failed(format!("{port} has FAILED: {failed}"))),
+        };
+        self.output.write(&format!("\n{line}\n")).await
+    }
+}

@@ -1,0 +1,220 @@
+//! Steps of the self-test, and their verdicts.
+
+use std::fmt;
+use std::time::Duration;
+
+use tokio_scip::{Error, Rate, Sensor, Window};
+
+use super::measured::Measured;
+use crate::failure::chain;
+use crate::output::notice::escaped;
+
+/// Outcome of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Verdict {
+    Ok,
+    Weak,
+    Failed,
+}
+
+/// Step and its verdict.
+#[derive(Debug, Clone)]
+pub(crate) struct Step {
+    pub(crate) name: &'static str,
+    pub(crate) verdict: Verdict,
+    /// Findings, and the reason if the verdict is not ok.
+    text: String,
+}
+
+impl Step {
+    pub(crate) fn new(name: &'static str, verdict: Verdict, text: impl Into<String>) -> Self {
+        Self { name, verdict, text: text.into() }
+    }
+
+    pub(crate) fn failed(name: &'static str, error: &Error) -> Self {
+        Self::new(name, Verdict::Failed, chain(error))
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = match self.verdict {
+            Verdict::Ok => "ok",
+            Verdict::Weak => "weak",
+            Verdict::Failed => "FAILED",
+        };
+        // An error names the port, and the name of a file may hold anything.
+        write!(f, "{verdict:<7} {:<8} {}", self.name, escaped(&self.text))
+    }
+}
+
+/// Describes the link that was found `after` this time. Set `is_recording` for a replay.
+pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Step {
+    let place = match sensor.state().get().baud_rate() {
+        _ if is_recording => "in a recording".to_owned(),
+        Some(rate) => format!("at {rate} baud"),
+        None => "on USB".to_owned(),
+    };
+    Step::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
+}
+
+/// Reads the identity of the sensor.
+pub(crate) async fn version(sensor: &Sensor) -> Step {
+    const NAME: &str = "version";
+    let version = match sensor.version().await {
+        Ok(version) => version,
+        Err(error) => return Step::failed(NAME, &error),
+    };
+    let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
+    let status = version.status.as_ref().map(ToString::to_string);
+    match status {
+        _ if version.product.is_empty() || version.serial_number.is_empty() => {
+            Step::new(NAME, Verdict::Weak, format!("product or serial number missing: {who}"))
+        }
+        Some(status) if !status.contains("Normal") => {
+            Step::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
+        }
+        _ => Step::new(NAME, Verdict::Ok, who),
+    }
+}
+
+/// Switches the laser off and on. The driver confirms both by asking for a measurement.
+pub(crate) async fn laser(sensor: &Sensor) -> Step {
+    const NAME: &str = "laser";
+    for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
+        if let Err(error) = switched {
+            let text = format!("cannot be switched {state}: {}", chain(&error));
+            return Step::new(NAME, Verdict::Failed, text);
+        }
+    }
+    Step::new(NAME, Verdict::Ok, "goes off and on")
+}
+
+/// Streams the window for `duration`, at the rate of the motor or at the recorded rate.
+pub(crate) async fn scans(
+    sensor: &Sensor,
+    window: Window,
+    recorded: Option<Rate>,
+    duration: Duration,
+) -> Vec<Step> {
+    match Measured::over(sensor, window, recorded, duration).await {
+        Ok(measured) => measured.steps(),
+        Err(error) => vec![Step::failed("polls", &error)],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio_scip::BaudRate;
+    use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
+
+    use super::*;
+
+    /// Runs all steps. Collects the steps that are not ok, and the text of all steps.
+    async fn test(
+        builder: EmulatorBuilder,
+        faults: Faults,
+    ) -> (Vec<(&'static str, Verdict)>, String) {
+        let emulator = builder.build();
+        let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+        emulator.set_faults(faults);
+        let mut steps = vec![link(&sensor, false, Duration::ZERO), version(&sensor).await];
+        steps.push(laser(&sensor).await);
+        steps.extend(scans(&sensor, Window::DETECTION, None, Duration::from_secs(10)).await);
+        let text = steps.iter().map(|step| format!("{step}\n")).collect();
+        let bad = steps.into_iter().filter(|step| step.verdict != Verdict::Ok);
+        (bad.map(|step| (step.name, step.verdict)).collect(), text)
+    }
+
+    #[test]
+    fn a_finding_cannot_control_the_terminal() {
+        let error = Error::NoSuchPort { port: "\x1b[2J.mcap".to_owned() };
+        let text = Step::failed("laser", &error).to_string();
+        assert!(text.contains("\\u{1b}[2J.mcap") && !text.contains('\x1b'), "{text:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_good_sensor_passes_every_step() {
+        let (bad, text) = test(Emulator::builder().usb(), Faults::none()).await;
+        assert_eq!(bad, [], "{text}");
+        assert_eq!(text.lines().count(), 8, "{text}");
+        let rate =
+            "10.0 scans a second of 10.0, one every 100 to 100 ms, standard deviation 0.0 ms";
+        assert!(text.contains(rate), "{text}");
+        let fast = Emulator::builder().baud_rate(BaudRate::B750000);
+        let (bad, text) = test(fast, Faults::none()).await;
+        assert_eq!(bad, [], "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn the_speed_of_the_motor_is_measured_and_late_scans_are_weak() {
+        let turning = || Emulator::builder().revolution(Duration::from_micros(99_760));
+        let (bad, text) = test(turning(), Faults::none()).await;
+        assert_eq!(bad, [], "{text}");
+        assert!(text.contains("motor    601.4"), "{text}");
+        let late = Faults::none().late(0.4, Duration::from_millis(30)).seed(1);
+        let (bad, text) = test(turning(), late).await;
+        assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
+        assert!(text.contains("this computer is busy"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_line_is_weak_and_told_what_helps() {
+        let slow = Emulator::builder().baud_rate(BaudRate::B19200);
+        let (bad, text) = test(slow, Faults::none()).await;
+        assert_eq!(bad, [("rate", Verdict::Weak)], "{text}");
+        assert!(text.contains("--baud 250000"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_low_rate_after_losses_is_reported_as_losses() {
+        let lossy = Faults::none().rate(0.2, Fault::Lost).seed(1);
+        let (bad, text) = test(Emulator::builder().baud_rate(BaudRate::B750000), lossy).await;
+        assert!(bad.iter().any(|(step, _)| *step == "rate"), "{text}");
+        let rate = text.lines().find(|line| line.contains(" rate ")).unwrap();
+        assert!(rate.contains("polls brought no scan"), "{text}");
+        assert!(!rate.contains("carries"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn some_loss_is_weak_and_much_is_a_failure() {
+        let one = Faults::none().at(20, Fault::Lost);
+        let (bad, text) = test(Emulator::builder().usb(), one).await;
+        assert!(bad.contains(&("polls", Verdict::Weak)), "{text}");
+        assert!(!bad.iter().any(|(_, verdict)| *verdict == Verdict::Failed), "{text}");
+        assert!(text.contains("1 unanswered in time"), "{text}");
+        let much = Faults::none().rate(0.2, Fault::Damaged).seed(1);
+        let (bad, text) = test(Emulator::builder().usb(), much).await;
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+        assert!(text.contains("malformed"), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_falls_silent_fails() {
+        let silent = Faults::none().every(Fault::Lost);
+        let (bad, text) = test(Emulator::builder().usb(), silent).await;
+        assert!(bad.contains(&("laser", Verdict::Failed)), "{text}");
+        assert!(bad.contains(&("polls", Verdict::Failed)), "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_sees_nothing_or_always_the_same_is_weak() {
+        let dark = |_: WorldTime, codes: &mut Values| codes.fill(3);
+        let (bad, text) = test(Emulator::builder().usb().world(dark), Faults::none()).await;
+        assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
+        let wall = |_: WorldTime, codes: &mut Values| codes.fill(1000);
+        let (bad, text) = test(Emulator::builder().usb().world(wall), Faults::none()).await;
+        assert_eq!(bad, [("sight", Verdict::Weak)], "{text}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_sensor_that_does_not_say_who_it_is_is_weak() {
+        let nobody = Emulator::builder().usb().version_lines(["PROT:SCIP 1.0"]);
+        let (bad, text) = test(nobody, Faults::none()).await;
+        assert_eq!(bad, [("version", Verdict::Weak)], "{text}");
+        let broken = ["PROD:URG", "SERI:H1", "STAT:FW Laser trouble"];
+        let (bad, text) =
+            test(Emulator::builder().usb().version_lines(broken), Faults::none()).await;
+        assert_eq!(bad, [("version", Verdict::Weak)], "{text}");
+    }
+}

@@ -1,0 +1,214 @@
+//! `urg emulate`: emulates a sensor for other programs.
+
+#[cfg(unix)]
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::ValueEnum;
+use tokio::net::TcpListener;
+use tokio_scip::BaudRate;
+#[cfg(unix)]
+use tokio_scip::emulator::Pty;
+use tokio_scip::emulator::{Emulator, Faults, RepeatedLaser, Room};
+
+use crate::args::{FirmwareArg, duration, listen_address};
+use crate::failure::Failure;
+use crate::output::notice::notice;
+
+/// Emulate a sensor for other programs, until Ctrl-C
+///
+/// The sensor measures a room where people walk. By default it is a URG-04LX on USB,
+/// on a pseudo-terminal that you open like a serial port. With the same seed it sends
+/// the same scans at the same times.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  urg emulate --link /tmp/urg                   then: urg stream /tmp/urg
+  urg emulate --tcp 4001                        then: urg stream tcp://127.0.0.1:4001
+  urg emulate --link /tmp/urg --baud 19200 --faults late=0.01:2s,lost=0.01")]
+pub(crate) struct Emulate {
+    /// Symbolic link to create to the pseudo-terminal; replaces a link left by an
+    /// earlier emulator
+    #[cfg(unix)]
+    #[arg(long, value_name = "PATH")]
+    link: Option<PathBuf>,
+    /// Serve on TCP instead: a port number for this machine only, or ADDRESS:PORT
+    /// (0.0.0.0:4001 opens the sensor to your whole network)
+    #[arg(long, value_name = "ADDR", value_parser = listen_address)]
+    #[cfg_attr(unix, arg(conflicts_with = "link"))]
+    tcp: Option<String>,
+    /// Emulate RS-232 at this baud rate; a real sensor has 19200 after power-up
+    #[arg(long, value_name = "RATE")]
+    baud: Option<BaudRate>,
+    /// Emulate USB, which has no baud rate; the default without --baud
+    #[arg(long, conflicts_with = "baud")]
+    usb: bool,
+    /// Firmware dialect of the sensor
+    #[arg(long, value_enum, default_value_t = FirmwareArg::V3)]
+    firmware: FirmwareArg,
+    /// Serial number of the sensor
+    #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
+    serial_number: String,
+    /// Duration of one revolution of the motor, and so of one scan
+    #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
+    revolution: Duration,
+    /// Room around the sensor
+    #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
+    room: RoomKind,
+    /// Status of the reply to `L` when the laser is already in the requested state; real
+    /// sensors differ
+    #[arg(long, value_enum, value_name = "STATUS", default_value_t = LaserStatus::Zero)]
+    repeated_laser: LaserStatus,
+    /// Seed of the room and of faults
+    #[arg(long, value_name = "NUMBER", default_value_t = 0)]
+    seed: u64,
+    /// Faults to inject, each with its probability, such as
+    /// late=0.01:3s,lost=0.005,damaged=0.01,hang-up=0.001
+    ///
+    /// The names are late and pause (with a maximum time), lost, command-lost,
+    /// damaged, doubled, merged, noise (with a maximum length in bytes, such as
+    /// noise=0.01:64), reset, hang-up, and seed=NUMBER.
+    #[arg(long, value_name = "SPEC")]
+    faults: Option<Faults>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum RoomKind {
+    /// 5.0 by 4.4 m with two people; about 8 % of the points have no distance
+    Easy,
+    /// About 55 % of the points have no distance, as in captures of a real sensor
+    Hard,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum LaserStatus {
+    /// Same as for a change of state
+    #[value(name = "0")]
+    Zero,
+    /// Refused
+    #[value(name = "2")]
+    Two,
+}
+
+impl Emulate {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let emulator = self.emulator();
+        match &self.tcp {
+            Some(address) => self.serve_tcp(&emulator, address).await,
+            None => self.serve_pty(&emulator).await,
+        }
+    }
+
+    fn emulator(&self) -> Emulator {
+        let builder = Emulator::builder()
+            .firmware(self.firmware.into())
+            .serial_number(&self.serial_number)
+            .repeated_laser(match self.repeated_laser {
+                LaserStatus::Zero => RepeatedLaser::Status0,
+                LaserStatus::Two => RepeatedLaser::Status2,
+            })
+            .revolution(self.revolution)
+            .seed(self.seed)
+            .faults(self.faults.clone().unwrap_or_default());
+        let builder = match self.room {
+            RoomKind::Easy => builder.world(Room::new(self.seed)),
+            RoomKind::Hard => builder.world(Room::hard(self.seed)),
+        };
+        match self.baud {
+            Some(speed) => builder.baud_rate(speed),
+            None => builder.usb(),
+        }
+        .build()
+    }
+
+    async fn serve_tcp(&self, emulator: &Emulator, address: &str) -> Result<(), Failure> {
+        let failed = |error| Failure::of(&format!("cannot serve on {address}"), &error);
+        let listener = TcpListener::bind(address).await.map_err(failed)?;
+        let address = listener.local_addr().map_err(failed)?;
+        let speed = self.baud.filter(|speed| *speed != BaudRate::B19200);
+        let query = speed.map(|speed| format!("?baud={speed}")).unwrap_or_default();
+        self.announce(&format!("tcp://{address}{query}"));
+        emulator.serve_tcp(listener).await.map_err(failed)
+    }
+
+    #[cfg(unix)]
+    async fn serve_pty(&self, emulator: &Emulator) -> Result<(), Failure> {
+        let failed = |error| match &self.link {
+            Some(link) => Failure::of(&format!("cannot serve on {}", link.display()), &error),
+            None => Failure::of("cannot serve on a pseudo-terminal", &error),
+        };
+        // Held until the server stops.
+        let _claim = self.link.as_deref().map(LinkClaim::take).transpose()?;
+        let pty = Pty::open(emulator, self.link.as_deref()).map_err(failed)?;
+        self.announce(&pty.path().display().to_string());
+        pty.serve().await.map_err(failed)
+    }
+
+    #[cfg(not(unix))]
+    async fn serve_pty(&self, _: &Emulator) -> Result<(), Failure> {
+        Err(Failure::Usage("this system has no pseudo-terminals: use --tcp 4001".to_owned()))
+    }
+
+    /// Prints the port of the sensor, and a command to try.
+    fn announce(&self, port: &str) {
+        let line = match self.baud {
+            Some(speed) => format!("at {speed} baud"),
+            None => "on USB".to_owned(),
+        };
+        notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
+        notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
+    }
+}
+
+/// Lock on the `--link` of a running `urg emulate`.
+///
+/// The link alone does not tell whether its emulator still runs, because the system reuses
+/// numbers of pseudo-terminals. The lock is a Linux abstract socket, which the kernel removes
+/// with the process. Other systems have no lock.
+#[cfg(unix)]
+#[derive(Debug)]
+struct LinkClaim {
+    #[cfg(target_os = "linux")]
+    _socket: std::os::unix::net::UnixDatagram,
+}
+
+#[cfg(unix)]
+impl LinkClaim {
+    /// Locks the link at `path`, unless another emulator holds the lock.
+    #[cfg(target_os = "linux")]
+    fn take(path: &std::path::Path) -> Result<Self, Failure> {
+        use std::hash::{DefaultHasher, Hash, Hasher};
+        use std::io;
+        use std::os::linux::net::SocketAddrExt;
+        use std::os::unix::net::{SocketAddr, UnixDatagram};
+
+        // Canonicalizes the directory only: the link may not exist yet.
+        let directory = match path.parent() {
+            Some(directory) if !directory.as_os_str().is_empty() => directory,
+            _ => std::path::Path::new("."),
+        };
+        let directory = directory.canonicalize().unwrap_or_else(|_| directory.to_owned());
+        let mut hasher = DefaultHasher::new();
+        (directory, path.file_name()).hash(&mut hasher);
+        let name = format!("urg-emulate-{:016x}", hasher.finish());
+        let socket = SocketAddr::from_abstract_name(name)
+            .and_then(|address| UnixDatagram::bind_addr(&address));
+        match socket {
+            Ok(socket) => Ok(Self { _socket: socket }),
+            Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
+                Err(Failure::Failed(format!(
+                    "cannot serve on {}: another `urg emulate` is serving there; stop it first, \
+                     or use another --link",
+                    path.display()
+                )))
+            }
+            Err(error) => Err(Failure::of(&format!("cannot serve on {}", path.display()), &error)),
+        }
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    #[expect(clippy::unnecessary_wraps, reason = "it fails on Linux")]
+    fn take(_: &std::path::Path) -> Result<Self, Failure> {
+        Ok(Self {})
+    }
+}

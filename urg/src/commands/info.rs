@@ -1,0 +1,170 @@
+//! `urg info`: identity and settings of a sensor.
+
+use std::fmt::Write;
+
+use clap::ValueEnum;
+use serde_json::{Value, json};
+use tokio_scip::{BaudRate, Version, Window};
+
+use crate::args::LinkArgs;
+use crate::failure::Failure;
+use crate::format::json_line;
+use crate::output::notice::escaped;
+use crate::output::stdout::print;
+use crate::port::name::{PortArg, PortName};
+use crate::port::open::{Delivery, open, proven_baud_rate};
+use crate::recording::contents::Contents;
+
+/// Show the identity and settings of a sensor
+///
+/// Finds the sensor at any baud rate. It cannot show whether the laser is on: SCIP 1.1
+/// has no request for that. For a recording you also see the number of scans and the
+/// gaps.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Examples:\n  urg info /dev/ttyACM0\n  urg info serial:H0713090 --format json"
+)]
+pub(crate) struct Info {
+    #[command(flatten)]
+    port: PortArg,
+    /// Output format
+    #[arg(long, value_enum, default_value_t = InfoFormat::Text)]
+    format: InfoFormat,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum InfoFormat {
+    Text,
+    Json,
+}
+
+impl Info {
+    pub(crate) async fn run(self) -> Result<(), Failure> {
+        let port = self.port.required().await?;
+        if let Some(recorded) = port.recorded() {
+            let contents = recorded.contents().await?;
+            return self.print_contents(&port, contents).await;
+        }
+        let sensor = open(&port, &self.link, Delivery::Newest).await?;
+        let version =
+            sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        let baud_rate = proven_baud_rate(&sensor).await;
+        match self.format {
+            InfoFormat::Text => {
+                print(&text(&port, &version, Some(&baud_rate_text(&baud_rate)))).await
+            }
+            InfoFormat::Json => {
+                let port = port.to_string();
+                let info = json!({
+                    "port": port,
+                    "baud_rate": baud_rate.as_ref().map(|(rate, _)| rate),
+                    "baud_rate_is_ignored": matches!(baud_rate, Some((_, Some(_)))),
+                    "version": version,
+                });
+                print(&json_line(&info)?).await
+            }
+        }
+    }
+
+    async fn print_contents(&self, port: &PortName, contents: Contents) -> Result<(), Failure> {
+        let Contents { version, baud_rate, rows } = contents;
+        let rate = baud_rate.as_ref().and_then(|rate| rate.parse::<BaudRate>().ok());
+        match self.format {
+            InfoFormat::Text => {
+                let baud_rate = baud_rate.map(|_| match rate {
+                    Some(rate) => format!("{rate} baud"),
+                    None => baud_rate_text(&None),
+                });
+                let mut text = text(port, &version, baud_rate.as_deref());
+                for (name, _, value) in rows {
+                    row(&mut text, name, &value);
+                }
+                print(&text).await
+            }
+            InfoFormat::Json => {
+                let mut info = json!({
+                    "port": port.to_string(),
+                    "baud_rate": rate,
+                    "baud_rate_is_ignored": false,
+                    "version": version,
+                });
+                if let Value::Object(info) = &mut info {
+                    info.extend(rows.into_iter().map(|(name, data, _)| (name.to_owned(), data)));
+                }
+                print(&json_line(&info)?).await
+            }
+        }
+    }
+}
+
+/// Rows of what is known.
+fn text(port: &PortName, version: &Version, baud_rate: Option<&str>) -> String {
+    let mut text = String::new();
+    let mut row = |name, value: String| {
+        if !value.is_empty() {
+            row(&mut text, name, &value);
+        }
+    };
+    row("port", port.to_string());
+    row("baud rate", baud_rate.unwrap_or_default().to_owned());
+    row("product", version.product.to_string());
+    row("vendor", version.vendor.to_string());
+    row("serial number", version.serial_number.to_string());
+    row("firmware", version.firmware.to_string());
+    row("protocol", version.protocol.to_string());
+    if let Some(status) = &version.status {
+        row("status", status.to_string());
+    }
+    for line in &version.other {
+        row("other", line.to_string());
+    }
+    if let Some(specification) = &version.specification {
+        if let Some(range) = &specification.range {
+            row("measures", format!("{} to {} mm", range.start(), range.end()));
+        }
+        if let Some(steps) = &specification.steps {
+            row("window", window(*steps.start(), *steps.end()));
+        }
+        if let Some(rpm) = specification.motor_speed {
+            row(
+                "motor",
+                format!(
+                    "{rpm} rpm nominal: {} revolutions, and so scans, a second; \
+                     urg check polls, and measures it",
+                    f64::from(rpm) / 60.0
+                ),
+            );
+        }
+    }
+    text
+}
+
+fn row(text: &mut String, name: &str, value: &str) {
+    // Writing to a `String` is infallible. A file name may contain control characters.
+    let _ = writeln!(text, "{name:<14} {}", escaped(value));
+}
+
+/// Formats the sensor's steps, with their directions.
+fn window(start: u16, end: u16) -> String {
+    match Window::new(start..=end) {
+        Ok(window) => format!(
+            "steps {start} to {end}, {:.2}° to {:.2}°",
+            window.start().degrees(),
+            window.end().degrees()
+        ),
+        Err(_) => format!("steps {start} to {end}"),
+    }
+}
+
+fn baud_rate_text(baud_rate: &Option<(BaudRate, Option<String>)>) -> String {
+    match baud_rate {
+        None => "none (USB)".to_owned(),
+        Some((_, Some(why))) => format!("none: {why}"),
+        Some((rate, None)) => {
+            let most = 1.0 / Window::DETECTION.wire_time(*rate).as_secs_f64();
+            format!("{rate} baud: at most {most:.1} scans a second of the whole detection window")
+        }
+    }
+}

@@ -1,0 +1,361 @@
+//! `urg publish`: publishes scans as ROS 2 messages, to ROS 2 or to Foxglove.
+
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4};
+
+use clap::ValueEnum;
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio::time::Instant;
+use tokio_scip::Rate;
+
+use crate::args::{LinkArgs, WindowArgs};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::notice::notice;
+use crate::port::name::{PortArg, missing_port};
+use crate::port::named::NamedPort;
+use crate::publish::{
+    Discovery, EngineName, EngineSettings, Mode, Mounting, NodeNames, NodeSpec, Qos, RunningEngine,
+    Source,
+};
+
+/// Default router, as in `rmw_zenoh`.
+const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
+
+/// Default engine: the most common one in ROS 2, if built in.
+const DEFAULT_ENGINE: EngineName = if cfg!(feature = "ros2") {
+    EngineName::Dds
+} else if cfg!(feature = "foxglove") && !cfg!(feature = "zenoh") {
+    EngineName::Foxglove
+} else {
+    EngineName::Zenoh
+};
+
+/// Address that Foxglove connects to by default.
+const DEFAULT_LISTEN: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LOCALHOST, 8765));
+
+/// Publish scans and diagnostics to ROS 2, or to Foxglove
+///
+/// Runs until Ctrl-C. Unplug a sensor or lose the network: publishing resumes when it is
+/// back. Nothing is protected: anyone on your network can read the scans, and publish
+/// others in their place (see "Who can read and write" in `guide/publish.md`).
+#[derive(Debug, clap::Args)]
+#[command(after_help = "`--help` explains names and topics", after_long_help = HELP)]
+pub(crate) struct Publish {
+    /// Port of the sensor; for several sensors, give each as NAME=PORT
+    #[arg(value_name = "PORT")]
+    sensors: Vec<NamedPort>,
+    /// Network to publish on
+    #[arg(long, value_enum, value_name = "ENGINE", default_value_t = DEFAULT_ENGINE)]
+    engine: EngineName,
+    /// Topic of the scans; without the leading `/` it is in the namespace
+    #[arg(long, value_name = "NAME", default_value = "/scan", help_heading = "ROS")]
+    topic: String,
+    /// Name of the node
+    #[arg(long, value_name = "NAME", default_value = "urg_node", help_heading = "ROS")]
+    node: String,
+    /// Namespace of the node
+    #[arg(long, value_name = "NAME", default_value = "/", help_heading = "ROS")]
+    namespace: String,
+    /// Coordinate frame of the scans
+    #[arg(
+        long,
+        visible_alias = "frame-id",
+        value_name = "NAME",
+        default_value = "laser",
+        help_heading = "ROS"
+    )]
+    frame: String,
+    /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static; for
+    /// several sensors, repeat the option in the same order
+    #[arg(long, value_name = "PARENT,X,Y,Z,YAW", help_heading = "ROS")]
+    tf: Vec<Mounting>,
+    /// ROS domain, 0 to 232 [default: ROS_DOMAIN_ID, else 0]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232),
+        allow_hyphen_values = true, help_heading = "ROS")]
+    domain: Option<u16>,
+    /// Delivery: `sensor` serves only readers that ask for best effort
+    #[arg(long, value_enum, value_name = "QOS", default_value_t = Qos::Reliable,
+        help_heading = "ROS")]
+    qos: Qos,
+    /// Scans kept for readers that missed some [default: 20, 5 for `sensor`]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000),
+        help_heading = "ROS")]
+    depth: Option<u16>,
+    /// Seconds to add to each stamp, such as -0.005
+    #[arg(long, value_name = "S", default_value_t = 0.0, value_parser = seconds,
+        allow_hyphen_values = true, help_heading = "ROS")]
+    time_offset: f64,
+    /// Use only the network interface with this address
+    #[arg(long, value_name = "IP", value_parser = address, help_heading = "Network")]
+    interface: Option<IpAddr>,
+    /// Address of the zenoh router [default: tcp/localhost:7447]
+    #[arg(long, value_name = "LOCATOR", value_parser = router, help_heading = "Network")]
+    router: Option<String>,
+    /// Zenoh session mode [default: client]
+    #[arg(long, value_enum, value_name = "MODE", help_heading = "Network")]
+    mode: Option<Mode>,
+    /// Address to serve Foxglove and Lichtblick on [default: 127.0.0.1:8765]
+    #[arg(long, value_name = "IP:PORT", value_parser = listen, help_heading = "Network")]
+    listen: Option<SocketAddr>,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10; a
+    /// recording: its own pace]
+    #[arg(long, value_name = "HZ")]
+    rate: Option<Rate>,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+const HELP: &str = "\
+Topics:
+  /scan         sensor_msgs/msg/LaserScan, stamped with the time of its first ray
+  /diagnostics  diagnostic_msgs/msg/DiagnosticArray, once a second
+  /tf_static    tf2_msgs/msg/TFMessage, with --tf
+
+Names: `front=PORT` is the node /front/urg_node with the topic /front/scan in the
+frame front_laser. All sensors share one connection to the network, and are polled
+in turn.
+
+Examples:
+  urg publish /dev/ttyACM0                  then: ros2 topic hz /scan
+  urg publish front=/dev/ttyACM0 rear=serial:H0713091 --qos sensor
+  urg publish emulated --tf base_link,0.2,0,0.1,0
+  urg publish emulated --ros-args -r __node:=front -r scan:=front/scan -p depth:=5
+  urg publish emulated --engine foxglove    then: open ws://localhost:8765 in Lichtblick
+  urg publish serial:H0713090 --wait --engine zenoh --router tcp/10.0.0.1:7447";
+
+/// End of one sensor's scans.
+struct Ended {
+    name: String,
+    outcome: Result<(), Failure>,
+}
+
+impl Publish {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = self.publish(interrupt) => outcome,
+            // Does not wait for an engine that hangs.
+            () = interrupt.overdue() => Ok(()),
+        }
+    }
+
+    async fn publish(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        if self.sensors.is_empty() {
+            return Err(missing_port().await);
+        }
+        let names = NodeNames::resolve(
+            &self.sensors,
+            &self.namespace,
+            &self.node,
+            &self.topic,
+            &self.frame,
+        )?;
+        let mut polled = Vec::new();
+        for sensor in &self.sensors {
+            let port = PortArg { name: Some(sensor.port.clone()) };
+            let opened = interrupt.unless(port.polled_at(self.rate)).await;
+            let Some((port, rate)) = opened.transpose()? else { return Ok(()) };
+            let window = self.window.window(port.default_window())?;
+            polled.push((port, rate, window));
+        }
+        let nodes = names
+            .iter()
+            .map(|names| NodeSpec {
+                namespace: names.namespace.clone(),
+                name: names.node.clone(),
+                scan_topic: names.topic.clone(),
+            })
+            .collect();
+        let (mut engine, outlets) =
+            RunningEngine::start(self.engine, self.settings(&names)?, nodes)?;
+
+        let count = polled.len();
+        let epoch = Instant::now();
+        let (ends, mut ended) = mpsc::unbounded_channel();
+        let mut tasks = JoinSet::new();
+        for (place, ((names, (port, rate, window)), outlet)) in
+            names.into_iter().zip(polled).zip(outlets).enumerate()
+        {
+            let name = format!("{port} ({})", names.topic);
+            let source = Source {
+                port,
+                link: self.link.clone(),
+                window,
+                rate,
+                names,
+                time_offset: self.time_offset,
+                outlet,
+                epoch,
+                turn: place as f64 / count as f64,
+            };
+            let ends = ends.clone();
+            // An error means that the program is exiting.
+            let done = move |outcome| drop(ends.send(Ended { name, outcome }));
+            tasks.spawn(source.run(done));
+        }
+        let outcome = tokio::select! {
+            outcome = all_ended(&mut ended, count) => outcome,
+            failure = engine.failed() => Err(failure),
+            _ = interrupt.requested() => Ok(()),
+        };
+        tasks.shutdown().await;
+        engine.close().await;
+        outcome
+    }
+
+    fn settings(&self, names: &[NodeNames]) -> Result<EngineSettings, Failure> {
+        let default_depth = match self.qos {
+            Qos::Reliable => 20,
+            Qos::Sensor => 5,
+        };
+        let domain = match self.domain {
+            Some(domain) => domain,
+            None => domain_of_environment()?,
+        };
+        if let (EngineName::Dds, Some(IpAddr::V6(address))) = (self.engine, self.interface) {
+            return Err(Failure::Usage(format!(
+                "--interface {address}: expected an IPv4 address, DDS uses no other here"
+            )));
+        }
+        self.check_engine()?;
+        if !self.tf.is_empty() && self.tf.len() != names.len() {
+            return Err(Failure::Usage(format!(
+                "--tf: expected one for each of {} sensors, found {}",
+                names.len(),
+                self.tf.len()
+            )));
+        }
+        let transforms = self.tf.iter().zip(names).map(|(tf, names)| tf.transform(&names.frame));
+        Ok(EngineSettings {
+            transforms: transforms.collect(),
+            domain,
+            qos: self.qos,
+            depth: self.depth.unwrap_or(default_depth).into(),
+            interface: self.interface,
+            discovery: Discovery::of_environment()?,
+            router: self.router.clone().unwrap_or_else(|| DEFAULT_ROUTER.to_owned()),
+            mode: self.mode.unwrap_or(Mode::Client),
+            listen: self.listen.unwrap_or(DEFAULT_LISTEN),
+        })
+    }
+
+    /// Refuses options of another engine.
+    fn check_engine(&self) -> Result<(), Failure> {
+        use EngineName::{Dds, Foxglove, Zenoh};
+        let options: [(&str, bool, &[EngineName]); 5] = [
+            ("--router", self.router.is_some(), &[Zenoh]),
+            ("--mode", self.mode.is_some(), &[Zenoh]),
+            ("--listen", self.listen.is_some(), &[Foxglove]),
+            ("--domain", self.domain.is_some(), &[Dds, Zenoh]),
+            ("--interface", self.interface.is_some(), &[Dds, Zenoh]),
+        ];
+        for (option, is_given, engines) in options {
+            if is_given && !engines.contains(&self.engine) {
+                let names: Vec<_> =
+                    engines.iter().filter_map(ValueEnum::to_possible_value).collect();
+                let names: Vec<_> = names.iter().map(|name| name.get_name()).collect();
+                return Err(Failure::Usage(format!(
+                    "{option} is for {}: add `--engine {}`, or leave it out",
+                    names.join(" and "),
+                    names.join("` or `--engine "),
+                )));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Waits until the scans of all sensors have ended. While others continue, an error is only
+/// printed. The last error ends the program.
+async fn all_ended(
+    ended: &mut mpsc::UnboundedReceiver<Ended>,
+    count: usize,
+) -> Result<(), Failure> {
+    let mut failure = Ok(());
+    for left in (0..count).rev() {
+        let Some(Ended { name, outcome }) = ended.recv().await else { break };
+        match outcome {
+            Err(error) if left > 0 => {
+                notice(format_args!("{name}: {}; the others continue", error.line()));
+                failure = Err(error);
+            }
+            Err(error) => return Err(error),
+            Ok(()) => {}
+        }
+    }
+    failure
+}
+
+fn domain_of_environment() -> Result<u16, Failure> {
+    let Some(text) = std::env::var_os("ROS_DOMAIN_ID").filter(|text| !text.is_empty()) else {
+        return Ok(0);
+    };
+    let domain = text.to_str().and_then(|text| text.parse().ok());
+    domain
+        .filter(|domain| *domain <= 232)
+        .ok_or_else(|| Failure::Usage(format!("invalid ROS_DOMAIN_ID {text:?}: expected 0 to 232")))
+}
+
+fn address(text: &str) -> Result<IpAddr, &'static str> {
+    text.parse().map_err(|_| "expected the address of an interface, such as 192.168.1.10")
+}
+
+fn listen(text: &str) -> Result<SocketAddr, &'static str> {
+    text.parse().map_err(|_| "expected an address and a port, such as 0.0.0.0:8765")
+}
+
+/// Checks a locator: this build of zenoh has TCP only.
+fn router(text: &str) -> Result<String, String> {
+    let expected = "expected tcp/HOST:PORT, such as tcp/192.168.1.10:7447";
+    let (scheme, address) = text.split_once('/').ok_or(expected)?;
+    if scheme != "tcp" {
+        return Err(format!("`{scheme}` is not built in; {expected}"));
+    }
+    // Link settings may follow the address.
+    let address = address.split(['#', '?']).next().unwrap_or_default();
+    let (host, port) = address.rsplit_once(':').ok_or(expected)?;
+    let is_host = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).map_or_else(
+        || !host.is_empty() && host.chars().all(|c| c.is_ascii_alphanumeric() || "-._".contains(c)),
+        |host| host.parse::<Ipv6Addr>().is_ok(),
+    );
+    let is_port = port.parse::<u16>().is_ok_and(|port| port > 0);
+    if is_host && is_port { Ok(text.to_owned()) } else { Err(expected.to_owned()) }
+}
+
+fn seconds(text: &str) -> Result<f64, &'static str> {
+    text.parse()
+        .ok()
+        .filter(|seconds: &f64| seconds.abs() <= 3600.0)
+        .ok_or("expected seconds between -3600 and 3600, such as -0.005")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_router_that_can_never_work_is_refused() {
+        for text in
+            ["tcp/localhost:7447", "tcp/10.0.0.1:1", "tcp/[::1]:7447", "tcp/a.b-c:7447#iface=eth0"]
+        {
+            assert_eq!(router(text), Ok(text.to_owned()));
+        }
+        for text in [
+            "",
+            "localhost:7447",
+            "tcp/localhost",
+            "tcp/localhost:99999",
+            "tcp/localhost:0",
+            "tcp/:7447",
+            "tcp/a b:7447",
+            "udp/localhost:7447",
+            "tcp/::1:7447",
+            "tcp/[x]:7447",
+        ] {
+            let refused = router(text).unwrap_err();
+            assert!(refused.contains("expected tcp/HOST:PORT"), "{text}: {refused}");
+        }
+    }
+}

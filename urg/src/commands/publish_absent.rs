@@ -1,0 +1,24 @@
+//! `urg publish` in a build without an engine: accepts any arguments, and names the features
+//! you have to build with.
+
+use std::ffi::OsString;
+
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+
+/// Not in this build
+#[derive(Debug, clap::Args)]
+#[command(hide = true, disable_help_flag = true)]
+pub(crate) struct Publish {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    _arguments: Vec<OsString>,
+}
+
+impl Publish {
+    pub(crate) async fn run(self, _: &Interrupt) -> Result<(), Failure> {
+        Err(Failure::Usage(
+            "`urg publish` is not in this build: build urg with the feature `ros2`, `zenoh` or `foxglove`"
+                .to_owned(),
+        ))
+    }
+}

@@ -1,0 +1,324 @@
+//! `urg record`: records scans, and every reply of the sensor, into a file.
+
+use std::fmt;
+use std::io::{self, IsTerminal};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use tokio::time::Instant;
+
+use tokio_scip::State;
+use tokio_scip::event::Event;
+use tokio_scip::recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
+
+use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::notice::notice;
+use crate::port::name::{PortArg, missing_port};
+use crate::port::open::{Delivery, open};
+use crate::recording::progress::RecordingProgress;
+use crate::recording::recorded::Recorded;
+use crate::recording::split::{SplitLimit, SyncInterval};
+use crate::recording::totals::RecordTotals;
+use crate::stream::feed::{Feed, Update};
+use crate::stream::follow::follow;
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::Reporter;
+
+/// Record scans, and every reply of the sensor, into a file
+///
+/// Runs until Ctrl-C, --count or --duration. Unplug the sensor and plug it back in:
+/// recording resumes. If the program is killed or the disk fills up, you lose at most
+/// one second; if the power fails, two. The file is MCAP as ROS 2 writes it: open it
+/// with `ros2 bag play`, Foxglove, PlotJuggler and others, or use it as PORT of any
+/// other command. A recording without a single scan is an error. Pass
+/// - as FILE to write to standard output, once a second.
+#[derive(Debug, clap::Args)]
+#[command(
+    override_usage = "urg record [OPTIONS] <PORT> <FILE>",
+    after_help = "\
+Examples:
+  urg record /dev/ttyACM0 run.mcap
+  urg record serial:H0713090 night.mcap --wait --duration 8h
+  urg view run.mcap                      replay at the recorded pace
+  urg stream run.mcap --rate max         replay as fast as possible
+  urg record /dev/ttyACM0 log.mcap --wait --split 1h --keep 20GB
+  ssh robot urg record /dev/ttyACM0 - > run.mcap
+  ssh robot urg record /dev/ttyACM0 - | urg stream -"
+)]
+pub(crate) struct Record {
+    #[command(flatten)]
+    port: PortArg,
+    /// File to write: FILE.mcap, or - for standard output
+    #[arg(value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// Overwrite an existing file, once the sensor is found
+    #[arg(long)]
+    force: bool,
+    /// Start a new file, run_0002.mcap and so on, after this time or size: 1h, 30m,
+    /// 500MB, 2GB [default: after 65,000 seconds of data]
+    ///
+    /// Each file is complete: you can replay it alone. No scan is lost or written twice.
+    /// New files never overwrite others: they take the next free number.
+    #[arg(long, value_name = "LIMIT")]
+    split: Option<SplitLimit>,
+    /// Remove the oldest files of a split recording beyond this size or age: 20GB, 7d;
+    /// repeat the option to limit both
+    ///
+    /// If you start the recording again under the same name, it continues after its
+    /// last file. The current file is never removed.
+    #[arg(long, value_name = "LIMIT")]
+    keep: Vec<SplitLimit>,
+    /// Sync the file to the disk this often; 0 leaves it to the system
+    ///
+    /// If the power fails, you lose at most this time and one more second.
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = SyncInterval::from_str)]
+    sync: SyncInterval,
+    /// Name of the sensor's coordinate frame, for ROS
+    #[arg(long, value_name = "NAME", default_value = "laser", value_parser = frame_id)]
+    frame_id: String,
+    #[command(flatten)]
+    pace: PaceArgs,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+impl Record {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let Some(file) = &self.file else { return Err(self.without_file().await) };
+        let opened = interrupt.unless(self.port.polled_at(self.pace.rate)).await;
+        let Some((port, rate)) = opened.transpose()? else { return Ok(()) };
+        if let Some(recorded) = port.recorded() {
+            return Err(Failure::Usage(format!(
+                "{recorded} is a recording: `urg cut {} {}` copies it, or a part of it, \
+                 with its times",
+                recorded.path().display(),
+                file.display()
+            )));
+        }
+        let window = self.window.window(port.default_window())?;
+        let opened = interrupt.unless(self.target(file)).await;
+        let Some(mut target) = opened.transpose()? else { return Ok(()) };
+        let opening = async {
+            let sensor = open(&port, &self.link, Delivery::All).await?;
+            let mut recorder = target.record(self.builder())?;
+            recorder.observe(&sensor);
+            let failed = |error| Failure::at(&port.to_string(), &error);
+            let scans = sensor.scans(window, rate).await.map_err(failed)?;
+            recorder.describe(&sensor, &scans).await.map_err(failed)?;
+            Ok((sensor, scans, recorder))
+        };
+        let (sensor, scans, recorder) = tokio::select! {
+            opened = opening => opened?,
+            _ = interrupt.requested() => return Ok(()),
+        };
+        let run = RecordRun {
+            recorder,
+            watch: RateWatch::new(&port, window, rate),
+            feed: Feed::new(&port, scans),
+            reporter: Reporter::new(port, sensor),
+            progress: RecordingProgress::new(),
+            began: Instant::now(),
+            missed: 0,
+        };
+        run.run(&self.pace, interrupt, &target).await
+    }
+
+    /// Asks for the missing argument: FILE, or PORT if the only argument is a recording.
+    async fn without_file(&self) -> Failure {
+        match &self.port.name {
+            Some(port) if port.recorded().is_none() => Failure::Usage(format!(
+                "which FILE.mcap? The recording needs a name: `urg record {port} run.mcap`"
+            )),
+            _ => missing_port().await,
+        }
+    }
+
+    /// Opens standard output or the file.
+    async fn target(&self, file: &Path) -> Result<RecordTarget, Failure> {
+        if file.as_os_str() != "-" {
+            return self.file(file).await.map(RecordTarget::File);
+        }
+        if self.split.is_some() || !self.keep.is_empty() {
+            let text = "--split and --keep are for files: standard output is one recording";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        if io::stdout().is_terminal() {
+            let text = "a recording is no text for a terminal: send standard output to a file or a \
+                        program, as in `urg record PORT - > run.mcap`";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        Ok(RecordTarget::Stdout)
+    }
+
+    /// Opens the file, after checking that it can hold a recording. Opening a pipe waits for its
+    /// reader; you can drop the future meanwhile.
+    async fn file(&self, file: &Path) -> Result<RecordingFile, Failure> {
+        let name = file.display();
+        if !Recorded::is_name(file) {
+            return Err(Failure::Usage(format!(
+                "cannot record into {name}: expected a name that ends in .mcap, such as {name}.mcap"
+            )));
+        }
+        if !self.keep.is_empty() && self.split.is_none() {
+            let text = "--keep removes old files of a split recording: say with --split how \
+                        long each is, such as --split 1h";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        let (builder, path) = (self.builder(), file.to_owned());
+        let opened = tokio::task::spawn_blocking(move || builder.open(path)).await;
+        let opened =
+            opened.map_err(|error| Failure::of(&format!("cannot write {name}"), &error))?;
+        opened.map_err(|error| match &error {
+            RecordingError::Exists { path } if path != file => Failure::Failed(format!(
+                "{} is a part of another recording, between whose files those of {name} would \
+                 stand: move it away, or use another name",
+                path.display()
+            )),
+            RecordingError::Exists { .. } => Failure::Failed(format!(
+                "{name} exists: use another name, or --force to overwrite it"
+            )),
+            error => Failure::at(&name.to_string(), error),
+        })
+    }
+
+    fn builder(&self) -> RecorderBuilder {
+        let mut builder = Recorder::builder()
+            .frame_id(&self.frame_id)
+            .overwrite(self.force)
+            .sync_interval(self.sync.0);
+        if let Some(limit) = self.split {
+            builder = match limit {
+                SplitLimit::Duration(duration) => builder.split_duration(duration),
+                SplitLimit::Bytes(bytes) => builder.split_bytes(bytes),
+            };
+        }
+        for limit in &self.keep {
+            builder = match *limit {
+                SplitLimit::Duration(duration) => builder.keep_duration(duration),
+                SplitLimit::Bytes(bytes) => builder.keep_bytes(bytes),
+            };
+        }
+        builder
+    }
+}
+
+/// Where the recording goes.
+enum RecordTarget {
+    File(RecordingFile),
+    Stdout,
+}
+
+impl RecordTarget {
+    /// Begins the recording. Until then a file keeps its old content.
+    fn record(&mut self, builder: RecorderBuilder) -> Result<Recorder, Failure> {
+        let begun = match self {
+            Self::File(file) => {
+                builder.record_into(file).and_then(|recorder| file.begin().map(|()| recorder))
+            }
+            Self::Stdout => builder.write_to(io::stdout()),
+        };
+        begun.map_err(|error| self.failure(&error))
+    }
+
+    /// Describes an error of the recorder.
+    fn failure(&self, error: &RecordingError) -> Failure {
+        match error {
+            RecordingError::Write { source }
+                if matches!(self, Self::Stdout) && source.kind() == io::ErrorKind::BrokenPipe =>
+            {
+                Failure::Failed(format!(
+                    "{self}: its reader has closed it, and the recording has ended"
+                ))
+            }
+            error => Failure::at(&self.to_string(), error),
+        }
+    }
+}
+
+impl fmt::Display for RecordTarget {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(file) => file.path().display().fmt(f),
+            Self::Stdout => f.write_str("standard output"),
+        }
+    }
+}
+
+/// Running `urg record`: writes updates to the file.
+struct RecordRun {
+    recorder: Recorder,
+    feed: Feed,
+    reporter: Reporter,
+    watch: RateWatch,
+    progress: RecordingProgress,
+    began: Instant,
+    /// Scans that are in the file only as replies.
+    missed: u64,
+}
+
+impl RecordRun {
+    async fn run(
+        mut self,
+        pace: &PaceArgs,
+        interrupt: &Interrupt,
+        target: &RecordTarget,
+    ) -> Result<(), Failure> {
+        let Self { recorder, feed, reporter, watch, progress, began, missed } = &mut self;
+        let mut is_late = false;
+        let take = async |update: Update| {
+            reporter.report(&update);
+            let item = match update {
+                Update::Scan(scan) => Ok(scan),
+                Update::Error(error) => Err(error),
+                Update::Event(event) => {
+                    match event {
+                        Event::Reconnected => watch.restart(),
+                        Event::Missed { scans } => *missed += scans,
+                        _ => {}
+                    }
+                    return Ok(());
+                }
+            };
+            recorder.record(&item).map_err(|error| target.failure(&error))?;
+            if let Ok(scan) = &item
+                && let Some(text) = watch.scanned(scan, &reporter.sensor)
+            {
+                notice(text);
+            }
+            if !is_late && recorder.progress().late_syncs > 0 {
+                is_late = true;
+                notice(
+                    "the disk is slow: it takes longer than --sync for what is written; no scan \
+                     is delayed, but more is lost if the power fails",
+                );
+            }
+            progress.show(|| {
+                let away = match reporter.sensor.state().get() {
+                    State::Connected { .. } => "",
+                    _ => "; sensor away",
+                };
+                let totals = RecordTotals::new(recorder, reporter, *missed);
+                format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
+            });
+            Ok(())
+        };
+        let followed = follow(feed, pace, interrupt, take).await;
+        let elapsed = self.began.elapsed();
+        let mut totals = RecordTotals::new(&self.recorder, &self.reporter, self.missed);
+        let finished = tokio::select! {
+            finished = self.recorder.finish() => finished.map_err(|error| target.failure(&error)),
+            () = interrupt.overdue() => Err(Failure::Failed(format!(
+                "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
+            ))),
+        };
+        let ended = self.reporter.finish(followed?);
+        let finished = finished?;
+        (totals.bytes, totals.files) = (finished.bytes, finished.files);
+        totals.late_syncs = finished.late_syncs;
+        notice(format_args!("{target}: {}", totals.after(elapsed)));
+        ended
+    }
+}

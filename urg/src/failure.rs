@@ -1,0 +1,69 @@
+//! Reasons to exit early, and errors formatted as one line for the user.
+
+use std::error::Error;
+
+/// Reason to exit early.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// Invalid command line: exit code 2, as for clap's own errors.
+    Usage(String),
+    /// Any other error: exit code 1.
+    Failed(String),
+    /// The reader of standard output, such as `head`, closed the pipe: exit code 0.
+    PipeClosed,
+}
+
+impl Failure {
+    /// Describes `what` and then `error` with its causes, in one line.
+    pub(crate) fn of(what: &str, error: &dyn Error) -> Self {
+        Self::Failed(format!("{what}: {}", chain(error)))
+    }
+
+    /// Describes an error on `port`. Adds the port unless the error already names it.
+    pub(crate) fn at(port: &str, error: &dyn Error) -> Self {
+        let line = chain(error);
+        if line.contains(port) {
+            Self::Failed(line)
+        } else {
+            Self::Failed(format!("{port}: {line}"))
+        }
+    }
+
+    /// Message for the user; empty for `PipeClosed`.
+    pub(crate) fn line(&self) -> &str {
+        match self {
+            Self::Usage(line) | Self::Failed(line) => line,
+            Self::PipeClosed => "",
+        }
+    }
+}
+
+/// Joins an error and its causes with ": ".
+pub(crate) fn chain(error: &dyn Error) -> String {
+    tokio_scip::ErrorChain::new(error).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+    use std::sync::Arc;
+
+    use super::*;
+
+    fn line(error: tokio_scip::Error) -> String {
+        match Failure::at("/dev/ttyACM0", &error) {
+            Failure::Failed(line) => line,
+            other => format!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_failure_names_its_port_once_and_each_cause_once() {
+        let source = || Arc::new(io::Error::other("on fire"));
+        let port = "/dev/ttyACM0".to_owned();
+        let open = tokio_scip::Error::Open { port, source: source() };
+        assert_eq!(line(open), "cannot open /dev/ttyACM0: on fire");
+        let ended = "/dev/ttyACM0: the driver of the sensor has ended";
+        assert_eq!(line(tokio_scip::Error::Closed { sensor: None }), ended);
+    }
+}

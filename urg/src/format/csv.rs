@@ -1,0 +1,73 @@
+//! CSV in long form: one row per point, for spreadsheets and data frames.
+
+use std::fmt::Write;
+use std::time::SystemTime;
+
+use tokio_scip::{Measurement, Scan};
+
+/// Columns to write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Columns {
+    /// Angle and range.
+    Polar,
+    /// Angle, range, x and y.
+    Cartesian,
+}
+
+impl Columns {
+    /// First line, with the names of the columns.
+    pub(crate) const fn header(self) -> &'static str {
+        match self {
+            Self::Polar => "sequence,stamp,time,step,angle,range,code\n",
+            Self::Cartesian => "sequence,stamp,time,step,angle,range,code,x,y\n",
+        }
+    }
+}
+
+/// Description of the columns, for help texts.
+pub(crate) const COLUMNS: &str = "\
+CSV has one row a point, with the columns
+  sequence  number of the scan; a gap means that scans were missed
+  stamp     seconds since 1970, when the reply began to arrive
+  time      seconds since 1970, when the point was measured
+  step      the first step of the point, 0 to 768
+  angle     its direction in radians, counter-clockwise from the front
+  range     metres; empty where there is no distance
+  code      empty where there is a distance; else the error code, 0 to 19, or
+            4095 for a saturated value
+csv-xy adds
+  x, y      metres from the sensor, x to the front, y to the left; empty where
+            there is no distance";
+
+/// Writes one row per point.
+pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
+    let since_1970 = |time: SystemTime| time.duration_since(SystemTime::UNIX_EPOCH);
+    let stamp = since_1970(scan.stamp()).unwrap_or_default();
+    let stamp = format!("{}.{:06}", stamp.as_secs(), stamp.subsec_micros());
+    let mut time = since_1970(scan.first_ray_stamp()).unwrap_or_default();
+    let steps =
+        (scan.window().start().number()..).step_by(usize::from(scan.window().cluster_count()));
+    let mut rows = String::with_capacity(scan.len() * 64);
+    for ((step, angle), measurement) in steps.zip(scan.angles()).zip(scan.measurements()) {
+        // Writing to a `String` is infallible.
+        let _ = write!(rows, "{},{stamp},", scan.sequence());
+        let _ = write!(rows, "{}.{:06},", time.as_secs(), time.subsec_micros());
+        time = time.saturating_add(scan.time_increment());
+        let _ = write!(rows, "{step},{angle:.6},");
+        let _ = match measurement {
+            Measurement::Distance(mm) => write!(rows, "{}.{:03},", mm / 1000, mm % 1000),
+            other => write!(rows, ",{}", other.value()),
+        };
+        if columns == Columns::Cartesian {
+            let _ = match measurement.distance() {
+                Some(mm) => {
+                    let range = f32::from(mm) / 1000.0;
+                    write!(rows, ",{:.3},{:.3}", range * angle.cos(), range * angle.sin())
+                }
+                None => write!(rows, ",,"),
+            };
+        }
+        rows.push('\n');
+    }
+    rows
+}

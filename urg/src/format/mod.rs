@@ -1,0 +1,23 @@
+//! Output formats for scans, times and other data, for people and for programs.
+
+pub(crate) mod csv;
+pub(crate) mod summary;
+pub(crate) mod svg;
+pub(crate) mod table;
+pub(crate) mod time;
+
+use serde::Serialize;
+
+use crate::failure::Failure;
+
+/// Serializes `data` as one line of JSON, which ends in LF.
+pub(crate) fn json_line(data: &impl Serialize) -> Result<String, Failure> {
+    let mut line = json_text(data)?;
+    line.push('\n');
+    Ok(line)
+}
+
+/// Serializes `data` as JSON without a line break.
+pub(crate) fn json_text(data: &impl Serialize) -> Result<String, Failure> {
+    serde_json::to_string(data).map_err(|error| Failure::of("cannot write JSON", &error))
+}

@@ -1,0 +1,58 @@
+//! Table of a scan: one line per point, then a summary, which stays visible on the
+//! terminal.
+
+use std::fmt::Write;
+
+use tokio_scip::{Measurement, Point, Scan, Version};
+
+use crate::plot::summary::ScanSummary;
+
+/// Formats the table, with the sensor's name in the summary.
+pub(crate) fn table(scan: &Scan, version: &Version) -> String {
+    let mut text = String::from("step  direction   distance\n");
+    let cluster = scan.window().cluster_count();
+    let steps = (scan.window().start().number()..).step_by(usize::from(cluster));
+    for ((step, angle), measurement) in steps.zip(scan.angles()).zip(scan.measurements()) {
+        // Writing to a `String` is infallible.
+        let _ = write!(text, "{step:>4} {:>8.2}°  ", angle.to_degrees());
+        let _ = match measurement {
+            Measurement::Distance(mm) => {
+                writeln!(text, "{:>3}.{:03} m", mm / 1000, mm % 1000)
+            }
+            other => writeln!(text, "        - {}", reason(other)),
+        };
+    }
+    text.push('\n');
+    text.push_str(&summary(scan, version));
+    text
+}
+
+/// Formats the sensor's name, the window and the figures of the scan.
+fn summary(scan: &Scan, version: &Version) -> String {
+    let mut text = format!("{} {}: {}\n", version.product, version.serial_number, scan.window());
+    let figures = ScanSummary::of(scan);
+    let _ = writeln!(text, "{} of {} points have a distance", figures.distances, figures.points);
+    if let (Some(near), Some(far)) = (figures.nearest, figures.farthest) {
+        let _ = writeln!(text, "  nearest  {}", place(near));
+        let _ = writeln!(text, "  farthest {}", place(far));
+    }
+    if figures.distances < figures.points {
+        let _ = writeln!(text, "the others, by the reason that the sensor reports");
+    }
+    for (measurement, points) in figures.missing() {
+        let _ = writeln!(text, "  {points:>4} x {}", reason(measurement));
+    }
+    text
+}
+
+fn place(point: Point) -> String {
+    format!("{:.3} m at {:.2}°", point.range, point.angle.to_degrees())
+}
+
+/// Reason for a missing distance.
+fn reason(measurement: Measurement) -> String {
+    match measurement {
+        Measurement::Error(code) => code.to_string(),
+        _ => "value 4095: saturated".to_owned(),
+    }
+}

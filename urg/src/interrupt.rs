@@ -1,0 +1,126 @@
+//! Clean shutdown on Ctrl-C, SIGTERM, a closed terminal, or Ctrl-Break on Windows.
+
+#[cfg(unix)]
+use std::future::poll_fn;
+use std::io;
+#[cfg(unix)]
+use std::task::Poll;
+use std::time::Duration;
+use tokio::time::Instant;
+
+use tokio::sync::watch;
+
+use crate::failure::Failure;
+
+/// Time that an interrupted command has to finish.
+const COMMAND_GRACE: Duration = Duration::from_secs(1);
+
+/// Request to stop the program.
+#[derive(Debug, Clone)]
+pub(crate) struct Interrupt {
+    since: watch::Receiver<Option<Instant>>,
+}
+
+impl Interrupt {
+    /// Starts to listen for signals. Must run inside a tokio runtime.
+    pub(crate) fn listen() -> io::Result<Self> {
+        let (sender, since) = watch::channel(None);
+        let signalled = signalled()?;
+        #[cfg(unix)]
+        report_file_size_limit()?;
+        tokio::spawn(async move {
+            signalled.await;
+            sender.send_replace(Some(Instant::now()));
+            sender.closed().await;
+        });
+        Ok(Self { since })
+    }
+
+    pub(crate) async fn requested(&self) -> Instant {
+        let mut since = self.since.clone();
+        // Copied out: the future would not be `Send` with the guard held across an await.
+        let came = match since.wait_for(Option::is_some).await {
+            Ok(since) => *since,
+            Err(_) => None,
+        };
+        match came {
+            Some(since) => since,
+            None => std::future::pending().await,
+        }
+    }
+
+    /// Waits until an interrupted command has used up its time to finish.
+    pub(crate) async fn overdue(&self) {
+        let deadline = self.requested().await + COMMAND_GRACE;
+        tokio::time::sleep_until(deadline).await;
+    }
+
+    pub(crate) async fn unless<T>(&self, work: impl Future<Output = T>) -> Option<T> {
+        tokio::select! {
+            done = work => Some(done),
+            _ = self.requested() => None,
+        }
+    }
+
+    /// Runs a command, and drops it on an interrupt, which counts as success.
+    pub(crate) async fn or(
+        &self,
+        command: impl Future<Output = Result<(), Failure>>,
+    ) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = command => outcome,
+            _ = self.requested() => Ok(()),
+        }
+    }
+}
+
+/// Starts to listen for signals. The future completes at the first signal since this call, not
+/// since its first `poll`.
+#[cfg(unix)]
+fn signalled() -> io::Result<impl Future<Output = ()>> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+    let wanted =
+        kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !ignores_hangup());
+    let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;
+    Ok(poll_fn(move |cx| {
+        let mut came = signals.iter_mut().map(|signal| signal.poll_recv(cx));
+        if came.any(|came| came.is_ready()) { Poll::Ready(()) } else { Poll::Pending }
+    }))
+}
+
+/// Checks whether `nohup` or a similar parent set SIGHUP to be ignored. Linux only.
+#[cfg(unix)]
+fn ignores_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    // SIGHUP is signal 1, in the lowest bit.
+    ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0) & 1 == 1
+}
+
+/// Turns SIGXFSZ (`ulimit -f`) into an ordinary write error. Without a handler, the signal
+/// kills the program silently. tokio never removes its handler, so the result can be dropped.
+#[cfg(unix)]
+fn report_file_size_limit() -> io::Result<()> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let exceeded = rustix::process::Signal::XFSZ.as_raw();
+    signal(SignalKind::from_raw(exceeded)).map(drop)
+}
+
+/// Starts to listen for console events. Ctrl-Break is the event that one program can send to
+/// another. After its console closes, or during shutdown, Windows kills the program within
+/// five seconds.
+#[cfg(windows)]
+fn signalled() -> io::Result<impl Future<Output = ()>> {
+    use tokio::signal::windows::{ctrl_break, ctrl_c, ctrl_close, ctrl_shutdown};
+    let (mut ctrl_c, mut ctrl_break) = (ctrl_c()?, ctrl_break()?);
+    let (mut closed, mut shutdown) = (ctrl_close()?, ctrl_shutdown()?);
+    Ok(async move {
+        tokio::select! {
+            _ = ctrl_c.recv() => {}
+            _ = ctrl_break.recv() => {}
+            _ = closed.recv() => {}
+            _ = shutdown.recv() => {}
+        }
+    })
+}

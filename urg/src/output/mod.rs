@@ -1,0 +1,9 @@
+//! The program's two outputs: data on standard output, all other text on standard error.
+//! A slow reader of either never blocks the driver. [`whole_file`] writes files.
+
+#[cfg(feature = "ros2")]
+pub(crate) mod capture;
+pub(crate) mod notice;
+pub(crate) mod stderr;
+pub(crate) mod stdout;
+pub(crate) mod whole_file;

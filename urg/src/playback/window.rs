@@ -1,0 +1,51 @@
+//! [`seen_through`]: shows a recorded scan in another window.
+
+use tokio_scip::{Scan, Window};
+
+/// Converts a scan to `window`, as the sensor itself would have sent it. Each cluster has
+/// its smallest value. Steps that were not recorded have error code 19.
+pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
+    const NOT_RECORDED: u16 = 19;
+    let recorded = scan.window();
+    if recorded == window {
+        return scan.clone();
+    }
+    let mut steps = vec![NOT_RECORDED; Window::FULL.steps()];
+    let first = usize::from(recorded.start().number());
+    let seen = steps.get_mut(first..first + recorded.steps()).unwrap_or_default();
+    let clusters = seen.chunks_mut(recorded.cluster_count().into());
+    clusters.zip(scan.values()).for_each(|(cluster, value)| cluster.fill(*value));
+    let first = usize::from(window.start().number());
+    let seen = steps.get(first..first + window.steps()).unwrap_or_default();
+    let clusters = seen.chunks(window.cluster_count().into());
+    let values: Vec<u16> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
+    let built = Scan::builder(window, values)
+        .sequence(scan.sequence())
+        .received_at(scan.received_at())
+        .stamp(scan.stamp())
+        .lateness(scan.lateness())
+        .repeat(scan.is_repeat())
+        .scan_time(scan.scan_time())
+        .build();
+    // There is one value per point of the window, so building the scan succeeds.
+    built.unwrap_or_else(|_| scan.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_recorded_scan_can_be_seen_through_any_window() {
+        let window =
+            |from, to, count| Window::new(from..=to).unwrap().with_cluster_count(count).unwrap();
+        let scan = Scan::builder(window(100, 105, 2), vec![30, 40, 50]).sequence(7);
+        let scan = scan.build().unwrap();
+        let seen = |window| seen_through(&scan, window).values().to_vec();
+        assert_eq!(seen(window(100, 105, 2)), [30, 40, 50]);
+        assert_eq!(seen(window(101, 104, 1)), [30, 40, 40, 50]);
+        assert_eq!(seen(window(98, 101, 1)), [19, 19, 30, 30]);
+        assert_eq!(seen(window(101, 106, 3)), [30, 19]);
+        assert_eq!(seen_through(&scan, Window::FULL).sequence(), 7);
+    }
+}

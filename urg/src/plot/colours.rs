@@ -1,0 +1,105 @@
+//! Colours that the web page, the terminal and the SVG picture share. Each thing has one
+//! hue, in a shade for each medium.
+
+/// Shades of one colour.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Colours {
+    /// For paper and light pages.
+    pub(crate) on_light: &'static str,
+    pub(crate) on_dark: &'static str,
+    /// Index into a terminal's 256 colours.
+    pub(crate) indexed: u8,
+}
+
+/// Colours of the sensors in one picture, in order.
+pub(crate) const SENSORS: [Colours; 6] = [
+    Colours { on_light: "#0068ad", on_dark: "#6cc5ff", indexed: 74 },
+    Colours { on_light: "#a85400", on_dark: "#ffb057", indexed: 208 },
+    Colours { on_light: "#1c7a2d", on_dark: "#7fdc8b", indexed: 71 },
+    Colours { on_light: "#7a3fb0", on_dark: "#d9a5ff", indexed: 134 },
+    Colours { on_light: "#b3255a", on_dark: "#ff8fb0", indexed: 204 },
+    Colours { on_light: "#6b6600", on_dark: "#e0db6c", indexed: 143 },
+];
+
+/// Metres that share one colour of [`DISTANCES`].
+pub(crate) const BAND: f64 = 0.5;
+
+/// Colours of distances, near to far: orange, yellow, green, blue, violet. The last colour
+/// also covers everything farther away.
+pub(crate) const DISTANCES: [Colours; 8] = [
+    Colours { on_light: "#aa5900", on_dark: "#f8aa66", indexed: 208 },
+    Colours { on_light: "#8f6d00", on_dark: "#dbbb56", indexed: 178 },
+    Colours { on_light: "#627e00", on_dark: "#aecb6d", indexed: 106 },
+    Colours { on_light: "#00884a", on_dark: "#77d599", indexed: 35 },
+    Colours { on_light: "#008a7d", on_dark: "#42d8c9", indexed: 37 },
+    Colours { on_light: "#0083a6", on_dark: "#45d1f2", indexed: 38 },
+    Colours { on_light: "#1675be", on_dark: "#79c4ff", indexed: 33 },
+    Colours { on_light: "#6265c1", on_dark: "#adb5ff", indexed: 105 },
+];
+
+/// Index of a distance's colour in [`DISTANCES`].
+pub(crate) fn band(metres: f64) -> usize {
+    // A cast from float to integer saturates.
+    ((metres / BAND) as usize).min(DISTANCES.len() - 1)
+}
+
+/// Returns the item for sensor `number`, which counts from 0. Items repeat if there are
+/// more sensors.
+pub(crate) fn of_sensor<T: Copy + Default>(items: [T; SENSORS.len()], number: usize) -> T {
+    items.get(number % SENSORS.len()).copied().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::missing::MissingKind;
+    use super::*;
+
+    type Rgb = [f64; 3];
+
+    fn page(text: &str) -> Rgb {
+        let part = |at: usize| u8::from_str_radix(&text[at..at + 2], 16).unwrap().into();
+        [part(1), part(3), part(5)]
+    }
+
+    fn terminal(indexed: u8) -> Rgb {
+        let levels = [0, 95, 135, 175, 215, 255];
+        match usize::from(indexed) {
+            grey @ 232.. => [f64::from(8 + 10 * (grey as i32 - 232)); 3],
+            cube => [(cube - 16) / 36, (cube - 16) / 6 % 6, (cube - 16) % 6]
+                .map(|n| f64::from(levels[n])),
+        }
+    }
+
+    /// Hue in degrees, with red at 0, and chroma from 0 to 255.
+    fn hue([r, g, b]: Rgb) -> (f64, f64) {
+        let (x, y) = (r - (g + b) / 2.0, (g - b) * 0.75_f64.sqrt());
+        (y.atan2(x).to_degrees(), x.hypot(y))
+    }
+
+    #[test]
+    fn the_shades_of_a_colour_have_the_same_hue() {
+        let kinds = MissingKind::ALL.map(MissingKind::colours);
+        for colours in SENSORS.into_iter().chain(DISTANCES).chain(kinds) {
+            let Colours { on_light, on_dark, indexed } = colours;
+            let shades = [page(on_light), page(on_dark), terminal(indexed)].map(hue);
+            for (one, chroma) in shades {
+                for (other, other_chroma) in shades {
+                    let apart = ((one - other + 180.0).rem_euclid(360.0) - 180.0).abs();
+                    let is_grey = chroma.min(other_chroma) < 30.0;
+                    assert!(apart < 35.0 || is_grey, "{colours:?}: {apart}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn each_half_metre_has_a_colour_and_the_last_one_is_for_the_rest() {
+        assert_eq!([0.0, 0.49, 0.5, 3.99, 4.0, 99.0].map(band), [0, 0, 1, 7, 7, 7]);
+    }
+
+    #[test]
+    fn a_seventh_sensor_has_the_colour_of_the_first() {
+        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 6), 1);
+        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 11), 6);
+    }
+}

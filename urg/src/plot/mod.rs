@@ -1,0 +1,198 @@
+//! Geometry of a polar plot in any medium: the sector, the range rings and the places of
+//! points. Plots look from above, with the sensor's front up.
+
+pub(crate) mod colours;
+pub(crate) mod missing;
+pub(crate) mod pose;
+pub(crate) mod summary;
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use tokio_scip::Window;
+
+/// Radius of a whole plot, in metres: a little more than a URG can measure.
+pub(crate) const REACH: f64 = 4.2;
+
+/// Place on the plot, in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    /// To the right of the sensor.
+    pub(crate) right: f64,
+    /// Ahead of the sensor.
+    pub(crate) ahead: f64,
+}
+
+impl Place {
+    /// Converts a point to a place: `x` ahead, `y` to the left.
+    pub(crate) fn of(x: f64, y: f64) -> Self {
+        Self { right: -y, ahead: x }
+    }
+}
+
+/// Converts `range` metres in the direction `angle` (radians counter-clockwise from the
+/// front) to a place.
+pub(crate) fn place(range: f64, angle: f64) -> Place {
+    Place::of(range * angle.cos(), range * angle.sin())
+}
+
+/// Part of a text to align with its place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Anchor {
+    Start,
+    Middle,
+    End,
+}
+
+/// Directions that a window covers, in radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sector {
+    /// Rightmost direction.
+    pub(crate) from: f64,
+    /// Leftmost direction.
+    pub(crate) to: f64,
+}
+
+/// Rectangle around a plot: the distance of each side from the sensor.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Extent {
+    pub(crate) left: f64,
+    pub(crate) right: f64,
+    pub(crate) ahead: f64,
+    pub(crate) behind: f64,
+}
+
+impl Sector {
+    pub(crate) fn of(window: Window) -> Self {
+        Self { from: window.start().angle().into(), to: window.end().angle().into() }
+    }
+
+    /// Computes the rectangle around the sector, for a radius of 1.
+    pub(crate) fn extent(self) -> Extent {
+        // Even a window of a few steps needs a picture with two dimensions.
+        const LEAST: f64 = 0.25;
+        let corners = [self.from, self.to, -FRAC_PI_2, 0.0, FRAC_PI_2];
+        let mut extent = Extent { left: LEAST, right: LEAST, ahead: LEAST, behind: 0.1 };
+        for angle in corners.into_iter().filter(|angle| (self.from..=self.to).contains(angle)) {
+            let Place { right, ahead } = place(1.0, angle);
+            extent.left = extent.left.max(-right);
+            extent.right = extent.right.max(right);
+            extent.ahead = extent.ahead.max(ahead);
+            extent.behind = extent.behind.max(-ahead);
+        }
+        extent
+    }
+
+    /// Directions to label, in whole degrees, right to left: every 30 degrees, or closer in
+    /// a sector that is too narrow for two labels.
+    pub(crate) fn directions(self) -> Vec<i32> {
+        let each = |degrees: i32| {
+            let most = 180 / degrees;
+            let inside =
+                |angle: &i32| (self.from..=self.to).contains(&f64::from(*angle).to_radians());
+            (-most..=most).map(|n| n * degrees).filter(inside).collect::<Vec<_>>()
+        };
+        [30, 10, 5].into_iter().map(each).find(|found| found.len() > 1).unwrap_or_else(|| each(1))
+    }
+
+    /// Computes the place and the anchor of a range label. The place is `range` metres
+    /// along the right edge and `distance` metres outside the sector, where nothing is
+    /// measured. The anchor keeps the text out of the sector.
+    pub(crate) fn beside(self, range: f64, distance: f64) -> (Place, Anchor) {
+        let Place { right, ahead } = place(range, self.from);
+        let (sin, cos) = self.from.sin_cos();
+        let anchor = match cos {
+            _ if cos < -0.3 => Anchor::End,
+            _ if cos > 0.3 => Anchor::Start,
+            _ => Anchor::Middle,
+        };
+        (Place { right: right + distance * cos, ahead: ahead + distance * sin }, anchor)
+    }
+
+    /// Iterates along an arc, right to left, in steps of at most `spacing` metres.
+    pub(crate) fn arc(self, radius: f64, spacing: f64) -> impl Iterator<Item = Place> {
+        let length = radius * (self.to - self.from);
+        // At most 3600 parts: a tenth of a degree on a full circle.
+        let parts = (length / spacing).ceil().clamp(1.0, 3600.0);
+        let (from, step) = (self.from, (self.to - self.from) / parts);
+        (0..=parts as u32).map(move |n| place(radius, from + f64::from(n) * step))
+    }
+}
+
+/// Iterates over the radii of the range rings up to `reach` metres, from the inside out.
+pub(crate) fn rings(reach: f64) -> impl Iterator<Item = f64> {
+    let near = [0.1, 0.25, 0.5].into_iter().find(|spacing| reach / spacing <= 5.0);
+    let far = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0];
+    let far = far.into_iter().find(|spacing| reach / spacing <= 10.0);
+    let spacing = near.or(far).unwrap_or(reach / 5.0);
+    let rings = (1..=10).map(move |n| f64::from(n) * spacing);
+    rings.take_while(move |ring| *ring <= reach)
+}
+
+/// Angle of a cluster of `count` steps, in radians.
+pub(crate) fn width(count: u8) -> f64 {
+    f64::from(count) * TAU / 1024.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(a: f64, b: f64) -> bool {
+        (a - b).abs() < 1e-3
+    }
+
+    #[test]
+    fn the_front_is_up_and_the_left_is_left() {
+        let front = place(2.0, 0.0);
+        assert!(near(front.right, 0.0) && near(front.ahead, 2.0));
+        let left = place(2.0, FRAC_PI_2);
+        assert!(near(left.right, -2.0) && near(left.ahead, 0.0));
+        let (beside, anchor) = Sector { from: -FRAC_PI_2, to: 0.0 }.beside(2.0, 0.5);
+        assert_eq!(anchor, Anchor::Middle);
+        assert!(near(beside.right, 2.0) && near(beside.ahead, -0.5));
+    }
+
+    #[test]
+    fn a_plot_has_room_for_its_sector_and_no_more() {
+        let full = Sector::of(Window::FULL).extent();
+        assert!(near(full.left, 1.0) && near(full.right, 1.0) && near(full.ahead, 1.0));
+        assert!(near(full.behind, 0.5_f64.sqrt()));
+        let right = Sector { from: -FRAC_PI_2, to: 0.0 }.extent();
+        assert!(near(right.left, 0.25) && near(right.right, 1.0) && near(right.behind, 0.1));
+        let step = Sector { from: 0.1, to: 0.1 }.extent();
+        assert!(step.left + step.right > 0.4 && step.ahead > 0.9);
+    }
+
+    #[test]
+    fn there_are_three_to_five_rings_at_any_zoom() {
+        for (reach, expected) in [
+            (REACH, vec![1.0, 2.0, 3.0, 4.0]),
+            (3.0, vec![1.0, 2.0, 3.0]),
+            (2.0, vec![0.5, 1.0, 1.5, 2.0]),
+            (1.0, vec![0.25, 0.5, 0.75, 1.0]),
+            (0.5, [1.0, 2.0, 3.0, 4.0, 5.0].map(|n| n * 0.1).to_vec()),
+        ] {
+            assert_eq!(rings(reach).collect::<Vec<_>>(), expected);
+        }
+        for reach in [11.0, 99.0, 1005.0, 1e9] {
+            assert!((5..=10).contains(&rings(reach).count()), "{reach}");
+        }
+    }
+
+    #[test]
+    fn directions_and_arcs_stay_inside_of_the_sector() {
+        let sector = Sector::of(Window::DETECTION);
+        assert_eq!(sector.directions(), [-90, -60, -30, 0, 30, 60, 90]);
+        let narrow = |from: f64, to: f64| Sector { from: from.to_radians(), to: to.to_radians() };
+        assert_eq!(narrow(-31.0, -9.0).directions(), [-30, -20, -10]);
+        assert_eq!(narrow(-1.5, 1.5).directions(), [-1, 0, 1]);
+        assert_eq!(narrow(0.1, 0.2).directions(), [0; 0]);
+        let arc: Vec<_> = sector.arc(1.0, 0.1).collect();
+        assert!(arc.len() > 40);
+        assert!(arc.iter().all(|place| near(place.right.hypot(place.ahead), 1.0)));
+        assert!(arc.windows(2).all(|two| {
+            let [a, b] = two else { return false };
+            (a.right - b.right).hypot(a.ahead - b.ahead) <= 0.1
+        }));
+    }
+}

@@ -1,0 +1,72 @@
+//! Poses of sensors in the common frame, as the command line and the page write them: X,Y,YAW
+//! in metres and degrees.
+
+use serde::{Serialize, Serializer};
+use tokio_scip::scan::Pose;
+
+/// Maximum distance from the origin along each axis, in metres.
+const FARTHEST: f64 = 1000.0;
+
+/// Parses X,Y,YAW.
+pub(crate) fn parse(text: &str) -> Result<Pose, String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
+        .collect();
+    match numbers.as_deref() {
+        Some(&[x, y, yaw]) if x.abs().max(y.abs()) <= FARTHEST && yaw.abs() <= 360.0 => {
+            Ok(Pose { x, y, heading: yaw.to_radians() })
+        }
+        _ => Err(format!(
+            "invalid place `{text}`: expected X,Y,YAW in metres and degrees, such as 0.2,0,90, and \
+             at most {FARTHEST} m and 360°"
+        )),
+    }
+}
+
+/// Returns the heading in degrees, as it was parsed.
+pub(crate) fn yaw(pose: Pose) -> f64 {
+    // Without what the way over radians has changed.
+    (pose.heading.to_degrees() * 1e9).round() / 1e9
+}
+
+/// Writes a pose as `x`, `y` and `yaw`.
+pub(crate) fn serialize<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
+    #[derive(Serialize)]
+    #[serde(rename = "Pose")]
+    struct Written {
+        x: f64,
+        y: f64,
+        yaw: f64,
+    }
+    Written { x: pose.x, y: pose.y, yaw: yaw(*pose) }.serialize(serializer)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_place_is_three_numbers() {
+        for text in
+            ["1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,,2", "1e8,0,0", "0,-1001,0", "0,0,361"]
+        {
+            let refused = parse(text).unwrap_err();
+            assert!(refused.contains("expected X,Y,YAW"), "{text}: {refused}");
+        }
+    }
+
+    #[test]
+    fn a_yaw_is_written_as_it_was_parsed() {
+        for tenths in -3600..=3600 {
+            let degrees = f64::from(tenths) / 10.0;
+            assert_eq!(yaw(parse(&format!("1,2,{degrees}")).unwrap()), degrees);
+        }
+        let mut json = serde_json::Serializer::new(Vec::new());
+        serialize(&parse("-0.2, 0.5,30").unwrap(), &mut json).unwrap();
+        assert_eq!(
+            String::from_utf8(json.into_inner()).unwrap(),
+            r#"{"x":-0.2,"y":0.5,"yaw":30.0}"#
+        );
+    }
+}

@@ -1,0 +1,52 @@
+//! Summary of a scan: number of distances, nearest and farthest point, and values without a
+//! distance. The table, the pictures and the terminal show it.
+
+use std::collections::BTreeMap;
+
+use tokio_scip::{Measurement, Point, Scan};
+
+use super::missing::MissingKind;
+
+/// Figures of one scan.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct ScanSummary {
+    pub(crate) points: usize,
+    /// Number of points with a distance.
+    pub(crate) distances: usize,
+    pub(crate) nearest: Option<Point>,
+    pub(crate) farthest: Option<Point>,
+    /// Values without a distance, each with its number of points.
+    missing: BTreeMap<u16, usize>,
+}
+
+impl ScanSummary {
+    pub(crate) fn of(scan: &Scan) -> Self {
+        let mut missing = BTreeMap::new();
+        for measurement in scan.measurements().filter(|one| one.distance().is_none()) {
+            *missing.entry(measurement.value()).or_default() += 1;
+        }
+        Self {
+            points: scan.len(),
+            distances: scan.len() - missing.values().sum::<usize>(),
+            nearest: scan.nearest(),
+            farthest: scan.points().max_by(|a, b| a.range.total_cmp(&b.range)),
+            missing,
+        }
+    }
+
+    /// Iterates over the measurements without a distance, each with its number of points.
+    pub(crate) fn missing(&self) -> impl Iterator<Item = (Measurement, usize)> {
+        self.missing.iter().map(|(value, points)| (Measurement::from_value(*value), *points))
+    }
+
+    pub(crate) fn missing_of(
+        &self,
+        kind: MissingKind,
+    ) -> impl Iterator<Item = (Measurement, usize)> {
+        self.missing().filter(move |(measurement, _)| MissingKind::of(*measurement) == Some(kind))
+    }
+
+    pub(crate) fn count(&self, kind: MissingKind) -> usize {
+        self.missing_of(kind).map(|(_, points)| points).sum()
+    }
+}

@@ -1,0 +1,158 @@
+//! PORT argument: an endpoint of the library, `emulated`, or a recording.
+
+use std::fmt;
+use std::path::Path;
+use std::str::FromStr;
+use std::time::Duration;
+
+use tokio_scip::port::{self, PortInfo};
+use tokio_scip::scan::Pose;
+use tokio_scip::{Endpoint, Error, Rate, Window};
+
+use crate::failure::Failure;
+use crate::recording::recorded::Recorded;
+use crate::recording::span::TimeSpan;
+
+/// Default rate: one poll per revolution of the motor.
+const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
+
+/// Optional PORT argument.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct PortArg {
+    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, - or
+    /// emulated (see `urg help`)
+    #[arg(value_name = "PORT")]
+    pub(crate) name: Option<PortName>,
+}
+
+/// Parsed PORT argument.
+#[derive(Debug, Clone)]
+pub(crate) enum PortName {
+    Endpoint(Endpoint),
+    /// Sensor emulated inside this program. The library does not know the name, so that no
+    /// service mistakes emulated scans for real ones. All emulated sensors share one room,
+    /// each at its own pose.
+    Emulated(Pose),
+    Recording(Recorded),
+}
+
+impl FromStr for PortName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if let Some(recorded) = Recorded::named(text)? {
+            return Ok(Self::Recording(recorded));
+        }
+        match text {
+            "emulated" => Ok(Self::Emulated(Pose::default())),
+            "on" | "off" => Err(format!("expected a port, and {text} after it")),
+            _ if is_nearly(text, "emulated") => Err("did you mean `emulated`?".to_owned()),
+            _ => text.parse().map(Self::Endpoint).map_err(|error| match error {
+                // clap's message already shows the text.
+                Error::InvalidEndpoint { reason, .. } => reason.to_owned(),
+                error => error.to_string(),
+            }),
+        }
+    }
+}
+
+/// Checks whether `text` is a misspelt `word`, and not a file.
+fn is_nearly(text: &str, word: &str) -> bool {
+    strsim::osa_distance(text, word) <= 2 && !Path::new(text).exists()
+}
+
+impl fmt::Display for PortName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Endpoint(endpoint) => endpoint.fmt(f),
+            Self::Emulated(_) => f.write_str("emulated"),
+            Self::Recording(recorded) => recorded.fmt(f),
+        }
+    }
+}
+
+impl PortName {
+    pub(crate) fn recorded(&self) -> Option<&Recorded> {
+        match self {
+            Self::Recording(recorded) => Some(recorded),
+            Self::Endpoint(..) | Self::Emulated(_) => None,
+        }
+    }
+
+    /// Limits a recording to `range`. A sensor has no range: usage error.
+    pub(crate) fn restrict(&mut self, range: Option<TimeSpan>) -> Result<(), Failure> {
+        let Some(range) = range else { return Ok(()) };
+        match self {
+            Self::Recording(recorded) => {
+                recorded.restrict(range);
+                Ok(())
+            }
+            Self::Endpoint(..) | Self::Emulated(_) => Err(Failure::Usage(format!(
+                "--range is for a recording, FILE.mcap: {self} is a sensor, and --duration ends it"
+            ))),
+        }
+    }
+
+    /// Default window: the recorded window, else [`Window::DETECTION`].
+    pub(crate) fn default_window(&self) -> Window {
+        self.recorded().and_then(Recorded::window).unwrap_or(Window::DETECTION)
+    }
+}
+
+impl PortArg {
+    /// Resolves the port, and reads the settings of a recording. Without PORT, the error
+    /// suggests one.
+    pub(crate) async fn required(&self) -> Result<PortName, Failure> {
+        let Some(mut port) = self.name.clone() else { return Err(missing_port().await) };
+        if let PortName::Recording(recorded) = &mut port {
+            recorded.read_settings().await?;
+        }
+        Ok(port)
+    }
+
+    /// Resolves the port and its rate: `rate`, else the recorded rate, else the default.
+    pub(crate) async fn polled_at(&self, rate: Option<Rate>) -> Result<(PortName, Rate), Failure> {
+        let mut port = self.required().await?;
+        let recorded = match &mut port {
+            PortName::Recording(recorded) => recorded.set_pace(rate),
+            PortName::Endpoint(..) | PortName::Emulated(_) => None,
+        };
+        Ok((port, rate.or(recorded).unwrap_or(DEFAULT_RATE)))
+    }
+}
+
+/// Error for a command line without PORT. Suggests the serial ports of this machine.
+pub(crate) async fn missing_port() -> Failure {
+    Failure::Usage(hint(&port::list().await.unwrap_or_default()))
+}
+
+fn hint(ports: &[PortInfo]) -> String {
+    let mut likely = ports.iter().filter(|port| port.is_likely_sensor());
+    let example = |port: &str| {
+        let mut words: Vec<_> = std::env::args().skip(1).collect();
+        words.insert(words.len().min(1), port.to_owned());
+        format!("urg {}", words.join(" "))
+    };
+    match (likely.next(), likely.next()) {
+        (Some(only), None) => {
+            format!(
+                "which PORT? The only likely sensor here is on {0}: `{1}`",
+                only.path,
+                example(&only.path)
+            )
+        }
+        (Some(one), Some(other)) => format!(
+            "which PORT? There are likely sensors on {}, {} and maybe more, see `urg list`",
+            one.path, other.path
+        ),
+        _ if ports.is_empty() => format!(
+            "which PORT? This machine has no serial port: plug the sensor in, or try `{}`",
+            example("emulated")
+        ),
+        _ => format!(
+            "which PORT? No serial port here is a likely sensor: `urg list` shows them, \
+             and `{}` needs none",
+            example("emulated")
+        ),
+    }
+}

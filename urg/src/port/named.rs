@@ -1,0 +1,148 @@
+//! Arguments of commands that take several sensors: `NAME=PORT`, and `NAME=PORT@X,Y,YAW` with
+//! the sensor's pose in the common frame.
+
+use std::collections::BTreeSet;
+use std::str::FromStr;
+
+use tokio_scip::Rate;
+use tokio_scip::scan::Pose;
+
+use super::name::{PortArg, PortName, missing_port};
+use crate::failure::Failure;
+use crate::plot::pose;
+
+/// `PORT` or `NAME=PORT` argument.
+#[derive(Debug, Clone)]
+pub(crate) struct NamedPort {
+    pub(crate) name: Option<String>,
+    pub(crate) port: PortName,
+}
+
+impl FromStr for NamedPort {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, port) = match text.split_once('=') {
+            // A later `=` belongs to the port, as in `tcp://host:1?baud=19200`.
+            Some((name, port)) if !name.contains(['/', ':', '.', '?']) => {
+                (Some(token(name)?.to_owned()), port)
+            }
+            _ => (None, text),
+        };
+        Ok(Self { name, port: port.parse()? })
+    }
+}
+
+/// Checks a name against the rules of ROS. Such names are also valid Prometheus labels, and
+/// need no quotes in a shell.
+pub(crate) fn token(text: &str) -> Result<&str, String> {
+    let valid = text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+        && text.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+        && !text.contains("__");
+    valid.then_some(text).ok_or_else(|| {
+        format!(
+            "invalid name `{text}`: expected letters, digits and single `_`, and no digit first"
+        )
+    })
+}
+
+/// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct PlacedPorts {
+    /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, or
+    /// emulated (see `urg help`). To show several sensors in one picture, give each as
+    /// NAME=PORT@X,Y,YAW
+    #[arg(value_name = "PORT")]
+    ports: Vec<PlacedPort>,
+}
+
+impl PlacedPorts {
+    /// Resolves each port and its rate. Several sensors need unique names.
+    pub(crate) async fn polled_at(
+        &self,
+        rate: Option<Rate>,
+    ) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
+        if self.ports.is_empty() {
+            return Err(missing_port().await);
+        }
+        let names = self.ports.iter().filter_map(|port| port.named.name.as_deref());
+        let unique: BTreeSet<_> = names.collect();
+        if self.ports.len() > 1 && unique.len() < self.ports.len() {
+            let text = "several sensors need a name each, such as \
+                        `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        let mut polled = Vec::new();
+        for placed in &self.ports {
+            let arg = PortArg { name: Some(placed.named.port.clone()) };
+            let (port, rate) = arg.polled_at(rate).await?;
+            let named = NamedPort { port, ..placed.named.clone() };
+            polled.push((PlacedPort { named, pose: placed.pose }, rate));
+        }
+        Ok(polled)
+    }
+}
+
+/// Sensor with its pose in the common frame.
+#[derive(Debug, Clone)]
+pub(crate) struct PlacedPort {
+    pub(crate) named: NamedPort,
+    pub(crate) pose: Pose,
+}
+
+impl FromStr for PlacedPort {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (named, pose) = match text.rsplit_once('@') {
+            // An earlier `@` belongs to the port. A pose begins like a number.
+            Some((named, pose))
+                if pose.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c)) =>
+            {
+                (named, pose::parse(pose)?)
+            }
+            _ => (text, Pose::default()),
+        };
+        let mut named: NamedPort = named.parse()?;
+        if let PortName::Emulated(place) = &mut named.port {
+            *place = pose;
+        }
+        Ok(Self { named, pose })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_equals_sign_in_a_port_names_nothing() {
+        for text in ["tcp://host:1?baud=19200", "/dev/a=b", "./a=b"] {
+            let named: NamedPort = text.parse().unwrap();
+            assert_eq!(named.name, None, "{text}");
+        }
+    }
+
+    #[test]
+    fn a_name_is_of_letters_digits_and_single_underscores() {
+        let named: NamedPort = "front_2=emulated".parse().unwrap();
+        assert_eq!(named.name.as_deref(), Some("front_2"));
+        for text in ["1st=emulated", "=emulated", "a-b=emulated", "a__b=emulated"] {
+            let refused = text.parse::<NamedPort>().unwrap_err();
+            assert!(refused.contains("invalid name"), "{text}: {refused}");
+        }
+    }
+
+    #[test]
+    fn a_place_stands_behind_the_port() {
+        let placed: PlacedPort = "front=emulated@0.2,-1,180".parse().unwrap();
+        assert_eq!(placed.named.name.as_deref(), Some("front"));
+        assert_eq!(placed.pose, Pose { x: 0.2, y: -1.0, heading: std::f64::consts::PI });
+        // The emulated sensor measures its room from that pose.
+        assert!(matches!(placed.named.port, PortName::Emulated(pose) if pose == placed.pose));
+        let alone: PlacedPort = "emulated".parse().unwrap();
+        assert_eq!((alone.named.name, alone.pose), (None, Pose::default()));
+        let path: PlacedPort = "a=/dev/x@y".parse().unwrap();
+        assert_eq!(path.named.port.to_string(), "/dev/x@y");
+    }
+}

@@ -1,0 +1,144 @@
+//! Opens the sensor on a PORT, with a notice if that takes longer than a second.
+
+use std::time::Duration;
+
+use tokio_scip::emulator::{Emulator, Room};
+use tokio_scip::port::Connect;
+use tokio_scip::{BaudRate, Sensor, SensorBuilder, State, Window};
+
+use super::name::PortName;
+use crate::args::LinkArgs;
+use crate::failure::{Failure, chain};
+use crate::output::notice::notice;
+use crate::plot::pose;
+
+/// Wait before a notice names what the program is waiting for.
+const SILENT_WAIT: Duration = Duration::from_secs(1);
+
+/// Which scans a consumer must receive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Delivery {
+    /// Only the newest scan, for live display.
+    Newest,
+    /// All scans, for files. A slow consumer may fall nearly two minutes behind a sensor; a
+    /// replay waits for it.
+    All,
+}
+
+impl Delivery {
+    /// Number of scans that a stream buffers.
+    pub(crate) fn ring_depth(self) -> usize {
+        match self {
+            Self::Newest => 1,
+            Self::All => 1024,
+        }
+    }
+}
+
+pub(crate) async fn open(
+    port: &PortName,
+    link: &LinkArgs,
+    delivery: Delivery,
+) -> Result<Sensor, Failure> {
+    open_with(port, link, delivery, Sensor::builder()).await
+}
+
+pub(crate) async fn open_with(
+    port: &PortName,
+    link: &LinkArgs,
+    delivery: Delivery,
+    builder: SensorBuilder,
+) -> Result<Sensor, Failure> {
+    let sensor = begin(port, link, delivery, builder)?;
+    opened(port, link, &sensor).await?;
+    Ok(sensor)
+}
+
+/// Spawns the driver, which opens the sensor. Does not wait; see [`opened`].
+pub(crate) fn begin(
+    port: &PortName,
+    link: &LinkArgs,
+    delivery: Delivery,
+    builder: SensorBuilder,
+) -> Result<Sensor, Failure> {
+    let mut builder = builder.depth(delivery.ring_depth());
+    if let Some(rate) = link.baud {
+        builder = builder.baud_rate(rate);
+    }
+    if link.wait {
+        builder = builder.wait_for_sensor(true);
+    }
+    if let Some(timeout) = link.timeout {
+        builder = builder.open_timeout(timeout);
+    }
+    if link.firmware.is_some() && !matches!(port, PortName::Emulated(_)) {
+        let text = format!("--firmware is for PORT `emulated`: {port} is a sensor of its own");
+        return Err(Failure::Usage(text));
+    }
+    Ok(match port {
+        PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
+        PortName::Emulated(pose) => {
+            let room = Room::default().seen_from(pose.x, pose.y, pose::yaw(*pose));
+            let emulator = Emulator::builder().world(room);
+            let emulator = match link.firmware {
+                Some(firmware) => emulator.firmware(firmware.into()),
+                None => emulator,
+            };
+            // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
+            let emulator = match link.baud {
+                Some(_) => emulator.baud_rate(BaudRate::B19200),
+                None => emulator.usb(),
+            };
+            spawn(builder, emulator.build())
+        }
+        PortName::Recording(recorded) => recorded.start(builder, delivery)?,
+    })
+}
+
+fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
+    let (sensor, driver) = builder.build(connect);
+    tokio::spawn(driver);
+    sensor
+}
+
+/// Explains a port that ignores its baud rate, as pseudo-terminals and some adapters do. Such
+/// a sensor is found at the first baud rate tried.
+pub(crate) fn ignored_baud_rate(baud_rate: BaudRate) -> String {
+    format!(
+        "replies come faster than {baud_rate} baud can carry: this port ignores the baud rate, \
+         as pseudo-terminals and USB do"
+    )
+}
+
+/// Checks the baud rate with a long reply: one that arrives too fast shows that the port
+/// ignores the baud rate, and adds an explanation. If the sensor sends no long reply, the
+/// baud rate counts as correct.
+pub(crate) async fn proven_baud_rate(sensor: &Sensor) -> Option<(BaudRate, Option<String>)> {
+    let baud_rate = sensor.state().get().baud_rate()?;
+    if !sensor.stats().baud_rate_outrun {
+        let _ = sensor.scan(Window::DETECTION).await;
+    }
+    Some((baud_rate, sensor.stats().baud_rate_outrun.then(|| ignored_baud_rate(baud_rate))))
+}
+
+/// Waits until the sensor is open. After a second, a notice names what it is waiting for.
+pub(crate) async fn opened(
+    port: &PortName,
+    link: &LinkArgs,
+    sensor: &Sensor,
+) -> Result<(), Failure> {
+    let opened = tokio::select! {
+        opened = sensor.opened() => opened,
+        () = tokio::time::sleep(SILENT_WAIT) => {
+            if link.wait {
+                let why = match sensor.state().get() {
+                    State::Connecting { error: Some(error) } => format!(": {}", chain(&error)),
+                    _ => String::new(),
+                };
+                notice(format_args!("waiting for a sensor on {port}, Ctrl-C ends it{why}"));
+            }
+            sensor.opened().await
+        }
+    };
+    opened.map_err(|error| Failure::at(&port.to_string(), &error))
+}

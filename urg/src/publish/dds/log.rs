@@ -1,0 +1,88 @@
+//! Filter for what Cyclone DDS writes to standard error. Cyclone has no other way to report a
+//! packet that it cannot send, and prints a line for each of them.
+
+use std::collections::BTreeSet;
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::output::capture::Capture;
+use crate::output::notice::notice;
+
+/// Number of looks without an unsent packet after which sending works again. Covers one
+/// announcement, every 2 s.
+const FAILING_LOOKS: u32 = 6;
+
+/// Maximum number of different lines to print.
+const MAX_LINES: usize = 20;
+
+/// Lines printed so far: each only once, even if DDS is opened again.
+static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+
+/// Receiver of Cyclone's lines.
+pub(super) struct Log {
+    unsent: Arc<AtomicU64>,
+    seen: u64,
+    failing_looks: u32,
+    _capture: Capture,
+}
+
+impl Log {
+    pub(super) fn start() -> io::Result<Self> {
+        let unsent = Arc::new(AtomicU64::new(0));
+        let count = Arc::clone(&unsent);
+        let capture = Capture::start(move |line| match judge(line) {
+            Line::Unsent => {
+                tracing::debug!("{line}");
+                count.fetch_add(1, Ordering::Relaxed);
+            }
+            Line::Other(text) => {
+                let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+                if said.len() < MAX_LINES && said.insert(text.to_owned()) {
+                    notice(format_args!("DDS: {text}"));
+                }
+            }
+        })?;
+        Ok(Self { unsent, seen: 0, failing_looks: 0, _capture: capture })
+    }
+
+    /// Checks whether Cyclone cannot send packets. Call it at regular intervals.
+    pub(super) fn is_failing(&mut self) -> bool {
+        let unsent = self.unsent.load(Ordering::Relaxed);
+        self.failing_looks =
+            if unsent == self.seen { self.failing_looks.saturating_sub(1) } else { FAILING_LOOKS };
+        self.seen = unsent;
+        self.failing_looks > 0
+    }
+}
+
+/// Meaning of a line.
+#[derive(Debug, PartialEq, Eq)]
+enum Line<'a> {
+    /// Cyclone could not send a packet.
+    Unsent,
+    /// Any other text, without its time and thread.
+    Other(&'a str),
+}
+
+fn judge(line: &str) -> Line<'_> {
+    // `1795395521.219124 [7]        dds: text`
+    let text = line.split_once("]").and_then(|(_, rest)| rest.split_once(": "));
+    let text = text.map_or(line, |(_, text)| text);
+    if text.starts_with("ddsi_udp_conn_write") { Line::Unsent } else { Line::Other(text) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_packet_that_cannot_be_sent_is_told_from_other_lines() {
+        let unsent = "1795395521.219124 [7]        dds: ddsi_udp_conn_write to udp/10.3.0.2:9161 failed with retcode -1";
+        assert_eq!(judge(unsent), Line::Unsent);
+        let other =
+            "1795395521.219124 [7]       recv: 10.1.0.1: does not match an available interface";
+        assert_eq!(judge(other), Line::Other("10.1.0.1: does not match an available interface"));
+        assert_eq!(judge("thread 'x' panicked"), Line::Other("thread 'x' panicked"));
+    }
+}

@@ -1,0 +1,37 @@
+//! `urg publish`: publishes scans as ROS 2 messages. The library encodes the messages
+//! (`tokio_scip::ros`); no other module knows the engines.
+//!
+//! - `engine` defines the interface of engines. `dds`, `zenoh` and `foxglove` implement it.
+//! - `running` keeps an engine open, and reopens it after errors.
+//! - `send_queue` buffers messages for slow links. `progress` detects a stuck queue.
+//! - `counts` counts published, dropped and lost scans.
+//! - `source` publishes one sensor, and `diagnostics` describes its condition.
+//! - `names` and `mounting` are nodes, topics, frames and transforms.
+//! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
+
+mod counts;
+#[cfg(feature = "ros2")]
+mod dds;
+mod diagnostics;
+mod discovery;
+mod engine;
+#[cfg(feature = "foxglove")]
+mod foxglove;
+mod mounting;
+mod names;
+#[cfg(any(feature = "ros2", feature = "zenoh"))]
+mod progress;
+pub(crate) mod ros_args;
+mod running;
+#[cfg(any(feature = "ros2", feature = "zenoh"))]
+mod send_queue;
+mod source;
+#[cfg(feature = "zenoh")]
+mod zenoh;
+
+pub(crate) use self::discovery::Discovery;
+pub(crate) use self::engine::{EngineName, EngineSettings, Mode, NodeSpec, Qos};
+pub(crate) use self::mounting::Mounting;
+pub(crate) use self::names::NodeNames;
+pub(crate) use self::running::RunningEngine;
+pub(crate) use self::source::Source;

@@ -1,0 +1,181 @@
+//! Names of nodes, topics and frames for each sensor, from the command line. Checked against the
+//! rules of ROS.
+
+use std::collections::BTreeSet;
+
+use crate::failure::Failure;
+use crate::port::named::{NamedPort, token};
+
+/// Maximum length of the name of a topic or node, including its namespace. DDS allows 255
+/// bytes, some of them for the prefix that ROS adds.
+const MAX_NAME: usize = 240;
+
+/// Names for one sensor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct NodeNames {
+    /// Absolute; `/` if there is no namespace.
+    pub(crate) namespace: String,
+    pub(crate) node: String,
+    /// Absolute.
+    pub(crate) topic: String,
+    pub(crate) frame: String,
+}
+
+impl NodeNames {
+    /// Computes the names for each of `sensors`. The name of a sensor becomes a namespace for
+    /// its node and topic, and a prefix of its frame.
+    ///
+    /// Usage errors: a name that breaks the rules of ROS, and two sensors on one topic.
+    pub(crate) fn resolve(
+        sensors: &[NamedPort],
+        namespace: &str,
+        node: &str,
+        topic: &str,
+        frame: &str,
+    ) -> Result<Vec<Self>, Failure> {
+        let usage = |option: &'static str| {
+            move |reason: String| Failure::Usage(format!("{option}: {reason}"))
+        };
+        let namespace = path(namespace).map_err(usage("--namespace"))?;
+        let node = token(node).map_err(usage("--node"))?;
+        let topic_path = path(topic).map_err(usage("--topic"))?;
+        let [topic_namespace @ .., base] = topic_path.as_slice() else {
+            return Err(usage("--topic")("expected a name such as /scan".to_owned()));
+        };
+        // tf2 refuses a leading slash. Otherwise a frame may contain almost any character.
+        if frame.is_empty()
+            || frame.starts_with('/')
+            || frame.len() > MAX_NAME
+            || frame.chars().any(|c| c.is_control() || c.is_whitespace())
+        {
+            return Err(usage("--frame")(format!(
+                "invalid frame {frame:?}: expected a name such as laser, without a leading `/`, \
+                 spaces and control characters"
+            )));
+        }
+        let mut topics = BTreeSet::new();
+        sensors
+            .iter()
+            .map(|sensor| {
+                let name = sensor.name.as_deref();
+                // A name that starts with `/` is absolute.
+                let own: &[&str] = if topic.starts_with('/') { &[] } else { &namespace };
+                let parts = own.iter().chain(topic_namespace).copied().chain(name);
+                let names = Self {
+                    namespace: absolute(namespace.iter().copied().chain(name)),
+                    node: node.to_owned(),
+                    topic: absolute(parts.chain([*base])),
+                    frame: name.map_or_else(|| frame.to_owned(), |name| format!("{name}_{frame}")),
+                };
+                let node_length = names.namespace.len() + 1 + names.node.len();
+                if names.topic.len() > MAX_NAME || node_length > MAX_NAME {
+                    return Err(Failure::Usage(format!(
+                        "the name of a node or topic is too long: expected at most {MAX_NAME} \
+                         characters with its namespace"
+                    )));
+                }
+                if topics.insert(names.topic.clone()) {
+                    Ok(names)
+                } else {
+                    Err(Failure::Usage(format!(
+                        "two sensors would publish on {}: name each of them, such as \
+                         `front=/dev/ttyACM0 rear=/dev/ttyACM1`",
+                        names.topic
+                    )))
+                }
+            })
+            .collect()
+    }
+}
+
+fn absolute<'a>(parts: impl Iterator<Item = &'a str>) -> String {
+    format!("/{}", parts.collect::<Vec<_>>().join("/"))
+}
+
+/// Splits a name such as `/robot/scan` into its parts.
+fn path(text: &str) -> Result<Vec<&str>, String> {
+    let inner = text.strip_prefix('/').unwrap_or(text);
+    if inner.is_empty() {
+        return Ok(Vec::new());
+    }
+    if inner.split('/').any(str::is_empty) {
+        return Err(format!(
+            "invalid name `{text}`: expected no empty part, as between two `/` or behind the last"
+        ));
+    }
+    inner.split('/').map(token).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn sensors(texts: &[&str]) -> Vec<NamedPort> {
+        texts.iter().map(|text| text.parse().unwrap()).collect()
+    }
+
+    fn topics(texts: &[&str], namespace: &str, topic: &str) -> Vec<String> {
+        let names = NodeNames::resolve(&sensors(texts), namespace, "urg_node", topic, "laser");
+        names.unwrap().into_iter().map(|names| names.topic).collect()
+    }
+
+    #[test]
+    fn the_name_of_a_sensor_is_a_namespace_of_its_own() {
+        assert_eq!(topics(&["emulated"], "/", "/scan"), ["/scan"]);
+        assert_eq!(topics(&["emulated"], "robot", "scan"), ["/robot/scan"]);
+        assert_eq!(topics(&["emulated"], "/robot", "/scan"), ["/scan"]);
+        let both = ["front=emulated", "rear=tcp://host:1?baud=19200"];
+        assert_eq!(topics(&both, "/", "/scan"), ["/front/scan", "/rear/scan"]);
+        assert_eq!(topics(&both, "/a/b", "c/scan"), ["/a/b/c/front/scan", "/a/b/c/rear/scan"]);
+        let names =
+            NodeNames::resolve(&sensors(&["front=emulated"]), "/a", "urg_node", "/scan", "laser");
+        let names = names.unwrap().remove(0);
+        assert_eq!((&*names.namespace, &*names.frame), ("/a/front", "front_laser"));
+    }
+
+    #[test]
+    fn a_name_against_the_rules_of_ros_is_refused() {
+        let one = sensors(&["emulated"]);
+        for (namespace, node, topic, frame, option) in [
+            ("/a//b", "n", "/scan", "f", "--namespace"),
+            ("/a/", "n", "/scan", "f", "--namespace"),
+            ("/", "", "/scan", "f", "--node"),
+            ("/", "n", "/", "f", "--topic"),
+            ("/", "n", "sc an", "f", "--topic"),
+            ("/", "n", "/a//scan", "f", "--topic"),
+            ("/", "n", "/scan", "", "--frame"),
+            ("/", "n", "/scan", "/laser", "--frame"),
+            ("/", "n", "/scan", "a\nb", "--frame"),
+        ] {
+            match NodeNames::resolve(&one, namespace, node, topic, frame) {
+                Err(Failure::Usage(line)) => assert!(line.starts_with(option), "{line}"),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_name_that_dds_has_no_room_for_is_refused() {
+        let (one, long) = (sensors(&["emulated"]), "n".repeat(300));
+        for (namespace, node, topic) in
+            [("/", &*long, "/scan"), ("/", "n", &long), (&long, "n", "/scan")]
+        {
+            let refused = NodeNames::resolve(&one, namespace, node, topic, "laser");
+            assert!(matches!(refused, Err(Failure::Usage(_))), "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn an_empty_part_of_a_name_is_shown_with_the_name() {
+        let refused = path("/a//b").unwrap_err();
+        assert!(refused.contains("`/a//b`"), "{refused}");
+    }
+
+    #[test]
+    fn two_sensors_on_one_topic_are_refused() {
+        for texts in [["emulated", "emulated"], ["a=emulated", "a=emulated"]] {
+            let names = NodeNames::resolve(&sensors(&texts), "/", "urg_node", "/scan", "laser");
+            assert!(matches!(names, Err(Failure::Usage(_))), "{texts:?}");
+        }
+    }
+}

@@ -1,0 +1,367 @@
+//! Thread that opens an engine, watches it, reopens it if it stops working, and closes it.
+//!
+//! It is a thread because opening and closing block, and zenoh refuses both inside tokio's
+//! current-thread runtime.
+
+use std::marker::PhantomData;
+use std::net::{IpAddr, UdpSocket};
+use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError};
+use std::sync::{Arc, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+
+use super::counts::ScanCounts;
+#[cfg(feature = "ros2")]
+use super::dds::Dds;
+use super::engine::{
+    Engine, EngineName, EngineSettings, Health, NodePublishers, NodeSpec, Outlet, Shared,
+};
+#[cfg(feature = "foxglove")]
+use super::foxglove::Foxglove;
+#[cfg(feature = "zenoh")]
+use super::zenoh::Zenoh;
+use crate::failure::Failure;
+use crate::output::notice::notice;
+
+/// Pause between two attempts to open an engine.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Pause between two looks at an open engine.
+const WATCH_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Looks until a reopened engine counts as working: one minute.
+const WORKING_LOOKS: u32 = 120;
+
+/// Maximum number of consecutive restarts. After that, only the user can help.
+const MAX_RESTARTS: u32 = 5;
+
+/// Maximum time that an engine has to close.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Engine on its own thread. Dropping it closes the engine without waiting.
+#[derive(Debug)]
+pub(crate) struct RunningEngine {
+    /// Dropped to stop the thread.
+    stop: std_mpsc::Sender<()>,
+    /// Permanent failure of the engine. Closed when the thread ends.
+    failures: mpsc::Receiver<Failure>,
+}
+
+impl RunningEngine {
+    /// Starts an engine with one outlet per node. The engine has to be built in.
+    pub(crate) fn start(
+        engine: EngineName,
+        settings: EngineSettings,
+        nodes: Vec<NodeSpec>,
+    ) -> Result<(Self, Vec<Outlet>), Failure> {
+        match engine {
+            #[cfg(feature = "ros2")]
+            EngineName::Dds => start::<Dds>(settings, nodes),
+            #[cfg(feature = "zenoh")]
+            EngineName::Zenoh => start::<Zenoh>(settings, nodes),
+            #[cfg(feature = "foxglove")]
+            EngineName::Foxglove => start::<Foxglove>(settings, nodes),
+            #[cfg(not(feature = "ros2"))]
+            EngineName::Dds => Err(not_built_in("dds", "ros2")),
+            #[cfg(not(feature = "zenoh"))]
+            EngineName::Zenoh => Err(not_built_in("zenoh", "zenoh")),
+            #[cfg(not(feature = "foxglove"))]
+            EngineName::Foxglove => Err(not_built_in("foxglove", "foxglove")),
+        }
+    }
+
+    /// Waits until the engine fails permanently. Cancel-safe.
+    pub(crate) async fn failed(&mut self) -> Failure {
+        // Unless the thread panics, it ends only with a failure or after `close`.
+        let ended = || Failure::Failed("the engine's thread has ended".to_owned());
+        self.failures.recv().await.unwrap_or_else(ended)
+    }
+
+    /// Removes the nodes from the ROS graph, and waits until the thread ends.
+    pub(crate) async fn close(mut self) {
+        drop(self.stop);
+        while self.failures.recv().await.is_some() {}
+    }
+}
+
+#[cfg(not(all(feature = "ros2", feature = "zenoh", feature = "foxglove")))]
+fn not_built_in(engine: &str, feature: &str) -> Failure {
+    Failure::Usage(format!(
+        "`--engine {engine}` needs an urg that was built with the feature `{feature}`: \
+         `cargo install --path urg --features {feature}`"
+    ))
+}
+
+fn start<E: Engine>(
+    settings: EngineSettings,
+    nodes: Vec<NodeSpec>,
+) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
+    let publishers = Shared::default();
+    let counts: Vec<Arc<ScanCounts>> = nodes.iter().map(|_| Arc::default()).collect();
+    let outlets = counts.iter().enumerate();
+    let outlets =
+        outlets.map(|(node, counts)| Outlet::new(node, &publishers, Arc::clone(counts))).collect();
+    let (stop, stopped) = std_mpsc::channel();
+    let (fail, failures) = mpsc::channel(1);
+    std::thread::Builder::new()
+        .name("engine".to_owned())
+        .spawn(move || {
+            let mut engine = Watched::<E> {
+                settings: &settings,
+                nodes: &nodes,
+                counts: &counts,
+                shared: &publishers,
+                stop: &stopped,
+                network: Network::of(&nodes),
+                restarts: 0,
+                engine: PhantomData,
+            };
+            if let Err(failure) = engine.run() {
+                // The receiver is gone during shutdown.
+                let _ = fail.try_send(failure);
+            }
+        })
+        .map_err(|error| Failure::of("cannot start the engine's thread", &error))?;
+    Ok((RunningEngine { stop, failures }, outlets))
+}
+
+/// State of the engine's thread.
+struct Watched<'a, E> {
+    settings: &'a EngineSettings,
+    nodes: &'a [NodeSpec],
+    counts: &'a [Arc<ScanCounts>],
+    shared: &'a Shared,
+    stop: &'a std_mpsc::Receiver<()>,
+    network: Network,
+    /// Number of consecutive restarts.
+    restarts: u32,
+    engine: PhantomData<E>,
+}
+
+/// Why an engine is closed.
+enum Reason {
+    Stopped,
+    Outdated,
+    Dead(String),
+}
+
+impl<E: Engine> Watched<'_, E> {
+    /// Runs the engine until it is stopped. Reopens it after the network has changed or the
+    /// engine has died. The error is permanent: reopening did not help.
+    fn run(&mut self) -> Result<(), Failure> {
+        while let Some((mut engine, publishers)) = self.open() {
+            self.set(Some(publishers));
+            let reason = self.watch(&mut engine);
+            self.set(None);
+            let is_closed = close(engine);
+            match reason {
+                Reason::Stopped => return Ok(()),
+                Reason::Outdated => {}
+                Reason::Dead(why) => self.restart(&why, is_closed)?,
+            }
+        }
+        Ok(())
+    }
+
+    /// Retries until the engine opens. `None` if it was stopped meanwhile.
+    fn open(&mut self) -> Option<(E, Vec<NodePublishers>)> {
+        loop {
+            let opened = match missing_address(self.settings.interface) {
+                Some(why) => Err(why),
+                None => E::open(self.settings, self.nodes, self.counts),
+            };
+            match opened {
+                Ok(opened) => return Some(opened),
+                Err(why) => self
+                    .network
+                    .report(Some(format!("{why}; waiting for it, scans are dropped until then"))),
+            }
+            if self.is_stopped(RETRY_INTERVAL) {
+                return None;
+            }
+        }
+    }
+
+    fn watch(&mut self, engine: &mut E) -> Reason {
+        let mut looks = 0;
+        loop {
+            match engine.look() {
+                Health::Works => self.network.report(None),
+                Health::Unreachable(why) => self.network.report(Some(why)),
+                Health::Outdated => return Reason::Outdated,
+                Health::Dead(why) => return Reason::Dead(why),
+            }
+            looks += 1;
+            if looks == WORKING_LOOKS {
+                self.restarts = 0;
+            }
+            if self.is_stopped(WATCH_INTERVAL) {
+                return Reason::Stopped;
+            }
+            if missing_address(self.settings.interface).is_some() {
+                return Reason::Outdated;
+            }
+        }
+    }
+
+    /// Counts and announces a restart. An error if the engine hangs, or has restarted too often.
+    fn restart(&mut self, why: &str, is_closed: bool) -> Result<(), Failure> {
+        if !is_closed {
+            return Err(Failure::Failed(format!("{why}, and it cannot be closed")));
+        }
+        if self.restarts == MAX_RESTARTS {
+            return Err(Failure::Failed(format!(
+                "{why}, also after it was opened again {MAX_RESTARTS} times"
+            )));
+        }
+        self.restarts += 1;
+        self.counts.iter().for_each(|counts| counts.add_restart());
+        notice(format_args!("{why}: it is opened again"));
+        Ok(())
+    }
+
+    fn set(&self, publishers: Option<Vec<NodePublishers>>) {
+        *self.shared.write().unwrap_or_else(PoisonError::into_inner) = publishers;
+    }
+
+    /// Waits for at most `wait`. Returns true if the engine was stopped meanwhile.
+    fn is_stopped(&self, wait: Duration) -> bool {
+        !matches!(self.stop.recv_timeout(wait), Err(RecvTimeoutError::Timeout))
+    }
+}
+
+/// Closes an engine on a separate thread. Returns false if it hangs.
+fn close(engine: impl Engine) -> bool {
+    let (end, ended) = std_mpsc::channel();
+    let closing = std::thread::Builder::new().name("closing".to_owned()).spawn(move || {
+        engine.close();
+        let _ = end.send(());
+    });
+    closing.is_ok() && ended.recv_timeout(CLOSE_TIMEOUT) != Err(RecvTimeoutError::Timeout)
+}
+
+/// Checks that an interface has the address of `--interface`, and explains if not.
+fn missing_address(address: Option<IpAddr>) -> Option<String> {
+    let address = address?;
+    // Binding a socket checks the address.
+    let error = UdpSocket::bind((address, 0)).err()?;
+    Some(format!("cannot use the address {address} of --interface: {error}"))
+}
+
+/// Notices for the user about the state of the network, printed only when it changes.
+#[derive(Debug)]
+struct Network {
+    topics: String,
+    /// Whether the network was away at the last notice; `None` before the first.
+    away: Option<bool>,
+}
+
+impl Network {
+    fn of(nodes: &[NodeSpec]) -> Self {
+        let topics = match nodes {
+            [first, .., last] => {
+                format!("{} topics, {} to {}", nodes.len(), first.scan_topic, last.scan_topic)
+            }
+            _ => nodes.iter().map(|node| node.scan_topic.as_str()).collect(),
+        };
+        Self { topics, away: None }
+    }
+
+    fn report(&mut self, unreachable: Option<String>) {
+        if let Some(line) = self.change(unreachable) {
+            notice(line);
+        }
+    }
+
+    /// Updates the state. Returns a line for the user if it changed.
+    fn change(&mut self, unreachable: Option<String>) -> Option<String> {
+        let before = self.away.replace(unreachable.is_some());
+        match (before, unreachable) {
+            (Some(true), Some(_)) | (Some(false), None) => None,
+            (_, Some(why)) => Some(why),
+            (Some(true), None) => Some("the network is back: scans are published".to_owned()),
+            (None, None) => Some(format!("scans are published on {}; Ctrl-C stops", self.topics)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    use super::*;
+    use crate::publish::discovery::{Discovery, Range};
+    use crate::publish::engine::{Mode, Qos};
+
+    /// Engine that never works.
+    struct Dead;
+
+    /// How often the engine was opened.
+    static OPENED: AtomicU32 = AtomicU32::new(0);
+
+    impl Engine for Dead {
+        fn open(
+            _: &EngineSettings,
+            _: &[NodeSpec],
+            _: &[Arc<ScanCounts>],
+        ) -> Result<(Self, Vec<NodePublishers>), String> {
+            OPENED.fetch_add(1, Ordering::Relaxed);
+            Ok((Self, Vec::new()))
+        }
+
+        fn look(&mut self) -> Health {
+            Health::Dead("the engine is dead".to_owned())
+        }
+
+        fn close(self) {}
+    }
+
+    #[tokio::test]
+    async fn an_engine_that_stays_dead_is_opened_again_and_counted_and_fails_in_the_end() {
+        let settings = EngineSettings {
+            domain: 0,
+            qos: Qos::Reliable,
+            depth: 1,
+            transforms: Vec::new(),
+            interface: None,
+            discovery: Discovery { range: Range::Localhost, static_peers: Vec::new() },
+            router: String::new(),
+            mode: Mode::Client,
+            listen: ([127, 0, 0, 1], 0).into(),
+        };
+        let node = NodeSpec {
+            namespace: "/".to_owned(),
+            name: "urg_node".to_owned(),
+            scan_topic: "/scan".to_owned(),
+        };
+        let (mut running, outlets) = start::<Dead>(settings, vec![node]).unwrap();
+        let failure = running.failed().await;
+        assert_eq!(failure.line(), "the engine is dead, also after it was opened again 5 times");
+        assert_eq!(OPENED.load(Ordering::Relaxed), 1 + MAX_RESTARTS);
+        assert_eq!(outlets[0].counts().restarts(), 5);
+        running.close().await;
+    }
+
+    #[test]
+    fn a_change_of_the_network_is_reported_once() {
+        let mut network = Network { topics: "/scan".to_owned(), away: None };
+        let said = [None, None, Some("no router"), Some("no router"), None, None]
+            .map(|why| network.change(why.map(str::to_owned)));
+        let expected = [
+            "scans are published on /scan; Ctrl-C stops",
+            "no router",
+            "the network is back: scans are published",
+        ];
+        assert_eq!(said.into_iter().flatten().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn an_address_that_no_interface_has_is_waited_for() {
+        assert_eq!(missing_address(None), None);
+        assert_eq!(missing_address(Some("127.0.0.1".parse().unwrap())), None);
+        // Reserved for documentation (RFC 5737): no interface has this address.
+        let missing = missing_address(Some("192.0.2.1".parse().unwrap())).unwrap();
+        assert!(missing.contains("192.0.2.1") && missing.contains("--interface"), "{missing}");
+    }
+}

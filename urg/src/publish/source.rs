@@ -1,0 +1,233 @@
+//! Publishes the scans of one sensor, and its condition once per second. Sensors are independent
+//! of each other; they only take turns.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use tokio::time::{Instant, MissedTickBehavior};
+use tokio_scip::event::Event;
+use tokio_scip::{Rate, Scan, Sensor, Window, ros};
+
+use super::diagnostics::Condition;
+use super::engine::Outlet;
+use super::names::NodeNames;
+use crate::args::LinkArgs;
+use crate::failure::Failure;
+use crate::output::notice::notice;
+use crate::port::name::PortName;
+use crate::port::open::Delivery;
+use crate::port::open::{begin, opened};
+use crate::stream::feed::{Feed, Update};
+use crate::stream::follow::StreamEnd;
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::Reporter;
+
+/// Interval of diagnostics, by ROS convention.
+const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
+
+/// Sensor to publish.
+pub(crate) struct Source {
+    pub(crate) port: PortName,
+    pub(crate) link: LinkArgs,
+    pub(crate) window: Window,
+    pub(crate) rate: Rate,
+    pub(crate) names: NodeNames,
+    /// Seconds to add to each stamp.
+    pub(crate) time_offset: f64,
+    pub(crate) outlet: Outlet,
+    /// First turn of the first sensor.
+    pub(crate) epoch: Instant,
+    /// Delay of this sensor's polls after the first sensor's, as a fraction of the period, in
+    /// 0..1. Spreads the scans of all sensors evenly.
+    pub(crate) turn: f64,
+}
+
+impl Source {
+    /// Publishes scans until the stream ends, then passes the outcome to `done`. Diagnostics
+    /// continue, so the future never completes.
+    pub(crate) async fn run(self, done: impl FnOnce(Result<(), Failure>)) {
+        let condition = Mutex::new(Condition::default());
+        let source = Arc::new(self);
+        let scans = async {
+            let outcome = source.publish_scans(&condition).await;
+            lock(&condition).ended = Some(match &outcome {
+                Ok(()) => "the recording has ended".to_owned(),
+                Err(failure) => failure.line().to_owned(),
+            });
+            done(outcome);
+        };
+        tokio::join!(scans, source.publish_diagnostics(&condition));
+    }
+
+    async fn publish_scans(&self, condition: &Mutex<Condition>) -> Result<(), Failure> {
+        // The motor of an emulated sensor starts when it is opened. Like real motors, several
+        // of them must not run in phase.
+        tokio::time::sleep_until(self.next_turn(Instant::now())).await;
+        let sensor = begin(&self.port, &self.link, Delivery::Newest, Sensor::builder())?;
+        lock(condition).sensor = Some(sensor.clone());
+        opened(&self.port, &self.link, &sensor).await?;
+        self.identify(&sensor, condition).await;
+        tokio::time::sleep_until(self.next_turn(Instant::now())).await;
+        let scans = sensor.scans(self.window, self.rate).await;
+        let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
+        let mut feed = Feed::new(&self.port, scans);
+        let mut reporter = Reporter::new(self.port.clone(), sensor.clone());
+        let mut watch = RateWatch::new(&self.port, self.window, self.rate);
+        while let Some(update) = feed.next().await {
+            reporter.report(&update);
+            match update {
+                Update::Scan(scan) => {
+                    lock(condition).scanned = Some(std::time::Instant::now());
+                    self.outlet.publish_scan(self.message(&scan));
+                    if let Some(text) = watch.scanned(&scan, &sensor) {
+                        notice(format_args!("{}: {text}", self.port));
+                    }
+                }
+                Update::Event(Event::Reconnected) => {
+                    watch.restart();
+                    self.identify(&sensor, condition).await;
+                }
+                Update::Error(_) | Update::Event(_) => {}
+            }
+        }
+        reporter.finish(StreamEnd::ByItself)
+    }
+
+    /// Publishes the condition once per second. Never completes.
+    async fn publish_diagnostics(&self, condition: &Mutex<Condition>) {
+        let node = format!("{}/{}", self.names.namespace.trim_end_matches('/'), self.names.node);
+        let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.turn);
+        let mut ticks = tokio::time::interval_at(first, DIAGNOSTICS_PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            ticks.tick().await;
+            let status = lock(condition).status(&node, self.window, self.rate, &self.outlet);
+            let mut message = Vec::new();
+            ros::write_diagnostics(&mut message, SystemTime::now(), &[status]);
+            self.outlet.publish_diagnostics(message);
+        }
+    }
+
+    /// Reads the identity of the sensor. A timeout is ignored: the next reconnect tries again.
+    async fn identify(&self, sensor: &Sensor, condition: &Mutex<Condition>) {
+        if let Ok(version) = sensor.version().await {
+            lock(condition).version = Some(version);
+        }
+    }
+
+    fn message(&self, scan: &Scan) -> Vec<u8> {
+        let stamp = shifted(scan.first_ray_stamp(), self.time_offset);
+        let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
+        ros::write_scan(&mut message, scan, stamp, &self.names.frame);
+        message
+    }
+
+    /// Computes this sensor's next turn. A schedule that starts there keeps to the grid.
+    fn next_turn(&self, now: Instant) -> Instant {
+        let Some(period) = self.rate.period().filter(|period| !period.is_zero()) else {
+            return now;
+        };
+        let first = self.epoch + period.mul_f64(self.turn);
+        let behind = now.saturating_duration_since(first).as_nanos();
+        let periods = behind.div_ceil(period.as_nanos());
+        let ahead = u64::try_from(periods * period.as_nanos()).unwrap_or(u64::MAX);
+        first + Duration::from_nanos(ahead)
+    }
+}
+
+fn shifted(stamp: SystemTime, offset: f64) -> SystemTime {
+    let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
+    let shifted = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
+    shifted.unwrap_or(stamp)
+}
+
+fn lock(condition: &Mutex<Condition>) -> MutexGuard<'_, Condition> {
+    // No code panics while holding it.
+    condition.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::port::named::NamedPort;
+    use crate::publish::engine::{NodePublishers, Publish, Shared};
+
+    /// Publisher that keeps the time of each message.
+    #[derive(Clone, Default)]
+    struct Instants(Arc<Mutex<Vec<Instant>>>);
+
+    impl Publish for Instants {
+        fn publish(&self, _: Vec<u8>) {
+            self.0.lock().unwrap().push(Instant::now());
+        }
+    }
+
+    fn source(place: u32, count: u32, epoch: Instant, rate: Rate, shared: &Shared) -> Source {
+        let named: NamedPort = format!("s{place}=emulated").parse().unwrap();
+        let names =
+            NodeNames::resolve(std::slice::from_ref(&named), "/", "urg_node", "/scan", "laser");
+        Source {
+            port: named.port,
+            link: LinkArgs::default(),
+            window: Window::DETECTION,
+            rate,
+            names: names.unwrap().remove(0),
+            time_offset: 0.0,
+            outlet: Outlet::new(place as usize, shared, Arc::default()),
+            epoch,
+            turn: f64::from(place) / f64::from(count),
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {
+        const COUNT: u32 = 10;
+        let (scans, diagnostics) = (Instants::default(), Instants::default());
+        let publishers = || NodePublishers {
+            scans: Box::new(scans.clone()),
+            diagnostics: Box::new(diagnostics.clone()),
+        };
+        let shared = Shared::default();
+        *shared.write().unwrap() = Some((0..COUNT).map(|_| publishers()).collect());
+        let epoch = Instant::now();
+        for place in 0..COUNT {
+            let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
+            tokio::spawn(source.run(|_| ()));
+        }
+        tokio::time::sleep(Duration::from_secs(5)).await;
+
+        for (period, published) in [(0.1, scans), (1.0, diagnostics)] {
+            let mut instants = published.0.lock().unwrap().clone();
+            instants.retain(|at| *at - epoch > Duration::from_secs(2));
+            assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
+            let (even, slack) = (period / f64::from(COUNT), 0.003);
+            for pair in instants.windows(2) {
+                let gap = (pair[1] - pair[0]).as_secs_f64();
+                assert!((gap - even).abs() < slack, "{gap} s between two of {COUNT} sensors");
+            }
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_turn_is_on_the_grid_of_the_sensors_place_and_not_in_the_past() {
+        let epoch = Instant::now();
+        let source = source(3, 4, epoch, Rate::hz(10.0), &Shared::default());
+        let turn = |after_ms: u64| {
+            let turn = source.next_turn(epoch + Duration::from_millis(after_ms));
+            (turn - epoch).as_millis()
+        };
+        assert_eq!([turn(0), turn(75), turn(76), turn(1_000)], [75, 75, 175, 1_075]);
+        let now = epoch + Duration::from_millis(5);
+        let fastest = self::source(3, 4, epoch, Rate::MAX, &Shared::default());
+        assert_eq!(fastest.next_turn(now), now);
+    }
+
+    #[test]
+    fn a_stamp_can_be_moved_both_ways() {
+        let stamp = SystemTime::UNIX_EPOCH + Duration::from_secs(10);
+        let after = |offset| shifted(stamp, offset).duration_since(SystemTime::UNIX_EPOCH).unwrap();
+        assert_eq!(after(1.5), Duration::from_millis(11_500));
+        assert_eq!(after(-1.5), Duration::from_millis(8_500));
+        assert_eq!(after(f64::MAX), Duration::from_secs(10));
+    }
+}

@@ -1,0 +1,86 @@
+//! Probes a router that can fail silently, and counts scans that it may not have received.
+//! Zenoh itself closes the link to a silent router only after 10 s, and does not tell which
+//! messages were lost.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use zenoh::qos::Priority;
+use zenoh::{Session, Wait};
+
+use crate::publish::counts::ScanCounts;
+
+/// Key that no program serves. Other programs' `**` does not match keys that start with `@`.
+const PROBE_KEY: &str = "@urg/probe";
+
+/// Time that the router has to answer.
+const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Checks whether the router answers. Blocks for at most [`PROBE_TIMEOUT`].
+pub(super) fn answers(session: &Session) -> bool {
+    // A higher priority than scans, so that the probe does not wait behind them.
+    let query = session.get(PROBE_KEY).priority(Priority::InteractiveHigh).timeout(PROBE_TIMEOUT);
+    let Ok(replies) = query.wait() else { return false };
+    // The router answers by closing the channel without a reply. A reply can only be the
+    // timeout's error. Without a connection, the channel closes as well.
+    replies.recv().is_err() && session.info().routers_zid().wait().next().is_some()
+}
+
+/// Scans of one node that the router may not have received yet.
+pub(super) struct InTransit {
+    counts: Arc<ScanCounts>,
+    /// Number of scans that the router has received for certain.
+    arrived: u64,
+    /// Number of scans published before the last answer.
+    sent: u64,
+}
+
+impl InTransit {
+    /// Counts from the next published scan.
+    pub(super) fn new(counts: Arc<ScanCounts>) -> Self {
+        let published = counts.published();
+        Self { counts, arrived: published, sent: published }
+    }
+
+    /// Notes an answer of the router. It confirms all scans published before the previous
+    /// answer. The probe may overtake later scans.
+    pub(super) fn confirm(&mut self) {
+        self.arrived = self.sent;
+        self.sent = self.counts.published();
+    }
+
+    /// Counts the scans in transit as possibly lost.
+    pub(super) fn lose(&mut self) {
+        let published = self.counts.published();
+        self.counts.add_possibly_lost(published.saturating_sub(self.arrived));
+        (self.arrived, self.sent) = (published, published);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn publish(counts: &ScanCounts, scans: usize) {
+        (0..scans).for_each(|_| counts.add_published());
+    }
+
+    #[test]
+    fn what_was_published_since_the_answer_before_the_last_is_possibly_lost_once() {
+        let counts = Arc::new(ScanCounts::default());
+        publish(&counts, 100);
+        let mut transit = InTransit::new(Arc::clone(&counts));
+        publish(&counts, 10);
+        transit.confirm();
+        publish(&counts, 5);
+        transit.confirm();
+        publish(&counts, 3);
+        transit.lose();
+        assert_eq!(counts.possibly_lost(), 8);
+        transit.lose();
+        assert_eq!(counts.possibly_lost(), 8);
+        publish(&counts, 2);
+        transit.lose();
+        assert_eq!(counts.possibly_lost(), 10);
+    }
+}

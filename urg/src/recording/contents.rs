@@ -1,0 +1,217 @@
+//! Contents of a recording for `urg info`: time span, number of scans, gaps, and changes of
+//! the wall clock. You can pass any of these times to `--range`: they count from the first scan
+//! on the steady clock. Stamps use the wall clock, which may jump.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use serde_json::{Value, json};
+use tokio_scip::Version;
+use tokio_scip::recording::{Recording, RecordingError};
+
+use crate::format::time::{self, clock};
+
+/// Property of a recording: name, value as JSON, value as text.
+pub(crate) type Row = (&'static str, Value, String);
+
+/// A pause between two scans is a gap if it exceeds the period by this time.
+const GAP_TOLERANCE: Duration = Duration::from_secs(1);
+/// The wall clock was set if it differs from the steady clock by more than this between two
+/// scans, in seconds. Longer than any reply takes.
+const CLOCK_TOLERANCE: f64 = 1.0;
+/// Maximum number of gaps in the text.
+const MAX_LISTED_GAPS: usize = 5;
+
+/// What is in a recording.
+#[derive(Debug)]
+pub(crate) struct Contents {
+    /// What is known of the sensor.
+    pub(crate) version: Version,
+    /// The baud rate of the line, or `none` on USB; `None` if the recording does not have it.
+    pub(crate) baud_rate: Option<String>,
+    pub(crate) rows: Vec<Row>,
+}
+
+/// Reads the whole recording, which has no `path` if it is a pipe. Blocks for as long as that
+/// takes.
+pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents, RecordingError> {
+    let (window, rate) = (recording.window(), recording.rate());
+    let baud_rate = recording.metadata().get("baud_rate").cloned();
+    let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
+    let mut times = ScanTimes::default();
+    let mut damaged_at = Vec::new();
+    // Same scans as in a replay.
+    let mut recorded = recording.scans();
+    while let Some(scan) = recorded.next() {
+        match scan {
+            Ok(scan) => times.add(recorded.position(), scan.stamp(), longest),
+            Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
+            // The sensor may have been away for the whole recording.
+            Err(RecordingError::NoScans) if recorded.version() != Version::default() => {}
+            Err(error) => return Err(error),
+        }
+    }
+    let complete = !recorded.is_truncated() && damaged_at.is_empty();
+    let ScanTimes { scans, gaps, clock_steps, .. } = &times;
+    let asked = window.map(|window| format!(" of {window}")).unwrap_or_default();
+    let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
+    let mut end = Vec::new();
+    if recorded.is_truncated() {
+        end.push("its end is missing or damaged".to_owned());
+    }
+    if let Some(first) = damaged_at.first() {
+        let parts = damaged_at.len();
+        end.push(format!("{parts} damaged parts left out, the first at byte {first}"));
+    }
+    let end = match complete {
+        true => "yes".to_owned(),
+        false => {
+            let end = end.join("; ");
+            let file = path.unwrap_or(Path::new("- whole.mcap")).display();
+            format!(
+                "no: {end}; all the rest is above; `urg repair {file}` makes a complete file of it"
+            )
+        }
+    };
+    let mut rows = vec![
+        ("scans", json!(scans), format!("{scans}{asked}")),
+        ("gaps", json!(gaps), listed(gaps)),
+        ("complete", json!(complete), end),
+    ];
+    if !clock_steps.is_empty() {
+        let steps: Vec<String> = clock_steps.iter().map(ClockStep::to_string).collect();
+        let text = format!("{}; the times here and of --range do not jump", steps.join(", "));
+        rows.insert(0, ("clock", json!(clock_steps), text));
+    }
+    if let Some(span) = times.span {
+        let (began, seconds) = (time::utc(span.began), (span.last - span.first).as_secs_f64());
+        let text = format!("{began}, for {}", clock(seconds));
+        rows.insert(0, ("recorded", json!({ "began": began, "seconds": seconds }), text));
+    }
+    Ok(Contents { version: recorded.version(), baud_rate, rows })
+}
+
+/// Span, gaps and clock changes of the scans read so far.
+#[derive(Debug, Default)]
+struct ScanTimes {
+    scans: u64,
+    span: Option<ScanSpan>,
+    gaps: Vec<Gap>,
+    clock_steps: Vec<ClockStep>,
+}
+
+/// First and latest scan.
+#[derive(Debug, Clone, Copy)]
+struct ScanSpan {
+    /// Stamp of the first scan.
+    began: SystemTime,
+    /// Positions of the first and the latest scan.
+    first: Duration,
+    last: Duration,
+    /// Stamp of the latest scan.
+    stamp: SystemTime,
+}
+
+/// Pause without scans, in seconds since the first scan.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+struct Gap {
+    from: f64,
+    seconds: f64,
+}
+
+/// Change of the wall clock, in seconds since the first scan.
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
+struct ClockStep {
+    at: f64,
+    seconds: f64,
+}
+
+impl ScanTimes {
+    /// Adds a scan. `position` counts from the file's first scan; a gap is longer than `longest`.
+    fn add(&mut self, position: Duration, stamp: SystemTime, longest: Duration) {
+        self.scans += 1;
+        let Some(span) = &mut self.span else {
+            self.span = Some(ScanSpan { began: stamp, first: position, last: position, stamp });
+            return;
+        };
+        let since = position.saturating_sub(span.last);
+        if since > longest {
+            let from = span.last.as_secs_f64();
+            self.gaps.push(Gap { from, seconds: since.as_secs_f64() });
+        }
+        let seconds = difference(span.stamp, stamp) - since.as_secs_f64();
+        if seconds.abs() > CLOCK_TOLERANCE {
+            self.clock_steps.push(ClockStep { at: position.as_secs_f64(), seconds });
+        }
+        span.last = span.last.max(position);
+        span.stamp = stamp;
+    }
+}
+
+impl std::fmt::Display for ClockStep {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let direction = if self.seconds < 0.0 { "back" } else { "forward" };
+        write!(f, "set {direction} by {} at {}", clock(self.seconds.abs()), clock(self.at))
+    }
+}
+
+/// Computes the seconds from `from` to `to`, negative if `to` is earlier.
+fn difference(from: SystemTime, to: SystemTime) -> f64 {
+    match to.duration_since(from) {
+        Ok(after) => after.as_secs_f64(),
+        Err(before) => -before.duration().as_secs_f64(),
+    }
+}
+
+fn listed(gaps: &[Gap]) -> String {
+    if gaps.is_empty() {
+        return "none".to_owned();
+    }
+    let one = |gap: &Gap| format!("{:.1} s at {}", gap.seconds, clock(gap.from));
+    let mut text = gaps.iter().take(MAX_LISTED_GAPS).map(one).collect::<Vec<_>>().join(", ");
+    if gaps.len() > MAX_LISTED_GAPS {
+        text = format!("{}, the first of them {text}", gaps.len());
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn gaps_are_listed_with_their_places_in_the_recording() {
+        let mut times = ScanTimes::default();
+        for tenth in (0..20).chain(320..330).chain(341..350) {
+            let position = Duration::from_millis(tenth * 100);
+            times.add(position, SystemTime::UNIX_EPOCH + position, Duration::from_millis(1100));
+        }
+        assert_eq!(times.clock_steps, []);
+        assert_eq!(times.scans, 39);
+        assert_eq!(listed(&times.gaps), "30.1 s at 0:01, 1.2 s at 0:32");
+        assert_eq!(listed(&[]), "none");
+        let many = [Gap { from: 3_661.0, seconds: 2.0 }; 6];
+        assert!(listed(&many).starts_with("6, the first of them 2.0 s at 1:01:01, 2.0 s"));
+    }
+
+    #[test]
+    fn a_clock_that_is_set_is_told_and_changes_neither_length_nor_gaps() {
+        let (mut times, boot) = (ScanTimes::default(), SystemTime::UNIX_EPOCH);
+        for tenth in 0..100 {
+            let position = Duration::from_millis(tenth * 100);
+            let set = match tenth {
+                0..50 => Duration::ZERO,
+                50..80 => Duration::from_secs(72 * 3600),
+                _ => Duration::from_secs(3600),
+            };
+            times.add(position, boot + set + position, Duration::from_millis(1100));
+        }
+        let span = times.span.unwrap();
+        assert_eq!(
+            (span.last - span.first, listed(&times.gaps)),
+            (Duration::from_millis(9900), "none".to_owned())
+        );
+        let steps: Vec<_> = times.clock_steps.iter().map(ToString::to_string).collect();
+        assert_eq!(steps, ["set forward by 72:00:00 at 0:05", "set back by 71:00:00 at 0:08"]);
+    }
+}

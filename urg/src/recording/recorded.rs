@@ -1,0 +1,280 @@
+//! Recording as PORT, in a file or on standard input: its settings, and its replay.
+
+use std::fmt;
+use std::future::poll_fn;
+use std::io::{self, IsTerminal};
+use std::ops::Bound;
+use std::path::{Path, PathBuf};
+use std::pin::{Pin, pin};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::Poll;
+use std::time::Duration;
+
+use tokio::sync::watch;
+use tokio_scip::emulator::Emulator;
+use tokio_scip::port::Connect;
+use tokio_scip::recording::{Recording, RecordingError, ReplayPace};
+use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Version, Window};
+
+use super::contents::{self, Contents};
+use super::span::TimeSpan;
+use crate::failure::Failure;
+use crate::port::open::Delivery;
+
+/// Number of scans that a replay may be ahead of a consumer of all scans.
+const MAX_SCANS_AHEAD: u64 = 256;
+/// A pipe may have no scan for as long as this: its sensor is away.
+const PIPE_PATIENCE: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// Recording to replay, with its settings.
+#[derive(Debug, Clone)]
+pub(crate) struct Recorded {
+    path: PathBuf,
+    /// Standard input, once it is opened and until it is read. `None` for a file.
+    stdin: Option<Arc<Mutex<Option<Recording>>>>,
+    window: Option<Window>,
+    rate: Option<Rate>,
+    pace: ReplayPace,
+    /// Part to read; `None` means all of it.
+    range: Option<TimeSpan>,
+    /// Number of scans taken from feeds.
+    taken: Arc<watch::Sender<u64>>,
+}
+
+impl Recorded {
+    /// Parses the name of a recording. Does not open the file.
+    pub(crate) fn named(text: &str) -> Result<Option<Self>, String> {
+        let is_stdin = text == "-";
+        Ok((is_stdin || Self::is_name(Path::new(text))).then(|| Self {
+            path: text.into(),
+            stdin: is_stdin.then(Arc::default),
+            window: None,
+            rate: None,
+            pace: ReplayPace::Recorded,
+            range: None,
+            taken: Arc::default(),
+        }))
+    }
+
+    /// Returns the name that was given: `-` for standard input.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Checks whether a file with this name is a recording: `*.mcap`.
+    pub(crate) fn is_name(path: &Path) -> bool {
+        path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+    }
+
+    /// Reads the recorded window and rate from the file. You can drop the future while the
+    /// system blocks on opening the file.
+    pub(crate) async fn read_settings(&mut self) -> Result<(), Failure> {
+        if self.stdin.is_some() && io::stdin().is_terminal() {
+            let text = "- reads a recording from standard input, and that is a terminal: send one \
+                        into it, as in `ssh robot urg record PORT - | urg stream -`";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        let here = self.clone();
+        let opened = tokio::task::spawn_blocking(move || match here.stdin {
+            Some(_) => Recording::read(io::stdin()).map_err(|error| here.failure(&error)),
+            None => here.open(),
+        });
+        let recording = opened.await.map_err(|error| self.failure(&error))??;
+        (self.window, self.rate) = (recording.window(), recording.rate());
+        if let Some(stdin) = &self.stdin {
+            *stdin.lock().unwrap_or_else(PoisonError::into_inner) = Some(recording);
+        }
+        Ok(())
+    }
+
+    /// Fails for standard input, which cannot be read twice.
+    pub(crate) fn require_file(&self) -> Result<(), Failure> {
+        match &self.stdin {
+            None => Ok(()),
+            Some(_) => Err(Failure::Usage(
+                "standard input cannot be played to and fro: save it first, as in `cat > run.mcap`, \
+                 or read it with `urg stream -`"
+                    .to_owned(),
+            )),
+        }
+    }
+
+    pub(crate) fn restrict(&mut self, range: TimeSpan) {
+        self.range = Some(range);
+    }
+
+    /// Recorded window, if the file has one.
+    pub(crate) fn window(&self) -> Option<Window> {
+        self.window
+    }
+
+    /// Sets the pace: as fast as possible if you pass a `rate`, else the recorded pace. Returns
+    /// the recorded rate, if the file has one.
+    pub(crate) fn set_pace(&mut self, rate: Option<Rate>) -> Option<Rate> {
+        self.pace = rate.map_or(ReplayPace::Recorded, |_| ReplayPace::Max);
+        self.rate
+    }
+
+    /// Reads the whole recording, and describes it.
+    pub(crate) async fn contents(&self) -> Result<Contents, Failure> {
+        let recording = self.open()?;
+        let path = self.stdin.is_none().then(|| self.path.clone());
+        let read = tokio::task::spawn_blocking(move || contents::read(path.as_deref(), recording));
+        match read.await {
+            Ok(contents) => contents.map_err(|error| self.failure(&error)),
+            Err(error) => Err(self.failure(&error)),
+        }
+    }
+
+    /// Starts the replay. With [`Delivery::All`], the replay waits for a slow consumer.
+    pub(crate) fn start(
+        &self,
+        builder: SensorBuilder,
+        delivery: Delivery,
+    ) -> Result<Sensor, Failure> {
+        let recording = self.open()?;
+        if self.stdin.is_some() {
+            let builder = builder.name(self.to_string()).open_timeout(PIPE_PATIENCE);
+            let pipe =
+                PipeReplay { recording: Some((recording, self.pace)), name: self.to_string() };
+            let (sensor, driver) = builder.build(pipe);
+            let run = self.run(driver, sensor.clone(), delivery);
+            // Reading a pipe blocks the thread of its driver.
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+            let runtime = runtime.map_err(|error| self.failure(&error))?;
+            std::thread::Builder::new()
+                .name("pipe".to_owned())
+                .spawn(move || runtime.block_on(run))
+                .map_err(|error| self.failure(&error))?;
+            return Ok(sensor);
+        }
+        let emulator = recording.replay(self.pace).map_err(|error| self.no_scans(&error))?;
+        let (sensor, driver) = builder.build(emulator);
+        tokio::spawn(self.run(driver, sensor.clone(), delivery));
+        Ok(sensor)
+    }
+
+    fn run(
+        &self,
+        driver: Driver,
+        sensor: Sensor,
+        delivery: Delivery,
+    ) -> Pin<Box<dyn Future<Output = ()> + Send>> {
+        match delivery {
+            Delivery::All => Box::pin(run_paced(driver, sensor, self.taken.subscribe())),
+            // Its end is in the state of the sensor.
+            Delivery::Newest => Box::pin(async { drop(driver.await) }),
+        }
+    }
+
+    /// Reads what the beginning of the recording has of the sensor's version.
+    pub(crate) async fn version(&self) -> Result<Version, Failure> {
+        let mut scans = self.open()?.scans();
+        let read = tokio::task::spawn_blocking(move || {
+            // The version is before the first scan, which may be missing.
+            scans.by_ref().find(Result::is_ok);
+            scans.version()
+        });
+        read.await.map_err(|error| self.failure(&error))
+    }
+
+    /// Counts a scan taken from a feed.
+    pub(crate) fn record_taken(&self) {
+        self.taken.send_modify(|taken| *taken += 1);
+    }
+
+    pub(super) fn open(&self) -> Result<Recording, Failure> {
+        let recording = self.open_all()?;
+        Ok(match self.range {
+            Some(range) => recording.range(range.bounds()),
+            None => recording,
+        })
+    }
+
+    /// Opens the recording at `place` instead of the start of its range.
+    pub(super) fn open_at(&self, place: Duration) -> Result<Recording, Failure> {
+        let end = self.range.map_or(Bound::Unbounded, |range| range.bounds().1);
+        Ok(self.open_all()?.range((Bound::Included(place), end)))
+    }
+
+    fn open_all(&self) -> Result<Recording, Failure> {
+        let Some(stdin) = &self.stdin else {
+            return Recording::open(&self.path).map_err(|error| self.failure(&error));
+        };
+        let recording = stdin.lock().unwrap_or_else(PoisonError::into_inner).take();
+        recording.ok_or_else(|| Failure::Failed(format!("{self}: it can be read only once")))
+    }
+
+    /// Describes an error at the first scan. The range may contain no scan.
+    pub(super) fn no_scans(&self, error: &RecordingError) -> Failure {
+        match (self.range, error) {
+            (Some(range), RecordingError::NoScans) if self.stdin.is_none() => {
+                Failure::Failed(format!(
+                    "{self}: no scan in --range {range}: `urg info {self}` shows how long it is"
+                ))
+            }
+            _ => self.failure(error),
+        }
+    }
+
+    pub(super) fn failure(&self, error: &dyn std::error::Error) -> Failure {
+        Failure::at(&self.to_string(), error)
+    }
+}
+
+impl fmt::Display for Recorded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.stdin {
+            Some(_) => f.write_str("standard input"),
+            None => self.path.display().fmt(f),
+        }
+    }
+}
+
+/// Connects to the replay of a pipe. Waits for the first scan, as for a sensor.
+struct PipeReplay {
+    /// Until the first attempt.
+    recording: Option<(Recording, ReplayPace)>,
+    name: String,
+}
+
+impl Connect for PipeReplay {
+    type Port = <Emulator as Connect>::Port;
+
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        let failed = |error| Error::Open { port: self.name.clone(), source: Arc::new(error) };
+        let Some((recording, pace)) = self.recording.take() else {
+            return Err(failed(io::ErrorKind::UnexpectedEof.into()));
+        };
+        // Blocks, which is all right on a thread of its own.
+        let emulator = recording.replay(pace).map_err(|error| failed(io::Error::other(error)))?;
+        let mut emulator = emulator;
+        emulator.connect().await
+    }
+}
+
+/// Runs the driver, and pauses it while it is more than [`MAX_SCANS_AHEAD`] scans ahead of the
+/// consumer. The driver sees this as a busy machine.
+async fn run_paced(driver: Driver, sensor: Sensor, mut taken: watch::Receiver<u64>) {
+    let mut driver = pin!(driver);
+    loop {
+        let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);
+        // Fails after the last consumer is dropped.
+        let Ok(seen) = taken.wait_for(|taken| *taken >= enough).await.map(|taken| *taken) else {
+            return;
+        };
+        let ended = poll_fn(|cx| {
+            if driver.as_mut().poll(cx).is_ready() {
+                return Poll::Ready(true);
+            }
+            if sensor.stats().scans > seen + MAX_SCANS_AHEAD {
+                Poll::Ready(false)
+            } else {
+                Poll::Pending
+            }
+        });
+        if ended.await {
+            return;
+        }
+    }
+}

@@ -1,0 +1,186 @@
+//! `urg stream`: scans on standard output.
+
+use std::io::{self, IsTerminal};
+
+use clap::ValueEnum;
+
+use tokio_scip::Window;
+use tokio_scip::event::Event;
+
+use super::feed::{Feed, Update};
+use super::follow::follow;
+use super::rate_watch::RateWatch;
+use super::reporter::Reporter;
+use crate::args::{LinkArgs, PaceArgs, WindowArgs};
+use crate::failure::Failure;
+use crate::format::csv::{self, Columns};
+use crate::format::summary;
+use crate::interrupt::Interrupt;
+use crate::output::notice::notice;
+use crate::output::stdout::Output;
+use crate::port::name::PortArg;
+use crate::port::open::Delivery;
+use crate::port::open::open;
+use crate::recording::span::RangeArgs;
+
+/// Write scans to standard output as they come
+///
+/// Runs until Ctrl-C, --count, --duration, or the end of a recording. Unplug the
+/// sensor and plug it back in: scanning resumes. Ending without a single scan is an
+/// error, unless you press Ctrl-C.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "`--help` explains the formats",
+    after_long_help = format!("{EXAMPLES}\n\n{NDJSON}\n\n{}", csv::COLUMNS)
+)]
+pub(crate) struct Stream {
+    #[command(flatten)]
+    port: PortArg,
+    /// Output format [default: summary on a terminal, else ndjson]
+    #[arg(long, value_enum)]
+    format: Option<StreamFormat>,
+    #[command(flatten)]
+    pace: PaceArgs,
+    #[command(flatten)]
+    range: RangeArgs,
+    #[command(flatten)]
+    window: WindowArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+const EXAMPLES: &str = "\
+Examples:
+  urg stream /dev/ttyACM0 | jq -c '[.stamp, .ranges[341]]'
+  urg stream /dev/ttyUSB0 --baud 115200 --cluster 4 --duration 10s > scans.ndjson
+  urg stream emulated --count 20 --format csv";
+
+const NDJSON: &str = "\
+NDJSON has one object a line. An object with the field \"event\" is an event
+(disconnected, reconnected, error or missed); every other object is a scan:
+  sequence         number of the scan; a gap means that scans were missed
+  stamp            seconds since 1970, when the reply began to arrive
+  first_ray        seconds since 1970, when the first point was measured
+  stamp_quality    what first_ray rests on: \"motor\" or the \"arrival\" alone
+  lateness         seconds from the end of the revolution to stamp; null unless
+                   stamp_quality is \"motor\"
+  start,end        the first and the last step
+  cluster          number of steps of a point
+  angle_min        direction of the first point in radians, counter-clockwise
+                   from the front
+  angle_increment  from one point to the next
+  scan_time        seconds of a revolution of the motor, measured if known
+  repeat           true if all values equal those of the scan before
+  reconnects       number of reconnects before this scan; it rises at the first
+                   scan after each
+  values           as the sensor sent them: below 20 an error code, else mm
+  ranges           metres; null where there is no distance";
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum StreamFormat {
+    /// One short line per scan, for people
+    Summary,
+    /// One JSON object per line, for programs
+    Ndjson,
+    /// One row per point, for spreadsheets and data frames
+    Csv,
+    /// Same as csv, plus x and y
+    CsvXy,
+}
+
+impl StreamFormat {
+    fn default_for_stdout() -> Self {
+        if io::stdout().is_terminal() { Self::Summary } else { Self::Ndjson }
+    }
+
+    fn columns(self) -> Option<Columns> {
+        match self {
+            Self::Csv => Some(Columns::Polar),
+            Self::CsvXy => Some(Columns::Cartesian),
+            Self::Summary | Self::Ndjson => None,
+        }
+    }
+}
+
+impl Stream {
+    pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        tokio::select! {
+            outcome = self.stream(interrupt) => outcome,
+            // A reader that has stopped reading must not keep the program alive.
+            () = interrupt.overdue() => Ok(()),
+        }
+    }
+
+    async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let opened = interrupt.unless(self.port.polled_at(self.pace.rate)).await;
+        let Some((mut port, rate)) = opened.transpose()? else { return Ok(()) };
+        port.restrict(self.range.range)?;
+        let window = self.window.window(port.default_window())?;
+        let opening = async {
+            let sensor = open(&port, &self.link, Delivery::All).await?;
+            let scans = sensor.scans(window, rate).await;
+            let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
+            Ok((sensor, scans))
+        };
+        let (sensor, scans) = tokio::select! {
+            opened = opening => opened?,
+            _ = interrupt.requested() => return Ok(()),
+        };
+        let mut feed = Feed::new(&port, scans);
+        let mut run = StreamRun {
+            watch: RateWatch::new(&port, window, rate),
+            reporter: Reporter::new(port, sensor),
+            window,
+            format: self.format.unwrap_or_else(StreamFormat::default_for_stdout),
+            output: Output::new(),
+        };
+        if let Some(columns) = run.format.columns() {
+            run.output.write(columns.header()).await?;
+        }
+        let write = async |update: Update| run.write(&update).await;
+        let ended = follow(&mut feed, &self.pace, interrupt, write).await?;
+        run.reporter.finish(ended)
+    }
+}
+
+/// Running `urg stream`: formats updates and writes them to standard output.
+struct StreamRun {
+    reporter: Reporter,
+    window: Window,
+    format: StreamFormat,
+    output: Output,
+    watch: RateWatch,
+}
+
+impl StreamRun {
+    async fn write(&mut self, update: &Update) -> Result<(), Failure> {
+        self.reporter.report(update);
+        match (self.format.columns(), update) {
+            (None, update) if self.format == StreamFormat::Ndjson => {
+                self.output.write(&update.line(None)?).await?;
+            }
+            (Some(columns), Update::Scan(scan)) => {
+                self.output.write(&csv::rows(scan, columns)).await?;
+            }
+            (None, Update::Scan(scan)) => {
+                let stats = self.reporter.sensor.stats();
+                let schedules = stats.schedules.iter();
+                let reached = schedules.filter(|schedule| schedule.window == self.window);
+                let rate = reached.filter_map(|schedule| schedule.reached).next();
+                self.output.write(&summary::line(scan, rate)).await?;
+            }
+            // Events are on standard error too.
+            _ => {}
+        }
+        match update {
+            Update::Scan(scan) => {
+                if let Some(text) = self.watch.scanned(scan, &self.reporter.sensor) {
+                    notice(text);
+                }
+            }
+            Update::Event(Event::Reconnected) => self.watch.restart(),
+            Update::Error(_) | Update::Event(_) => {}
+        }
+        Ok(())
+    }
+}

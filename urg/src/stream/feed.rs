@@ -1,0 +1,89 @@
+//! Merges the scans of a stream and the events between them into one sequence.
+
+use std::collections::VecDeque;
+
+use serde::Serialize;
+use tokio_scip::event::{Event, Events};
+use tokio_scip::{Error, Scan, ScanStream};
+
+use crate::failure::Failure;
+use crate::format::{json_line, json_text};
+use crate::port::name::PortName;
+
+/// Scan, or event between two scans.
+#[derive(Debug, Clone)]
+pub(crate) enum Update {
+    Scan(Scan),
+    /// Failed poll or lost link.
+    Error(Error),
+    /// Event that precedes the next scan.
+    Event(Event),
+}
+
+/// Line of NDJSON, with the sensor's name if it has one.
+#[derive(Debug, Serialize)]
+pub(crate) struct NamedLine<'a, T> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) sensor: Option<&'a str>,
+    /// Seconds since the recording's first scan, during playback.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) position: Option<f64>,
+    #[serde(flatten)]
+    pub(crate) data: T,
+}
+
+impl Update {
+    /// Formats the update as a line of NDJSON.
+    pub(crate) fn line(&self, sensor: Option<&str>) -> Result<String, Failure> {
+        match self {
+            Self::Scan(scan) => json_line(&NamedLine { sensor, position: None, data: scan }),
+            Self::Error(error) => event_line(sensor, &Event::from(error)),
+            Self::Event(event) => event_line(sensor, event),
+        }
+    }
+}
+
+/// Formats `event` as a line of NDJSON. `sensor` becomes its first member.
+fn event_line(sensor: Option<&str>, event: &Event) -> Result<String, Failure> {
+    let event = event.to_string();
+    let Some((sensor, members)) = sensor.zip(event.strip_prefix('{')) else {
+        return Ok(event + "\n");
+    };
+    let sensor = json_text(&sensor)?;
+    Ok(format!("{{\"sensor\":{sensor},{members}\n"))
+}
+
+/// Stream of updates. A clone continues at the same scan without additional polls.
+#[derive(Debug, Clone)]
+pub(crate) struct Feed {
+    scans: ScanStream,
+    port: PortName,
+    events: Events,
+    /// Events and the scan after them, not yet delivered.
+    next: VecDeque<Update>,
+}
+
+impl Feed {
+    pub(crate) fn new(port: &PortName, scans: ScanStream) -> Self {
+        Self { scans, port: port.clone(), events: Events::new(), next: VecDeque::new() }
+    }
+
+    /// Waits for the next update, until the stream ends. Cancel-safe.
+    pub(crate) async fn next(&mut self) -> Option<Update> {
+        if self.next.is_empty() {
+            let item = self.scans.next().await?;
+            let events = self.events.of(&item);
+            match item {
+                Ok(scan) => {
+                    if let Some(recorded) = self.port.recorded() {
+                        recorded.record_taken();
+                    }
+                    self.next.extend(events.map(Update::Event));
+                    self.next.push_back(Update::Scan(scan));
+                }
+                Err(error) => self.next.push_back(Update::Error(error)),
+            }
+        }
+        self.next.pop_front()
+    }
+}

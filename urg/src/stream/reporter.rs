@@ -1,0 +1,120 @@
+//! Prints a stream's events to standard error, and maps the end of the stream to the
+//! program's outcome.
+
+use std::time::Instant;
+
+use tokio_scip::event::Event;
+use tokio_scip::{Error, Sensor, State};
+
+use super::feed::Update;
+use super::follow::StreamEnd;
+use crate::failure::{Failure, chain};
+use crate::output::notice::notice;
+use crate::port::name::PortName;
+
+/// Printer of one stream's events.
+#[derive(Debug)]
+pub(crate) struct Reporter {
+    pub(crate) port: PortName,
+    pub(crate) sensor: Sensor,
+    /// Polls without a scan over a working link. A lower bound: while its reader is behind,
+    /// the stream keeps only the latest.
+    pub(crate) failed: u64,
+    scans: u64,
+    last_error: Option<String>,
+    began: Instant,
+}
+
+impl Reporter {
+    pub(crate) fn new(port: PortName, sensor: Sensor) -> Self {
+        Self { port, sensor, failed: 0, scans: 0, last_error: None, began: Instant::now() }
+    }
+
+    pub(crate) fn report(&mut self, update: &Update) {
+        match update {
+            Update::Scan(_) => self.scans += 1,
+            Update::Event(Event::Reconnected) => {
+                notice(format_args!("{}: the sensor is back", self.port));
+            }
+            Update::Event(Event::Missed { scans }) => {
+                notice(format_args!("{scans} scans missed: the reader of the output is too slow"));
+            }
+            Update::Event(_) => {}
+            Update::Error(error) => self.error(error),
+        }
+    }
+
+    fn error(&mut self, error: &Error) {
+        let failure = Failure::at(&self.port.to_string(), error);
+        let text = failure.line();
+        if matches!(self.sensor.state().get(), State::Closed { .. }) {
+            // `finish` prints it.
+        } else if is_of_one_scan(error) {
+            self.failed += 1;
+            // Only once: a bad cable would flood the terminal.
+            if self.failed == 1 {
+                notice(format_args!("{text} (reported once; polling continues)"));
+            }
+        } else {
+            notice(text);
+        }
+        self.last_error = Some(chain(error));
+    }
+
+    /// Maps the end of the stream to the outcome of the program. Not a single scan is an
+    /// error, whatever ended the stream.
+    pub(crate) fn finish(&self, ended: StreamEnd) -> Result<(), Failure> {
+        if ended == StreamEnd::ByItself {
+            end(&self.port, &self.sensor)?;
+        }
+        if self.scans > 0 {
+            return Ok(());
+        }
+        let why = trouble(&self.sensor.state().get())
+            .filter(|_| ended != StreamEnd::ByItself)
+            .or_else(|| self.last_error.clone())
+            .unwrap_or_else(|| "no poll was answered yet".to_owned());
+        let seconds = self.began.elapsed().as_secs_f64();
+        let text = format!("no scan in {seconds:.1} s: {why}");
+        // Some of these errors already name the port.
+        let port = self.port.to_string();
+        Err(Failure::Failed(match why.contains(&port) {
+            true => text,
+            false => format!("{port}: {text}"),
+        }))
+    }
+}
+
+/// Maps the end of the driver to the outcome of the program. The end of a recording is
+/// announced, and is a success.
+pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
+    match sensor.state().get() {
+        State::Closed { error: Some(error) } => Err(Failure::at(&port.to_string(), &error)),
+        // While a handle exists, only a recording ends without an error.
+        _ => {
+            notice(format_args!("{port}: the recording has ended"));
+            Ok(())
+        }
+    }
+}
+
+/// Checks whether the error concerns one poll only: the next one may succeed.
+fn is_of_one_scan(error: &Error) -> bool {
+    matches!(error, Error::Timeout { .. } | Error::Malformed { .. } | Error::Refused { .. })
+}
+
+/// Explains why no scan can arrive in this state; `None` while the sensor is connected.
+/// Notices, the radar and the page share this text.
+pub(crate) fn trouble(state: &State) -> Option<String> {
+    Some(match state {
+        State::Connected { .. } => return None,
+        State::Connecting { error: Some(error) } => {
+            format!("waiting for a sensor: {}", chain(error))
+        }
+        State::Connecting { error: None } => "looking for the sensor".to_owned(),
+        State::Recovering => "the sensor is silent: looking for it at every baud rate".to_owned(),
+        State::Disconnected { error, .. } | State::Closed { error: Some(error) } => chain(error),
+        State::Closed { error: None } => "the driver is closed".to_owned(),
+        _ => "the driver is in a state that this program does not know".to_owned(),
+    })
+}

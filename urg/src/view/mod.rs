@@ -1,0 +1,379 @@
+//! Event loop of the radar. It handles scans, keys and timers, and redraws the screen after
+//! each change. Scans come from sensors or from the playback of a recording. Trouble with
+//! one sensor leaves the pictures of the others alone.
+
+mod chart;
+mod command;
+mod common_frame;
+mod draw;
+mod help;
+mod layer;
+mod model;
+mod palette;
+mod panel;
+mod radar;
+mod save;
+mod screen;
+mod several;
+mod source;
+#[cfg(test)]
+mod tests;
+
+use std::future::poll_fn;
+use std::io;
+use std::pin::Pin;
+use std::time::Duration;
+use tokio::time::Instant;
+
+use crossterm::event::{Event, EventStream};
+use futures_core::Stream;
+use tokio::task::JoinSet;
+use tokio::time::MissedTickBehavior;
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
+
+pub(crate) use self::command::View;
+use self::layer::Layer;
+use self::model::{Action, Model};
+use self::palette::Palette;
+use self::screen::{Screen, StopRequests};
+use self::source::{
+    Arrival, PlayedRecording, PolledSensor, ViewSource, change_of_any, next_of_any,
+};
+use crate::failure::{Failure, chain};
+use crate::playback::{PlaybackArgs, Shown};
+use crate::port::named::PlacedPort;
+use crate::recording::recorded::Recorded;
+use crate::stream::follow::StreamEnd;
+use crate::stream::rate_watch::RateWatch;
+use crate::stream::reporter::end;
+
+/// Minimum time between two frames: at most 20 frames a second.
+const FRAME_INTERVAL: Duration = Duration::from_millis(50);
+/// How often to redraw without any change: the screen shows durations in seconds.
+const REFRESH_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Radar and the sources of its scans.
+pub(crate) struct Viewer {
+    /// One per layer of the model, in the same order.
+    sources: Vec<ViewSource>,
+    /// Number of sources that have not ended.
+    going: usize,
+    /// Sensors that are still opening.
+    starts: JoinSet<Started>,
+    /// Pending requests that a key started.
+    jobs: JoinSet<Outcome>,
+    model: Model,
+    palette: Palette,
+}
+
+/// Sensor to show. It may not be open yet, and may never open.
+pub(crate) struct ViewedSensor {
+    pub(crate) placed: PlacedPort,
+    pub(crate) sensor: Sensor,
+    pub(crate) window: Window,
+    pub(crate) rate: Rate,
+}
+
+/// Number of a sensor, and the outcome of opening it.
+type Started = (usize, Result<(Version, ScanStream), Error>);
+
+/// Outcome of a request that a key started. The numbers identify sources.
+#[derive(Debug)]
+enum Outcome {
+    Watching(usize, Window, Result<ScanStream, Error>),
+    Laser(usize, bool, Result<(), Error>),
+    Saved(Result<String, String>),
+}
+
+impl Viewer {
+    /// Polls each sensor as soon as it is open.
+    pub(crate) fn of_sensors(sensors: Vec<ViewedSensor>) -> Self {
+        let (mut sources, mut layers, mut starts) = (Vec::new(), Vec::new(), JoinSet::new());
+        for (number, viewed) in sensors.into_iter().enumerate() {
+            let ViewedSensor { placed: PlacedPort { named, pose }, sensor, window, rate } = viewed;
+            let port = named.port;
+            let layer = Layer::new(named.name, pose, port.to_string(), window);
+            layers.push(Layer { rate, ..layer });
+            let started = source::start(sensor.clone(), window, rate);
+            starts.spawn(async move { (number, started.await) });
+            let pace = RateWatch::new(&port, window, rate);
+            sources.push(ViewSource::Sensor(Box::new(PolledSensor {
+                port,
+                sensor,
+                scans: None,
+                pace,
+            })));
+        }
+        Self { starts, ..Self::new(sources, Model::new(layers)) }
+    }
+
+    /// Opens the recording and starts to play it.
+    pub(crate) async fn of_recording(
+        placed: &PlacedPort,
+        recorded: &Recorded,
+        window: Window,
+        settings: PlaybackArgs,
+    ) -> Result<Self, Failure> {
+        let (playback, version) = PlayedRecording::start(recorded, settings).await?;
+        let (name, port) = (placed.named.name.clone(), placed.named.port.to_string());
+        let layer = Layer::new(name, placed.pose, port, window);
+        let mut model = Model::new(vec![Layer { version: Some(version), ..layer }]);
+        model.playback = Some(playback.player.status());
+        Ok(Self::new(vec![ViewSource::Playback(playback)], model))
+    }
+
+    fn new(sources: Vec<ViewSource>, model: Model) -> Self {
+        let palette = Palette::of(|name| std::env::var_os(name));
+        let (starts, jobs) = (JoinSet::new(), JoinSet::new());
+        Self { going: sources.len(), sources, starts, jobs, model, palette }
+    }
+
+    /// Runs until the user quits or every source has ended.
+    pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<StreamEnd, Failure> {
+        let mut keys = EventStream::new();
+        let mut states: Vec<_> = self.sensors().map(|live| live.sensor.state()).collect();
+        let mut tick = tokio::time::interval(REFRESH_INTERVAL);
+        tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut next_frame = Instant::now();
+        let mut stop = StopRequests::listen();
+        let mut changed = true;
+        loop {
+            let frame = async {
+                tokio::time::sleep_until(next_frame).await;
+                screen.ready().await
+            };
+            tokio::select! {
+                ready = frame, if changed => {
+                    ready?;
+                    changed = false;
+                    next_frame = Instant::now() + FRAME_INTERVAL;
+                    self.refresh();
+                    let mut help = None;
+                    screen.draw(|frame| help = draw::draw(frame, &self.model, self.palette))?;
+                    self.model.help = help;
+                    continue;
+                }
+                event = next_event(&mut keys) => match event {
+                    Some(Ok(Event::Key(key))) => match self.model.key(key) {
+                        Some(Action::Quit) => return Ok(StreamEnd::Interrupted),
+                        Some(Action::Suspend) => screen.suspend().await?,
+                        action => self.act(action),
+                    },
+                    // Usually a resize: the next frame is drawn at the new size.
+                    Some(Ok(_)) => {}
+                    Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
+                    None => return Ok(StreamEnd::Interrupted),
+                },
+                (number, arrival) = next_of_any(&mut self.sources) => match arrival {
+                    Arrival::Scan(scan) => self.scanned(number, scan),
+                    Arrival::Trouble(error) => self.trouble(number, &error),
+                    Arrival::Moved(scan, status) => self.model.moved(&scan, status),
+                    Arrival::End => self.going = self.going.saturating_sub(1),
+                },
+                Some(started) = self.starts.join_next() => {
+                    if let Ok(started) = started {
+                        self.started(started)?;
+                    }
+                }
+                Some(done) = self.jobs.join_next() => {
+                    if let Ok(done) = done {
+                        self.done(done);
+                    }
+                }
+                () = stop.requested() => screen.suspend().await?,
+                () = change_of_any(&mut states) => {}
+                _ = tick.tick() => {}
+            }
+            if self.going == 0 {
+                return Ok(StreamEnd::ByItself);
+            }
+            changed = true;
+        }
+    }
+
+    /// Computes the program's outcome: the failure of the first sensor that has failed.
+    /// Restore the terminal first, because this writes notices.
+    pub(crate) fn end(&self) -> Result<(), Failure> {
+        self.sources.iter().try_for_each(|source| match source {
+            ViewSource::Sensor(live) => end(&live.port, &live.sensor),
+            ViewSource::Playback(playback) => playback.end(),
+        })
+    }
+
+    /// Waits up to [`REFRESH_INTERVAL`] for pending requests, so that no saved picture is
+    /// truncated.
+    pub(crate) async fn finish(mut self) {
+        let done = async { while self.jobs.join_next().await.is_some() {} };
+        let _ = tokio::time::timeout(REFRESH_INTERVAL, done).await;
+    }
+
+    /// Copies the sensors' current state and statistics to the model.
+    fn refresh(&mut self) {
+        self.model.now = Instant::now();
+        for (source, layer) in self.sources.iter().zip(&mut self.model.layers) {
+            if let ViewSource::Sensor(live) = source {
+                layer.state = live.sensor.state().get();
+                layer.stats = live.sensor.stats();
+            }
+        }
+    }
+
+    fn sensors(&self) -> impl Iterator<Item = &PolledSensor> {
+        self.sources.iter().filter_map(|source| match source {
+            ViewSource::Sensor(live) => Some(&**live),
+            ViewSource::Playback(_) => None,
+        })
+    }
+
+    fn sensor_mut(&mut self, number: usize) -> Option<(&mut PolledSensor, &mut Layer)> {
+        match (self.sources.get_mut(number)?, self.model.layers.get_mut(number)?) {
+            (ViewSource::Sensor(live), layer) => Some((live, layer)),
+            (ViewSource::Playback(_), _) => None,
+        }
+    }
+
+    fn scanned(&mut self, number: usize, scan: Scan) {
+        let Some((live, layer)) = self.sensor_mut(number) else { return };
+        if !layer.is_connected() {
+            live.pace.restart();
+        }
+        let notice = live.pace.scanned(&scan, &live.sensor);
+        self.model.scanned(number, scan);
+        if let Some(text) = notice {
+            self.show(number, text);
+        }
+    }
+
+    fn trouble(&mut self, number: usize, error: &Error) {
+        // The state of the layer already shows a lost link, for as long as it lasts.
+        if !matches!(error, Error::Disconnected { .. }) {
+            self.show(number, chain(error));
+        }
+    }
+
+    /// Shows a message about a sensor. With several sensors, prefixes the message with the
+    /// sensor's name or port.
+    fn show(&mut self, number: usize, text: impl Into<String>) {
+        self.model.now = Instant::now();
+        let text = text.into();
+        let layer = self.model.layers.get(number).filter(|_| self.model.has_several());
+        self.model.show(match layer {
+            Some(layer) if layer.name.is_some() || !text.contains(&layer.port) => {
+                format!("{}: {text}", layer.label())
+            }
+            _ => text,
+        });
+    }
+
+    /// Starts the action of a key on the selected sensor.
+    fn act(&mut self, action: Option<Action>) {
+        let number = self.model.selected_number();
+        let (Some(source), Some(layer)) = (self.sources.get(number), self.model.selected()) else {
+            return;
+        };
+        match (action, source) {
+            (Some(Action::Watch(window)), ViewSource::Sensor(live)) => {
+                let (sensor, rate) = (live.sensor.clone(), layer.rate);
+                self.jobs.spawn(async move {
+                    Outcome::Watching(number, window, sensor.scans(window, rate).await)
+                });
+            }
+            (Some(Action::Watch(_)), ViewSource::Playback(playback)) => {
+                let Shown { scan, status } = playback.player.shown().borrow().clone();
+                self.model.moved(&scan, status);
+            }
+            (Some(Action::Laser(on)), ViewSource::Sensor(live)) => {
+                let sensor = live.sensor.clone();
+                self.jobs.spawn(async move {
+                    let switched =
+                        if on { sensor.laser_on().await } else { sensor.laser_off().await };
+                    Outcome::Laser(number, on, switched)
+                });
+            }
+            (Some(Action::Laser(_)), ViewSource::Playback(_)) => {
+                self.show(number, "a recording has no laser to switch");
+            }
+            (Some(Action::Playback(command)), ViewSource::Playback(playback)) => {
+                playback.player.send(command);
+            }
+            (Some(Action::Save), _) => match (layer.scan.clone(), layer.version.clone()) {
+                (Some(scan), Some(version)) => {
+                    self.jobs.spawn_blocking(move || Outcome::Saved(save::save(&scan, &version)));
+                }
+                _ => self.show(number, "no scan to save yet"),
+            },
+            (Some(Action::Playback(_)), ViewSource::Sensor(_))
+            | (Some(Action::Quit | Action::Suspend) | None, _) => {}
+        }
+    }
+
+    /// Applies the outcome of a request.
+    fn done(&mut self, done: Outcome) {
+        match done {
+            Outcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
+            Outcome::Laser(number, on, Ok(())) => {
+                if let Some((live, layer)) = self.sensor_mut(number) {
+                    layer.laser = on;
+                    live.pace.restart();
+                }
+                let text =
+                    if on { "the laser is on" } else { "the laser is off: l switches it on" };
+                self.show(number, text);
+            }
+            Outcome::Laser(number, _, Err(error)) => {
+                self.show(number, format!("the laser was not switched: {}", chain(&error)));
+            }
+            Outcome::Saved(Ok(path)) => {
+                self.show(self.model.selected_number(), format!("saved as {path}"))
+            }
+            Outcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
+        }
+    }
+
+    /// Applies the outcome of opening a sensor. A sensor that failed to open counts as
+    /// ended. If it was the last source, its error ends the program.
+    fn started(&mut self, (number, outcome): Started) -> Result<(), Failure> {
+        let Some((live, layer)) = self.sensor_mut(number) else { return Ok(()) };
+        match outcome {
+            Ok((version, scans)) => {
+                layer.version = Some(version);
+                // A key may already have requested another window, whose stream must stay.
+                live.scans.get_or_insert(scans);
+                live.pace.restart();
+            }
+            Err(error) => {
+                let failure = Failure::at(&live.port.to_string(), &error);
+                self.going = self.going.saturating_sub(1);
+                if self.going == 0 {
+                    return Err(failure);
+                }
+                self.show(number, failure.line());
+            }
+        }
+        Ok(())
+    }
+
+    /// Switches a sensor to the stream of its new window.
+    fn watching(&mut self, number: usize, window: Window, outcome: Result<ScanStream, Error>) {
+        let Some((live, layer)) = self.sensor_mut(number) else { return };
+        // A newer key may have changed the window again.
+        if window != layer.window {
+            return;
+        }
+        match outcome {
+            Ok(scans) => {
+                live.scans = Some(scans);
+                live.pace = RateWatch::new(&live.port, window, layer.rate);
+            }
+            Err(error) => {
+                layer.window = live.scans.as_ref().map_or(layer.window, ScanStream::window);
+                self.show(number, format!("the window stays as it was: {}", chain(&error)));
+            }
+        }
+    }
+}
+
+/// Waits for the next key or resize; `None` at the end of the terminal's input.
+async fn next_event(events: &mut EventStream) -> Option<io::Result<Event>> {
+    poll_fn(|cx| Pin::new(&mut *events).poll_next(cx)).await
+}

@@ -1,0 +1,329 @@
+//! Panel with the figures of one sensor, beside its picture.
+
+use ratatui::style::Style;
+use ratatui::text::{Line, Span};
+use tokio_scip::{Point, Scan, State};
+
+use super::layer::Layer;
+use super::model::Model;
+use super::palette::Palette;
+use super::radar::mark;
+use crate::format::time::{self, clock};
+use crate::playback::PlaybackStatus;
+use crate::plot::colours::BAND;
+use crate::plot::missing::MissingKind;
+use crate::plot::summary::ScanSummary;
+use crate::stream::rate_watch::ENOUGH;
+use crate::stream::reporter;
+
+/// Builds the panel of a single sensor, in at most `rows` lines if possible.
+pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
+    let Some(layer) = model.selected() else { return Vec::new() };
+    let panel = Panel { layer, palette };
+    let mut lines = match model.playback {
+        Some(status) => panel.playback(status),
+        None => panel.link(model),
+    };
+    lines.extend(panel.window());
+    let mut figures = Vec::new();
+    if model.playback.is_none() {
+        figures.extend(panel.pace());
+    }
+    figures.push(Line::default());
+    figures.extend(panel.scan(model.reach()));
+    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
+    lines.push(Line::default());
+    lines.extend(panel.colors());
+    if lines.len() > usize::from(rows) {
+        lines.retain(|line| line.width() > 0);
+    }
+    lines
+}
+
+/// Builds the lines that only the selected of several sensors gets.
+pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Line<'static>> {
+    let panel = Panel { layer, palette };
+    let title = format!("of {}:", layer.label());
+    let mut lines = vec![Line::styled(title, Palette::quiet()), panel.laser()];
+    lines.extend(panel.window());
+    let mut figures = vec![panel.latency()];
+    figures.extend(panel.losses());
+    figures.extend(panel.missing());
+    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
+    lines
+}
+
+/// Dims a line of figures that are not current.
+pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
+    if model.playback.is_some() || layer.is_measuring() {
+        return line;
+    }
+    let spans = line.spans.into_iter().map(|span| Span::styled(span.content, Palette::quiet()));
+    Line::from_iter(spans)
+}
+
+/// State of the link, and its style.
+pub(crate) fn link(model: &Model, layer: &Layer, palette: Palette) -> (String, Style) {
+    match &layer.state {
+        State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
+        State::Connected { .. } => ("connected".to_owned(), palette.good()),
+        State::Recovering => ("silent".to_owned(), palette.poor()),
+        State::Disconnected { since, .. } => {
+            let seconds = model.now.saturating_duration_since(*since).as_secs();
+            (format!("LOST for {seconds} s"), palette.bad())
+        }
+        _ => ("closed".to_owned(), palette.bad()),
+    }
+}
+
+/// Distance and direction of the nearest point.
+pub(crate) fn nearest(layer: &Layer) -> String {
+    let nearest = layer.scan.as_ref().and_then(Scan::nearest);
+    let text = |point: Point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees());
+    nearest.map_or_else(|| "-".to_owned(), text)
+}
+
+/// Distance of the nearest point.
+pub(crate) fn nearest_range(layer: &Layer) -> Option<String> {
+    let nearest = layer.scan.as_ref().and_then(Scan::nearest)?;
+    Some(format!("{:.2} m", nearest.range))
+}
+
+struct Panel<'a> {
+    layer: &'a Layer,
+    palette: Palette,
+}
+
+impl Panel<'_> {
+    fn row(&self, name: &str, value: impl Into<String>) -> Line<'static> {
+        self.styled(name, value, Style::new())
+    }
+
+    fn styled(&self, name: &str, value: impl Into<String>, style: Style) -> Line<'static> {
+        let name = Span::styled(format!("{name:<8}"), Palette::quiet());
+        Line::from(vec![name, Span::styled(value.into(), style)])
+    }
+
+    fn link(&self, model: &Model) -> Vec<Line<'static>> {
+        let (link, style) = link(model, self.layer, self.palette);
+        let speed = match &self.layer.state {
+            State::Connected { baud_rate: Some(speed), .. } => format!("{speed} baud"),
+            State::Connected { baud_rate: None, .. } => "USB".to_owned(),
+            _ => "-".to_owned(),
+        };
+        vec![self.styled("link", link, style), self.row("line", speed), self.laser()]
+    }
+
+    fn laser(&self) -> Line<'static> {
+        if self.layer.laser {
+            self.row("laser", "on")
+        } else {
+            self.styled("laser", "OFF", self.palette.poor())
+        }
+    }
+
+    /// Rows with the position in the recording.
+    fn playback(&self, status: PlaybackStatus) -> Vec<Line<'static>> {
+        let (state, style) = match status {
+            _ if status.paused => ("paused", self.palette.poor()),
+            _ if status.ended => ("at the end", self.palette.poor()),
+            _ => ("playing", self.palette.good()),
+        };
+        let mut lines = vec![
+            self.styled("file", state, style),
+            self.row("time", format!("{} of {}", clock(status.position), clock(status.length))),
+            self.row("scan", format!("{} of {}", status.scan + 1, status.scans)),
+            self.row("speed", speed(status)),
+        ];
+        if let Some(scan) = &self.layer.scan {
+            // The stamp is too long for one line of the panel.
+            let stamp = time::utc(scan.stamp());
+            let (date, time) = stamp.split_once(' ').unwrap_or_default();
+            lines.push(self.row("stamp", date));
+            lines.push(self.row("", time));
+        }
+        lines
+    }
+
+    fn window(&self) -> Vec<Line<'static>> {
+        let window = self.layer.window;
+        let cluster = match window.cluster_count() {
+            1 => String::new(),
+            count => format!(" by {count}"),
+        };
+        let steps = format!("{} to {}{cluster}", window.start(), window.end());
+        let angles = format!("{:.1}° to {:.1}°", window.start().degrees(), window.end().degrees());
+        vec![self.row("steps", steps), self.row("", angles)]
+    }
+
+    fn pace(&self) -> Vec<Line<'static>> {
+        let scans = self.layer.stats.scans.to_string();
+        let mut lines = vec![self.rate(), self.latency(), self.row("scans", scans)];
+        lines.extend(self.losses());
+        lines
+    }
+
+    fn rate(&self) -> Line<'static> {
+        let Some(pace) = self.layer.pace() else { return self.row("rate", "-") };
+        let asked = pace.rate.period().map(|period| 1.0 / period.as_secs_f64());
+        let of = match asked {
+            Some(asked) => format!("of {} Hz", (asked * 10.0).round() / 10.0),
+            None => "Hz (max)".to_owned(),
+        };
+        let Some(reached) = pace.reached else { return self.row("rate", format!("- {of}")) };
+        let enough = asked.is_none_or(|asked| reached >= ENOUGH * asked);
+        let style = if enough { Style::new() } else { self.palette.poor() };
+        self.styled("rate", format!("{reached:.1} {of}"), style)
+    }
+
+    fn latency(&self) -> Line<'static> {
+        let latency = self.layer.stats.reply_latency;
+        let text = match latency.count {
+            0 => "-".to_owned(),
+            _ => format!(
+                "{} ms ({} to {})",
+                latency.last.as_millis(),
+                latency.min.as_millis(),
+                latency.max.as_millis()
+            ),
+        };
+        self.row("latency", text)
+    }
+
+    /// Counts the polls without a scan, one row per cause, because two causes do not fit in
+    /// a row.
+    fn losses(&self) -> Vec<Line<'static>> {
+        let stats = &self.layer.stats;
+        let kinds = [
+            (stats.timeouts, "unanswered"),
+            (stats.malformed.total(), "malformed"),
+            (stats.refused, "refused"),
+            (stats.disconnects, "unplugged"),
+        ];
+        let mut name = "lost";
+        let rows = kinds.into_iter().filter(|(count, _)| *count > 0).map(|(count, kind)| {
+            let text = format!("{count} {kind}");
+            self.styled(std::mem::take(&mut name), text, self.palette.poor())
+        });
+        let rows: Vec<_> = rows.collect();
+        if rows.is_empty() { vec![self.row("lost", "0")] } else { rows }
+    }
+
+    /// Figures of the scan, including the number of points beyond `reach` metres.
+    fn scan(&self, reach: f64) -> Vec<Line<'static>> {
+        let Some(scan) = &self.layer.scan else { return vec![self.row("points", "none yet")] };
+        let points = format!("{} of {}", scan.points().count(), scan.len());
+        let mut lines = vec![self.row("points", points), self.row("nearest", nearest(self.layer))];
+        let hidden = scan.points().filter(|point| f64::from(point.range) > reach);
+        match hidden.count() {
+            0 => {}
+            count => lines.push(self.row("outside", format!("{count} beyond the rim"))),
+        }
+        lines.extend(self.missing());
+        lines
+    }
+
+    /// Counts the directions without a distance, by kind.
+    fn missing(&self) -> Vec<Line<'static>> {
+        let Some(scan) = &self.layer.scan else { return Vec::new() };
+        let summary = ScanSummary::of(scan);
+        let mut lines = vec![Line::styled("no distance, at the rim", Palette::quiet())];
+        for kind in MissingKind::ALL {
+            let style = Style::new().fg(self.palette.missing(kind));
+            let text = format!("{} {:<5} {}", mark(kind), kind.name(), summary.count(kind));
+            lines.push(Line::styled(text, style));
+        }
+        lines
+    }
+
+    /// Legend of the colours; empty without colours.
+    fn colors(&self) -> Vec<Line<'static>> {
+        if self.palette == Palette::Plain {
+            return Vec::new();
+        }
+        let colors = self.palette.distances();
+        let mut spans = vec![Span::styled("0 ", Palette::quiet())];
+        spans.extend(colors.map(|color| Span::styled("██", Style::new().fg(color))));
+        let most = BAND * colors.len() as f64;
+        spans.push(Span::styled(format!(" {most} m"), Palette::quiet()));
+        vec![Line::from(spans)]
+    }
+}
+
+fn speed(status: PlaybackStatus) -> String {
+    let again = if status.is_looping { ", looping" } else { "" };
+    format!("{}x{again}", (status.speed * 100.0).round() / 100.0)
+}
+
+/// Draws the position in a recording as a bar of `width` columns.
+pub(crate) fn progress(status: PlaybackStatus, width: u16) -> String {
+    let mark = if status.paused || status.ended { "❚❚" } else { "▶" };
+    let before = format!("{mark:<2} {} ", clock(status.position));
+    let after = format!(" {} {}", clock(status.length), speed(status));
+    let columns = before.chars().count() + after.chars().count() + 2;
+    let columns = usize::from(width).saturating_sub(columns);
+    let part = if status.length > 0.0 { status.position / status.length } else { 1.0 };
+    let done = ((part * columns as f64) as usize).min(columns.saturating_sub(1));
+    let bar = match columns {
+        0 => String::new(),
+        columns => format!("{}●{}", "━".repeat(done), "─".repeat(columns - 1 - done)),
+    };
+    format!(" {before}{bar}{after}")
+}
+
+/// Most important figures, for a screen without a panel.
+pub(crate) fn brief(layer: &Layer) -> String {
+    let noun = if layer.scan.is_some() { " points" } else { "" };
+    format!("{}{noun}, {}", points(layer), rate(layer))
+}
+
+/// Number of points with a distance, and of all points.
+pub(crate) fn points(layer: &Layer) -> String {
+    match &layer.scan {
+        Some(scan) => format!("{} of {}", scan.points().count(), scan.len()),
+        None => "no scan yet".to_owned(),
+    }
+}
+
+pub(crate) fn rate(layer: &Layer) -> String {
+    match layer.reached() {
+        Some(rate) => format!("{rate:.1} Hz"),
+        None => "- Hz".to_owned(),
+    }
+}
+
+/// Describes trouble with the link, for the message line.
+pub(crate) fn trouble(state: &State) -> Option<String> {
+    match state {
+        State::Disconnected { .. } => {
+            reporter::trouble(state).map(|why| format!("{why}; continues when the sensor is back"))
+        }
+        // The other sensors keep the program running.
+        State::Closed { error: Some(_) } => {
+            reporter::trouble(state).map(|why| format!("{why}; with --wait urg waits for it"))
+        }
+        state => reporter::trouble(state),
+    }
+}
+
+/// Port and identity of a sensor, for the title.
+pub(crate) fn who(layer: &Layer) -> String {
+    let mut parts: Vec<_> = layer.name.iter().chain([&layer.port]).cloned().collect();
+    if let Some(version) = &layer.version {
+        parts.push(format!("{} {}", version.product, version.serial_number));
+    }
+    parts.join("  ")
+}
+
+/// Note in the title while the picture is paused or the recording is at its end.
+pub(crate) fn held(model: &Model) -> Option<String> {
+    if let Some(status) = model.playback {
+        return match status {
+            _ if status.paused => Some(format!(" PAUSED at {} ", clock(status.position))),
+            _ if status.ended => Some(" END ".to_owned()),
+            _ => None,
+        };
+    }
+    let number = model.selected()?.scan.as_ref().map(Scan::sequence)?;
+    model.paused.then(|| format!(" PAUSED at scan {number} "))
+}

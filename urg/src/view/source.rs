@@ -1,0 +1,116 @@
+//! Sources of the radar's scans: sensors, or the playback of a recording.
+
+use tokio::sync::watch;
+use tokio_scip::state::StateWatch;
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
+
+use crate::failure::Failure;
+use crate::first::first;
+use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown};
+use crate::port::name::PortName;
+use crate::recording::recorded::Recorded;
+use crate::stream::rate_watch::RateWatch;
+
+/// Source of scans.
+pub(super) enum ViewSource {
+    Sensor(Box<PolledSensor>),
+    Playback(PlayedRecording),
+}
+
+/// Sensor and its stream of scans.
+pub(super) struct PolledSensor {
+    pub(super) port: PortName,
+    pub(super) sensor: Sensor,
+    /// `None` before the sensor opens and after its stream ends.
+    pub(super) scans: Option<ScanStream>,
+    pub(super) pace: RateWatch,
+}
+
+/// Recording and its playback.
+pub(super) struct PlayedRecording {
+    pub(super) player: Player,
+    shown: watch::Receiver<Shown>,
+}
+
+/// Scan, error or change that arrived from a source.
+pub(super) enum Arrival {
+    Scan(Scan),
+    Trouble(Error),
+    Moved(Scan, PlaybackStatus),
+    End,
+}
+
+impl ViewSource {
+    /// Waits for the next scan or change. Cancel-safe.
+    async fn next(&mut self) -> Arrival {
+        match self {
+            Self::Sensor(live) => {
+                let Some(scans) = &mut live.scans else { return std::future::pending().await };
+                match scans.next().await {
+                    Some(Ok(scan)) => Arrival::Scan(scan),
+                    Some(Err(error)) => Arrival::Trouble(error),
+                    None => {
+                        live.scans = None;
+                        Arrival::End
+                    }
+                }
+            }
+            Self::Playback(playback) => tokio::select! {
+                Ok(()) = playback.shown.changed() => {
+                    let Shown { scan, status } = playback.shown.borrow_and_update().clone();
+                    Arrival::Moved(scan, status)
+                }
+                _ = playback.player.failed() => Arrival::End,
+            },
+        }
+    }
+}
+
+/// Waits for the next scan or change from any source. The number identifies the source.
+/// Cancel-safe.
+pub(super) async fn next_of_any(sources: &mut [ViewSource]) -> (usize, Arrival) {
+    first(sources.iter_mut().map(ViewSource::next)).await
+}
+
+/// Waits for a change of any sensor's state. Cancel-safe.
+pub(super) async fn change_of_any(states: &mut [StateWatch]) {
+    first(states.iter_mut().map(async |state| {
+        // The state of a stopped driver no longer changes.
+        if state.changed().await.is_none() {
+            std::future::pending().await
+        }
+    }))
+    .await;
+}
+
+/// Waits until a sensor is open, then starts to poll it.
+pub(super) async fn start(
+    sensor: Sensor,
+    window: Window,
+    rate: Rate,
+) -> Result<(Version, ScanStream), Error> {
+    sensor.opened().await?;
+    let version = sensor.version().await?;
+    Ok((version, sensor.scans(window, rate).await?))
+}
+
+impl PlayedRecording {
+    /// Fails if the playback has stopped early.
+    pub(super) fn end(&self) -> Result<(), Failure> {
+        let failure = self.player.failure();
+        failure.map_or(Ok(()), |line| Err(Failure::Failed(line.to_string())))
+    }
+
+    /// Starts the playback, and reads the version of the recorded sensor.
+    pub(super) async fn start(
+        recorded: &Recorded,
+        settings: PlaybackArgs,
+    ) -> Result<(Self, Version), Failure> {
+        let player = Player::start(recorded, settings).await?;
+        let version = recorded.version().await?;
+        let mut shown = player.shown();
+        // The first scan must arrive as a change, too.
+        shown.mark_changed();
+        Ok((Self { player, shown }, version))
+    }
+}

@@ -1,0 +1,241 @@
+//! Several sensors on one screen.
+
+use super::*;
+use tokio_scip::{Error, ScanStream};
+
+use crate::view::palette::Palette;
+use crate::view::{ViewedSensor, Viewer};
+
+/// Sensor that sees one object, two metres ahead.
+fn ahead() -> Emulator {
+    let mut sight = [7; STEPS];
+    sight[384] = 2000;
+    seen(sight)
+}
+
+/// Shows sensors with these names and poses after five seconds.
+async fn placed(sensors: &[(&str, Pose)]) -> Model {
+    let mut layers = Vec::new();
+    for (name, pose) in sensors {
+        let layer = watched(ahead()).await.layers.remove(0);
+        layers.push(Layer { name: Some((*name).to_owned()), pose: *pose, ..layer });
+    }
+    Model::new(layers)
+}
+
+fn pose(x: f64, y: f64, yaw: f64) -> Pose {
+    Pose { x, y, heading: yaw.to_radians() }
+}
+
+/// Unplugs a sensor, and shows it `seconds` later.
+async fn unplug(model: &mut Model, number: usize, seconds: u64) {
+    let emulator = ahead();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let mut state = sensor.state();
+    let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
+    model.layers[number].state = lost.unwrap().clone();
+    if let State::Disconnected { since, .. } = &model.layers[number].state {
+        model.now = *since + Duration::from_secs(seconds);
+    }
+}
+
+async fn front_and_rear() -> Model {
+    placed(&[("front", pose(0.2, 0.0, 0.0)), ("rear", pose(-0.2, 0.0, 180.0))]).await
+}
+
+/// Rows and columns of the radar's Braille cells in `color`.
+fn cells_in(model: &Model, color: Color, palette: Palette) -> Vec<(u16, u16)> {
+    let (width, height) = (80, 24);
+    let terminal = terminal(model, width, height, palette);
+    let buffer = terminal.backend().buffer();
+    let is_own = |&(row, column): &(u16, u16)| {
+        let cell = &buffer[(column, row)];
+        cell.fg == color && cell.symbol().chars().all(|symbol| is_braille(symbol) || symbol == '○')
+    };
+    let all = (0..height).flat_map(|row| (0..52).map(move |column| (row, column)));
+    all.filter(is_own).collect()
+}
+
+fn place_of(model: &Model, sign: &str) -> (u16, u16) {
+    let rows = rows(model, 80, 24);
+    let at = |row: &String| row.find(sign).map(|at| row[..at].chars().count() as u16);
+    let found = rows.iter().enumerate().find_map(|(row, text)| Some((row as u16, at(text)?)));
+    found.unwrap_or_else(|| panic!("no {sign} in\n{}", rows.join("\n")))
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_sensor_has_its_colour_its_place_and_its_direction() {
+    let model = front_and_rear().await;
+    let (front, rear) = (place_of(&model, "▲1"), place_of(&model, "▼2"));
+    let point = |number| {
+        let cells = cells_in(&model, Palette::Many.sensor(number), Palette::Many);
+        assert_eq!(cells.len(), 1, "{number}: {cells:?}");
+        cells[0]
+    };
+    // The front sensor's point is above it, the rear sensor's point below it.
+    assert!(point(0).0 + 3 < front.0, "{:?} {front:?}", point(0));
+    assert!(point(1).0 > rear.0 + 3, "{:?} {rear:?}", point(1));
+    // A sensor on the left that faces right sees its object on the right.
+    let across = placed(&[("a", pose(0.0, 3.0, -90.0)), ("b", pose(0.0, -3.0, 90.0))]).await;
+    let (left, right) = (place_of(&across, "▶1"), place_of(&across, "◀2"));
+    assert!(left.1 < right.1, "{left:?} {right:?}");
+    let seen = cells_in(&across, Palette::Many.sensor(0), Palette::Many);
+    assert!(seen.iter().any(|cell| cell.1 > left.1 + 2), "{seen:?} {left:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn without_colours_the_points_are_the_numbers_of_their_sensors() {
+    let model = front_and_rear().await;
+    let terminal = terminal(&model, 80, 24, Palette::Plain);
+    let cells = terminal.backend().buffer().content();
+    assert!(cells.iter().all(|cell| cell.fg == Color::Reset));
+    let rows: Vec<String> =
+        cells.chunks(80).map(|row| row[..52].iter().map(|cell| cell.symbol()).collect()).collect();
+    let radar = rows[1..22].join("\n");
+    // The mark and the point of the second sensor. A circle covers the first sensor's
+    // point.
+    assert_eq!(radar.matches('2').count() - radar.matches("2 m").count(), 2, "{radar}");
+    assert_eq!(radar.matches('○').count(), 1, "{radar}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_sensor_has_its_state_and_figures_and_the_selected_one_its_details() {
+    let mut model = front_and_rear().await;
+    for (width, height) in [(80, 24), (200, 60)] {
+        let screen = screen(&model, width, height);
+        for part in [
+            "1 front  /dev/ttyACM0  SOKUIKI Sensor URG-04LX H0713090",
+            "1 front  connected",
+            "2 rear  connected",
+            "10.0 Hz, 1 of 682",
+            "nearest 2.000 m at 0°",
+            "of front:",
+            "steps   44 to 725",
+            "x none  681",
+            "Tab  select",
+        ] {
+            assert!(screen.contains(part), "{part:?} is missing in\n{screen}");
+        }
+    }
+    assert_eq!(press(&mut model, KeyCode::Tab), None);
+    assert!(screen(&model, 80, 24).contains("of rear:"));
+    press(&mut model, KeyCode::Tab);
+    assert!(screen(&model, 80, 24).contains("of front:"));
+    press(&mut model, KeyCode::BackTab);
+    assert!(screen(&model, 80, 24).contains("of rear:"));
+    press(&mut model, KeyCode::Char('1'));
+    press(&mut model, KeyCode::Char('3'));
+    assert!(screen(&model, 80, 24).contains("of front:"), "there is no third one");
+}
+
+#[tokio::test(start_paused = true)]
+async fn keys_of_a_sensor_act_on_the_selected_one_and_those_of_the_picture_on_all() {
+    let mut model = front_and_rear().await;
+    press(&mut model, KeyCode::Char('2'));
+    assert!(matches!(press(&mut model, KeyCode::Char('w')), Some(Action::Watch(_))));
+    assert_eq!(model.layers[0].window, Window::DETECTION);
+    assert_ne!(model.layers[1].window, Window::DETECTION);
+    model.layers[1].laser = false;
+    assert_eq!(press(&mut model, KeyCode::Char('l')), Some(Action::Laser(true)));
+    assert!(screen(&model, 80, 24).contains("2 rear  laser OFF"));
+    press(&mut model, KeyCode::Char(' '));
+    let scan = model.layers[0].scan.clone().unwrap();
+    for number in 0..2 {
+        model.scanned(number, scan.clone());
+        assert!(model.layers[number].trail.is_empty(), "{number} is paused, too");
+    }
+    press(&mut model, KeyCode::Char('?'));
+    let help = screen(&model, 80, 24);
+    for part in ["The picture, of all sensors:", "The selected sensor:", "select another sensor"] {
+        assert!(help.contains(part), "{part:?} is missing in\n{help}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_trouble_of_one_sensor_is_named_and_the_other_is_drawn_as_before() {
+    let mut model = front_and_rear().await;
+    let own = |model: &Model| cells_in(model, Palette::Many.sensor(0), Palette::Many);
+    let before = own(&model);
+    unplug(&mut model, 1, 12).await;
+    let lost = screen(&model, 80, 24);
+    assert!(lost.contains("2 rear  LOST for 12 s"), "{lost}");
+    assert!(
+        lost.contains(" rear: ") && lost.contains("continues when the sensor is back"),
+        "{lost}"
+    );
+    assert!(lost.contains("1 front  connected"), "{lost}");
+    assert_eq!(own(&model), before);
+    assert_eq!(cells_in(&model, Palette::Many.sensor(1), Palette::Many), [], "it is of the past");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_small_screen_leaves_out_names_and_figures_before_trouble() {
+    let front = pose(0.2, 0.0, 0.0);
+    let mut model = placed(&[("front", front), ("rear", front), ("left", front)]).await;
+    let line = |model: &Model, width| rows(model, width, 12)[10].trim_end().to_owned();
+    assert_eq!(line(&model, 50), " 1 front 2.00 m  2 rear 2.00 m  3 left 2.00 m");
+    assert_eq!(line(&model, 40), " 1 2.00 m  2 2.00 m  3 2.00 m");
+    unplug(&mut model, 1, 7).await;
+    assert_eq!(line(&model, 40), " 1 2.00 m  2 LOST 7 s  3 2.00 m");
+    assert_eq!(line(&model, 30), " 1 ok  2 LOST  3 ok");
+    let small = screen(&model, 40, 12);
+    assert!(small.contains("▲1") && small.contains("Tab  select"), "{small}");
+    // More sensors than the panel has rows for, at odd sizes.
+    let many: Vec<_> = (0..14).map(|_| ("sensor", front)).collect();
+    let mut model = placed(&many).await;
+    assert!(screen(&model, 80, 24).contains("14 sensor"));
+    press(&mut model, KeyCode::BackTab);
+    for width in (30..200).step_by(17) {
+        for height in (10..60).step_by(9) {
+            terminal(&model, width, height, Palette::Sixteen);
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
+    for (argument, expected) in [
+        ("rear=/dev/ttyACM1", "rear: cannot open /dev/ttyACM1: "),
+        ("/dev/ttyACM1", "cannot open /dev/ttyACM1: "),
+    ] {
+        let mut viewed = Vec::new();
+        for placed in ["front=/dev/ttyACM0", argument] {
+            let sensor = Sensor::builder().connect(ahead()).await.unwrap();
+            let (placed, rate) = (placed.parse().unwrap(), Rate::hz(10.0));
+            viewed.push(ViewedSensor { placed, sensor, window: Window::DETECTION, rate });
+        }
+        let mut viewer = Viewer::of_sensors(viewed);
+        let source = std::sync::Arc::new(std::io::Error::other("no such port"));
+        let error = Error::Open { port: "/dev/ttyACM1".to_owned(), source };
+        viewer.started((1, Err(error))).unwrap();
+        let small = rows(&viewer.model, 40, 12)[..11].join("\n");
+        assert!(small.contains(&format!("\n {expected}")), "{small}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_window_that_is_requested_while_the_sensor_is_opened_stays() {
+    for is_open_first in [true, false] {
+        let sensor = Sensor::builder().connect(ahead()).await.unwrap();
+        let placed = "/dev/ttyACM0".parse().unwrap();
+        let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
+        let mut viewer = Viewer::of_sensors(vec![ViewedSensor { placed, sensor, window, rate }]);
+        let action = press(&mut viewer.model, KeyCode::Char('w'));
+        viewer.act(action);
+        let requested = viewer.model.layers[0].window;
+        assert_ne!(requested, window);
+        let started = viewer.starts.join_next().await.unwrap().unwrap();
+        let done = viewer.jobs.join_next().await.unwrap().unwrap();
+        if is_open_first {
+            viewer.started(started).unwrap();
+            viewer.done(done);
+        } else {
+            viewer.done(done);
+            viewer.started(started).unwrap();
+        }
+        assert_eq!(viewer.model.layers[0].window, requested);
+        let polled = viewer.sensors().next().and_then(|live| live.scans.as_ref());
+        assert_eq!(polled.map(ScanStream::window), Some(requested), "{is_open_first}");
+    }
+}

@@ -1,0 +1,84 @@
+//! Lines for the viewers of a source. Each scan is serialized once for all viewers: with
+//! many viewers, serializing it for each of them would take most of the program's time.
+
+use std::sync::{Mutex, PoisonError};
+
+use bytes::Bytes;
+
+use crate::failure::Failure;
+
+/// Start of a server-sent event.
+const EVENT_START: &str = "data: ";
+
+/// Line in both formats of `/scans`. Clones share the bytes.
+#[derive(Debug, Clone)]
+pub(super) struct ViewerLine {
+    /// Server-sent event, which contains the NDJSON line.
+    event: Bytes,
+    pub(super) is_scan: bool,
+}
+
+impl ViewerLine {
+    /// Creates a line from NDJSON, which ends in LF.
+    pub(super) fn new(ndjson: &str, is_scan: bool) -> Self {
+        Self { event: [EVENT_START, ndjson, "\n"].concat().into(), is_scan }
+    }
+
+    pub(super) fn ndjson(&self) -> Bytes {
+        self.event.slice(EVENT_START.len()..self.event.len() - 1)
+    }
+
+    pub(super) fn event(&self) -> Bytes {
+        self.event.clone()
+    }
+}
+
+/// Line of a source's newest scan.
+#[derive(Debug, Default)]
+pub(super) struct NewestLine {
+    /// Number of the scan, and its line.
+    line: Mutex<Option<(u64, ViewerLine)>>,
+}
+
+impl NewestLine {
+    /// Returns the line of scan `number`. Calls `ndjson` only if the line is not cached.
+    pub(super) fn of(
+        &self,
+        number: u64,
+        ndjson: impl FnOnce() -> Result<String, Failure>,
+    ) -> Result<ViewerLine, Failure> {
+        // Nothing panics while it holds this lock.
+        let mut newest = self.line.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, line)) = newest.as_ref().filter(|(newest, _)| *newest == number) {
+            return Ok(line.clone());
+        }
+        let line = ViewerLine::new(&ndjson()?, true);
+        *newest = Some((number, line.clone()));
+        Ok(line)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_the_same_in_both_formats() {
+        let line = ViewerLine::new("{\"sequence\":1}\n", true);
+        assert_eq!(line.ndjson(), "{\"sequence\":1}\n");
+        assert_eq!(line.event(), "data: {\"sequence\":1}\n\n");
+    }
+
+    #[test]
+    fn a_scan_is_written_once_for_all_viewers() {
+        let (newest, mut written) = (NewestLine::default(), 0);
+        for number in [1, 1, 1, 2, 2, 1] {
+            let ndjson = || {
+                written += 1;
+                Ok(format!("{number}\n"))
+            };
+            assert_eq!(newest.of(number, ndjson).unwrap().ndjson(), format!("{number}\n"));
+        }
+        assert_eq!(written, 3, "1, 2, and 1 again");
+    }
+}

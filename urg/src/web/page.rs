@@ -1,0 +1,112 @@
+//! `/`: the page, a single document with its script and style sheet.
+
+use std::collections::hash_map::RandomState;
+use std::hash::BuildHasher;
+
+use hyper::StatusCode;
+use hyper::header::{CONTENT_SECURITY_POLICY, HeaderValue};
+use serde_json::{Value, json};
+use tokio_scip::{ErrorCode, Measurement};
+
+use super::routes::{Response, text, whole};
+use crate::plot::REACH;
+use crate::plot::colours::{BAND, Colours, DISTANCES, SENSORS};
+use crate::plot::missing::MissingKind;
+
+const HTML: &str = include_str!("page.html");
+const STYLE: &str = include_str!("page.css");
+/// Parts of the page's script, in order.
+const SCRIPTS: [&str; 4] = [
+    include_str!("radar.js"),
+    include_str!("sensor.js"),
+    include_str!("deck.js"),
+    include_str!("page.js"),
+];
+
+/// Answers `/`.
+pub(super) fn page() -> Response {
+    let nonce = nonce();
+    // Only the page's own script and style sheet apply, and the page connects only to this
+    // server. No site may put it in a frame.
+    let policy = format!(
+        "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; \
+         connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; \
+         frame-ancestors 'none'; require-trusted-types-for 'script'"
+    );
+    let script = format!(
+        "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n\
+         const REACH = {REACH};\nconst BAND = {BAND};\nconst BANDS = {};\n{}",
+        codes(),
+        kinds(),
+        DISTANCES.len(),
+        SCRIPTS.concat()
+    );
+    let style = STYLE
+        .replace("{dark}", &colours(|colours| colours.on_dark))
+        .replace("{light}", &colours(|colours| colours.on_light));
+    let page =
+        HTML.replace("{nonce}", &nonce).replace("{style}", &style).replace("{script}", &script);
+    let mut response = whole(StatusCode::OK, "text/html; charset=utf-8", page);
+    // The policy has only characters that a header allows.
+    match HeaderValue::try_from(policy) {
+        Ok(policy) => response.headers_mut().insert(CONTENT_SECURITY_POLICY, policy),
+        Err(_) => return text(StatusCode::INTERNAL_SERVER_ERROR, "no policy for the page\n"),
+    };
+    response
+}
+
+/// Kind and meaning of each error code.
+fn codes() -> Value {
+    let codes = ErrorCode::all().map(|code| {
+        let kind = MissingKind::of(Measurement::Error(code)).map(MissingKind::name);
+        json!({ "kind": kind, "meaning": code.meaning() })
+    });
+    codes.collect()
+}
+
+/// Name and meaning of each kind of missing distance.
+fn kinds() -> Value {
+    json!(MissingKind::ALL.map(|kind| [kind.name(), kind.meaning()]))
+}
+
+/// Colours of kinds, sensors and distances, as variables for the style sheet.
+fn colours(of: impl Fn(Colours) -> &'static str) -> String {
+    let kinds = MissingKind::ALL.map(|kind| (kind.name().to_owned(), kind.colours()));
+    let numbered = |prefix, list: &[Colours]| -> Vec<_> {
+        let name = |(number, colours): (_, &_)| (format!("{prefix}{number}"), *colours);
+        list.iter().enumerate().map(name).collect()
+    };
+    let all = kinds.into_iter().chain(numbered('s', &SENSORS)).chain(numbered('d', &DISTANCES));
+    all.map(|(name, colours)| format!("--{name}: {}; ", of(colours))).collect()
+}
+
+/// Generates 128 unpredictable bits: the standard library seeds its hashers randomly.
+fn nonce() -> String {
+    let random = || RandomState::new().hash_one(());
+    format!("{:016x}{:016x}", random(), random())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_of_missing_distance_has_a_word_and_a_colour_on_the_page() {
+        for place in ["{dark}", "{light}"] {
+            assert_eq!(STYLE.matches(place).count(), 1, "{place}");
+        }
+        assert_eq!(kinds()[1], json!(["weak", MissingKind::Weak.meaning()]));
+        let dark = colours(|colours| colours.on_dark);
+        assert!(dark.starts_with("--far: #6ea8ff; --weak: "), "{dark}");
+        assert!(dark.contains("--s0: #6cc5ff; --s1: #ffb057; "), "{dark}");
+        assert!(dark.ends_with("--d7: #adb5ff; "), "{dark}");
+    }
+
+    #[test]
+    fn a_minus_sign_is_that_of_the_terminal_and_the_options() {
+        // The only U+2212 is the label of the button that zooms out.
+        assert_eq!(HTML.matches('\u{2212}').count(), 1);
+        assert!(HTML.contains(">\u{2212}</button>"));
+        assert!(!SCRIPTS.concat().contains('\u{2212}'));
+    }
+}

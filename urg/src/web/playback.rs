@@ -1,0 +1,67 @@
+//! `/playback`: commands that control the playback of a recording, which all viewers share.
+
+use hyper::header::{self, HeaderMap};
+use hyper::{Request, StatusCode};
+
+use super::Site;
+use super::routes::{Response, text};
+use super::source::SourceKind;
+use crate::playback::PlaybackCommand;
+
+/// Answers `POST /playback?COMMAND`. Sends the command to every recording.
+pub(super) fn playback<B>(site: &Site, request: &Request<B>) -> Response {
+    if !is_own_page(request.headers()) {
+        return text(StatusCode::FORBIDDEN, "the page of another site may not do that\n");
+    }
+    let command: PlaybackCommand = match request.uri().query().unwrap_or_default().parse() {
+        Ok(command) => command,
+        Err(expected) => return text(StatusCode::BAD_REQUEST, format!("{expected}\n")),
+    };
+    let mut players = site.sources.iter().filter_map(|source| match &source.kind {
+        SourceKind::Recording(playback) => Some(&playback.player),
+        SourceKind::Sensor(_) => None,
+    });
+    let Some(first) = players.next() else {
+        return text(StatusCode::CONFLICT, "no recording is played here\n");
+    };
+    first.send(command);
+    players.for_each(|player| player.send(command));
+    text(StatusCode::NO_CONTENT, "")
+}
+
+/// Rejects browsers that show a page of another site. Programs send no `Origin`.
+fn is_own_page(headers: &HeaderMap) -> bool {
+    let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
+    match (headers.get(header::ORIGIN), text(header::ORIGIN), text(header::HOST)) {
+        (None, ..) => true,
+        (_, Some(origin), Some(host)) => {
+            origin.split_once("://").is_some_and(|(_, origin)| origin == host)
+        }
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use hyper::header::HeaderValue;
+
+    use super::*;
+
+    #[test]
+    fn only_programs_and_the_own_page_may_command() {
+        let headers = |origin: Option<&'static str>| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:8080"));
+            if let Some(origin) = origin {
+                headers.insert(header::ORIGIN, HeaderValue::from_static(origin));
+            }
+            headers
+        };
+        for origin in [None, Some("http://127.0.0.1:8080")] {
+            assert!(is_own_page(&headers(origin)), "{origin:?}");
+        }
+        for origin in ["null", "", "http://evil.example", "http://127.0.0.1:80"] {
+            assert!(!is_own_page(&headers(Some(origin))), "{origin}");
+        }
+    }
+}

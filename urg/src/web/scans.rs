@@ -1,0 +1,193 @@
+//! `/scans`: streams scans and events as NDJSON or server-sent events.
+
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use bytes::Bytes;
+use hyper::body::{Body, Frame};
+use hyper::header::{self, HeaderMap, HeaderValue};
+use hyper::{Request, StatusCode};
+
+use super::Site;
+use super::line::ViewerLine;
+use super::routes::{Response, response, text};
+use super::source::Lines;
+use crate::first::first;
+use crate::interrupt::Interrupt;
+
+/// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
+/// server notices when the client is gone.
+const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(15);
+
+/// Answers `/scans`.
+pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
+    let Some(query) = ScansQuery::parse(request.uri().query()) else {
+        let reason = "invalid query: expected /scans?max=N, with a number of scans from 1\n";
+        return text(StatusCode::BAD_REQUEST, reason);
+    };
+    let format = ScansFormat::accepted(request.headers());
+    let client = ScansClient {
+        interrupt: site.interrupt.clone(),
+        lines: site.sources.iter().map(|source| source.lines(query.with_old)).collect(),
+        left: query.max,
+        format,
+        _counted: Arc::clone(&site.viewers),
+    };
+    let body = ScansBody { next: Box::pin(client.next()) };
+    let mut response = response(StatusCode::OK, format.content_type(), body);
+    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
+    response
+}
+
+/// Parsed query of a client.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct ScansQuery {
+    /// Number of scans to send.
+    max: u64,
+    /// True if the client wants the latest scan first, even if it is old.
+    with_old: bool,
+}
+
+impl ScansQuery {
+    /// Parses a query such as `max=3&old`. Returns `None` if it is invalid.
+    fn parse(query: Option<&str>) -> Option<Self> {
+        let mut parts = query.unwrap_or_default().split('&').filter(|part| !part.is_empty());
+        parts.try_fold(Self { max: u64::MAX, with_old: false }, |query, part| match part {
+            "old" => Some(Self { with_old: true, ..query }),
+            _ => {
+                let max = part.strip_prefix("max=")?.parse().ok().filter(|max| *max > 0)?;
+                Some(Self { max, ..query })
+            }
+        })
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ScansFormat {
+    Ndjson,
+    Events,
+}
+
+impl ScansFormat {
+    fn accepted(headers: &HeaderMap) -> Self {
+        let events = headers
+            .get_all(header::ACCEPT)
+            .iter()
+            .filter_map(|value| value.to_str().ok())
+            .any(|value| value.contains("text/event-stream"));
+        if events { Self::Events } else { Self::Ndjson }
+    }
+
+    fn content_type(self) -> &'static str {
+        match self {
+            Self::Ndjson => "application/x-ndjson",
+            Self::Events => "text/event-stream",
+        }
+    }
+
+    fn bytes(self, line: &ViewerLine) -> Bytes {
+        match self {
+            Self::Ndjson => line.ndjson(),
+            Self::Events => line.event(),
+        }
+    }
+
+    /// Bytes that a client ignores: a comment, or white space before the next object.
+    fn keepalive(self) -> Bytes {
+        Bytes::from_static(match self {
+            Self::Ndjson => b" ",
+            Self::Events => b":\n\n",
+        })
+    }
+}
+
+/// Client of a stream of scans. A slow client misses scans and gets the newest scan next.
+struct ScansClient {
+    interrupt: Interrupt,
+    /// Lines of each source. The source whose turn is next comes first.
+    lines: Vec<Lines>,
+    /// Number of scans still to send.
+    left: u64,
+    format: ScansFormat,
+    _counted: Arc<()>,
+}
+
+impl ScansClient {
+    async fn next(mut self) -> Next {
+        if self.left == 0 {
+            return None;
+        }
+        let interrupt = self.interrupt.clone();
+        let bytes = tokio::select! {
+            biased;
+            _ = interrupt.requested() => return None,
+            line = self.line() => {
+                let line = line?;
+                self.left -= u64::from(line.is_scan);
+                self.format.bytes(&line)
+            }
+            () = tokio::time::sleep(KEEPALIVE_INTERVAL) => self.format.keepalive(),
+        };
+        Some((bytes, self))
+    }
+
+    /// Waits for the next line of any source. Returns `None` once all sources have ended.
+    async fn line(&mut self) -> Option<ViewerLine> {
+        while !self.lines.is_empty() {
+            let (number, line) = first(self.lines.iter_mut().map(Lines::next)).await;
+            match line {
+                Some(line) => {
+                    self.lines.rotate_left(number + 1);
+                    return Some(line);
+                }
+                None => drop(self.lines.remove(number)),
+            }
+        }
+        None
+    }
+}
+
+/// Body of a response that streams scans.
+struct ScansBody {
+    next: Pin<Box<dyn Future<Output = Next> + Send>>,
+}
+
+/// Next bytes for a client, and the client itself; `None` after the end.
+type Next = Option<(Bytes, ScansClient)>;
+
+impl Body for ScansBody {
+    type Data = Bytes;
+    type Error = Infallible;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
+        let Some((bytes, client)) = ready!(self.next.as_mut().poll(cx)) else {
+            self.next = Box::pin(std::future::ready(None));
+            return Poll::Ready(None);
+        };
+        self.next = Box::pin(client.next());
+        Poll::Ready(Some(Ok(Frame::data(bytes))))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_query_asks_for_a_number_of_scans_or_for_all() {
+        let parsed = |query| ScansQuery::parse(query).map(|query| (query.max, query.with_old));
+        assert_eq!(parsed(None), Some((u64::MAX, false)));
+        assert_eq!(parsed(Some("")), Some((u64::MAX, false)));
+        assert_eq!(parsed(Some("max=3")), Some((3, false)));
+        assert_eq!(parsed(Some("old&max=3")), Some((3, true)));
+        for query in ["max=0", "max=-1", "max=", "max=many", "maximum=3", "max=1&rate=2"] {
+            assert_eq!(parsed(Some(query)), None, "{query}");
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! `/state` and `/health`: state of each sensor and its stream, for the page and for a
+//! supervisor.
+
+use hyper::StatusCode;
+use serde::Serialize;
+use tokio_scip::scan::Pose;
+use tokio_scip::{Stats, Version, Window};
+
+use super::Site;
+use super::hub::Hub;
+use super::routes::{Response, text, whole};
+use super::source::{Playback, SiteSource, SourceKind};
+use crate::format::json_line;
+use crate::playback::PlaybackStatus;
+use crate::plot::pose;
+use crate::stream::jitter::Jitter;
+
+/// State of the server and all its sources.
+#[derive(Debug, Serialize)]
+struct StateReport<'a> {
+    /// Version of the program.
+    urg: &'static str,
+    viewers: usize,
+    sensors: Vec<SensorReport<'a>>,
+}
+
+/// State of a sensor and its stream, or of a recording.
+#[derive(Debug, Serialize)]
+struct SensorReport<'a> {
+    name: Option<&'a str>,
+    /// Place in the common frame.
+    #[serde(serialize_with = "pose::serialize")]
+    pose: Pose,
+    port: String,
+    /// One of connected, recovering, disconnected, waiting, closed, recording.
+    link: &'static str,
+    /// Reason why no scans arrive; null while they do.
+    why: Option<String>,
+    baud_rate: Option<tokio_scip::BaudRate>,
+    window: Window,
+    /// Requested rate in scans a second; null for the maximum.
+    asked: Option<f64>,
+    /// Rate over about the last three seconds, in scans a second.
+    reached: Option<f64>,
+    /// Age of the latest scan, in seconds.
+    age: Option<f64>,
+    latency: Option<LatencySeconds>,
+    jitter: Option<Jitter>,
+    sensor: Option<Version>,
+    stats: Option<Stats>,
+    playback: Option<PlaybackStatus>,
+}
+
+/// Latency of replies, in seconds.
+#[derive(Debug, Serialize)]
+struct LatencySeconds {
+    last: f64,
+    mean: f64,
+    max: f64,
+}
+
+impl<'a> SensorReport<'a> {
+    fn of(source: &'a SiteSource) -> Self {
+        let health = source.health();
+        let report = Self {
+            name: source.name.as_deref(),
+            pose: source.pose,
+            port: source.port().to_string(),
+            link: health.link,
+            why: health.why,
+            baud_rate: None,
+            window: source.window(),
+            asked: None,
+            reached: None,
+            age: None,
+            latency: None,
+            jitter: None,
+            sensor: None,
+            stats: None,
+            playback: None,
+        };
+        match &source.kind {
+            SourceKind::Sensor(hub) => report.with_sensor(hub),
+            SourceKind::Recording(playback) => report.with_recording(playback),
+        }
+    }
+
+    fn with_sensor(self, hub: &Hub) -> Self {
+        let live = hub.live();
+        let sensor = live.as_ref().map(|live| &live.sensor);
+        let stats = sensor.map(|sensor| sensor.stats()).unwrap_or_default();
+        let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
+        Self {
+            baud_rate: sensor.and_then(|sensor| sensor.state().get().baud_rate()),
+            asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
+            reached: stats.schedules.first().and_then(|schedule| schedule.reached),
+            age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
+            latency: latency.map(|latency| LatencySeconds {
+                last: latency.last.as_secs_f64(),
+                mean: latency.mean().as_secs_f64(),
+                max: latency.max.as_secs_f64(),
+            }),
+            jitter: hub.jitter(),
+            sensor: hub.version().cloned(),
+            stats: Some(stats),
+            ..self
+        }
+    }
+
+    fn with_recording(self, playback: &Playback) -> Self {
+        let sensor = Some(playback.version.clone());
+        Self { sensor, playback: Some(playback.player.status()), ..self }
+    }
+}
+
+/// Answers `/state`.
+pub(super) fn state(site: &Site) -> Response {
+    let report = StateReport {
+        urg: env!("CARGO_PKG_VERSION"),
+        viewers: site.viewers(),
+        sensors: site.sources.iter().map(SensorReport::of).collect(),
+    };
+    respond(StatusCode::OK, &report)
+}
+
+/// Response to `/health`.
+#[derive(Debug, Serialize)]
+struct HealthReport<'a> {
+    status: &'static str,
+    sensors: Vec<SensorHealth<'a>>,
+}
+
+#[derive(Debug, Serialize)]
+struct SensorHealth<'a> {
+    name: Option<&'a str>,
+    status: &'static str,
+    link: &'static str,
+    why: Option<String>,
+}
+
+/// Answers `/health`.
+pub(super) fn health(site: &Site) -> Response {
+    let status = |is_ok| if is_ok { "ok" } else { "failing" };
+    let sensors: Vec<_> = site
+        .sources
+        .iter()
+        .map(|source| {
+            let health = source.health();
+            let (name, status) = (source.name.as_deref(), status(health.why.is_none()));
+            SensorHealth { name, status, link: health.link, why: health.why }
+        })
+        .collect();
+    let is_ok = sensors.iter().all(|sensor| sensor.why.is_none());
+    let code = if is_ok { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    respond(code, &HealthReport { status: status(is_ok), sensors })
+}
+
+fn respond(status: StatusCode, data: &impl Serialize) -> Response {
+    match json_line(data) {
+        Ok(line) => whole(status, "application/json", line),
+        Err(failure) => text(StatusCode::INTERNAL_SERVER_ERROR, failure.line().to_owned()),
+    }
+}

@@ -1,0 +1,237 @@
+#!/usr/bin/env bash
+# The live page in a real browser: tests/browser.sh URG [PICTURES]
+#
+# Needs chromium, chromedriver and curl. URG is the program, built with feature
+# web; into the folder PICTURES, if given, go screenshots to be looked at.
+set -euo pipefail
+urg=$1 pictures=${2:-}
+work=$(mktemp -d)
+declare -A process=()
+finish() {
+    [ -z "${session:-}" ] || curl -s -X DELETE "$session" >"$work/end" || true
+    kill "${process[@]}" 2>"$work/end" || true
+    wait
+    rm -rf "$work"
+}
+trap finish EXIT
+
+fail() {
+    echo "browser: $*" >&2
+    exit 1
+}
+
+# start NAME TEXT COMMAND...: runs it in the background until its output has TEXT.
+start() {
+    local name=$1 text=$2
+    shift 2
+    : >"$work/$name"
+    "$@" >"$work/$name" 2>&1 &
+    process[$name]=$!
+    for _ in {1..200}; do
+        if grep -q "$text" "$work/$name"; then return; fi
+        sleep 0.1
+    done
+    cat "$work/$name"
+    fail "$name does not start"
+}
+
+stop() {
+    kill -s INT "${process[$1]}"
+    wait "${process[$1]}" || fail "$1 ended with $?"
+    unset "process[$1]"
+}
+
+sensor() { start sensor "on USB" "$urg" emulate --link "$work/urg"; }
+server() { start server "live page" "$urg" serve "$work/urg" --listen "$1"; }
+# served ARGUMENTS...: starts another server, and opens its page.
+served() {
+    start other "live page" "$urg" serve "$@" --listen 0
+    open "$(grep -o 'http://[0-9.:]*/' "$work/other")"
+}
+
+# post PATH JSON: commands the browser's driver.
+post() { curl -sS --max-time 30 -H 'Content-Type: application/json' -d "$2" "$session$1"; }
+
+# js SCRIPT: runs the script in the page, and prints its result as JSON.
+js() {
+    local answer
+    answer=$(post /execute/sync "{\"script\": \"$1\", \"args\": []}")
+    answer=${answer#'{"value":'}
+    echo "${answer%\}}"
+}
+
+# becomes SCRIPT VALUE: waits until it does.
+becomes() {
+    local value
+    for _ in {1..200}; do
+        value=$(js "$1")
+        if [ "$value" = "$2" ]; then return; fi
+        sleep 0.1
+    done
+    fail "$1 is $value and not $2"
+}
+
+# element ID: the script that finds it.
+element() { echo "document.getElementById('$1')"; }
+
+# key KEY: presses it, wherever the focus is.
+key() {
+    post /actions "{\"actions\": [{\"type\": \"key\", \"id\": \"keys\", \"actions\": [
+        {\"type\": \"keyDown\", \"value\": \"$1\"}, {\"type\": \"keyUp\", \"value\": \"$1\"}]}]}" >"$work/answer"
+}
+
+open() { post /url "{\"url\": \"$1\"}" >"$work/answer"; }
+
+# quiet: fails if the page has logged anything.
+quiet() {
+    local log
+    log=$(post /se/log '{"type": "browser"}')
+    [ "$log" = '{"value":[]}' ] || fail "the page complains: $log"
+}
+
+theme() { post /goog/cdp/execute "{\"cmd\": \"Emulation.setEmulatedMedia\", \"params\":
+    {\"features\": [{\"name\": \"prefers-color-scheme\", \"value\": \"$1\"}]}}" >"$work/answer"; }
+
+status() { becomes "return document.getElementById('status').textContent" "\"$1\""; }
+
+# zoomed: zooms far in beside the origin, and waits until a ring is labelled there. The labels of
+# the nearest points are not centred.
+zoomed() {
+    local script="const canvas = $(element radar), { clientWidth: width, clientHeight: height } = canvas;"
+    script+=" window.rings = 0; canvas.getContext('2d').fillText = function (text, x, y) {"
+    script+=" if (text.endsWith(' m') && this.textAlign === 'center' && x > 0 && x < width && y > 0 && y < height) window.rings += 1; };"
+    script+=" radar.zoom(20, width * 0.35, height * 0.35);"
+    js "$script" >"$work/answer"
+    becomes "return window.rings > 0" true
+    js "delete $(element radar).getContext('2d').fillText; radar.fit();" >"$work/answer"
+}
+
+picture() {
+    [ -n "$pictures" ] || return 0
+    curl -sS "$session/screenshot" | sed 's/^{"value":"//; s/"}$//' | base64 -d >"$pictures/$1.png"
+}
+
+size() { post /goog/cdp/execute "{\"cmd\": \"Emulation.setDeviceMetricsOverride\", \"params\":
+    {\"width\": $1, \"height\": $2, \"deviceScaleFactor\": $3, \"mobile\": $4}}" >"$work/answer"; }
+
+sensor
+server 0
+url=$(grep -o 'http://[0-9.:]*/' "$work/server")
+start driver "successfully on port" chromedriver --port=0
+driver=http://127.0.0.1:$(grep -o 'successfully on port [0-9]*' "$work/driver" | grep -o '[0-9]*$')
+session=$driver/session/$(curl -sS -d "{\"capabilities\": {\"alwaysMatch\": {
+    \"goog:loggingPrefs\": {\"browser\": \"ALL\"}, \"goog:chromeOptions\": {\"args\": [
+    \"--headless\", \"--no-sandbox\", \"--disable-gpu\", \"--disable-quic\", \"--no-first-run\",
+    \"--disable-background-networking\", \"--disable-component-update\", \"--disable-sync\",
+    \"--user-data-dir=$work/profile\"]}}}}" "$driver/session" |
+    tee "$work/answer" | grep -o '"sessionId":"[^"]*' | cut -d'"' -f4) || fail "$(cat "$work/answer")"
+
+size 1280 800 1 false
+theme dark
+open "$url"
+status Live
+becomes "return parseFloat(document.querySelector('[data-of=rate]').textContent) > 5" true
+becomes "return /^[0-9.]+ ms/.test(document.querySelector('[data-of=jitter]').textContent)" true
+js "window.before = $(element radar).toDataURL()" >"$work/answer"
+becomes "return $(element radar).toDataURL() !== window.before" true
+becomes "return performance.getEntriesByType('resource').every(e => e.name.startsWith('$url') || e.name.startsWith('data:'))" true
+picture live-dark
+# Keys work without a click.
+key t
+becomes "return $(element trail).getAttribute('aria-pressed')" '"true"'
+key " "
+status Paused
+key " "
+status Live
+key "\\uE012"
+becomes "return /step [0-9]+/.test($(element point).textContent)" true
+quiet
+theme light
+picture live-light
+zoomed
+
+stop sensor
+status "Sensor away"
+becomes "return document.querySelectorAll('.stale').length" 1
+becomes "return /as of/.test(document.querySelector('[data-of=since]').textContent)" true
+becomes "return document.body.textContent.includes('urg list')" false
+picture away
+sensor
+status Live
+becomes "return document.querySelectorAll('.stale').length" 0
+
+stop server
+status "Server away"
+becomes "return / since [0-9]/.test($(element banner).textContent)" true
+becomes "return document.querySelectorAll('.stale').length" 1
+picture server-away
+for width in 390 320; do
+    size "$width" 844 2 true
+    becomes "return document.documentElement.scrollWidth" "$width"
+    # The banner is above the radar and covers nothing.
+    becomes "return $(element banner).getBoundingClientRect().bottom <= $(element radar).getBoundingClientRect().top" true
+    picture "phone-$width-server-away"
+done
+server "$(cut -d: -f3 <<<"$url" | tr -d /)"
+status Live
+size 390 844 2 true
+becomes "return document.documentElement.scrollWidth" 390
+picture phone
+stop server
+
+# Two sensors, of which one goes away.
+size 1280 800 1 false
+theme dark
+served "front=emulated@0.3,0,0" "rear=$work/urg@-0.3,0,180"
+status Live
+becomes "return [...document.querySelectorAll('[data-of=state]')].map(e => e.textContent).join()" '"Live,Live"'
+picture two
+zoomed
+stop sensor
+status "1 of 2 away"
+becomes "return [...document.querySelectorAll('.card')].map(e => e.classList.contains('stale')).join()" '"false,true"'
+picture two-one-away
+size 320 640 2 true
+becomes "return document.documentElement.scrollWidth" 320
+picture two-narrow
+stop other
+
+# A recording.
+if "$urg" record emulated "$work/run.mcap" --duration 3s 2>"$work/record"; then
+    size 1280 800 1 false
+    served "$work/run.mcap"
+    status "At the end"
+    picture recording
+    key ","
+    status Paused
+    clock=$(js "return $(element clock).textContent")
+    key ","
+    becomes "return $(element clock).textContent !== ${clock//\"/\'}" true
+    js "$(element seek).value = 0; $(element seek).oninput()" >"$work/answer"
+    becomes "return $(element clock).textContent.startsWith('0:00.0')" true
+    key o
+    becomes "return $(element loop).getAttribute('aria-pressed')" '"true"'
+    key " "
+    status Playing
+    for width in 390 320; do
+        size "$width" 844 2 true
+        becomes "return document.documentElement.scrollWidth" "$width"
+        picture "recording-$width"
+    done
+    stop other
+    # More scans than a playback keeps, so that it reads the file again and again.
+    start fast "on USB" "$urg" emulate --revolution 10ms --link "$work/quick"
+    "$urg" record "$work/quick" "$work/long.mcap" --rate max --count 600 2>"$work/record"
+    stop fast
+    served "dead=$work/long.mcap" live=emulated --loop --speed 100
+    states="return [...document.querySelectorAll('[data-of=state]')].map(e => e.textContent).join()"
+    becomes "$states" '"Playing,Live"'
+    echo overwritten >"$work/long.mcap"
+    becomes "$states" '"Playback failed,Live"'
+    picture playback-failed
+    stop other
+else
+    grep -q 'feature `mcap`' "$work/record" || fail "$(cat "$work/record")"
+    echo "skipped: recordings, which this urg lacks"
+fi
+echo "browser: the page shows live scans, reports what is away, recovers, and plays recordings"

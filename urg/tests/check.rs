@@ -1,0 +1,83 @@
+//! `urg check`, on good and on faulty sensors.
+
+use super::program::{Emulated, Running, Scratch, run};
+
+/// Returns each step with its verdict.
+fn verdicts(report: &str) -> Vec<(&str, &str)> {
+    report
+        .lines()
+        .take_while(|line| !line.is_empty())
+        .map(|line| {
+            let mut words = line.split_whitespace();
+            (words.next().unwrap(), words.next().unwrap())
+        })
+        .collect()
+}
+
+#[test]
+fn a_good_sensor_passes_every_step() {
+    let link = Scratch::new("check-good");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let output = run(&format!("check {} --duration 1s", sensor.port), 0);
+    assert_eq!(output.stderr, "");
+    let steps: Vec<_> = verdicts(&output.stdout).into_iter().map(|(_, step)| step).collect();
+    assert_eq!(
+        steps,
+        ["link", "version", "laser", "polls", "rate", "latency", "motor", "sight"],
+        "{}",
+        output.stdout
+    );
+    assert!(!output.stdout.contains("FAILED"), "{}", output.stdout);
+    assert!(output.stdout.contains("SOKUIKI Sensor URG-04LX H0713090"), "{}", output.stdout);
+}
+
+#[test]
+fn a_sensor_that_damages_replies_fails_the_check() {
+    let link = Scratch::new("check-bad");
+    let sensor = Emulated::start(&format!(
+        "--link {} --revolution 20ms --faults damaged=0.5,seed=3",
+        link.path()
+    ));
+    let output = run(&format!("check {} --duration 1s", sensor.port), 1);
+    assert!(verdicts(&output.stdout).contains(&("FAILED", "polls")), "{}", output.stdout);
+    assert!(output.stderr.contains("has FAILED: "), "{}", output.stderr);
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+    // The pseudo-terminal ignores the baud rate, so a faster one is no advice.
+    let rate = output.stdout.lines().find(|line| line.contains(" rate ")).unwrap();
+    assert!(rate.contains("polls brought no scan"), "{}", output.stdout);
+}
+
+#[test]
+fn a_check_of_a_missing_port_fails_with_the_reason() {
+    let missing = Scratch::new("check-missing");
+    let output = run(&format!("check {}", missing.path()), 1);
+    assert_eq!(verdicts(&output.stdout), [("FAILED", "link")]);
+    assert!(output.stdout.contains("no port"), "{}", output.stdout);
+}
+
+#[test]
+fn an_interrupted_check_does_not_exit_with_success() {
+    let mut check = Running::start("check emulated --duration 1h");
+    while !check.line().contains("laser") {}
+    check.signal("INT");
+    check.rest();
+    let (status, notices) = check.end();
+    assert_eq!((status.code(), notices.len()), (Some(1), 1), "{notices:?}");
+}
+
+#[test]
+fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
+    let link = Scratch::new("outrun");
+    // A pseudo-terminal accepts any baud rate, and its emulated sensor ignores it.
+    let sensor = Emulated::start(&format!("--revolution 20ms --link {}", link.path()));
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    let row = info.lines().find(|line| line.starts_with("baud rate")).unwrap();
+    assert!(row.contains("this port ignores the baud rate"), "{info}");
+    assert!(!row.contains("at most"), "{info}");
+    let baud = run(&format!("baud {} 115200", sensor.port), 0).stderr;
+    assert!(baud.contains("replies come faster than"), "{baud}");
+    let check = run(&format!("check {} --duration 2s", sensor.port), 0).stdout;
+    let rate = check.lines().find(|line| line.contains(" rate ")).unwrap();
+    assert!(rate.contains("replies come faster than"), "{check}");
+    assert!(!check.contains("would do"), "{check}");
+}

@@ -1,0 +1,55 @@
+"""What records while the power is cut: runs inside the machine, on an ext4 disk with its
+defaults, until the host ends the machine. Prints its clock twenty times a second.
+
+`run.mcap` is one file. `split*.mcap` begin every 0.6 s, and `repaired.mcap` is made of
+`cut.mcap` again and again, so that some cuts hit these moments."""
+
+import pathlib
+import re
+import subprocess
+import sys
+import time
+
+PROGRAM = sys.argv[1]
+DISK = pathlib.Path("/mnt")
+
+subprocess.run(["mount", "-t", "ext4", "/dev/vda", DISK], check=True)
+emulator = subprocess.Popen([PROGRAM, "emulate", "--tcp", "0"], stderr=subprocess.PIPE, text=True)
+port = None
+while port is None:
+    found = re.search(r"tcp://[\d.:]+", emulator.stderr.readline())
+    port = found and found[0]
+
+
+def start(arguments):
+    return subprocess.Popen([PROGRAM, *arguments.split()], stderr=subprocess.DEVNULL)
+
+
+def run(arguments):
+    subprocess.run([PROGRAM, *arguments.split()], check=True, stderr=subprocess.DEVNULL)
+
+
+def size(name):
+    path = DISK / name
+    return path.stat().st_size if path.exists() else 0
+
+
+run(f"record emulated {DISK}/whole.mcap --count 20 --rate max")
+run("cut" + f" {DISK}/whole.mcap" * 20 + f" {DISK}/joined.mcap")
+joined = (DISK / "joined.mcap").read_bytes()
+(DISK / "cut.mcap").write_bytes(joined[:len(joined) * 2 // 3])
+(DISK / "joined.mcap").unlink()
+subprocess.run(["sync"], check=True)
+start(f"record {port} {DISK}/run.mcap")
+start(f"record emulated {DISK}/split.mcap --split 30kB")
+# The first scans are written.
+while not (DISK / "split_0003.mcap").exists() or size("run.mcap") < 20_000:
+    time.sleep(0.05)
+print("@host ready", flush=True)
+repair = None
+while True:
+    if repair is None or repair.poll() is not None:
+        (DISK / "repaired.mcap").unlink(missing_ok=True)
+        repair = start(f"repair {DISK}/cut.mcap {DISK}/repaired.mcap")
+    print(f"@host clock {time.time():.3f}", flush=True)
+    time.sleep(0.05)

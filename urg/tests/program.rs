@@ -1,0 +1,267 @@
+//! Runs the program and reads its output.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
+#[cfg(unix)]
+use std::sync::LazyLock;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::thread;
+use std::time::Duration;
+
+#[cfg(unix)]
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::limit::limit;
+
+/// More than any step here takes.
+pub(crate) const STEP_LIMIT: Duration = Duration::from_secs(60);
+
+/// The commands that `urg help` lists.
+pub(crate) const COMMANDS: &[&str] = &[
+    "list",
+    "info",
+    "scan",
+    "stream",
+    "view",
+    "record",
+    "repair",
+    "serve",
+    "check",
+    "laser",
+    "baud",
+    "emulate",
+    "completions",
+];
+
+const URG: &str = env!("CARGO_BIN_EXE_urg");
+
+/// Limits the time of the test, and prepares this process for its children.
+fn prepare() {
+    limit();
+    #[cfg(unix)]
+    reset_hangup();
+}
+
+/// Starts every child process with SIGHUP at its default. Under `nohup` this process
+/// ignores SIGHUP, and a child inherits that; a handled signal is reset to its default in
+/// a child.
+#[cfg(unix)]
+fn reset_hangup() {
+    static HANDLER: LazyLock<()> = LazyLock::new(|| {
+        let install = || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+            runtime.unwrap().block_on(async { signal(SignalKind::hangup()).map(drop) }).unwrap();
+        };
+        // A runtime cannot be dropped inside another one.
+        thread::spawn(install).join().unwrap();
+    });
+    LazyLock::force(&HANDLER);
+}
+
+/// Returns the program with these arguments.
+pub(crate) fn program(arguments: &str) -> Command {
+    prepare();
+    let mut command = Command::new(URG);
+    command.args(arguments.split_whitespace()).env_remove("RUST_LOG");
+    command
+}
+
+/// Returns a shell that runs `script`, in which `$urg` is the program.
+pub(crate) fn shell(script: &str) -> Command {
+    prepare();
+    let mut command = Command::new("sh");
+    command.args(["-c", script]).env("urg", URG).env_remove("RUST_LOG");
+    command
+}
+
+/// Returns the program with these arguments, to be run to its end.
+pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
+    prepare();
+    let mut command = assert_cmd::Command::new(URG);
+    command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(STEP_LIMIT);
+    command
+}
+
+/// The output of a program that ended with the expected exit code.
+pub(crate) struct Output {
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+}
+
+/// Runs the program to its end.
+pub(crate) fn run(arguments: &str, exit_code: i32) -> Output {
+    let output = urg(arguments).assert().code(exit_code).get_output().clone();
+    Output {
+        stdout: String::from_utf8(output.stdout).unwrap(),
+        stderr: String::from_utf8(output.stderr).unwrap(),
+    }
+}
+
+/// Runs the program, which must fail, and returns its one line of error.
+pub(crate) fn failure(arguments: &str) -> String {
+    let output = run(arguments, 1);
+    assert_eq!(output.stdout, "");
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+    assert!(output.stderr.starts_with("urg: "), "{}", output.stderr);
+    output.stderr
+}
+
+/// A running program, killed if the test fails meanwhile.
+pub(crate) struct Running {
+    child: Child,
+    /// Held, so that it stays open.
+    _stdin: Option<ChildStdin>,
+    stdout: Option<Receiver<String>>,
+    stderr: Receiver<String>,
+}
+
+impl Running {
+    pub(crate) fn start(arguments: &str) -> Self {
+        let mut running = Self::start_unread(arguments);
+        running.read();
+        running
+    }
+
+    /// Starts the program with a standard output that is not read.
+    pub(crate) fn start_unread(arguments: &str) -> Self {
+        Self::spawn(program(arguments))
+    }
+
+    /// Runs a command that becomes the program.
+    pub(crate) fn spawn(mut command: Command) -> Self {
+        let mut child = command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let stderr = lines(child.stderr.take().unwrap());
+        Self { _stdin: child.stdin.take(), child, stdout: None, stderr }
+    }
+
+    /// Starts to read standard output.
+    pub(crate) fn read(&mut self) {
+        self.stdout = self.child.stdout.take().map(lines);
+    }
+
+    /// Reads the next line of standard output.
+    pub(crate) fn line(&mut self) -> String {
+        next(self.stdout.as_ref().expect("standard output is not read"))
+    }
+
+    /// Reads the next line of standard error.
+    pub(crate) fn notice(&mut self) -> String {
+        next(&self.stderr)
+    }
+
+    /// Reads standard output to its end.
+    pub(crate) fn rest(&mut self) -> Vec<String> {
+        self.stdout.take().map(|lines| all(&lines)).unwrap_or_default()
+    }
+
+    /// Closes the pipe of standard output.
+    pub(crate) fn close_pipe(&mut self) {
+        drop((self.child.stdout.take(), self.stdout.take()));
+    }
+
+    /// Sends a signal such as `INT`.
+    pub(crate) fn signal(&self, signal: &str) {
+        let id = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+    }
+
+    /// Returns the memory that it has allocated and used, without its code (Linux).
+    pub(crate) fn memory_kib(&self) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).ok()?;
+        let size = status.lines().find_map(|line| line.strip_prefix("RssAnon:"))?;
+        size.split_whitespace().next()?.parse().ok()
+    }
+
+    /// Waits for the program's end, and returns the rest of standard error.
+    pub(crate) fn end(mut self) -> (ExitStatus, Vec<String>) {
+        // Standard error ends with the program.
+        let notices = all(&self.stderr);
+        (self.child.wait().unwrap(), notices)
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn lines(stream: impl Read + Send + 'static) -> Receiver<String> {
+    let (sender, receiver) = channel();
+    thread::spawn(move || {
+        for line in BufReader::new(stream).lines() {
+            if sender.send(line.unwrap()).is_err() {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+fn next(lines: &Receiver<String>) -> String {
+    match lines.recv_timeout(STEP_LIMIT) {
+        Ok(line) => line,
+        Err(RecvTimeoutError::Timeout) => panic!("no line came"),
+        Err(RecvTimeoutError::Disconnected) => panic!("the program ended"),
+    }
+}
+
+/// Reads all lines to the end.
+fn all(lines: &Receiver<String>) -> Vec<String> {
+    let mut all = Vec::new();
+    loop {
+        match lines.recv_timeout(STEP_LIMIT) {
+            Ok(line) => all.push(line),
+            Err(RecvTimeoutError::Disconnected) => return all,
+            Err(RecvTimeoutError::Timeout) => panic!("the program does not end: {all:?}"),
+        }
+    }
+}
+
+/// An emulated sensor in its own process, and its PORT.
+pub(crate) struct Emulated {
+    pub(crate) running: Running,
+    pub(crate) port: String,
+}
+
+impl Emulated {
+    /// Runs `urg emulate`, and waits until it serves.
+    pub(crate) fn start(arguments: &str) -> Self {
+        let mut running = Running::start(&format!("emulate {arguments}"));
+        let notice = running.notice();
+        let (_, port) = notice.rsplit_once(", on ").unwrap_or_else(|| panic!("{notice}"));
+        let port = port.to_owned();
+        Self { running, port }
+    }
+}
+
+/// A path of a file that does not exist yet, removed at the end.
+pub(crate) struct Scratch(PathBuf);
+
+impl Scratch {
+    pub(crate) fn new(name: &str) -> Self {
+        Self::with_extension(name, "")
+    }
+
+    pub(crate) fn with_extension(name: &str, extension: &str) -> Self {
+        let name = format!("urg-{name}-{}{extension}", std::process::id());
+        Self(std::env::temp_dir().join(name))
+    }
+
+    pub(crate) fn path(&self) -> &str {
+        self.0.to_str().unwrap()
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}

@@ -1,0 +1,93 @@
+//! Arguments of `urg publish` that can never work: each is refused at once, with what was
+//! expected.
+
+use super::program::program;
+
+/// Runs `urg publish emulated` with these arguments, which are wrong, and returns the error.
+fn refused(arguments: &[&str]) -> String {
+    let output = program("publish emulated").args(arguments).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
+    assert!(output.stdout.is_empty(), "{arguments:?}");
+    // No place of a source file.
+    for path in [".rs:", ".cargo", env!("CARGO_MANIFEST_DIR")] {
+        assert!(!error.contains(path), "{arguments:?}: {error}");
+    }
+    error
+}
+
+#[test]
+fn a_wrong_name_is_refused_with_what_was_expected() {
+    let long = "n".repeat(300);
+    for (arguments, expected) in [
+        (["--frame", "/laser"], "without a leading `/`"),
+        (["--frame", ""], "--frame"),
+        (["--frame", "a\nb"], "control characters"),
+        (["--frame", &long], "--frame"),
+        (["--topic", "/a//b"], "`/a//b`: expected no empty part"),
+        (["--topic", ""], "--topic: expected a name"),
+        (["--topic", &long], "too long: expected at most 240"),
+        (["--namespace", "a//b"], "`a//b`: expected no empty part"),
+        (["--namespace", &long], "too long: expected at most 240"),
+        (["--node", "a-b"], "--node: invalid name `a-b`"),
+        (["--node", &long], "too long: expected at most 240"),
+        (["--domain", "-1"], "-1 is not in 0..=232"),
+        (["--domain", "233"], "233 is not in 0..=232"),
+        (["--tf", "base_link"], "PARENT,X,Y,Z,YAW in metres and degrees"),
+        (["--depth", "0"], "0 is not in 1..=1000"),
+        (["--interface", "eth0"], "expected the address of an interface"),
+    ] {
+        let error = refused(&arguments);
+        assert!(error.contains(expected), "{arguments:?}: {error}");
+    }
+    let error = refused(&["--tf", "a,0,0,0,0", "--tf", "a,0,0,0,0"]);
+    assert!(error.contains("expected one for each of 1 sensors, found 2"), "{error}");
+}
+
+#[test]
+fn a_router_that_can_never_work_is_refused() {
+    for router in [
+        "",
+        "localhost:7447",
+        "10.0.0.1",
+        "udp/localhost:7447",
+        "tcp/localhost",
+        "tcp/localhost:99999",
+        "tcp/localhost:",
+    ] {
+        let error = refused(&["--engine", "zenoh", "--router", router]);
+        assert!(error.contains("expected tcp/HOST:PORT"), "{router}: {error}");
+    }
+}
+
+#[test]
+fn an_option_of_another_engine_is_refused() {
+    for (engine, option, value, others) in [
+        ("dds", "--router", "tcp/localhost:7447", "zenoh"),
+        ("dds", "--mode", "peer", "zenoh"),
+        ("zenoh", "--listen", "127.0.0.1:8765", "foxglove"),
+        ("foxglove", "--domain", "1", "dds and zenoh"),
+        ("foxglove", "--interface", "127.0.0.1", "dds and zenoh"),
+    ] {
+        let error = refused(&["--engine", engine, option, value]);
+        assert!(error.contains(&format!("{option} is for {others}")), "{error}");
+    }
+    let error = refused(&["--engine", "foxglove", "--listen", "8765"]);
+    assert!(error.contains("expected an address and a port"), "{error}");
+}
+
+#[test]
+fn an_argument_of_ros_is_checked_as_its_option_is() {
+    for (arguments, expected) in [
+        (&["-p", "depth:=0"][..], "0 is not in 1..=1000"),
+        (&["-p", "frame_id:=/laser"], "without a leading `/`"),
+        (&["-p", "depth"], "expected NAME:=VALUE, found `depth`"),
+        (&["-p"], "expected NAME:=VALUE after -p"),
+        (&["-p", "use_sim_time:=true"], "use_sim_time is not supported"),
+        (&["-r", "__node:=a-b"], "invalid name `a-b`"),
+        (&["--params-file", "p.yaml"], "`--params-file` is not supported"),
+    ] {
+        let error = refused(&[&["--ros-args"], arguments].concat());
+        assert!(error.contains(expected), "{arguments:?}: {error}");
+    }
+}

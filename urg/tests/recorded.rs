@@ -1,0 +1,468 @@
+//! Recording with the program, and recordings in place of a port.
+
+use std::fs::{self, File};
+use std::io::{Cursor, Read};
+use std::process::{Command, Stdio};
+use std::time::Instant;
+
+use serde_json::Value;
+use tokio_scip::emulator::Emulator;
+use tokio_scip::event::Event;
+use tokio_scip::recording::{Entry, Recorder, Recording};
+use tokio_scip::{Rate, Sensor, Window};
+
+use super::formats::{check, scans, values};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, shell};
+use super::served::{FAST, SCANS, check_held, held};
+
+/// Returns a path for a recording.
+fn scratch(name: &str) -> Scratch {
+    Scratch::with_extension(name, ".mcap")
+}
+
+/// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
+pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
+    let mut recorder = Recorder::create(path).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1024);
+    let sensor = builder.connect(Emulator::builder().usb().build()).await.unwrap();
+    let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let mut all = Vec::new();
+    while all.len() < count {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
+    }
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    all
+}
+
+/// Makes a recording of `/scan` messages alone, as another program would, and returns its scans'
+/// values.
+pub(super) async fn messages_alone(path: &str, count: usize) -> Vec<Vec<u64>> {
+    let mut recorder = Recorder::create(path).unwrap();
+    let sensor = Sensor::builder().connect(Emulator::builder().usb().build()).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut all = Vec::new();
+    for _ in 0..count {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
+    }
+    recorder.finish().await.unwrap();
+    all
+}
+
+/// Returns the ranges of the scans in a file, and the bytes of the replies to polls.
+fn contents(recording: Recording) -> (Vec<Vec<f32>>, Vec<Vec<u8>>) {
+    let (mut scans, mut polls) = (Vec::new(), Vec::new());
+    for record in recording {
+        match record.unwrap().entry {
+            Entry::Scan(scan) => scans.push(scan.ranges),
+            Entry::Reply(reply) if reply.command.is_some() && reply.bytes[0] == b'G' => {
+                polls.push(reply.bytes);
+            }
+            _ => {}
+        }
+    }
+    (scans, polls)
+}
+
+/// Returns the ranges in a line of NDJSON as a recording has them, finite ones only.
+fn ranges(scan: &Value) -> Vec<Option<f32>> {
+    let ranges = scan["ranges"].as_array().unwrap().iter();
+    ranges.map(|range| range.as_f64().map(|range| range as f32)).collect()
+}
+
+#[tokio::test]
+async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
+    let (file, link) = (scratch("held"), Scratch::new("recorded"));
+    let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
+    let output =
+        run(&format!("record {} {} --rate max --count {SCANS}", sensor.port, file.path()), 0);
+    assert_eq!(output.stdout, "");
+    assert!(output.stderr.contains(&format!("{SCANS} scans in 0:0")), "{}", output.stderr);
+    assert!(output.stderr.ends_with(", none lost\n"), "{}", output.stderr);
+
+    let replay = run(&format!("stream {} --rate max --count {SCANS}", file.path()), 0);
+    check_held(&replay.stdout, &held(7).await);
+    let (recorded, _) = contents(Recording::open(file.path()).unwrap());
+    assert_eq!(recorded.len(), SCANS);
+    // A replay at another rate keeps the recorded stamps.
+    let stamps: Vec<_> =
+        scans(&replay.stdout).iter().map(|scan| scan["stamp"].as_f64().unwrap()).collect();
+    assert!(stamps[SCANS - 1] - stamps[0] > 1.0, "{stamps:?}");
+    for (scan, recorded) in scans(&replay.stdout).iter().zip(&recorded) {
+        let finite = |range: &f32| Some(*range).filter(|range| range.is_finite());
+        assert_eq!(ranges(scan), recorded.iter().map(finite).collect::<Vec<_>>());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_the_file() {
+    let file = scratch("own");
+    let window = Window::new(100..=200).unwrap().with_cluster_count(2).unwrap();
+    let recorded = recording(file.path(), window, 10).await;
+    for pace in ["", "--rate max", "--rate 50"] {
+        let began = std::time::Instant::now();
+        let output = run(&format!("stream {} {pace}", file.path()), 0);
+        assert_eq!(
+            output.stderr,
+            format!("urg: {}: the recording has ended\n", file.path()),
+            "{pace}"
+        );
+        let scans = scans(&output.stdout);
+        scans.iter().for_each(check);
+        assert_eq!(scans.iter().map(values).collect::<Vec<_>>(), recorded, "{pace}");
+        let first = &scans[0];
+        assert_eq!((&first["start"], &first["cluster"]), (&100.into(), &2.into()));
+        // Nine periods, unless another rate is asked for; no scan comes before its time.
+        assert!(!pace.is_empty() || began.elapsed().as_secs_f64() > 0.85);
+    }
+    // A smaller window, and only a part of the recording.
+    let output = run(&format!("stream {} --start 150 --count 3 --rate max", file.path()), 0);
+    assert_eq!(output.stderr, "");
+    let part: Vec<_> = scans(&output.stdout).iter().map(values).collect();
+    assert_eq!(part, recorded[..3].iter().map(|all| all[25..].to_vec()).collect::<Vec<_>>());
+}
+
+#[tokio::test(start_paused = true)]
+async fn every_command_that_reads_a_sensor_reads_a_recording() {
+    let file = scratch("every");
+    let recorded = recording(file.path(), Window::DETECTION, 20).await;
+    let path = file.path();
+    let info = run(&format!("info {path}"), 0).stdout;
+    assert!(info.contains("SOKUIKI Sensor URG-04LX") && info.contains(path), "{info}");
+    assert!(info.contains("scans          20 of steps 44..=725, asked for at 10 Hz"), "{info}");
+    assert!(info.contains("gaps           none\n"), "{info}");
+    let info = run(&format!("info {path} --format json"), 0).stdout;
+    let info: Value = serde_json::from_str(&info).unwrap();
+    assert_eq!((&info["scans"], &info["complete"]), (&20.into(), &true.into()));
+    let scan = run(&format!("scan {path} --format json"), 0).stdout;
+    assert_eq!(values(&serde_json::from_str(&scan).unwrap()), recorded[0]);
+    assert!(run(&format!("scan {path} --format svg"), 0).stdout.ends_with("</svg>\n"));
+    let check = run(&format!("check {path}"), 0);
+    assert!(check.stdout.contains("found in a recording after"), "{}", check.stdout);
+    assert!(!check.stdout.contains("USB"), "{}", check.stdout);
+    // The verdict on the rate depends on this machine, which replays in real time.
+    assert!(check.stdout.contains("20 of 20 answered"), "{}", check.stdout);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_without_replies_is_read_by_every_command() {
+    let (file, copy) = (scratch("messages"), scratch("messages-copy"));
+    let recorded = messages_alone(file.path(), 20).await;
+    // Messages have no error codes.
+    let distances = |values: &[u64]| -> Vec<Option<u64>> {
+        values.iter().map(|&value| (20..4095).contains(&value).then_some(value)).collect()
+    };
+    let recorded: Vec<_> = recorded.iter().map(|scan| distances(scan)).collect();
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(info.contains("scans          20\n"), "{info}");
+    assert!(!info.contains("serial number"), "{info}");
+    let first = run(&format!("scan {} --format json", file.path()), 0).stdout;
+    assert_eq!(distances(&values(&serde_json::from_str(&first).unwrap())), recorded[0]);
+    run(&format!("cut {} {}", file.path(), copy.path()), 0);
+    for path in [file.path(), copy.path()] {
+        let streamed = run(&format!("stream {path} --rate max"), 0).stdout;
+        let streamed = scans(&streamed);
+        let streamed: Vec<_> = streamed.iter().map(|scan| distances(&values(scan))).collect();
+        assert_eq!(streamed, recorded);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
+    let (file, part) = (scratch("whole"), scratch("part"));
+    let recorded = recording(file.path(), Window::DETECTION, 50).await;
+    let output = run(&format!("stream {} --range 1s..0:03 --rate max", file.path()), 0);
+    let streamed: Vec<_> = scans(&output.stdout).iter().map(values).collect();
+    assert!((19..=21).contains(&streamed.len()), "{}", streamed.len());
+    let first = recorded.iter().position(|scan| *scan == streamed[0]).unwrap();
+    assert!((9..=11).contains(&first) && recorded[first..].starts_with(&streamed), "{first}");
+    let cut = format!("cut {} {} --range 1s..0:03", file.path(), part.path());
+    assert!(run(&cut, 0).stderr.contains(&format!("{} scans", streamed.len())));
+    let output = run(&format!("stream {}", part.path()), 0);
+    assert_eq!(scans(&output.stdout).iter().map(values).collect::<Vec<_>>(), streamed);
+    // Its times are those of the recording, for other readers, too.
+    let times = |path: &str| -> Vec<_> {
+        let scans = Recording::open(path).unwrap().map(Result::unwrap);
+        let scans = scans.filter(|record| matches!(record.entry, Entry::Scan(_)));
+        scans.map(|record| (record.sequence, record.at)).collect()
+    };
+    let (all, copied) = (times(file.path()), times(part.path()));
+    assert!(copied.len() >= 19 && copied.iter().all(|time| all.contains(time)), "{copied:?}");
+    assert!(failure(&cut).contains(part.path()), "an existing file was overwritten");
+    let nothing = scratch("nothing");
+    failure(&format!("cut {} {} --range 99s..", file.path(), nothing.path()));
+    assert!(!fs::exists(nothing.path()).unwrap());
+
+    let line = run(&format!("stream {} --range 99s..", file.path()), 1).stderr;
+    assert!(line.contains("no scan in --range 99s.."), "{line}");
+    let line = run("stream emulated --range 1s..2s", 2).stderr;
+    assert!(line.contains("emulated is a sensor"), "{line}");
+    for command in ["view emulated --speed 2", "view run.mcap --rate 5 --speed 0"] {
+        run(command, 2);
+    }
+}
+
+/// Many more scans than streams keep.
+#[tokio::test(start_paused = true)]
+async fn a_replay_waits_for_a_reader_that_is_slow() {
+    let file = scratch("long");
+    let recorded = recording(file.path(), Window::DETECTION, 3000).await;
+    let mut slow = Running::start_unread(&format!("stream {} --rate max", file.path()));
+    // By the end of this the pipe of the other one has long been full.
+    run(&format!("stream {} --rate max", file.path()), 0);
+    slow.read();
+    let lines: Vec<Value> =
+        slow.rest().iter().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), 3000);
+    assert!(lines.iter().zip(&recorded).all(|(line, recorded)| values(line) == *recorded));
+}
+
+#[test]
+fn polls_without_a_scan_are_counted_for_the_recording_alone() {
+    let (file, link) = (scratch("tally"), Scratch::new("tally"));
+    let faults = "--revolution 10ms --faults damaged=0.4,seed=5";
+    let sensor = Emulated::start(&format!("--link {} {faults}", link.path()));
+    let record = format!("record {} {} --rate max --count 20", sensor.port, file.path());
+    let stderr = run(&record, 0).stderr;
+    let records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
+    let is_failure = |entry: &Entry| matches!(entry, Entry::Event(Event::Error { .. }));
+    let failed = records.filter(is_failure).count();
+    assert!(failed > 3, "{stderr}");
+    assert!(stderr.contains(&format!(", {failed} polls without a scan")), "{failed}: {stderr}");
+}
+
+#[test]
+fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
+    let (file, nobody) = (scratch("exists"), Scratch::new("nobody"));
+    let precious = b"precious".repeat(100_000);
+    fs::write(file.path(), &precious).unwrap();
+    let line = failure(&format!("record emulated {}", file.path()));
+    assert!(line.contains("exists: use another name") && line.contains("--force"), "{line}");
+    failure(&format!("record {} {} --force", nobody.path(), file.path()));
+    assert!(fs::read(file.path()).unwrap() == precious);
+    run(&format!("record emulated {} --force --count 1 --frame-id front", file.path()), 0);
+    let mut records = Recording::open(file.path()).unwrap().map(|record| record.unwrap().entry);
+    assert!(records.any(|entry| matches!(entry, Entry::Scan(scan) if scan.frame_id == "front")));
+    assert!(fs::metadata(file.path()).unwrap().len() < 100_000, "the old content is still there");
+    assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
+
+    let into_itself = format!("record {0} {0} --force", file.path());
+    assert!(run(&into_itself, 2).stderr.contains("`urg cut "));
+    assert_eq!(contents(Recording::open(file.path()).unwrap()).0.len(), 1);
+}
+
+#[test]
+fn a_file_that_another_recorder_writes_or_another_program_removes_ends_the_recording() {
+    let file = scratch("shared");
+    let first = Running::start(&format!("record emulated {}", file.path()));
+    while fs::metadata(file.path()).map_or(0, |file| file.len()) == 0 {
+        std::thread::yield_now();
+    }
+    let line = failure(&format!("record emulated {} --force", file.path()));
+    assert!(line.contains("another recorder"), "{line}");
+    fs::remove_file(file.path()).unwrap();
+    let (status, notices) = first.end();
+    assert_eq!(status.code(), Some(1));
+    assert!(notices.iter().any(|line| line.contains("was removed")), "{notices:?}");
+}
+
+#[test]
+fn an_empty_file_of_a_recording_that_was_killed_while_it_waited_is_used() {
+    let (file, nobody) = (scratch("killed-waiting"), Scratch::new("killed-waiting"));
+    let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
+    waiting.notice();
+    waiting.signal("KILL");
+    waiting.end();
+    assert_eq!(fs::metadata(file.path()).unwrap().len(), 0);
+    run(&format!("record emulated {} --count 1", file.path()), 0);
+}
+
+#[test]
+fn opening_a_recording_that_hangs_can_be_interrupted() {
+    let pipe = scratch("hangs");
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    let out = scratch("hangs-out");
+    let record = format!("record {} {}", pipe.path(), out.path());
+    let mut others = vec!["stream", "info", "view", "serve", "scan", "check"];
+    if cfg!(any(feature = "ros2", feature = "zenoh")) {
+        others.push("publish");
+    }
+    let others = others.iter().map(|command| format!("{command} {}", pipe.path()));
+    for (number, command) in others.chain([record]).enumerate() {
+        // One of both is enough: one handler takes both.
+        let signal = ["INT", "TERM"][number % 2];
+        let script = format!("trap '' {signal}; echo; exec $urg {command}");
+        let mut program = shell(&script).stdout(Stdio::piped()).spawn().unwrap();
+        let mut trapped = [0];
+        program.stdout.as_mut().unwrap().read_exact(&mut trapped).unwrap();
+        let status = signalled(&mut program, signal);
+        // A check that has found nothing out is no success.
+        let expected = if command.starts_with("check") { 1 } else { 0 };
+        assert_eq!(status, Some(expected), "{command}");
+    }
+    assert!(!fs::exists(out.path()).unwrap());
+}
+
+/// Sends a program a signal again and again until it ends, and returns its exit code.
+fn signalled(program: &mut std::process::Child, signal: &str) -> Option<i32> {
+    let began = Instant::now();
+    loop {
+        let id = program.id().to_string();
+        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+        match program.try_wait().unwrap() {
+            Some(status) => return status.code(),
+            None if began.elapsed() < STEP_LIMIT => {}
+            None => {
+                program.kill().unwrap();
+                program.wait().unwrap();
+                return None;
+            }
+        }
+    }
+}
+
+#[test]
+fn with_one_name_only_record_asks_for_the_missing_one() {
+    let stderr = run("record", 2).stderr;
+    assert!(stderr.starts_with("urg: which PORT?"), "{stderr}");
+    let stderr = run("record run.mcap --force", 2).stderr;
+    assert!(stderr.starts_with("urg: which PORT?"), "{stderr}");
+    let stderr = run("record /dev/ttyACM0 --count 3", 2).stderr;
+    assert!(
+        stderr.contains("FILE.mcap") && stderr.contains("`urg record /dev/ttyACM0 run.mcap`"),
+        "{stderr}"
+    );
+    assert_eq!(stderr.matches("ttyACM0").count(), 1, "{stderr}");
+}
+
+#[test]
+fn no_file_is_left_where_there_was_no_sensor() {
+    let (file, nobody) = (scratch("left"), Scratch::new("left"));
+    failure(&format!("record {} {}", nobody.path(), file.path()));
+    assert!(!fs::exists(file.path()).unwrap());
+    let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
+    let notice = waiting.notice();
+    assert!(notice.contains("waiting for a sensor") && notice.contains("no port"), "{notice}");
+    waiting.signal("INT");
+    assert_eq!(waiting.end().0.code(), Some(0));
+    assert!(!fs::exists(file.path()).unwrap());
+}
+
+/// Starts to record into a pipe; `record` is the command line up to its FILE.
+fn into_pipe(pipe: &Scratch, record: &str) -> (Running, File) {
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    let running = Running::start(&format!("{record} {} --force", pipe.path()));
+    // Opening blocks until the program opens the pipe, which may have failed.
+    let (sender, opened) = std::sync::mpsc::channel();
+    let path = pipe.path().to_owned();
+    std::thread::spawn(move || sender.send(File::open(path).unwrap()));
+    (running, opened.recv_timeout(STEP_LIMIT).unwrap())
+}
+
+/// Records into a pipe, and returns the bytes read once they are more than `enough`.
+fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
+    let (running, mut file) = into_pipe(pipe, "record emulated");
+    let mut bytes = vec![0; enough];
+    file.read_exact(&mut bytes).unwrap();
+    (running, file, bytes)
+}
+
+#[test]
+fn an_interrupted_recording_ends_with_its_index() {
+    for signal in ["INT", "TERM", "HUP"] {
+        let pipe = scratch(&format!("interrupted-{signal}"));
+        let (record, mut file, mut bytes) = until(&pipe, 10_000);
+        record.signal(signal);
+        file.read_to_end(&mut bytes).unwrap();
+        let (status, notices) = record.end();
+        assert_eq!((status.code(), notices.len()), (Some(0), 1), "{notices:?}");
+        let mut recording = Recording::read(Cursor::new(bytes)).unwrap();
+        let scans = recording
+            .by_ref()
+            .filter(|record| matches!(record.as_ref().unwrap().entry, Entry::Scan(_)));
+        let stderr = notices[0].split_once(".mcap: ").unwrap().1.to_owned();
+        assert!(stderr.starts_with(&format!("{} scans in ", scans.count())), "{stderr}");
+        assert!(!recording.is_truncated(), "{signal}");
+    }
+}
+
+#[test]
+fn recording_into_a_pipe_that_nobody_reads_can_be_interrupted() {
+    let pipe = scratch("nobody-reads");
+    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    // SIGINT is ignored until the program handles it.
+    let script = format!("trap '' INT; echo; exec $urg record emulated {} --force", pipe.path());
+    let mut record = shell(&script).stdout(Stdio::piped()).spawn().unwrap();
+    let mut trapped = [0];
+    record.stdout.as_mut().unwrap().read_exact(&mut trapped).unwrap();
+    let status = signalled(&mut record, "INT");
+    assert_eq!(status, Some(0));
+    assert!(fs::exists(pipe.path()).unwrap(), "the program removed a pipe that it had not made");
+}
+
+#[test]
+fn scans_recorded_before_a_kill_can_be_replayed() {
+    let (pipe, file) = (scratch("killed-pipe"), scratch("killed"));
+    let (record, mut rest, mut bytes) = until(&pipe, 50_000);
+    record.signal("KILL");
+    rest.read_to_end(&mut bytes).unwrap();
+    record.end();
+    fs::write(file.path(), bytes).unwrap();
+    let (recorded, _) = contents(Recording::open(file.path()).unwrap());
+    assert!(recorded.len() >= 10, "{} scans", recorded.len());
+    let info = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(info.contains("its end is missing"), "{info}");
+    let replay = run(&format!("stream {} --rate max", file.path()), 0);
+    assert!(scans(&replay.stdout).len() >= recorded.len());
+}
+
+#[test]
+fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
+    let full = scratch("full");
+    let linked = Command::new("ln").args(["-s", "/dev/full", full.path()]).status().unwrap();
+    assert!(linked.success());
+    let line = failure(&format!("record emulated {} --force", full.path()));
+    assert!(line.contains("full.mcap") || line.contains(full.path()), "{line}");
+    assert!(line.contains("No space left"), "{line}");
+
+    // As if the disk had room for some scans.
+    let file = scratch("quota");
+    let script = format!("trap '' XFSZ; ulimit -f 128; exec $urg record emulated {}", file.path());
+    let output = shell(&script).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert_eq!((output.status.code(), stderr.lines().count()), (Some(1), 1), "{stderr}");
+    assert!(stderr.contains(file.path()) && stderr.contains("can be read"), "{stderr}");
+    let replay = run(&format!("stream {} --rate max", file.path()), 0);
+    assert!(scans(&replay.stdout).len() >= 10);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
+    let file = scratch("other");
+    let line = failure(&format!("stream {}", file.path()));
+    assert!(line.contains("cannot open") && line.contains(file.path()), "{line}");
+    fs::write(file.path(), "sequence,stamp\n1,2\n").unwrap();
+    let line = failure(&format!("view {}", file.path()));
+    assert!(line.contains(file.path()) && line.contains("not a recording"), "{line}");
+    fs::write(file.path(), "").unwrap();
+    let line = failure(&format!("info {}", file.path()));
+    assert!(line.contains("no scan in this recording"), "{line}");
+    let usage = run("record emulated run.bag", 2).stderr;
+    assert!(usage.contains("run.bag.mcap"), "{usage}");
+
+    // A valid beginning with damage later.
+    fs::remove_file(file.path()).unwrap();
+    recording(file.path(), Window::DETECTION, 600).await;
+    let mut bytes = fs::read(file.path()).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(file.path(), bytes).unwrap();
+    let output = run(&format!("stream {} --rate max", file.path()), 1);
+    assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
+    assert!(output.stderr.contains("the recording is damaged"), "{}", output.stderr);
+}

@@ -1,0 +1,154 @@
+//! `urg repair`, `--split`, and recordings that end because of a write error.
+
+use std::fs;
+use std::io::Cursor;
+use std::process::Command;
+
+use serde_json::Value;
+use tokio_scip::Window;
+use tokio_scip::recording::{Entry, Recording};
+
+use super::formats::scans;
+use super::program::{Emulated, Scratch, failure, run, urg};
+use super::recorded::recording;
+
+fn scratch(name: &str) -> Scratch {
+    Scratch::with_extension(name, ".mcap")
+}
+
+fn count(path: &str) -> usize {
+    let records = Recording::open(path).unwrap().map(|record| record.unwrap().entry);
+    records.filter(|entry| matches!(entry, Entry::Scan(_))).count()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repaired() {
+    let (whole, cut) = (scratch("repair-whole"), scratch("repair-cut"));
+    recording(whole.path(), Window::DETECTION, 400).await;
+    let bytes = fs::read(whole.path()).unwrap();
+    fs::write(cut.path(), &bytes[..bytes.len() * 3 / 4]).unwrap();
+    let info = |path: &str| -> Value {
+        serde_json::from_str(&run(&format!("info {path} --format json"), 0).stdout).unwrap()
+    };
+    let text = run(&format!("info {}", cut.path()), 0).stdout;
+    assert!(text.contains(&format!("`urg repair {}`", cut.path())), "{text}");
+    let before = info(cut.path());
+    assert_eq!(before["complete"], false);
+    let replayed = run(&format!("stream {} --rate max --format ndjson", cut.path()), 0);
+    assert_eq!(before["scans"], scans(&replayed.stdout).len());
+
+    // The copy has its own name beside the file.
+    let out = cut.path().replace(".mcap", ".repaired.mcap");
+    let stderr = run(&format!("repair {}", cut.path()), 0).stderr;
+    assert!(stderr.contains("complete") && stderr.contains("its end was missing"), "{stderr}");
+    let after = info(&out);
+    assert_eq!((&after["complete"], &after["scans"]), (&true.into(), &before["scans"]));
+    // Nothing is overwritten, and a whole file is not copied.
+    let stderr = failure(&format!("repair {}", cut.path()));
+    assert!(stderr.contains(&out), "{stderr}");
+    fs::remove_file(&out).unwrap();
+    let stderr = run(&format!("repair {} {out}", whole.path()), 0).stderr;
+    assert!(stderr.contains("nothing to repair"), "{stderr}");
+    assert!(!fs::exists(&out).unwrap());
+    // Nor is a file without a message, such as an empty one.
+    for length in [0, 100] {
+        fs::write(cut.path(), &bytes[..length]).unwrap();
+        let stderr = failure(&format!("repair {}", cut.path()));
+        assert!(stderr.contains("no message in it can be read"), "{stderr}");
+        assert!(!fs::exists(&out).unwrap());
+    }
+}
+
+#[cfg(unix)]
+#[tokio::test(start_paused = true)]
+async fn a_file_name_cannot_control_the_terminal() {
+    let file = scratch("\x1b[2J");
+    recording(file.path(), Window::DETECTION, 20).await;
+    let whole = fs::read(file.path()).unwrap();
+    fs::write(file.path(), &whole[..whole.len() - 100]).unwrap();
+    let info = run(&format!("info {}", file.path()), 0);
+    let scans = run(&format!("stream {} --format csv", file.path()), 0);
+    let repaired = run(&format!("repair {}", file.path()), 0);
+    // As on a terminal, which clap writes colours to.
+    let refused = urg("view \x1b[2J --rate 0").env("CLICOLOR_FORCE", "1").assert().code(2);
+    let refused = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    assert!(refused.contains("control characters"), "{refused:?}");
+    for text in [info.stdout, info.stderr, scans.stderr, repaired.stderr, refused] {
+        assert!(!text.contains('\x1b'), "{text:?}");
+    }
+    fs::remove_file(file.path().replace(".mcap", ".repaired.mcap")).unwrap();
+}
+
+/// Other readers open a file by its index.
+#[tokio::test(start_paused = true)]
+async fn a_damaged_index_is_told_by_info_and_repaired() {
+    let file = scratch("index");
+    recording(file.path(), Window::DETECTION, 20).await;
+    let mut bytes = fs::read(file.path()).unwrap();
+    let at = bytes.len() - 100;
+    bytes[at] ^= 1;
+    fs::write(file.path(), bytes).unwrap();
+    let text = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(text.contains("complete       no: its end is missing or damaged"), "{text}");
+    let out = file.path().replace(".mcap", ".repaired.mcap");
+    run(&format!("repair {}", file.path()), 0);
+    assert!(run(&format!("info {out}"), 0).stdout.contains("complete       yes"));
+    fs::remove_file(&out).unwrap();
+}
+
+#[test]
+fn a_split_recording_has_its_scans_in_several_files() {
+    let file = scratch("split-run");
+    let record = format!("record emulated {} --count 90 --rate max --split 150kB", file.path());
+    let stderr = run(&record, 0).stderr;
+    assert!(
+        stderr.contains("90 scans in ") && stderr.contains(" kB in 3 files, none lost"),
+        "{stderr}"
+    );
+    let parts: Vec<String> =
+        (2..=3).map(|n| file.path().replace(".mcap", &format!("_{n:04}.mcap"))).collect();
+    let counts: Vec<usize> =
+        [file.path()].into_iter().chain(parts.iter().map(String::as_str)).map(count).collect();
+    assert_eq!(counts.iter().sum::<usize>(), 90, "{counts:?}");
+    parts.iter().for_each(|part| fs::remove_file(part).unwrap());
+}
+
+#[test]
+fn a_recording_that_keeps_to_a_space_removes_its_first_file_too() {
+    let folder = Scratch::new("keep-run");
+    fs::create_dir(folder.path()).unwrap();
+    let file = format!("{}/run.mcap", folder.path());
+    let link = Scratch::new("keep-link");
+    let sensor = Emulated::start(&format!("--revolution 10ms --link {}", link.path()));
+    let record = format!("record {} {file} --count 300 --rate max", sensor.port);
+    let stderr = run(&format!("{record} --split 100kB --keep 300kB"), 0).stderr;
+    assert!(stderr.contains("300 scans in ") && stderr.contains(", none lost"), "{stderr}");
+    let files: Vec<_> = fs::read_dir(folder.path()).unwrap().flatten().collect();
+    let bytes: u64 = files.iter().map(|file| file.metadata().unwrap().len()).sum();
+    // The last file may have grown by a chunk since old ones were removed.
+    assert!(!fs::exists(&file).unwrap() && bytes < 450_000, "{bytes} bytes in {files:?}");
+    fs::remove_dir_all(folder.path()).unwrap();
+}
+
+/// The signal for exceeding a limit on file size ends a program without a message unless
+/// it is handled.
+#[test]
+fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
+    let (file, lines) = (scratch("limited"), Scratch::new("limited-lines"));
+    let urg = env!("CARGO_BIN_EXE_urg");
+    for command in [
+        format!("exec {urg} record emulated {} --rate max --duration 60s", file.path()),
+        format!("exec {urg} stream emulated --rate max --duration 60s > {}", lines.path()),
+    ] {
+        // In blocks of 512 or 1024 bytes.
+        let script = format!("ulimit -f 64; {command}");
+        let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{command}: {stderr}");
+        assert!(stderr.to_lowercase().contains("file too large"), "{command}: {stderr}");
+    }
+    let file = fs::read(file.path()).unwrap();
+    let mut recording = Recording::read(Cursor::new(file)).unwrap();
+    assert!(recording.by_ref().filter(Result::is_ok).count() > 5);
+    assert!(recording.is_truncated());
+}

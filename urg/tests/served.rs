@@ -1,0 +1,196 @@
+//! Two processes: one serves an emulated sensor, the other one uses it.
+
+use std::collections::HashMap;
+use std::sync::mpsc;
+use std::time::Duration;
+
+use serde_json::Value;
+use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
+use tokio_scip::{Sensor, Window};
+
+use super::formats::{check, scans, values};
+use super::program::{Emulated, Running, Scratch, run};
+
+/// The argument for an emulated sensor with a fast motor, so that tests are fast.
+pub(crate) const FAST: &str = "--revolution 50ms";
+const REVOLUTION: Duration = Duration::from_millis(50);
+
+/// The number of scans compared with the sensor's.
+pub(crate) const SCANS: usize = 30;
+
+/// Returns the values of steps 44..=725 in each of the first revolutions of a [`FAST`]
+/// sensor with this seed, with the number of the revolution.
+pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
+    let (sender, receiver) = mpsc::channel();
+    let mut room = Room::new(seed);
+    let world = move |mut look: WorldTime, codes: &mut Values| {
+        for revolution in 0..1500_u32 {
+            let mut codes: Values = [19; STEPS];
+            look.revolution = revolution.into();
+            look.at = REVOLUTION * (revolution + 1);
+            room.measure(look, &mut codes);
+            let values = codes[44..=725].iter().map(|&code| code.into()).collect();
+            sender.send((values, u64::from(revolution))).unwrap();
+        }
+        codes.fill(19);
+    };
+    let sensor = Sensor::builder().connect(Emulator::builder().world(world).build()).await.unwrap();
+    sensor.scan(Window::DETECTION).await.unwrap();
+    drop(sensor);
+    receiver.try_iter().collect()
+}
+
+/// Asserts that these are [`SCANS`] scans without a gap, each measured by the sensor, in
+/// order.
+pub(crate) fn check_held(ndjson: &str, held: &HashMap<Vec<u64>, u64>) {
+    let scans = scans(ndjson);
+    assert_eq!(scans.len(), SCANS);
+    let mut last = None;
+    for (number, scan) in scans.iter().enumerate() {
+        check(scan);
+        assert_eq!(scan["sequence"], number as u64);
+        let revolution = held.get(&values(scan)).copied();
+        assert!(revolution.is_some(), "scan {number} was not measured by the sensor");
+        assert!(revolution > last, "scan {number} is older than the one before");
+        last = revolution;
+    }
+}
+
+fn stream(port: &str) -> String {
+    format!("stream {port} --rate max --count {SCANS} --format ndjson")
+}
+
+#[tokio::test]
+async fn scans_over_a_pseudo_terminal_are_those_of_the_sensor() {
+    let link = Scratch::new("pty");
+    let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
+    assert_eq!(sensor.port, link.path());
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    assert!(info.contains("SOKUIKI Sensor URG-04LX"), "{info}");
+    let output = run(&stream(&sensor.port), 0);
+    assert_eq!(output.stderr, "");
+    check_held(&output.stdout, &held(7).await);
+}
+
+#[tokio::test]
+async fn scans_over_tcp_are_those_of_the_sensor() {
+    let sensor = Emulated::start(&format!(
+        "--tcp 0 --seed 8 --firmware text --serial-number H1234567 {FAST}"
+    ));
+    assert!(sensor.port.starts_with("tcp://127.0.0.1:"), "{}", sensor.port);
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    assert!(info.contains("serial number  H1234567"), "{info}");
+    assert!(!info.contains("\nstatus"), "the text knows of none: {info}");
+    let output = run(&stream(&sensor.port), 0);
+    check_held(&output.stdout, &held(8).await);
+}
+
+#[tokio::test]
+async fn scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
+    let link = Scratch::new("faster");
+    let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9 {FAST}", link.path()));
+    let output = run(&format!("{} --baud 115200", stream(&sensor.port)), 0);
+    check_held(&output.stdout, &held(9).await);
+    // It keeps this baud rate, and is found at it.
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    assert!(info.contains("baud rate      115200 baud"), "{info}");
+    let output = run(&format!("baud {} 57600", sensor.port), 0);
+    assert!(output.stderr.contains("the baud rate is 57600 baud"), "{}", output.stderr);
+    let output = run(&format!("stream {} --count 1", sensor.port), 0);
+    assert_eq!(scans(&output.stdout).len(), 1);
+}
+
+#[test]
+fn the_baud_rate_behind_a_bridge_cannot_be_changed() {
+    let sensor = Emulated::start("--tcp 0 --baud 57600");
+    assert!(sensor.port.ends_with("?baud=57600"), "{}", sensor.port);
+    let line = super::program::failure(&format!("baud {} 115200", sensor.port));
+    assert!(line.contains("cannot be set to 115200 baud"), "{line}");
+    assert_eq!(line.matches("its baud rate is fixed").count(), 1, "{line}");
+}
+
+#[test]
+fn a_stream_goes_on_when_its_sensor_is_unplugged_and_comes_back() {
+    let link = Scratch::new("replug");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let mut stream = Running::start(&format!("stream {}", link.path()));
+    stream.line();
+    sensor.running.signal("INT");
+    let event = |event: &str, stream: &mut Running| {
+        loop {
+            let line: Value = serde_json::from_str(&stream.line()).unwrap();
+            if line["event"] == event {
+                return line;
+            }
+            assert!(line["event"].is_null() || line["event"] == "error", "{line}");
+        }
+    };
+    let lost = event("disconnected", &mut stream);
+    assert!(lost["error"].as_str().unwrap().contains("lost"), "{lost}");
+    let lost = format!("the link to {} is lost", link.path());
+    let notice = stream.notice();
+    assert!(notice.contains(&lost), "{notice}");
+    assert_eq!(notice.matches(link.path()).count(), 1, "{notice}");
+    drop(sensor);
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    assert_eq!(event("reconnected", &mut stream), serde_json::json!({ "event": "reconnected" }));
+    check(&serde_json::from_str(&stream.line()).unwrap());
+    stream.signal("INT");
+    stream.rest();
+    let (status, notices) = stream.end();
+    assert_eq!(status.code(), Some(0));
+    assert!(notices.iter().any(|line| line.ends_with("the sensor is back")), "{notices:?}");
+}
+
+#[test]
+fn a_program_that_waits_finds_the_sensor_that_appears() {
+    let link = Scratch::new("appears");
+    let mut stream = Running::start(&format!("stream {} --wait --count 1", link.path()));
+    assert!(stream.notice().contains("waiting"));
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    check(&serde_json::from_str(&stream.line()).unwrap());
+    let (status, _) = stream.end();
+    assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn faults_cost_scans_and_never_the_stream() {
+    let link = Scratch::new("faults");
+    let arguments = format!("--link {} --seed 3 {FAST} --faults damaged=0.2,seed=5", link.path());
+    let sensor = Emulated::start(&arguments);
+    let output = run(&format!("stream {} --rate max --count 20", sensor.port), 0);
+    let lines = scans(&output.stdout);
+    let (events, scans): (Vec<_>, Vec<_>) =
+        lines.into_iter().partition(|line| line.get("event").is_some());
+    assert_eq!(scans.len(), 20);
+    scans.iter().for_each(check);
+    assert!(events.iter().all(|event| event["error"].is_string()), "{events:?}");
+}
+
+#[test]
+fn text_from_a_sensor_cannot_control_the_terminal() {
+    let sensor = Emulated::start("--tcp 0 --serial-number \x1b[31mred");
+    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    assert!(info.contains(r"\x1b[31mred"), "{info}");
+    assert!(!info.contains('\x1b'), "{info:?}");
+}
+
+#[test]
+fn a_hard_room_and_the_status_of_a_repeated_laser_command_are_options() {
+    let arguments = "--tcp 0 --room hard --firmware text";
+    let sensor = Emulated::start(&format!("{arguments} {FAST}"));
+    let scan = scans(&run(&format!("scan {} --format json", sensor.port), 0).stdout).remove(0);
+    let missing = values(&scan).iter().filter(|&&value| value < 20).count();
+    assert!((300..=450).contains(&missing), "{missing} of 682");
+
+    // Clients of the time stop at a `2`, so that it is there on request only.
+    for (option, answer) in [("", b"L1\n0\n\n"), ("--repeated-laser 2", b"L1\n2\n\n")] {
+        let sensor = Emulated::start(&format!("--tcp 0 {option}"));
+        let address = sensor.port.strip_prefix("tcp://").unwrap();
+        let mut link = std::net::TcpStream::connect(address).unwrap();
+        std::io::Write::write_all(&mut link, b"L1\n").unwrap();
+        let mut reply = [0; 6];
+        std::io::Read::read_exact(&mut link, &mut reply).unwrap();
+        assert_eq!(&reply, answer, "{option}");
+    }
+}

@@ -1,0 +1,214 @@
+//! Help, invalid command lines, and ports that cannot be opened.
+
+use super::program::{COMMANDS, Emulated, Scratch, failure, program, run, urg};
+
+#[test]
+fn every_command_has_help_on_standard_output() {
+    let help = run("--help", 0).stdout;
+    assert!(help.contains("emulated"));
+    for arguments in ["help", "help --help", "help -h"] {
+        assert_eq!(run(arguments, 0).stdout, help, "{arguments}");
+    }
+    assert_eq!(run("help stream --help", 0).stdout, run("help stream", 0).stdout);
+    for command in COMMANDS.iter().chain(&["man"]) {
+        let long = run(&format!("{command} --help"), 0).stdout;
+        let short = run(&format!("help {command}"), 0).stdout;
+        for help in [long, short] {
+            assert!(help.contains(&format!("Usage: urg {command}")), "{help}");
+        }
+    }
+    assert!(run("--version", 0).stdout.starts_with("urg "));
+}
+
+#[test]
+fn an_invalid_command_line_exits_with_2() {
+    for arguments in [
+        "",
+        "fly",
+        "stream emulated --fast",
+        "stream tcp://bridge",
+        "stream emulated --rate 0",
+        "stream emulated --count 0",
+        "stream emulated --duration 10",
+        "stream emulated --duration 0s",
+        "stream emulated --baud 9600",
+        "stream emulated --format svg",
+        "scan emulated --cluster 0",
+        "scan emulated --end 769",
+        "scan emulated --start 700 --end 30",
+        "scan emulated --start 730",
+        "scan emulated --from 20 --to 10",
+        "scan emulated --from nan",
+        "scan emulated --from 10 --start 3",
+        "view emulated",
+        "view emulated --count 3",
+        "check emulated --duration 0s",
+        "completions cmd",
+        "man fly",
+        "list --format csv",
+        "laser emulated",
+        "laser emulated blink",
+        "baud emulated",
+        "emulate --baud 19200 --usb",
+        "emulate --faults rain=0.5",
+        "emulate --tcp 4001 --link here",
+    ] {
+        let output = run(arguments, 2);
+        assert_eq!(output.stdout, "", "{arguments}");
+        assert!(!output.stderr.is_empty(), "{arguments}");
+    }
+}
+
+#[test]
+fn help_that_cannot_be_written_is_a_failure() {
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    for arguments in ["help", "--version", "stream --help"] {
+        let output = program(arguments).stdout(full.try_clone().unwrap()).output().unwrap();
+        let stderr = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(1), "{arguments}: {stderr}");
+        assert!(stderr.contains("cannot write to standard output"), "{arguments}: {stderr}");
+    }
+}
+
+#[test]
+fn a_missing_port_is_asked_for() {
+    for arguments in
+        ["info", "scan --format csv", "stream --count 3", "check", "laser on", "baud 115200"]
+    {
+        let output = run(arguments, 2);
+        assert!(output.stderr.starts_with("urg: which PORT?"), "{}", output.stderr);
+    }
+}
+
+#[test]
+fn each_failure_is_one_line_that_names_the_port() {
+    let missing = Scratch::new("missing");
+    let directory = std::env::temp_dir();
+    for command in ["info", "scan", "stream"] {
+        let line = failure(&format!("{command} {}", missing.path()));
+        assert!(line.contains("no port") && line.contains(missing.path()), "{line}");
+        let line = failure(&format!("{command} {}", directory.display()));
+        // On Windows ports are not in directories, nor are they directories.
+        let reason = if cfg!(unix) { "is not a serial port" } else { "no port" };
+        assert!(line.contains(reason), "{line}");
+    }
+    // A port of this machine that was free a moment ago.
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let line = failure(&format!("info tcp://{free}"));
+    assert!(line.contains(&format!("tcp://{free}")) && line.contains("refused"), "{line}");
+    let line = failure("laser serial:H0000000 on");
+    assert!(line.contains("H0000000"), "{line}");
+}
+
+#[test]
+fn a_port_in_use_is_reported_as_such() {
+    let link = Scratch::new("in-use");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let mut stream = super::program::Running::start(&format!("stream {}", sensor.port));
+    stream.line();
+    // Root may open it nevertheless.
+    let output = urg(&format!("info {}", sensor.port)).assert().get_output().clone();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(output.status.success() || stderr.contains("is in use"), "{stderr}");
+}
+
+#[test]
+fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let line = failure(&format!("emulate --tcp {}", taken.local_addr().unwrap()));
+    assert!(line.contains("cannot serve on 127.0.0.1"), "{line}");
+    let file = Scratch::new("file");
+    std::fs::write(file.path(), "mine").unwrap();
+    failure(&format!("emulate --link {}", file.path()));
+    assert_eq!(std::fs::read(file.path()).unwrap(), b"mine");
+}
+
+#[test]
+fn logs_come_on_standard_error_and_only_when_asked_for() {
+    let quiet = urg("info emulated").assert().success().get_output().clone();
+    assert!(quiet.stderr.is_empty());
+    let asked = urg("info emulated").env("RUST_LOG", "debug").assert().success();
+    let asked = asked.get_output().clone();
+    assert!(!asked.stderr.is_empty());
+    assert_eq!(asked.stdout, quiet.stdout);
+}
+
+#[test]
+fn the_ports_of_this_machine_can_be_listed() {
+    run("list", 0);
+}
+
+#[test]
+fn a_misspelt_or_misplaced_word_gets_a_hint() {
+    for (arguments, hint) in [
+        ("stream emulatd", "did you mean `emulated`?"),
+        ("laser off emulated", "expected a port, and off after it"),
+        ("laser emulated of", "expected on or off, after PORT"),
+        ("steam emulated", "'stream'"),
+        ("scan /dev/null --firmware text", "--firmware is for PORT `emulated`"),
+        ("scan emulated --window half", "such as 44..725"),
+        ("stream emulated --rate -1", "expected more than 0 and at most 1000 Hz"),
+        ("emulate --faults noise=1:99999999999999", "up to 65536"),
+    ] {
+        let stderr = run(arguments, 2).stderr;
+        assert!(stderr.contains(hint), "{arguments}: {stderr}");
+        assert!(!stderr.contains("tip: to pass"), "{arguments}: {stderr}");
+    }
+}
+
+#[test]
+fn a_window_can_be_named_and_an_emulated_sensor_has_the_firmware_asked_for() {
+    let full = run("scan emulated --format json --window full", 0).stdout;
+    assert!(full.contains("\"start\":0,\"end\":768,"), "{full}");
+    let steps = run("scan emulated --format json --window 100..200 --cluster 2", 0).stdout;
+    assert!(steps.contains("\"start\":100,\"end\":200,\"cluster\":2,"), "{steps}");
+    let [text, v3] = ["text", "v3"].map(|firmware| {
+        run(&format!("info emulated --firmware {firmware}"), 0).stdout.contains("FW Normal")
+    });
+    assert!(!text && v3);
+}
+
+#[test]
+fn a_search_for_the_sensor_ends_at_its_timeout() {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let began = std::time::Instant::now();
+    failure(&format!("info tcp://{} --timeout 500ms", listener.local_addr().unwrap()));
+    assert!(began.elapsed() < std::time::Duration::from_secs(4), "{:?}", began.elapsed());
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_second_emulator_does_not_take_the_link_of_one_that_runs() {
+    let link = Scratch::new("claimed");
+    let first = Emulated::start(&format!("--link {}", link.path()));
+    let line = failure(&format!("emulate --link {}", link.path()));
+    assert!(line.contains("another `urg emulate` is serving there"), "{line}");
+    run(&format!("info {}", first.port), 0);
+    // The symbolic link of a killed one is free again.
+    first.running.signal("KILL");
+    first.running.end();
+    let second = Emulated::start(&format!("--link {}", link.path()));
+    run(&format!("info {}", second.port), 0);
+}
+
+#[test]
+fn bytes_that_are_no_reply_are_counted() {
+    use std::io::{Read, Write};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // A receiver of satellites, which answers whatever it is asked with its place.
+    std::thread::spawn(move || {
+        for client in listener.incoming() {
+            let mut client = client.unwrap();
+            let mut command = [0; 64];
+            while client.read(&mut command).is_ok_and(|count| count > 0)
+                && client.write_all(b"$GPGGA,123519,4807\r\n").is_ok()
+            {}
+        }
+    });
+    for command in ["info", "check"] {
+        let output = run(&format!("{command} tcp://{address} --timeout 1s"), 1);
+        let text = output.stdout + &output.stderr;
+        assert!(text.contains("bytes that are not a reply of SCIP 1.1"), "{text}");
+    }
+}

@@ -1,0 +1,363 @@
+//! `urg serve` over real sockets: its pages, streams and limits.
+
+use std::collections::HashMap;
+use std::time::Instant;
+
+use serde_json::Value;
+use tokio_scip::emulator::{Emulator, Fault, Faults};
+
+use super::formats::{check, values};
+use super::http::{Client, Response};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure};
+
+/// A running `urg serve`, and its address.
+pub(super) struct Served {
+    pub(super) running: Running,
+    pub(super) address: String,
+}
+
+impl Served {
+    pub(super) fn start(arguments: &str) -> Self {
+        let mut running = Running::start(&format!("serve {arguments} --listen 0"));
+        let notice = running.notice();
+        Self::announced(running, &notice)
+    }
+
+    pub(super) fn announced(running: Running, notice: &str) -> Self {
+        let address = notice.split('/').nth(2).unwrap_or_else(|| panic!("{notice}")).to_owned();
+        assert!(address.starts_with("127.0.0.1:"), "{notice}");
+        Self { running, address }
+    }
+
+    pub(super) fn client(&self) -> Client<'_> {
+        Client { address: &self.address, host: &self.address, accept: "*/*" }
+    }
+
+    pub(super) fn get(&self, path: &str) -> Response {
+        self.client().get(path)
+    }
+
+    pub(super) fn json(&self, path: &str) -> Value {
+        serde_json::from_str(&self.get(path).text()).unwrap()
+    }
+
+    /// The state of the first sensor.
+    pub(super) fn state(&self) -> Value {
+        self.json("/state")["sensors"][0].take()
+    }
+
+    /// Requests `/health` until it has this status.
+    pub(super) fn health(&self, status: u16) -> Value {
+        let deadline = Instant::now() + STEP_LIMIT;
+        loop {
+            let response = self.get("/health");
+            let seen = response.status;
+            let health: Value = serde_json::from_str(&response.text()).unwrap();
+            if seen == status {
+                return health;
+            }
+            assert!(Instant::now() < deadline, "no {status} but {seen}: {health}");
+        }
+    }
+}
+
+pub(super) fn scan(line: &str) -> Value {
+    let scan: Value = serde_json::from_str(line).unwrap();
+    check(&scan);
+    scan
+}
+
+#[test]
+fn the_page_contains_all_it_needs_and_refers_to_no_other_address() {
+    let served = Served::start("emulated");
+    let response = served.get("/");
+    assert_eq!(
+        (response.status, response.header("content-type")),
+        (200, "text/html; charset=utf-8")
+    );
+    let policy = response.header("content-security-policy").to_owned();
+    for part in ["default-src 'none'", "connect-src 'self'", "frame-ancestors 'none'"] {
+        assert!(policy.contains(part), "{policy}");
+    }
+    assert!(!policy.contains("unsafe") && !policy.contains("http") && !policy.contains('*'));
+    assert_eq!(response.header("x-content-type-options"), "nosniff");
+    assert!(!response.has("access-control-allow-origin"));
+
+    let page = response.text();
+    // It waits in the system's buffer of 64 KiB for a client that does not read.
+    assert!(page.len() < 60_000, "{}", page.len());
+    let (_, nonce) = policy.split_once("'nonce-").unwrap();
+    let nonce = nonce.split('\'').next().unwrap();
+    assert_eq!(page.matches(&format!("nonce=\"{nonce}\"")).count(), 2);
+    assert_eq!(page.matches("<script").count(), 1);
+    assert_eq!(page.matches("<style").count(), 1);
+    // The XML name of SVG, in the icon, is not fetched.
+    let page = page.replace("http://www.w3.org/2000/svg", "");
+    for word in ["http:", "https:", " src=", "@import", "url(", "{nonce}", "{style}", "{script}"] {
+        assert!(!page.contains(word), "{word}");
+    }
+    assert_eq!(page.matches("href=").count(), page.matches("href=\"data:").count());
+    assert!(page.contains("Distance data on the preceding and succeeding steps have errors"));
+    assert!(!served.get("/").text().contains(nonce), "the nonce is the same for two requests");
+}
+
+#[test]
+fn scans_come_as_urg_stream_writes_them() {
+    let served = Served::start("emulated --from -90deg --to 90deg --cluster 2");
+    let mut response = served.get("/scans?max=3");
+    assert_eq!((response.status, response.header("content-type")), (200, "application/x-ndjson"));
+    let mut next = None;
+    for _ in 0..3 {
+        let scan = scan(&response.line().unwrap());
+        assert_eq!(scan["cluster"], 2);
+        let sequence = scan["sequence"].as_u64().unwrap();
+        assert_eq!(sequence, next.unwrap_or(sequence));
+        next = Some(sequence + 1);
+    }
+    assert_eq!(response.line(), None, "more than the three requested scans");
+}
+
+#[test]
+fn scans_come_as_server_sent_events_on_request() {
+    let served = Served::start("emulated");
+    let client = Client { accept: "text/event-stream", ..served.client() };
+    let mut response = client.get("/scans?max=2");
+    assert_eq!((response.status, response.header("content-type")), (200, "text/event-stream"));
+    for _ in 0..2 {
+        let line = response.line().unwrap();
+        scan(line.strip_prefix("data: ").unwrap());
+        assert_eq!(response.line().unwrap(), "");
+    }
+    assert_eq!(response.line(), None);
+}
+
+#[test]
+fn two_viewers_get_the_same_scans_and_cost_one() {
+    let served = Served::start("emulated");
+    let mut viewers = [served.get("/scans?max=20"), served.get("/scans?max=20")];
+    let mut seen = [HashMap::new(), HashMap::new()];
+    for _ in 0..20 {
+        for (viewer, seen) in viewers.iter_mut().zip(&mut seen) {
+            let scan = scan(&viewer.line().unwrap());
+            seen.insert(scan["sequence"].as_u64().unwrap(), values(&scan));
+        }
+    }
+    let [one, other] = seen;
+    let both: Vec<_> = one.keys().filter(|sequence| other.contains_key(sequence)).collect();
+    assert!(both.len() > 10, "only {both:?} reached both");
+    for sequence in both {
+        assert_eq!(one[sequence], other[sequence], "scan {sequence} differs between the two");
+    }
+    let stats = &served.json("/state")["sensors"][0]["stats"];
+    assert_eq!(stats["schedules"].as_array().unwrap().len(), 1, "{stats}");
+    let (polls, scans) = (stats["polls"].as_u64().unwrap(), stats["scans"].as_u64().unwrap());
+    assert!(polls <= scans + 1, "{stats}");
+}
+
+#[test]
+fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
+    let link = Scratch::new("health");
+    let sensor = Emulated::start(&format!("--link {}", link.path()));
+    let served = Served::start(link.path());
+    let mut scans = served.get("/scans");
+    scan(&scans.line().unwrap());
+    assert_eq!(served.health(200)["status"], "ok");
+    assert_eq!(served.state()["sensor"]["serial_number"], "H0713090");
+
+    drop(sensor);
+    let health = served.health(503);
+    // Who comes late sees which sensor it was, and its last scan, if they ask for it.
+    assert_eq!(served.state()["sensor"]["serial_number"], "H0713090");
+    let mut old: Value = serde_json::from_str(&served.get("/scans?old").line().unwrap()).unwrap();
+    assert_eq!(old.as_object_mut().unwrap().remove("old"), Some(true.into()));
+    check(&old);
+    assert_eq!(health["status"], "failing");
+    assert!(health["sensors"][0]["why"].as_str().unwrap().contains("lost"), "{health}");
+    assert_eq!(served.state()["link"], "disconnected");
+    let mut event = |event: &str| {
+        loop {
+            let line: Value = serde_json::from_str(&scans.line().unwrap()).unwrap();
+            if line["event"] == event {
+                return;
+            }
+            assert!(line["event"].is_null() || line["event"] == "error", "{line}");
+        }
+    };
+    event("disconnected");
+
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    event("reconnected");
+    served.health(200);
+    assert_eq!(served.state()["link"], "connected");
+}
+
+/// Serves an emulated sensor on TCP, in threads of this runtime, and returns its PORT.
+async fn on_tcp(emulator: Emulator) -> String {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(async move {
+        while let Ok((client, _)) = listener.accept().await {
+            // Ends with the test.
+            let _ = emulator.serve(client).await;
+        }
+    });
+    format!("tcp://{address}?baud=750000")
+}
+
+#[test]
+fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let emulator = Emulator::default();
+    let served = Served::start(&runtime.block_on(on_tcp(emulator.clone())));
+    served.health(200);
+
+    // One byte of each scan is lost. Fences are shorter, and are answered.
+    emulator.set_faults(Faults::none().rate(1.0, Fault::Drop(700..701)));
+    let health = served.health(503);
+    let sensor = &health["sensors"][0];
+    let why = sensor["why"].as_str().unwrap();
+    assert!(why.starts_with("no scan for ") && why.contains("malformed"), "{health}");
+    assert_eq!(
+        (&sensor["link"], &served.state()["link"]),
+        (&"connected".into(), &"connected".into())
+    );
+    assert_eq!(served.state()["stats"]["disconnects"], 0);
+
+    emulator.set_faults(Faults::none());
+    served.health(200);
+}
+
+#[test]
+fn a_page_that_waits_for_its_sensor_is_there_before_it() {
+    let link = Scratch::new("serve-waits");
+    let served = Served::start(&format!("{} --wait", link.path()));
+    let health = served.health(503);
+    assert_eq!(health["sensors"][0]["link"], "waiting", "{health}");
+    // The reason is there after the first attempt.
+    let why = || served.health(503)["sensors"][0]["why"].as_str().unwrap().to_owned();
+    while !why().contains("no port") {}
+    assert_eq!(served.state()["sensor"], Value::Null);
+    let mut scans = served.get("/scans?max=1");
+    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    scan(&scans.line().unwrap());
+    served.health(200);
+}
+
+#[test]
+fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
+    let link = Scratch::new("slow");
+    let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
+    let served = Served::start(&format!("{} --rate max", sensor.port));
+    let mut slow = served.get("/scans");
+    let first = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
+    // Far more than the system buffers for it.
+    let mut quick = served.get("/scans?max=1500");
+    let mut last = 0;
+    while let Some(line) = quick.line() {
+        let line: Value = serde_json::from_str(&line).unwrap();
+        last = line["sequence"].as_u64().unwrap_or(last);
+    }
+    assert!(last >= first + 1000);
+    let mut before = first;
+    loop {
+        let line: Value = serde_json::from_str(&slow.line().unwrap()).unwrap();
+        if line["event"] == "missed" {
+            let missed = line["scans"].as_u64().unwrap();
+            let next = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
+            assert_eq!(next, before + missed + 1);
+            break;
+        }
+        before = line["sequence"].as_u64().unwrap();
+        assert!(before < last, "all scans were kept for a slow client");
+    }
+}
+
+#[test]
+fn a_request_for_another_host_is_refused() {
+    let served = Served::start("emulated");
+    for host in ["evil.example", "evil.example:80", "192.168.1.1"] {
+        for path in ["/", "/scans", "/state", "/health"] {
+            let response = Client { host, ..served.client() }.get(path);
+            assert_eq!(response.status, 421, "{host} {path}");
+        }
+    }
+    for host in ["localhost", "localhost:1234", "[::1]:80"] {
+        assert_eq!(Client { host, ..served.client() }.get("/state").status, 200, "{host}");
+    }
+}
+
+#[test]
+fn requests_and_addresses_that_cannot_be_served_are_refused_with_the_reason() {
+    let served = Served::start("emulated");
+    assert_eq!(served.get("/nothing").status, 404);
+    let response = served.get("/scans?max=none");
+    assert_eq!(response.status, 400);
+    assert!(response.text().contains("/scans?max=N"));
+    let line = failure(&format!("serve emulated --listen {}", served.address));
+    assert!(line.contains(&format!("cannot listen on {}", served.address)), "{line}");
+}
+
+#[test]
+fn an_interrupt_ends_open_connections_and_the_program() {
+    for signal in ["INT", "TERM"] {
+        let served = Served::start("emulated");
+        let mut streams = [served.get("/scans"), served.get("/scans")];
+        for stream in &mut streams {
+            scan(&stream.line().unwrap());
+        }
+        served.running.signal(signal);
+        for mut stream in streams {
+            // Reads a proper end of the body, or panics.
+            while let Some(line) = stream.line() {
+                scan(&line);
+            }
+        }
+        let (status, notices) = served.running.end();
+        assert_eq!((status.code(), notices), (Some(0), vec![]), "{signal}");
+    }
+}
+
+#[test]
+fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
+    let link = Scratch::new("unread-http");
+    let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
+    let served = Served::start(&format!("{} --rate max", sensor.port));
+    let _stuck = served.get("/scans");
+    // When this one has ended, the other one's buffers have long been full.
+    served.get("/scans?max=1000").text();
+    served.running.signal("INT");
+    let (status, _) = served.running.end();
+    assert_eq!(status.code(), Some(0));
+}
+
+#[test]
+fn a_page_for_the_network_warns_that_it_is_open_and_accepts_any_host_name() {
+    let mut running = Running::start("serve emulated --listen 0.0.0.0:0");
+    let notice = running.notice();
+    let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
+    let address = format!("127.0.0.1:{}", port.split('/').next().unwrap());
+    assert!(running.notice().contains("there is no password"));
+    let client = Client { address: &address, host: "robot.local", accept: "*/*" };
+    assert_eq!(client.get("/state").status, 200);
+}
+
+#[test]
+fn metrics_are_text_for_prometheus_and_count_what_the_driver_counts() {
+    let served = Served::start("emulated");
+    served.health(200);
+    let response = served.get("/metrics");
+    assert_eq!(response.header("content-type"), "text/plain; version=0.0.4; charset=utf-8");
+    let text = response.text();
+    let value = |name: &str| -> f64 {
+        let line = text.lines().find(|line| line.starts_with(&format!("{name} ")));
+        line.unwrap_or_else(|| panic!("{name} in {text}"))
+            .rsplit(' ')
+            .next()
+            .unwrap()
+            .parse()
+            .unwrap()
+    };
+    assert_eq!(value("urg_up"), 1.0);
+    assert!(value("urg_scans_total") >= 1.0 && value("urg_scan_age_seconds") < 60.0, "{text}");
+    assert_eq!(value("urg_poll_failures_total{cause=\"timeout\"}"), 0.0);
+}
