@@ -106,7 +106,6 @@ mod error;
 pub mod event;
 #[cfg(any(doc, doctest))]
 pub mod guide;
-mod observer;
 pub mod port;
 pub mod protocol;
 mod rate;
@@ -122,8 +121,8 @@ pub mod stats;
 pub mod stream;
 
 pub use driver::Driver;
+pub use driver::ReplyObservation;
 pub use error::{Error, ErrorChain};
-pub use observer::ReplyObservation;
 #[doc(inline)]
 pub use port::Endpoint;
 #[doc(inline)]

@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// The modules from the top down: each may use those behind it in this list.
-const ORDER: [&str; 15] = [
-    "sensor", "stream", "driver", "state", "ring", "stats", "observer", "port", "codec", "ros",
-    "event", "scan", "rate", "error", "protocol",
+const ORDER: [&str; 14] = [
+    "sensor", "stream", "driver", "state", "ring", "stats", "port", "codec", "ros", "event",
+    "scan", "rate", "error", "protocol",
 ];
 /// Modules that may use the whole crate, and that none of the others uses.
 const ASIDE: [&str; 2] = ["emulator", "recording"];

@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use super::observers::ReplyObservers;
 use crate::BaudRate;
-use crate::observer::ReplyObservers;
 use crate::protocol::Text;
 
 /// Interval of probes on a link that can fail silently
@@ -56,7 +56,7 @@ pub(crate) struct Config {
     pub(crate) reply_latency: Option<Duration>,
     pub(crate) idle_probe: IdleProbe,
     /// Observers that the builder has. The driver gets a copy.
-    pub(crate) observers: ReplyObservers,
+    pub(crate) observers: Arc<ReplyObservers>,
 }
 
 impl Config {
@@ -84,7 +84,7 @@ impl Default for Config {
             depth: 1,
             reply_latency: None,
             idle_probe: IdleProbe::ByPort,
-            observers: ReplyObservers::default(),
+            observers: Arc::default(),
         }
     }
 }

@@ -124,7 +124,6 @@ mod tests {
     use super::*;
     use crate::Window;
     use crate::driver::session::UniqueRequests;
-    use crate::observer::ReplyObservers;
     use crate::port::StreamPort;
     use crate::state::Telemetry;
 
@@ -135,7 +134,8 @@ mod tests {
             Box::new(StreamPort::new(near)),
             None,
             UniqueRequests::default(),
-            Arc::new(Telemetry::new(None, ReplyObservers::default())),
+            Arc::default(),
+            Arc::new(Telemetry::new(None)),
         );
         let refusal =
             Refusal { command: Command::Distances(Window::FULL), status: Status::new(b'6') };

@@ -11,6 +11,7 @@ mod config;
 mod failure;
 mod laser;
 mod motor_clock;
+mod observers;
 mod open;
 mod panic;
 mod poll_timer;
@@ -35,8 +36,12 @@ use tokio::time::Instant;
 use tracing::Instrument;
 
 pub(crate) use self::config::{Config, IdleProbe};
+pub use self::observers::ReplyObservation;
+use self::observers::ReplyObservers;
 use self::request::{QueuedRequest, RequestQueue};
 pub(crate) use self::request::{Request, Responder};
+#[cfg(feature = "mcap")]
+pub(crate) use self::session::is_widened;
 use self::supervisor::Supervisor;
 use crate::Error;
 use crate::port::AnyConnect;
@@ -82,6 +87,7 @@ impl fmt::Debug for Driver {
 pub(crate) struct Client {
     sender: mpsc::Sender<Box<QueuedRequest>>,
     telemetry: Arc<Telemetry>,
+    observers: Arc<ReplyObservers>,
     request_timeout: Duration,
     depth: usize,
 }
@@ -129,20 +135,28 @@ impl Client {
     pub(crate) fn telemetry(&self) -> &Telemetry {
         &self.telemetry
     }
+
+    /// Observers of all replies.
+    pub(crate) fn observers(&self) -> &Arc<ReplyObservers> {
+        &self.observers
+    }
 }
 
 /// Creates a driver that is not running yet, and the first handle to it.
-pub(crate) fn new(connect: Box<dyn AnyConnect>, config: Config) -> (Client, Driver) {
+pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, Driver) {
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
     // At error level, so that every enabled message has it: a warning without a name is of little
     // use.
     let span = tracing::error_span!("sensor", name = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
-    let telemetry = Arc::new(Telemetry::new(name, config.observers.clone()));
+    let telemetry = Arc::new(Telemetry::new(name));
     let (request_timeout, depth) = (config.request_timeout, config.depth);
+    // Not those of the builder, which may create another driver.
+    let observers = Arc::new(ReplyObservers::clone(&config.observers));
+    config.observers = Arc::clone(&observers);
     let supervisor =
         Supervisor::new(connect, config, RequestQueue::new(receiver), Arc::clone(&telemetry));
-    let client = Client { sender, telemetry, request_timeout, depth };
+    let client = Client { sender, telemetry, observers, request_timeout, depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }
 

@@ -127,10 +127,11 @@ impl Opener {
     }
 
     async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, LinkError> {
-        let telemetry = Arc::clone(&self.telemetry);
         let unique_requests = std::mem::take(&mut self.unique_requests);
         let reply_latency = self.config.reply_latency;
-        let mut session = Session::new(port, reply_latency, unique_requests, telemetry);
+        let observers = Arc::clone(&self.config.observers);
+        let telemetry = Arc::clone(&self.telemetry);
+        let mut session = Session::new(port, reply_latency, unique_requests, observers, telemetry);
         match self.find(&mut session, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(failure) => {

@@ -30,7 +30,7 @@ use crate::state::{State, Telemetry};
 pub(crate) struct Supervisor {
     /// Declared, and so dropped, before the queue: a caller whose request is dropped finds
     /// the cause, even if the driver never ran.
-    _closing: Closing,
+    _final_state: FinalState,
     opener: Opener,
     offline: OfflineQueue,
     backoff: Backoff,
@@ -56,7 +56,7 @@ impl Supervisor {
         let schedules = Schedules::default();
         let offline = OfflineQueue { queue, schedules, telemetry: Arc::clone(&telemetry) };
         Self {
-            _closing: Closing(Arc::clone(&telemetry)),
+            _final_state: FinalState(Arc::clone(&telemetry)),
             opener,
             offline,
             backoff: Backoff::new(config.backoff, config.seed()),
@@ -275,9 +275,9 @@ impl Drop for OfflineQueue {
 
 /// Enters the final state when a driver is dropped, so that no caller waits for another
 /// state.
-struct Closing(Arc<Telemetry>);
+struct FinalState(Arc<Telemetry>);
 
-impl Drop for Closing {
+impl Drop for FinalState {
     fn drop(&mut self) {
         if !self.0.is_closed() {
             self.0.enter(State::Closed { error: None });

@@ -211,7 +211,7 @@ mod tests {
     }
 
     /// Ports that several searches share. Each port is busy while a search holds it.
-    struct Shared {
+    struct SharedPorts {
         count: usize,
         held: Arc<Mutex<HashSet<String>>>,
     }
@@ -224,7 +224,7 @@ mod tests {
         }
     }
 
-    impl Ports for Shared {
+    impl Ports for SharedPorts {
         type Port = Held;
 
         async fn candidates(&mut self) -> Result<Vec<String>, Error> {
@@ -247,7 +247,7 @@ mod tests {
             let held = Arc::default();
             let searches = (0..count).map(|sensor| {
                 let own = ((sensor + shift) % count).to_string();
-                let ports = Shared { count, held: Arc::clone(&held) };
+                let ports = SharedPorts { count, held: Arc::clone(&held) };
                 let mut search = Search::new(own.clone(), ports);
                 async move {
                     loop {

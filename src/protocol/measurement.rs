@@ -1,10 +1,6 @@
-//! One direction of a scan: the 6-bit characters of a reply, and the meaning of
-//! the 12-bit value that two of them carry.
+//! [`Measurement`]: the meaning of the 12-bit value that a scan has for one direction.
 
 use std::fmt;
-
-/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
-pub(super) const BLOCK: usize = 64;
 
 /// Value above all distances (p. 7): all 12 bits set.
 const SATURATED: u16 = 4095;
@@ -138,56 +134,4 @@ impl TryFrom<u8> for ErrorCode {
 #[error("invalid error code {found}: expected 0 to 19")]
 pub struct UnknownErrorCode {
     found: u8,
-}
-
-/// First of the 64 characters that carry 6 bits (p. 5).
-const FIRST_CHARACTER: u8 = 0x30;
-const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
-
-/// Returns true for the 64 characters that carry 6 bits: `0` to `o`.
-pub(super) const fn is_character(byte: u8) -> bool {
-    byte.wrapping_sub(FIRST_CHARACTER) < 64
-}
-
-/// Decodes values of two characters each, upper six bits first (p. 5), and checks all
-/// bytes at the end. Bytes that are not [characters](is_character) decode to an arbitrary
-/// 12-bit value.
-///
-/// No branch depends on a value, so that the compiler can use vector instructions.
-#[derive(Debug, Default)]
-pub(super) struct Decoder {
-    /// Decoded pairs of each column, combined by OR.
-    seen: [u16; 32],
-}
-
-impl Decoder {
-    /// Decodes a full line.
-    pub(super) fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
-        // Copied to a local, which stays in registers.
-        let mut seen = self.seen;
-        decode(line, values, &mut seen);
-        self.seen = seen;
-    }
-
-    /// Decodes a line of at most 64 bytes.
-    pub(super) fn last_line(&mut self, line: &[u8], values: &mut [u16]) {
-        decode(line, values, &mut self.seen);
-    }
-
-    /// Checks that all bytes were characters.
-    pub(super) fn saw_only_characters(&self) -> bool {
-        let seen = self.seen.iter().fold(0, |all, pair| all | pair);
-        seen.to_le_bytes().iter().all(|&byte| byte < 64)
-    }
-}
-
-/// Subtracts from both bytes of a pair at once, as one little-endian number. A borrow
-/// from the upper byte does no harm: only characters give results below 64 in both bytes.
-#[inline(always)]
-fn decode(line: &[u8], values: &mut [u16], seen: &mut [u16; 32]) {
-    for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(seen) {
-        let sixes = u16::from_le_bytes(*pair).wrapping_sub(FIRST_PAIR);
-        *seen |= sixes;
-        *value = (sixes << 6 | sixes >> 8) & 0x0fff;
-    }
 }

@@ -20,6 +20,7 @@
 
 mod baud;
 mod command;
+mod malformed;
 mod measurement;
 mod reply;
 mod status;
@@ -31,10 +32,11 @@ mod window;
 pub use baud::BaudRate;
 pub use baud::UnknownBaudRate;
 pub use command::{Command, CommandBytes};
+pub use malformed::{Malformed, ReplyError};
 pub use measurement::UnknownErrorCode;
 #[doc(no_inline)]
 pub use measurement::{ErrorCode, Measurement};
-pub use reply::{Malformed, Reply, ReplyError};
+pub use reply::Reply;
 pub use status::Status;
 pub use text::Text;
 pub use version::Specification;

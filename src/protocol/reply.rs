@@ -5,13 +5,15 @@
 //! passes has exactly the shape that its command asked for.
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use super::measurement::{self, BLOCK};
-use super::{Command, Status, Text, Window};
+use super::malformed::{foreign, no_status};
+use super::{Command, Malformed, ReplyError, Status, Window};
 
-/// Number of bytes of a frame to show in an error message.
-const EXCERPT: usize = 32;
+/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
+pub(super) const BLOCK: usize = 64;
+/// First of the 64 characters that carry 6 bits (p. 5).
+const FIRST_CHARACTER: u8 = 0x30;
+const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
 
 /// Complete, well-formed reply to a [`Command`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -199,7 +201,7 @@ fn decode(data: &[u8], values: &mut [u16]) -> bool {
     let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
         return false;
     };
-    let (mut decoder, mut ends) = (measurement::Decoder::default(), 0);
+    let (mut decoder, mut ends) = (Decoder::default(), 0);
     for ([line @ .., end], values) in lines.iter().zip(whole.as_chunks_mut().0) {
         decoder.line(line, values);
         ends |= end ^ b'\n';
@@ -217,7 +219,7 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
         if line.len() != expected || expected == 0 {
             return Err(Malformed::LineLength { line: index, expected, found: line.len() });
         }
-        let stray = line.iter().enumerate().find(|(_, byte)| !measurement::is_character(**byte));
+        let stray = line.iter().enumerate().find(|(_, byte)| !is_character(**byte));
         if let Some((column, &found)) = stray {
             return Err(Malformed::Character { line: index, column, found });
         }
@@ -234,150 +236,50 @@ fn points(command: &Command) -> usize {
     }
 }
 
-/// Error for a reply whose status line, at the front of `rest`, is not one printable
-/// character.
-fn no_status(rest: &[u8]) -> ReplyError {
-    let (line, _) = split_line(rest);
-    if is_scip2(line) {
-        return ReplyError::Scip2 { status: line.into() };
-    }
-    Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into()
+/// Returns true for the 64 characters that carry 6 bits: `0` to `o`.
+const fn is_character(byte: u8) -> bool {
+    byte.wrapping_sub(FIRST_CHARACTER) < 64
 }
 
-/// Error for a frame that does not begin with its command.
-fn foreign(frame: &[u8]) -> ReplyError {
-    let (echo, rest) = split_line(frame);
-    match rest.map(split_line) {
-        // In SCIP 2, `MD` and `MS` stream automatically.
-        Some((status, _)) if echo.first() == Some(&b'M') && is_scip2(status) => {
-            ReplyError::Scip2 { status: status.into() }
-        }
-        _ => ReplyError::Foreign { found: Text::excerpt(echo, EXCERPT) },
-    }
-}
-
-/// Splits off the first line. The rest is `None` without an LF.
-fn split_line(bytes: &[u8]) -> (&[u8], Option<&[u8]>) {
-    let length = bytes.iter().position(|&byte| byte == b'\n').unwrap_or(bytes.len());
-    let (line, rest) = bytes.split_at_checked(length).unwrap_or((bytes, b""));
-    (line, rest.get(1..))
-}
-
-/// Recognises a status of SCIP 2: two characters and their checksum. The checksum is the
-/// low six bits of their sum, plus 0x30 (`99b`), or on some sensors the sum itself
-/// (`0Eu`).
+/// Decodes values of two characters each, upper six bits first (p. 5), and checks all
+/// bytes at the end. Bytes that are not [characters](is_character) decode to an arbitrary
+/// 12-bit value.
 ///
-/// Without the checksum, a reply to a one-step `G` that lost the LF after its status
-/// (`0CD`) would pass for one.
-fn is_scip2(status: &[u8]) -> bool {
-    let &[a, b, sum] = status else { return false };
-    let total = a.wrapping_add(b);
-    a.is_ascii_alphanumeric()
-        && b.is_ascii_alphanumeric()
-        && (sum == (total & 0x3f) + 0x30 || sum == total)
+/// No branch depends on a value, so that the compiler can use vector instructions.
+#[derive(Debug, Default)]
+struct Decoder {
+    /// Decoded pairs of each column, combined by OR.
+    seen: [u16; 32],
 }
 
-/// Why a frame is not the reply to a command.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ReplyError {
-    /// It does not begin with the command: it answers another command, or its echo is
-    /// damaged.
-    #[error("expected the echo of the command, found \"{found}\"")]
-    Foreign {
-        /// First line of the frame.
-        found: Text,
-    },
-    /// It begins with the command, but the rest is malformed.
-    #[error(transparent)]
-    Malformed(#[from] Malformed),
-    /// It has a status of three characters, as in SCIP 2.
-    #[error("expected a status of SCIP 1.1, found \"{status}\" of SCIP 2")]
-    Scip2 {
-        /// Status line.
-        status: Text,
-    },
+impl Decoder {
+    /// Decodes a full line.
+    fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
+        // Copied to a local, which stays in registers.
+        let mut seen = self.seen;
+        decode_line(line, values, &mut seen);
+        self.seen = seen;
+    }
+
+    /// Decodes a line of at most 64 bytes.
+    fn last_line(&mut self, line: &[u8], values: &mut [u16]) {
+        decode_line(line, values, &mut self.seen);
+    }
+
+    /// Checks that all bytes were characters.
+    fn saw_only_characters(&self) -> bool {
+        let seen = self.seen.iter().fold(0, |all, pair| all | pair);
+        seen.to_le_bytes().iter().all(|&byte| byte < 64)
+    }
 }
 
-/// Fault in the shape of a reply: where it is, what was expected there, and what was
-/// found.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum Malformed {
-    /// It does not begin with the command: the echo was damaged, bytes came before it, or
-    /// it is the reply to another command.
-    #[error("expected the echo of the command, found \"{found}\"")]
-    Echo {
-        /// Bytes at the beginning.
-        found: Text,
-    },
-    /// It began before the command can have left the wire, so it is the reply to an older
-    /// command.
-    #[error("the reply began {} us after the command, which alone takes {} us on the wire", after.as_micros(), least.as_micros())]
-    Early {
-        /// Time from the command to the first byte of the reply.
-        after: Duration,
-        /// Time that the command and one byte take at the port's baud rate.
-        least: Duration,
-    },
-    /// It ends after its echo.
-    #[error("expected a status after the echo, found the end of the reply")]
-    NoStatus,
-    /// Its status line is not exactly one printable character.
-    #[error("expected a status of one character, found \"{found}\"")]
-    Status {
-        /// Status line.
-        found: Text,
-    },
-    /// Its status is success, but no data follows.
-    #[error("expected data after a status of success, found the end of the reply")]
-    NoData,
-    /// Data follows a status that allows no data.
-    #[error("expected no data after the status {status}, found {bytes} bytes")]
-    UnexpectedData {
-        /// Status of the reply.
-        status: Status,
-        /// Number of data bytes.
-        bytes: usize,
-    },
-    /// Its data has a line that is too short or too long.
-    #[error("expected {expected} characters in line {line} of the data, found {found}")]
-    LineLength {
-        /// Number of the line in the data, from 0.
-        line: usize,
-        /// Expected number of characters.
-        expected: usize,
-        /// Number of characters found.
-        found: usize,
-    },
-    /// Its data ends early, after a full line.
-    #[error("expected {expected} characters of data, found {found}")]
-    Short {
-        /// Expected number of characters.
-        expected: usize,
-        /// Number of characters found.
-        found: usize,
-    },
-    /// A data character carries no 6-bit number.
-    #[error("expected 0x30 to 0x6f as character {column} of data line {line}, found 0x{found:02x}")]
-    Character {
-        /// Number of the line in the data, from 0.
-        line: usize,
-        /// Position of the character in the line, from 0.
-        column: usize,
-        /// Byte that was found.
-        found: u8,
-    },
-    /// It does not end.
-    #[error("expected two LFs at the end of the reply, found none in {bytes} bytes")]
-    Overlong {
-        /// Number of bytes received.
-        bytes: usize,
-    },
-    /// Something on the link changes bytes: it translates line ends, or is a telnet
-    /// session.
-    #[error(
-        "expected raw bytes, found CR LF line ends or telnet commands: set the terminal or the serial server to raw mode"
-    )]
-    NotRaw,
+/// Subtracts from both bytes of a pair at once, as one little-endian number. A borrow
+/// from the upper byte does no harm: only characters give results below 64 in both bytes.
+#[inline(always)]
+fn decode_line(line: &[u8], values: &mut [u16], seen: &mut [u16; 32]) {
+    for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(seen) {
+        let sixes = u16::from_le_bytes(*pair).wrapping_sub(FIRST_PAIR);
+        *seen |= sixes;
+        *value = (sixes << 6 | sixes >> 8) & 0x0fff;
+    }
 }

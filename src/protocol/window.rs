@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use super::BaudRate;
-use super::measurement::BLOCK;
+use super::reply::BLOCK;
 
 /// Steps in a full revolution of the motor (C-42-3320-A p. 7).
 const STEPS_PER_REVOLUTION: f64 = 1024.0;
@@ -104,7 +104,7 @@ pub(crate) fn angle(step: f64) -> f64 {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(try_from = "Fields"))]
+#[cfg_attr(feature = "serde", serde(try_from = "UncheckedWindow"))]
 pub struct Window {
     start: Step,
     end: Step,
@@ -115,7 +115,7 @@ pub struct Window {
 /// Unvalidated window, as data.
 #[cfg(feature = "serde")]
 #[derive(serde::Deserialize)]
-struct Fields {
+struct UncheckedWindow {
     start: u16,
     end: u16,
     #[serde(default = "one")]
@@ -128,10 +128,10 @@ fn one() -> u8 {
 }
 
 #[cfg(feature = "serde")]
-impl TryFrom<Fields> for Window {
+impl TryFrom<UncheckedWindow> for Window {
     type Error = WindowError;
 
-    fn try_from(fields: Fields) -> Result<Self, WindowError> {
+    fn try_from(fields: UncheckedWindow) -> Result<Self, WindowError> {
         Self::new(fields.start..=fields.end)?.with_cluster_count(fields.cluster)
     }
 }
@@ -262,21 +262,6 @@ impl Window {
         let step = Step(if step > LAST { LAST } else { step });
         Self { start: step, end: step, cluster_count: 1 }
     }
-
-    /// Widens this window by `groups` points in front or, without room there, behind.
-    /// Also returns the number of points to skip in front. Returns `None` if neither side
-    /// has room. The points of this window are the same in the wider one.
-    pub(crate) fn widened(&self, groups: u16) -> Option<(Self, usize)> {
-        let steps = groups.saturating_mul(u16::from(self.cluster_count));
-        if steps <= self.start.0 {
-            let start = Step(self.start.0 - steps);
-            return Some((Self { start, ..*self }, usize::from(groups)));
-        }
-        // Steps after the end would fill up a partial last group.
-        let whole = self.steps().is_multiple_of(usize::from(self.cluster_count));
-        (whole && steps <= LAST - self.end.0)
-            .then(|| (Self { end: Step(self.end.0 + steps), ..*self }, 0))
-    }
 }
 
 impl fmt::Display for Window {
@@ -334,59 +319,6 @@ mod tests {
 
     fn window(start: u16, end: u16, cluster_count: u8) -> Window {
         Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
-    }
-
-    /// First and last step of every point.
-    fn points(window: Window) -> Vec<(u16, u16)> {
-        let (end, group) = (window.end.0, u16::from(window.cluster_count));
-        (window.start.0..=end)
-            .step_by(usize::from(group))
-            .map(|first| (first, end.min(first + group - 1)))
-            .collect()
-    }
-
-    #[test]
-    fn a_widened_window_has_the_points_of_the_narrow_one_at_the_place_it_says() {
-        let mut refused = 0;
-        for start in 0..=768 {
-            for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
-                if end < start || end > LAST {
-                    continue;
-                }
-                for cluster_count in [1, 2, 4, 5, 99] {
-                    for groups in 0..4 {
-                        let narrow = window(start, end, cluster_count);
-                        let Some((wide, skip)) = narrow.widened(groups) else {
-                            refused += 1;
-                            continue;
-                        };
-                        assert_eq!(wide.points(), narrow.points() + usize::from(groups));
-                        let kept = points(wide).into_iter().skip(skip).take(narrow.points());
-                        assert!(kept.eq(points(narrow)), "{narrow} by {groups}");
-                    }
-                }
-            }
-        }
-        assert!(refused > 0);
-    }
-
-    #[test]
-    fn four_successive_polls_have_four_echoes_where_there_is_room() {
-        for narrow in [Window::DETECTION, window(0, 765, 1), window(12, 768, 4), window(3, 768, 1)]
-        {
-            let echoes: Vec<Window> =
-                (0..4).filter_map(|groups| narrow.widened(groups)).map(|(wide, _)| wide).collect();
-            assert_eq!(echoes.len(), 4, "{narrow}");
-            for (index, echo) in echoes.iter().enumerate() {
-                assert!(!echoes.iter().skip(index + 1).any(|other| other == echo), "{narrow}");
-            }
-        }
-        assert_eq!(Window::FULL.widened(1), None);
-        assert_eq!(window(2, 767, 1).widened(3), None);
-        // Steps after the end would fill up the partial last group.
-        assert_eq!(window(0, 10, 4).widened(1), None);
-        assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
-        assert_eq!(window(0, 98, 99).widened(u16::MAX), None);
     }
 
     #[test]

@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use std::time::{Duration, SystemTime};
 
 use super::mcap::{Fields, MessageHeader, kind};
-use super::record::{Entry, Record, Reply, parse_command};
+use super::record::{Entry, Record, RecordedReply, parse_command};
 use super::topics::Topic;
 use crate::event::Event;
 use crate::ros;
@@ -15,8 +15,8 @@ use crate::ros;
 pub(super) struct Messages {
     /// Name of each message type, if recordings use it.
     types: HashMap<u16, Option<&'static str>>,
-    /// Topic of each channel, or `None` if recordings do not have it.
-    channels: HashMap<u16, Option<Topic>>,
+    /// Message type and topic of each channel, or no topic if recordings do not have it.
+    channels: HashMap<u16, (u16, Option<Topic>)>,
 }
 
 /// Message that is malformed, or whose channel is not defined.
@@ -43,15 +43,22 @@ impl Messages {
 
     fn define_channel(&mut self, content: &[u8]) -> Option<()> {
         let (id, schema, topic) = parse_channel(content)?;
+        self.channels.insert(id, (schema, topic));
+        Some(())
+    }
+
+    /// Returns the topic of a channel, or `None` if recordings do not have it. The types are looked
+    /// up for each message, since a damaged file may define one again: then it makes no difference
+    /// whether a channel is repeated, and a repaired file does not repeat any.
+    fn topic(&self, channel: u16) -> Result<Option<Topic>, InvalidMessage> {
+        let (schema, topic) = self.channels.get(&channel).ok_or(InvalidMessage)?;
         // Number 0 stands for no type. If a type was lost with a damaged part, assume the topic's own
         // type where the number is the one that recordings give it: a repaired file defines these,
         // and no others.
-        let is_of_type = |topic: &Topic| match self.types.get(&schema) {
+        Ok(topic.filter(|topic| match self.types.get(schema) {
             Some(name) => *name == Some(topic.message_type().name()),
-            None => schema == 0 || schema == topic.schema(),
-        };
-        self.channels.insert(id, topic.filter(is_of_type));
-        Some(())
+            None => *schema == 0 || *schema == topic.schema(),
+        }))
     }
 
     /// Defines the message type of a topic. Returns false if its number has a type already.
@@ -65,10 +72,8 @@ impl Messages {
     /// have.
     pub(super) fn parse(&self, content: &[u8]) -> Result<Option<Record>, InvalidMessage> {
         let (header, data) = MessageHeader::parse(content).ok_or(InvalidMessage)?;
-        let Some(topic) = self.channels.get(&header.channel).ok_or(InvalidMessage)? else {
-            return Ok(None);
-        };
-        let entry = parse_entry(*topic, header, data).ok_or(InvalidMessage)?;
+        let Some(topic) = self.topic(header.channel)? else { return Ok(None) };
+        let entry = parse_entry(topic, header, data).ok_or(InvalidMessage)?;
         let (at, sequence) = (time(header.log_time), header.sequence);
         Ok(Some(Record { at, sequence, entry }))
     }
@@ -95,7 +100,7 @@ fn parse_entry(topic: Topic, header: MessageHeader, data: &[u8]) -> Option<Entry
         Topic::Replies => {
             let (command, bytes) = ros::read_labelled_bytes(data)?;
             let (command, bytes) = (parse_command(command), bytes.to_vec());
-            Entry::Reply(Reply { command, bytes, stamp: time(header.publish_time) })
+            Entry::Reply(RecordedReply { command, bytes, stamp: time(header.publish_time) })
         }
     })
 }
@@ -108,19 +113,41 @@ fn time(nanos: u64) -> SystemTime {
 mod tests {
     use super::*;
 
+    /// Content of a record that begins with numbers, followed by texts.
+    fn content(numbers: &[u16], texts: [&str; 3]) -> Vec<u8> {
+        let mut content: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        for text in texts {
+            content.extend((text.len() as u32).to_le_bytes());
+            content.extend(text.as_bytes());
+        }
+        content
+    }
+
+    fn channel(schema: u16) -> Vec<u8> {
+        content(&[0, schema], [Topic::Events.name(), "cdr", ""])
+    }
+
     #[test]
     fn a_channel_whose_type_was_lost_has_the_number_that_recordings_give_its_type() {
         for (schema, is_known) in [(Topic::Events.schema(), true), (Topic::Scans.schema(), false)] {
             let mut messages = Messages::default();
-            let (name, encoding) = (Topic::Events.name(), "cdr");
-            let mut channel = [0u16, schema].map(u16::to_le_bytes).concat();
-            for text in [name, encoding] {
-                channel.extend((text.len() as u32).to_le_bytes());
-                channel.extend(text.as_bytes());
+            messages.define(kind::CHANNEL, &channel(schema));
+            assert_eq!(messages.topic(0).unwrap().is_some(), is_known);
+        }
+    }
+
+    #[test]
+    fn a_type_that_is_defined_again_counts_whether_or_not_its_channels_are_repeated() {
+        for is_repeated in [false, true] {
+            let mut messages = Messages::default();
+            for (name, is_known) in [("std_msgs/msg/String", true), ("std_msgs/msg/Header", false)]
+            {
+                messages.define(kind::SCHEMA, &content(&[5], [name, "ros2msg", ""]));
+                if is_known || is_repeated {
+                    messages.define(kind::CHANNEL, &channel(5));
+                }
+                assert_eq!(messages.topic(0).unwrap().is_some(), is_known, "{name}");
             }
-            channel.extend([0; 4]);
-            messages.define(kind::CHANNEL, &channel);
-            assert_eq!(messages.channels[&0].is_some(), is_known);
         }
     }
 }

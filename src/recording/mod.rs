@@ -108,7 +108,7 @@ pub use self::error::RecordingError;
 pub use self::file::RecordingFile;
 pub use self::progress::Progress;
 pub use self::reader::Recording;
-pub use self::record::{Entry, Record, Reply};
+pub use self::record::{Entry, Record, RecordedReply};
 pub use self::recorder::{Recorder, RecorderBuilder};
 pub use self::repair::{Repaired, repair};
 pub use self::replay::ReplayPace;

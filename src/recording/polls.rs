@@ -6,9 +6,10 @@ use std::time::{Duration, SystemTime};
 
 use super::from_ros::MessageScan;
 use super::identity::{parse_version, version_frame};
-use super::record::{Entry, Reply};
+use super::record::{Entry, RecordedReply};
 use super::{Recording, RecordingError};
-use crate::protocol::{Command, Reply as ParsedReply};
+use crate::driver::is_widened;
+use crate::protocol::{Command, Reply};
 use crate::{Version, Window};
 
 /// Number of polls to search for the window of a stream. The driver does not widen one of
@@ -21,7 +22,7 @@ pub(super) struct Polls {
     /// Window of the stream, from the metadata or else from the first polls.
     window: Option<Window>,
     /// First successful reply to `V`.
-    version: Option<Reply>,
+    version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
     revolution: Option<Duration>,
     /// Set once a reply to any command was read: the replies have all scans then, and each comes
@@ -46,7 +47,7 @@ pub(super) struct PollReply {
 
 /// What a recording has of an answer.
 pub(super) enum Answer {
-    Reply(Reply),
+    Reply(RecordedReply),
     /// Values of a `/scan` message.
     Values(Vec<u16>),
 }
@@ -164,12 +165,6 @@ fn revolution(version: &Version) -> Option<Duration> {
     Some(Duration::from_secs(60) / u32::from(rpm.max(1)))
 }
 
-/// Returns true if the driver may request `asked` in order to get `window`.
-fn is_widened(window: Window, asked: Window) -> bool {
-    let widened = |extra| window.widened(extra);
-    (0..=Window::MAX_EXTRA_POINTS).filter_map(widened).any(|(widened, _)| widened == asked)
-}
-
 impl Iterator for Polls {
     type Item = Result<PollReply, RecordingError>;
 
@@ -181,11 +176,11 @@ impl Iterator for Polls {
     }
 }
 
-impl Reply {
+impl RecordedReply {
     /// Parses a successful reply to its command.
-    pub(super) fn parse(&self) -> Option<ParsedReply<'_>> {
+    pub(super) fn parse(&self) -> Option<Reply<'_>> {
         let frame = self.bytes.strip_suffix(b"\n\n")?;
-        let reply = ParsedReply::parse(self.command.as_ref()?, frame).ok()?;
+        let reply = Reply::parse(self.command.as_ref()?, frame).ok()?;
         reply.status().is_ok().then_some(reply)
     }
 

@@ -107,7 +107,7 @@ mod tests {
         let poll = Command::Distances(crate::Window::DETECTION);
         let command = Some(if bytes.is_empty() { poll } else { Command::Version });
         let (bytes, stamp) = (bytes.to_vec(), SystemTime::UNIX_EPOCH);
-        let entry = Entry::Reply(crate::recording::Reply { command, bytes, stamp });
+        let entry = Entry::Reply(crate::recording::RecordedReply { command, bytes, stamp });
         Record { at: at(number), sequence: 0, entry }
     }
 

@@ -102,9 +102,9 @@ impl Recording {
             && recording.records.offset() < METADATA_SEARCH_BYTES
         {
             match recording.step() {
-                Ok(Step::Record(record)) => recording.ahead.push_back(Ok(record)),
-                Ok(Step::Other) => {}
-                Ok(Step::End) => break,
+                Ok(ReadStep::Record(record)) => recording.ahead.push_back(Ok(record)),
+                Ok(ReadStep::Other) => {}
+                Ok(ReadStep::End) => break,
                 Err(error @ RecordingError::Damaged { .. }) => {
                     recording.ahead.push_back(Err(error));
                 }
@@ -191,9 +191,9 @@ impl Recording {
     fn advance(&mut self) -> Option<Result<Record, RecordingError>> {
         loop {
             return match self.step() {
-                Ok(Step::Record(record)) => Some(Ok(record)),
-                Ok(Step::Other) => continue,
-                Ok(Step::End) => None,
+                Ok(ReadStep::Record(record)) => Some(Ok(record)),
+                Ok(ReadStep::Other) => continue,
+                Ok(ReadStep::End) => None,
                 Err(error) => Some(Err(error)),
             };
         }
@@ -206,24 +206,24 @@ impl Recording {
         self.damaged_at.replace(*offset) == Some(*offset)
     }
 
-    fn step(&mut self) -> Result<Step, RecordingError> {
+    fn step(&mut self) -> Result<ReadStep, RecordingError> {
         if self.is_over {
-            return Ok(Step::End);
+            return Ok(ReadStep::End);
         }
         let outcome = match self.next_step() {
-            Err(error) if self.is_reported(&error) => Ok(Step::Other),
+            Err(error) if self.is_reported(&error) => Ok(ReadStep::Other),
             outcome => outcome,
         };
         let goes_on = matches!(
             outcome,
-            Ok(Step::Record(_) | Step::Other) | Err(RecordingError::Damaged { .. })
+            Ok(ReadStep::Record(_) | ReadStep::Other) | Err(RecordingError::Damaged { .. })
         );
         self.is_over = !goes_on;
         outcome
     }
 
-    fn next_step(&mut self) -> Result<Step, RecordingError> {
-        let Some((kind, content)) = self.records.next()? else { return Ok(Step::End) };
+    fn next_step(&mut self) -> Result<ReadStep, RecordingError> {
+        let Some((kind, content)) = self.records.next()? else { return Ok(ReadStep::End) };
         match kind {
             kind::SCHEMA | kind::CHANNEL => self.messages.define(kind, content),
             kind::METADATA => {
@@ -233,7 +233,7 @@ impl Recording {
                 }
             }
             kind::MESSAGE => match self.messages.parse(content) {
-                Ok(Some(record)) => return Ok(Step::Record(record)),
+                Ok(Some(record)) => return Ok(ReadStep::Record(record)),
                 Ok(None) => {}
                 Err(InvalidMessage) => {
                     let (offset, reason) = (self.records.offset(), MALFORMED);
@@ -242,12 +242,12 @@ impl Recording {
             },
             _ => {}
         }
-        Ok(Step::Other)
+        Ok(ReadStep::Other)
     }
 }
 
 /// Outcome of reading one record of the file.
-enum Step {
+enum ReadStep {
     Record(Record),
     /// Record that is no item of a recording.
     Other,

@@ -28,7 +28,7 @@ pub enum Entry {
     /// Scan that the stream delivered.
     Scan(LaserScan),
     /// Reply of the sensor.
-    Reply(Reply),
+    Reply(RecordedReply),
     /// Other event.
     Event(Event),
 }
@@ -36,7 +36,7 @@ pub enum Entry {
 /// Reply of the sensor, byte by byte.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Reply {
+pub struct RecordedReply {
     /// Command that it answers, even if the reply is malformed. `None` for the reply to a
     /// fence and for an unsolicited one.
     pub command: Option<Command>,

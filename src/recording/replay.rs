@@ -5,7 +5,7 @@ use std::io;
 use std::time::{Duration, SystemTime};
 
 use super::polls::{Answer, PollReply, Polls};
-use super::record::{Reply, parse_command};
+use super::record::{RecordedReply, parse_command};
 use super::{Recording, RecordingError};
 use crate::Window;
 use crate::emulator::{Emulator, PlaybackPace, Script, Values};
@@ -159,7 +159,8 @@ impl Script for Replies {
         let echo = Command::Distances(window).bytes();
         let rest = reply.bytes.strip_prefix(&*echo);
         let command = std::str::from_utf8(asked).ok().and_then(parse_command);
-        let answer = rest.map(|rest| Reply { command, bytes: [asked, rest].concat(), ..reply });
+        let answer =
+            rest.map(|rest| RecordedReply { command, bytes: [asked, rest].concat(), ..reply });
         Some(match answer {
             Some(answer) if answer.values().is_none() => answer.bytes,
             _ => reply.bytes,

@@ -37,9 +37,9 @@ enum Write {
     End,
 }
 
-/// Writer between two steps.
+/// ModelWriter between two steps.
 #[derive(Debug)]
-struct Writer {
+struct ModelWriter {
     writes: &'static [Write],
     /// Entry from which to wake readers. `None` between two writes.
     entry: Option<usize>,
@@ -47,7 +47,7 @@ struct Writer {
     wakers: Vec<Waker>,
 }
 
-impl Writer {
+impl ModelWriter {
     fn step(&mut self, ring: &Ring) {
         if let Some(waker) = self.wakers.pop() {
             return waker.wake();
@@ -101,11 +101,11 @@ impl Wake for Woken {
     }
 }
 
-/// Reader between two steps.
+/// ModelReader between two steps.
 #[derive(Debug)]
-struct Reader {
+struct ModelReader {
     cursor: Option<Cursor>,
-    /// Reader that was cloned or has ended, and is dropped next.
+    /// ModelReader that was cloned or has ended, and is dropped next.
     original: Option<Cursor>,
     change: Change,
     /// True if it may be dropped before the end, or subscribe after the end.
@@ -116,7 +116,7 @@ struct Reader {
     errors: Vec<String>,
 }
 
-impl Reader {
+impl ModelReader {
     fn new(cursor: Cursor, change: Change) -> Self {
         Self {
             cursor: Some(cursor),
@@ -181,8 +181,8 @@ impl Reader {
 /// All writers and readers after some steps.
 struct Model {
     ring: Arc<Ring>,
-    writers: [Writer; 2],
-    readers: [Reader; 3],
+    writers: [ModelWriter; 2],
+    readers: [ModelReader; 3],
 }
 
 impl Model {
@@ -192,8 +192,9 @@ impl Model {
         changes: [(usize, Change); 3],
     ) -> Self {
         let ring = Ring::new();
-        let writers = writes.map(|writes| Writer { writes, entry: None, wakers: Vec::new() });
-        let readers = changes.map(|(depth, change)| Reader::new(ring.subscribe(depth), change));
+        let writers = writes.map(|writes| ModelWriter { writes, entry: None, wakers: Vec::new() });
+        let readers =
+            changes.map(|(depth, change)| ModelReader::new(ring.subscribe(depth), change));
         let mut model = Self { ring, writers, readers };
         steps.iter().for_each(|step| model.step(*step));
         model
@@ -202,7 +203,7 @@ impl Model {
     /// Lists the writers and readers that can take a step: 0 and 1, and 2 to 4.
     fn ready(&self) -> Vec<usize> {
         let writers = self.writers.iter().map(|writer| !writer.is_done());
-        let readers = self.readers.iter().map(Reader::is_ready);
+        let readers = self.readers.iter().map(ModelReader::is_ready);
         let ready = writers.chain(readers).enumerate().filter(|(_, is_ready)| *is_ready);
         ready.map(|(number, _)| number).collect()
     }
@@ -251,7 +252,7 @@ impl Model {
     /// Fails unless all have ended and have read what they had to.
     fn check(&self, steps: &[usize]) {
         for reader in &self.readers {
-            let Reader { cursor, may_miss_cause, scans, errors, .. } = reader;
+            let ModelReader { cursor, may_miss_cause, scans, errors, .. } = reader;
             assert!(cursor.is_none(), "a reader waits for ever after {steps:?}: {reader:?}");
             assert!(scans.is_sorted_by(|one, next| one < next), "{steps:?}: {reader:?}");
             let causes = errors.iter().filter(|error| **error == cause().to_string()).count();

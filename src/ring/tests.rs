@@ -207,9 +207,9 @@ fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
 #[test]
 fn a_reader_that_moves_to_another_task_is_woken_there_and_not_where_it_was() {
     #[derive(Default)]
-    struct Woken(AtomicBool);
+    struct WokenFlag(AtomicBool);
 
-    impl Wake for Woken {
+    impl Wake for WokenFlag {
         fn wake(self: Arc<Self>) {
             self.0.store(true, Relaxed);
         }
@@ -217,7 +217,7 @@ fn a_reader_that_moves_to_another_task_is_woken_there_and_not_where_it_was() {
 
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
-    let [former, latter] = [(); 2].map(|()| Arc::new(Woken::default()));
+    let [former, latter] = [(); 2].map(|()| Arc::new(WokenFlag::default()));
     for task in [&former, &latter] {
         let waker = Waker::from(Arc::clone(task));
         assert!(reader.poll_next(&mut Context::from_waker(&waker)).is_pending());

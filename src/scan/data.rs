@@ -46,7 +46,7 @@ impl Serialize for Scan {
 /// Scan as read from data.
 #[derive(Deserialize)]
 #[serde(rename = "Scan")]
-struct Fields {
+struct ScanFields {
     #[serde(default)]
     sequence: u64,
     #[serde(default)]
@@ -76,7 +76,7 @@ fn revolution() -> f64 {
 
 impl<'de> Deserialize<'de> for Scan {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let fields = Fields::deserialize(deserializer)?;
+        let fields = ScanFields::deserialize(deserializer)?;
         let window = Window::new(fields.start..=fields.end)
             .and_then(|window| window.with_cluster_count(fields.cluster))
             .map_err(D::Error::custom)?;

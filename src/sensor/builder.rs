@@ -1,6 +1,7 @@
 //! [`SensorBuilder`]: the settings with which a sensor is opened and kept open.
 
 use std::ops::RangeInclusive;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite};
@@ -205,8 +206,8 @@ impl SensorBuilder {
     /// # Ok(())
     /// # }
     /// ```
-    pub fn on_reply(self, observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
-        self.config.observers.add(observer);
+    pub fn on_reply(mut self, observer: impl Fn(RawReply<'_>) + Send + Sync + 'static) -> Self {
+        Arc::make_mut(&mut self.config.observers).add(observer);
         self
     }
 

@@ -6,9 +6,8 @@ mod builder;
 use tokio::io::{AsyncRead, AsyncWrite};
 
 pub use self::builder::SensorBuilder;
-use crate::driver::{Client, Request};
+use crate::driver::{Client, ReplyObservation, Request};
 use crate::event::RawReply;
-use crate::observer::ReplyObservation;
 use crate::port::Endpoint;
 use crate::protocol::{Command, Version};
 use crate::state::{Freshness, State, StateWatch};
@@ -219,7 +218,7 @@ impl Sensor {
                 stamp: version.stamp,
             });
         }
-        telemetry.observers().observe_until_dropped(observer)
+        self.client.observers().observe_until_dropped(observer)
     }
 
     /// When the last good scan arrived, over all streams and single scans, and why there is no

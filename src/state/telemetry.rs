@@ -11,7 +11,6 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::{Freshness, State, StateWatch};
-use crate::observer::ReplyObservers;
 use crate::protocol::Version;
 use crate::ring::Ring;
 use crate::stats::{ScheduleStats, Stats};
@@ -27,7 +26,6 @@ pub(crate) struct Telemetry {
     counters: Mutex<Counters>,
     schedules: Mutex<Vec<(ScheduleStats, Weak<Ring>)>>,
     version: Mutex<Option<VersionReply>>,
-    observers: Arc<ReplyObservers>,
     reasons: Mutex<LoggedReasons>,
     /// Number of handles that wait for the driver to close.
     closing: AtomicUsize,
@@ -75,13 +73,12 @@ impl LoggedReasons {
 }
 
 impl Telemetry {
-    pub(crate) fn new(name: Option<Arc<str>>, observers: ReplyObservers) -> Self {
+    pub(crate) fn new(name: Option<Arc<str>>) -> Self {
         Self {
             name,
             state: watch::Sender::new(State::Connecting { error: None }),
             counters: Mutex::default(),
             version: Mutex::default(),
-            observers: Arc::new(observers),
             schedules: Mutex::default(),
             reasons: Mutex::default(),
             closing: AtomicUsize::new(0),
@@ -257,11 +254,6 @@ impl Telemetry {
 
     pub(crate) fn set_version(&self, reply: VersionReply) {
         *lock(&self.version) = Some(reply);
-    }
-
-    /// Observers of all replies.
-    pub(crate) fn observers(&self) -> &Arc<ReplyObservers> {
-        &self.observers
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::watch;
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::event::Event;
-use tokio_scip::recording::{Entry, Record, Recorder, Recording, Reply};
+use tokio_scip::recording::{Entry, Record, RecordedReply, Recorder, Recording};
 use tokio_scip::{Error, Rate, Scan, Sensor, Window};
 
 /// A file in memory. Clones are the same file.
@@ -104,7 +104,7 @@ pub(crate) async fn record(
 }
 
 /// Returns the replies to polls.
-pub(crate) fn polls(records: &[Record]) -> Vec<Reply> {
+pub(crate) fn polls(records: &[Record]) -> Vec<RecordedReply> {
     let replies = records.iter().filter_map(|record| match &record.entry {
         Entry::Reply(reply) if reply.bytes.starts_with(b"G") => Some(reply.clone()),
         _ => None,

@@ -5,7 +5,6 @@ use std::future::poll_fn;
 use futures::FutureExt;
 
 use super::*;
-use crate::observer::ReplyObservers;
 
 const HUNDRED_MS: Duration = Duration::from_millis(100);
 
@@ -76,7 +75,7 @@ async fn what_has_been_due_for_longest_goes_first() {
 async fn equal_schedules_are_one_and_one_without_readers_ends() {
     let same = (Window::FULL, Rate::MAX);
     let (mut schedules, readers) = schedules(&[same, same]);
-    let telemetry = Telemetry::new(None, ReplyObservers::default());
+    let telemetry = Telemetry::new(None);
     schedules.note(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 1);
     assert!(schedules.take_due(Instant::now()).is_some());
@@ -108,7 +107,7 @@ async fn one_window_at_two_rates_and_two_windows_at_one_rate_are_schedules_of_th
     let slow = (Window::FULL, Rate::hz(4.0));
     let narrow = (Window::DETECTION, Rate::hz(4.0));
     let (mut schedules, _readers) = schedules(&[fast, slow, narrow]);
-    let telemetry = Telemetry::new(None, ReplyObservers::default());
+    let telemetry = Telemetry::new(None);
     schedules.note(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 3);
 }

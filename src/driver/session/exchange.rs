@@ -5,17 +5,17 @@ use std::sync::Arc;
 use tracing::Instrument;
 
 use super::super::failure::ExchangeError;
-use super::super::transport::{Received, Timing};
+use super::super::observers::ReplyObservers;
+use super::super::transport::{TimedFrame, Timing};
 use super::{Read, Session};
 use crate::Error;
 use crate::codec::Frame;
 use crate::event::RawReply;
-use crate::observer::ReplyObservers;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
 
 /// Which other replies may still be on their way with the echo of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Echo {
+pub(super) enum EchoKind {
     /// No other reply. If this one arrives too fast for its bytes, the baud rate is
     /// wrong.
     Unique,
@@ -32,16 +32,16 @@ impl Session {
     pub(super) async fn exchange(
         &mut self,
         command: Command,
-        echo: Echo,
+        echo: EchoKind,
         values: &mut Arc<[u16]>,
         read: &mut Read<'_>,
     ) -> Result<(Status, Timing), ExchangeError> {
-        let Self { transport, telemetry, .. } = self;
+        let Self { transport, observers, telemetry, .. } = self;
         let latency = transport.latency(&command);
         let span = tracing::trace_span!("exchange", %command);
         let answer = match transport.ask(&command, latency).instrument(span.clone()).await {
             Ok(received) => {
-                let outcome = judge(&command, echo, received, telemetry.observers(), values);
+                let outcome = judge(&command, echo, received, observers, values);
                 if let Err(error) = &outcome {
                     let mut stats = telemetry.stats();
                     stats.malformed.count(error);
@@ -61,7 +61,7 @@ impl Session {
         };
         match &answer {
             Ok((status, timing)) => {
-                if echo == Echo::Unique && timing.disproves_baud_rate(&command, *status) {
+                if echo == EchoKind::Unique && timing.disproves_baud_rate(&command, *status) {
                     transport.note_outrun();
                 }
             }
@@ -82,8 +82,8 @@ impl Session {
 /// Compares a frame with `command`, and shows it to the observers.
 fn judge<'a>(
     command: &Command,
-    echo: Echo,
-    Received { frame, timing, .. }: Received<'a>,
+    echo: EchoKind,
+    TimedFrame { frame, timing, .. }: TimedFrame<'a>,
     observers: &ReplyObservers,
     values: &mut Arc<[u16]>,
 ) -> Result<Reply<'a>, ReplyError> {
@@ -101,7 +101,7 @@ fn judge<'a>(
     // The first byte of the reply cannot arrive before the command has left the wire.
     let least = timing.least_until_reply(command);
     let after = timing.began - timing.requested;
-    if echo == Echo::Repeated && outcome.is_ok() && after < least {
+    if echo == EchoKind::Repeated && outcome.is_ok() && after < least {
         return Err(Malformed::Early { after, least }.into());
     }
     outcome

@@ -9,7 +9,7 @@ use std::time::Duration;
 use tracing::Instrument;
 
 use super::super::failure::{ExchangeError, LinkError};
-use super::super::transport::{Received, Transport};
+use super::super::transport::{TimedFrame, Transport};
 use super::Session;
 use crate::codec::Frame;
 use crate::event::RawReply;
@@ -84,9 +84,9 @@ impl Session {
         let deadline = self.transport.send(command, latency).await?;
         let sent = self.transport.sent().to_vec();
         loop {
-            let Received { frame, timing, .. } = self.transport.next_frame(deadline).await?;
+            let TimedFrame { frame, timing, .. } = self.transport.next_frame(deadline).await?;
             if let Frame::Reply(bytes) = frame {
-                self.telemetry.observers().pass(|| RawReply {
+                self.observers.pass(|| RawReply {
                     command: None,
                     bytes,
                     received_at: timing.received,

@@ -15,9 +15,12 @@ mod unique_requests;
 use std::sync::Arc;
 use std::time::Duration;
 
-use self::exchange::Echo;
+use self::exchange::EchoKind;
 pub(crate) use self::unique_requests::UniqueRequests;
+#[cfg(feature = "mcap")]
+pub(crate) use self::unique_requests::is_widened;
 use super::failure::ExchangeError;
+use super::observers::ReplyObservers;
 use super::transport::{Timing, Transport};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, Status, Version};
@@ -39,6 +42,7 @@ pub(crate) struct Polled {
 pub(crate) struct Session {
     pub(crate) transport: Transport,
     unique_requests: UniqueRequests,
+    observers: Arc<ReplyObservers>,
     telemetry: Arc<Telemetry>,
 }
 
@@ -47,10 +51,11 @@ impl Session {
         port: Box<dyn Port>,
         latency: Option<Duration>,
         unique_requests: UniqueRequests,
+        observers: Arc<ReplyObservers>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
         let transport = Transport::new(port, latency, Arc::clone(&telemetry));
-        Self { transport, unique_requests, telemetry }
+        Self { transport, unique_requests, observers, telemetry }
     }
 
     /// Closes the port, and returns the requests that the next session must not repeat.
@@ -99,7 +104,7 @@ impl Session {
             }
         }
         self.telemetry.stats().polls += 1;
-        let echo = if widened.repeats { Echo::Repeated } else { Echo::Unique };
+        let echo = if widened.repeats { EchoKind::Repeated } else { EchoKind::Unique };
         let (_, timing) =
             self.exchange(Command::Distances(widened.asked), echo, values, &mut |_| ()).await?;
         Ok(Polled { timing, first: widened.first })
@@ -128,7 +133,7 @@ impl Session {
         read: &mut Read<'_>,
     ) -> Result<(Status, Timing), ExchangeError> {
         self.settle().await.map_err(|error| error.of(command))?;
-        self.exchange(command, Echo::Common, &mut Arc::default(), read).await
+        self.exchange(command, EchoKind::Common, &mut Arc::default(), read).await
     }
 
     /// Like [`command`](Self::command), but sends the command once more if there was no

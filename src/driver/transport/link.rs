@@ -12,8 +12,7 @@ use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::super::failure::{ExchangeError, LinkError};
 use super::pause::Pauses;
-use super::timer::again_if_interrupted;
-use super::{SCRATCH_BYTES, Transport};
+use super::{SCRATCH_BYTES, Transport, again_if_interrupted};
 use crate::port::PortHints;
 use crate::protocol::Command;
 use crate::{BaudRate, Error};

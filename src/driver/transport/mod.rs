@@ -11,7 +11,6 @@ mod pause;
 mod scripted_port;
 #[cfg(test)]
 mod tests;
-mod timer;
 mod timing;
 
 use std::future::{Future, poll_fn};
@@ -24,12 +23,11 @@ use std::time::Duration;
 use bytes::{Buf, BufMut, BytesMut};
 use tokio::io::{AsyncReadExt, ReadBuf};
 use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
-use tokio::time::Instant;
+use tokio::time::{Instant, Sleep, sleep_until};
 
 use self::arrivals::{Arrivals, flood};
 use self::pause::Pauses;
-use self::timer::{Timer, again_if_interrupted};
-pub(crate) use self::timing::{Deadline, Received, Timing};
+pub(crate) use self::timing::{Deadline, TimedFrame, Timing};
 use super::failure::ExchangeError;
 use crate::codec::{Frame, ScipCodec, TERMINATOR};
 use crate::port::{Port, PortHints};
@@ -46,6 +44,8 @@ const READ_BUFFER_BYTES: usize = 1600;
 const WRITE_BUFFER_BYTES: usize = 32;
 /// Number of interrupted reads in a row after which the port counts as quiet.
 const MAX_INTERRUPTED: usize = 16;
+/// Delay before a refused call is retried.
+const RETRY: Duration = Duration::from_millis(5);
 /// Length of one read when bytes are dropped.
 const SCRATCH_BYTES: usize = 512;
 
@@ -156,7 +156,7 @@ impl Transport {
         &mut self,
         command: &Command,
         latency: Duration,
-    ) -> Result<Received<'_>, ExchangeError> {
+    ) -> Result<TimedFrame<'_>, ExchangeError> {
         let deadline = self.send(command, latency).await?;
         self.next_frame(deadline).await
     }
@@ -202,7 +202,7 @@ impl Transport {
     pub(crate) async fn next_frame(
         &mut self,
         deadline: Deadline,
-    ) -> Result<Received<'_>, ExchangeError> {
+    ) -> Result<TimedFrame<'_>, ExchangeError> {
         if let Some(unwanted) = self.remove_latest() {
             self.dirty = true;
             self.arrivals.begin_reply();
@@ -214,9 +214,9 @@ impl Transport {
         }
         let found = loop {
             match self.until(deadline, |transport, cx| transport.poll_frame(cx, deadline)).await? {
-                Step::Frame(frame) => break frame,
-                Step::Pause(until) => poll_fn(|cx| self.pause_timer.poll(cx, until)).await,
-                Step::End => return Err(self.lost(None)),
+                FrameStep::Frame(frame) => break frame,
+                FrameStep::Pause(until) => poll_fn(|cx| self.pause_timer.poll(cx, until)).await,
+                FrameStep::End => return Err(self.lost(None)),
             }
         };
         let received = Instant::now();
@@ -238,7 +238,7 @@ impl Transport {
             Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
             Frame::Overlong { bytes } => Frame::Overlong { bytes },
         };
-        Ok(Received { frame, wire_len, timing })
+        Ok(TimedFrame { frame, wire_len, timing })
     }
 
     /// Writes the output from `written` on.
@@ -254,17 +254,21 @@ impl Transport {
     }
 
     /// Reads until a frame is at the front of the input, or until a pause is worthwhile.
-    fn poll_frame(&mut self, cx: &mut Context<'_>, deadline: Deadline) -> Poll<io::Result<Step>> {
+    fn poll_frame(
+        &mut self,
+        cx: &mut Context<'_>,
+        deadline: Deadline,
+    ) -> Poll<io::Result<FrameStep>> {
         let Self { port, arrivals, codec, input, retry_timer, pauses, .. } = self;
         loop {
             if !input.is_empty()
                 && let Some(frame) = codec.find(input)
             {
-                return Poll::Ready(Ok(Step::Frame(frame)));
+                return Poll::Ready(Ok(FrameStep::Frame(frame)));
             }
             let outcome = pin!(port.read_buf(input)).poll(cx);
             match again_if_interrupted(outcome, retry_timer, cx) {
-                Poll::Ready(Ok(0)) => return Poll::Ready(Ok(Step::End)),
+                Poll::Ready(Ok(0)) => return Poll::Ready(Ok(FrameStep::End)),
                 Poll::Ready(Ok(read)) => {
                     let fresh = input.len().saturating_sub(read);
                     arrivals.count(input.get(fresh..).unwrap_or_default(), &mut **port)?;
@@ -276,7 +280,7 @@ impl Transport {
         let missing = codec.missing(input);
         match missing.and_then(|missing| pauses.next(input.len(), missing, deadline.at())) {
             Some(until) if port.hints().is_some_and(PortHints::suspend_wakeups) => {
-                Poll::Ready(Ok(Step::Pause(until)))
+                Poll::Ready(Ok(FrameStep::Pause(until)))
             }
             _ => Poll::Pending,
         }
@@ -361,7 +365,7 @@ impl Drop for Transport {
 }
 
 /// Step towards a frame.
-enum Step {
+enum FrameStep {
     Frame(Frame<usize>),
     /// The reply cannot be complete before this time.
     Pause(Instant),
@@ -379,5 +383,41 @@ fn read_if_ready(
     match Pin::new(port).poll_read(cx, &mut buffer) {
         Poll::Ready(outcome) => Some(outcome.map(|()| buffer.filled().len())),
         Poll::Pending => None,
+    }
+}
+
+/// Timer that is kept from one exchange to the next. With a new timer each time, tokio
+/// wakes its I/O driver by a system call, even from its own thread. Moving a timer to a
+/// later time costs next to nothing.
+#[derive(Debug, Default)]
+struct Timer(Option<Pin<Box<Sleep>>>);
+
+impl Timer {
+    /// Waits until `at`, even if the task has used up its budget.
+    fn poll(&mut self, cx: &mut Context<'_>, at: Instant) -> Poll<()> {
+        let timer = self.0.get_or_insert_with(|| Box::pin(sleep_until(at)));
+        if timer.deadline() != at {
+            timer.as_mut().reset(at);
+        }
+        pin!(unconstrained(timer.as_mut())).poll(cx)
+    }
+}
+
+/// Returns `Pending` after a call that a signal interrupted or that the port refused for
+/// now, and polls again after [`RETRY`]. Such a port has registered no waker, and may
+/// refuse forever.
+fn again_if_interrupted<T>(
+    outcome: Poll<io::Result<T>>,
+    timer: &mut Timer,
+    cx: &mut Context<'_>,
+) -> Poll<io::Result<T>> {
+    use io::ErrorKind::{Interrupted, WouldBlock};
+    match outcome {
+        Poll::Ready(Err(error)) if matches!(error.kind(), Interrupted | WouldBlock) => {
+            ready!(timer.poll(cx, Instant::now() + RETRY));
+            cx.waker().wake_by_ref();
+            Poll::Pending
+        }
+        outcome => outcome,
     }
 }

@@ -12,7 +12,6 @@ use super::arrivals::FLOOD_BYTES;
 use super::link::QUIET_TIME;
 use super::scripted_port::ScriptedPort;
 use super::*;
-use crate::observer::ReplyObservers;
 use crate::port::StreamPort;
 use crate::protocol::Status;
 use crate::{BaudRate, Error, Window};
@@ -21,7 +20,7 @@ const LATENCY: Duration = Duration::from_millis(100);
 const NANOSECOND: Duration = Duration::from_nanos(1);
 
 fn on(port: impl Port) -> Transport {
-    Transport::new(Box::new(port), None, Arc::new(Telemetry::new(None, ReplyObservers::default())))
+    Transport::new(Box::new(port), None, Arc::new(Telemetry::new(None)))
 }
 
 /// Creates a transport at 19,200 baud that receives these bytes in one piece.

@@ -1,5 +1,5 @@
 //! Times of an exchange: its [`Deadline`], and the [`Timing`] of the frame that it
-//! [`Received`].
+//! [`TimedFrame`].
 
 use std::time::{Duration, SystemTime};
 
@@ -37,7 +37,7 @@ impl Deadline {
 
 /// Frame received after a command.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Received<'a> {
+pub(crate) struct TimedFrame<'a> {
     pub(crate) frame: Frame<&'a [u8]>,
     /// Number of its bytes on the wire.
     pub(crate) wire_len: u64,

@@ -79,7 +79,7 @@ const STEPS: i32 = 1024;
 /// This is no safety device: nothing in it is certified.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Zone {
-    shape: Shape,
+    shape: ZoneShape,
     tolerated: Tolerated,
     /// What each error code counts as, by its number.
     codes: [CountsAs; 20],
@@ -87,7 +87,7 @@ pub struct Zone {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-enum Shape {
+enum ZoneShape {
     /// Directions, and the ranges in metres.
     Sector(Sector, f64, f64),
     Polygon(Polygon),
@@ -125,7 +125,7 @@ impl Zone {
         if !(0.0 <= near && near < far && far.is_finite()) {
             return Err(InvalidZone::Range { near, far });
         }
-        Ok(Self::new(Shape::Sector(sector, near, far)))
+        Ok(Self::new(ZoneShape::Sector(sector, near, far)))
     }
 
     /// Creates the zone inside a polygon. `vertices` are x and y in metres, clockwise or
@@ -148,10 +148,10 @@ impl Zone {
     /// [`InvalidZone`] for too few or too many vertices, for coordinates that are no numbers or
     /// beyond 1,000 m, and for edges that cross, touch or cover each other.
     pub fn polygon(vertices: impl IntoIterator<Item = (f64, f64)>) -> Result<Self, InvalidZone> {
-        Ok(Self::new(Shape::Polygon(Polygon::new(vertices)?)))
+        Ok(Self::new(ZoneShape::Polygon(Polygon::new(vertices)?)))
     }
 
-    fn new(shape: Shape) -> Self {
+    fn new(shape: ZoneShape) -> Self {
         let (codes, saturated) = Default::default();
         Self { shape, tolerated: Tolerated::Rays(0), codes, saturated }
     }
@@ -190,11 +190,11 @@ impl Zone {
     pub fn contains(&self, x: impl Into<f64>, y: impl Into<f64>) -> bool {
         let (x, y) = (x.into(), y.into());
         match &self.shape {
-            Shape::Sector(sector, near, far) => {
+            ZoneShape::Sector(sector, near, far) => {
                 let ranges = near - TOLERANCE..=far + TOLERANCE;
                 ranges.contains(&x.hypot(y)) && sector.contains(y.atan2(x))
             }
-            Shape::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
+            ZoneShape::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
         }
     }
 
@@ -273,8 +273,8 @@ impl Zone {
     /// not lie there.
     fn far(&self, angle: f64) -> Option<f64> {
         let far = match &self.shape {
-            Shape::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
-            Shape::Polygon(polygon) => polygon.far(angle),
+            ZoneShape::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
+            ZoneShape::Polygon(polygon) => polygon.far(angle),
         };
         far.filter(|far| *far > RANGE_MIN)
     }
@@ -285,8 +285,8 @@ impl Zone {
         let (start, end) = (window.start().number().into(), i32::from(window.end().number()));
         let mut outside = (REAR..start).chain(end + 1..REAR + STEPS).map(|step| angle(step.into()));
         let lies_between = || match &self.shape {
-            Shape::Sector(sector, ..) => sector.from(),
-            Shape::Polygon(polygon) => polygon.direction(),
+            ZoneShape::Sector(sector, ..) => sector.from(),
+            ZoneShape::Polygon(polygon) => polygon.direction(),
         };
         let found = outside.find(|angle| self.far(*angle).is_some());
         found.or_else(|| (!crossing).then(lies_between))
@@ -298,8 +298,8 @@ impl Zone {
             Tolerated::Rays(rays) => rays,
             Tolerated::NarrowerThan(width) => {
                 let reach = match &self.shape {
-                    Shape::Sector(_, _, far) => *far,
-                    Shape::Polygon(polygon) => polygon.reach(),
+                    ZoneShape::Sector(_, _, far) => *far,
+                    ZoneShape::Polygon(polygon) => polygon.reach(),
                 };
                 let width = if width.is_finite() { width } else { 0.0 };
                 let covered = 2.0 * (width / 2.0).atan2(reach) / f64::from(scan.angle_increment());

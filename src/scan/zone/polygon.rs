@@ -8,15 +8,17 @@ const FARTHEST: f64 = 1000.0;
 const MAX_VERTICES: usize = 1000;
 
 /// Point or vector in metres, x and y.
-type Vector = (f64, f64);
+type Coordinates = (f64, f64);
 
 /// Polygon whose edges do not touch each other.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Polygon(Box<[Vector]>);
+pub(super) struct Polygon(Box<[Coordinates]>);
 
 impl Polygon {
-    pub(super) fn new(vertices: impl IntoIterator<Item = Vector>) -> Result<Self, InvalidZone> {
-        let mut kept: Vec<Vector> = Vec::new();
+    pub(super) fn new(
+        vertices: impl IntoIterator<Item = Coordinates>,
+    ) -> Result<Self, InvalidZone> {
+        let mut kept: Vec<Coordinates> = Vec::new();
         for (index, (x, y)) in vertices.into_iter().enumerate() {
             // No range contains NaN.
             if ![x, y].iter().all(|number| (-FARTHEST..=FARTHEST).contains(number)) {
@@ -43,7 +45,7 @@ impl Polygon {
     }
 
     /// Returns true if the point is inside, or at most `tolerance` metres from an edge.
-    pub(super) fn contains(&self, point: Vector, tolerance: f64) -> bool {
+    pub(super) fn contains(&self, point: Coordinates, tolerance: f64) -> bool {
         let mut winding = 0;
         for (a, b) in self.edges() {
             if squared_distance(point, a, b) <= tolerance * tolerance {
@@ -89,14 +91,14 @@ impl Polygon {
         self.0.first().map_or(0.0, |vertex| vertex.1.atan2(vertex.0))
     }
 
-    fn edges(&self) -> impl Iterator<Item = (Vector, Vector)> + Clone + '_ {
+    fn edges(&self) -> impl Iterator<Item = (Coordinates, Coordinates)> + Clone + '_ {
         let ends = self.0.iter().skip(1).chain(self.0.first());
         self.0.iter().copied().zip(ends.copied())
     }
 
     /// Returns the start of an edge that touches another one elsewhere than at their common
     /// vertex.
-    fn crossing(&self) -> Option<Vector> {
+    fn crossing(&self) -> Option<Coordinates> {
         let last = self.0.len() - 1;
         for (n, (a, b)) in self.edges().enumerate() {
             for (m, (c, d)) in self.edges().enumerate().skip(n + 1) {
@@ -114,27 +116,27 @@ impl Polygon {
     }
 }
 
-fn minus(a: Vector, b: Vector) -> Vector {
+fn minus(a: Coordinates, b: Coordinates) -> Coordinates {
     (a.0 - b.0, a.1 - b.1)
 }
 
-fn dot(a: Vector, b: Vector) -> f64 {
+fn dot(a: Coordinates, b: Coordinates) -> f64 {
     a.0 * b.0 + a.1 * b.1
 }
 
 /// Positive if `b` points to the left of `a`.
-fn cross(a: Vector, b: Vector) -> f64 {
+fn cross(a: Coordinates, b: Coordinates) -> f64 {
     a.0 * b.1 - a.1 * b.0
 }
 
 /// Returns true if the way from `a` over `b` to `c` turns back onto itself.
-fn turns_back(a: Vector, b: Vector, c: Vector) -> bool {
+fn turns_back(a: Coordinates, b: Coordinates, c: Coordinates) -> bool {
     let (first, second) = (minus(b, a), minus(c, b));
     cross(first, second) == 0.0 && dot(first, second) < 0.0
 }
 
 /// Returns true if two edges have a point in common.
-fn touch((a, b): (Vector, Vector), (c, d): (Vector, Vector)) -> bool {
+fn touch((a, b): (Coordinates, Coordinates), (c, d): (Coordinates, Coordinates)) -> bool {
     let on_both_sides = |from, to, p, q| {
         let edge = minus(to, from);
         cross(edge, minus(p, from)) * cross(edge, minus(q, from)) <= 0.0
@@ -148,7 +150,7 @@ fn touch((a, b): (Vector, Vector), (c, d): (Vector, Vector)) -> bool {
 }
 
 /// Returns the squared distance from a point to the edge from `a` to `b`.
-fn squared_distance(point: Vector, a: Vector, b: Vector) -> f64 {
+fn squared_distance(point: Coordinates, a: Coordinates, b: Coordinates) -> f64 {
     let (edge, to_point) = (minus(b, a), minus(point, a));
     let along = (dot(to_point, edge) / dot(edge, edge)).clamp(0.0, 1.0);
     let rest = minus(to_point, (edge.0 * along, edge.1 * along));
@@ -163,10 +165,10 @@ mod tests {
 
     use super::*;
 
-    const SQUARE: [Vector; 4] = [(1.0, -1.0), (3.0, -1.0), (3.0, 1.0), (1.0, 1.0)];
+    const SQUARE: [Coordinates; 4] = [(1.0, -1.0), (3.0, -1.0), (3.0, 1.0), (1.0, 1.0)];
 
     /// Returns a polygon with a vertex at these distances from `middle`, at equal angles.
-    fn star(middle: Vector, distances: &[f64]) -> Vec<Vector> {
+    fn star(middle: Coordinates, distances: &[f64]) -> Vec<Coordinates> {
         let angle = TAU / distances.len() as f64;
         let vertex = |(n, distance): (usize, &f64)| {
             let (sin, cos) = (n as f64 * angle).sin_cos();
@@ -176,8 +178,8 @@ mod tests {
     }
 
     /// Winding number by the angles that the vertices make around the point.
-    fn is_wound_around(vertices: &[Vector], point: Vector) -> bool {
-        let direction = |vertex: Vector| (vertex.1 - point.1).atan2(vertex.0 - point.0);
+    fn is_wound_around(vertices: &[Coordinates], point: Coordinates) -> bool {
+        let direction = |vertex: Coordinates| (vertex.1 - point.1).atan2(vertex.0 - point.0);
         let turned: f64 = (0..vertices.len())
             .map(|n| direction(vertices[(n + 1) % vertices.len()]) - direction(vertices[n]))
             .map(|turn| turn - TAU * (turn / TAU).round())
@@ -250,7 +252,7 @@ mod tests {
 
     #[test]
     fn vertices_that_make_no_outline_are_refused() {
-        let refused = |vertices: &[Vector]| Polygon::new(vertices.to_vec()).unwrap_err();
+        let refused = |vertices: &[Coordinates]| Polygon::new(vertices.to_vec()).unwrap_err();
         let few = |found| InvalidZone::Vertices { found };
         assert_eq!(refused(&[]), few(0));
         assert_eq!(refused(&[(1.0, 1.0)]), few(1));

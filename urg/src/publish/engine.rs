@@ -132,15 +132,15 @@ pub(super) trait Engine: Sized + Send + 'static {
 }
 
 /// Publisher of one topic.
-pub(super) trait Publish: Send + Sync {
+pub(super) trait MessagePublisher: Send + Sync {
     /// Publishes or drops an encoded message, and counts the outcome. Does not block.
     fn publish(&self, message: Vec<u8>);
 }
 
 /// Publishers of one node.
 pub(super) struct NodePublishers {
-    pub(super) scans: Box<dyn Publish>,
-    pub(super) diagnostics: Box<dyn Publish>,
+    pub(super) scans: Box<dyn MessagePublisher>,
+    pub(super) diagnostics: Box<dyn MessagePublisher>,
 }
 
 /// Publishers of all nodes, in order; `None` while the engine is not open.
@@ -176,7 +176,7 @@ impl Outlet {
     fn publish(
         &self,
         message: Vec<u8>,
-        topic: impl FnOnce(&NodePublishers) -> &Box<dyn Publish>,
+        topic: impl FnOnce(&NodePublishers) -> &Box<dyn MessagePublisher>,
     ) -> bool {
         let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
         let node = publishers.as_ref().and_then(|nodes| nodes.get(self.node));

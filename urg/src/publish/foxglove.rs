@@ -14,7 +14,7 @@ use tokio_scip::ros::MessageType;
 
 use super::counts::ScanCounts;
 use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, NodePublishers, NodeSpec, Publish,
+    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, NodePublishers, NodeSpec,
     STATIC_TRANSFORMS_TOPIC,
 };
 use crate::failure::chain;
@@ -114,7 +114,7 @@ struct ChannelPublisher {
     counts: Arc<ScanCounts>,
 }
 
-impl Publish for ChannelPublisher {
+impl MessagePublisher for ChannelPublisher {
     fn publish(&self, message: Vec<u8>) {
         self.channel.log(&message);
         self.counts.add_published();

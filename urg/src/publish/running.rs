@@ -113,7 +113,7 @@ fn start<E: Engine>(
                 counts: &counts,
                 shared: &publishers,
                 stop: &stopped,
-                network: Network::of(&nodes),
+                network: NetworkNotices::of(&nodes),
                 restarts: 0,
                 engine: PhantomData,
             };
@@ -133,7 +133,7 @@ struct Watched<'a, E> {
     counts: &'a [Arc<ScanCounts>],
     shared: &'a Shared,
     stop: &'a std_mpsc::Receiver<()>,
-    network: Network,
+    network: NetworkNotices,
     /// Number of consecutive restarts.
     restarts: u32,
     engine: PhantomData<E>,
@@ -251,13 +251,13 @@ fn missing_address(address: Option<IpAddr>) -> Option<String> {
 
 /// Notices for the user about the state of the network, printed only when it changes.
 #[derive(Debug)]
-struct Network {
+struct NetworkNotices {
     topics: String,
     /// Whether the network was away at the last notice; `None` before the first.
     away: Option<bool>,
 }
 
-impl Network {
+impl NetworkNotices {
     fn of(nodes: &[NodeSpec]) -> Self {
         let topics = match nodes {
             [first, .., last] => {
@@ -345,7 +345,7 @@ mod tests {
 
     #[test]
     fn a_change_of_the_network_is_reported_once() {
-        let mut network = Network { topics: "/scan".to_owned(), away: None };
+        let mut network = NetworkNotices { topics: "/scan".to_owned(), away: None };
         let said = [None, None, Some("no router"), Some("no router"), None, None]
             .map(|why| network.change(why.map(str::to_owned)));
         let expected = [

@@ -11,13 +11,13 @@ pub(super) struct SendQueue<M> {
 }
 
 struct State<M> {
-    topics: Vec<Topic<M>>,
+    topics: Vec<TopicQueue<M>>,
     /// Topics with pending messages, each once, in the order of their turns.
     turns: VecDeque<usize>,
     is_closed: bool,
 }
 
-struct Topic<M> {
+struct TopicQueue<M> {
     depth: usize,
     waiting: VecDeque<M>,
 }
@@ -25,7 +25,7 @@ struct Topic<M> {
 impl<M> SendQueue<M> {
     /// Creates an empty queue with one topic per depth.
     pub(super) fn new(depths: impl IntoIterator<Item = usize>) -> Self {
-        let topic = |depth: usize| Topic { depth: depth.max(1), waiting: VecDeque::new() };
+        let topic = |depth: usize| TopicQueue { depth: depth.max(1), waiting: VecDeque::new() };
         let state = State {
             topics: depths.into_iter().map(topic).collect(),
             turns: VecDeque::new(),
@@ -39,7 +39,7 @@ impl<M> SendQueue<M> {
     pub(super) fn push(&self, topic: usize, message: M) -> Option<M> {
         let mut guard = self.lock();
         let state = &mut *guard;
-        let Some(Topic { depth, waiting }) = state.topics.get_mut(topic) else {
+        let Some(TopicQueue { depth, waiting }) = state.topics.get_mut(topic) else {
             return Some(message);
         };
         if state.is_closed {

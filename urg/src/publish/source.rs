@@ -150,13 +150,13 @@ fn lock(condition: &Mutex<Condition>) -> MutexGuard<'_, Condition> {
 mod tests {
     use super::*;
     use crate::port::named::NamedPort;
-    use crate::publish::engine::{NodePublishers, Publish, Shared};
+    use crate::publish::engine::{MessagePublisher, NodePublishers, Shared};
 
     /// Publisher that keeps the time of each message.
     #[derive(Clone, Default)]
     struct Instants(Arc<Mutex<Vec<Instant>>>);
 
-    impl Publish for Instants {
+    impl MessagePublisher for Instants {
         fn publish(&self, _: Vec<u8>) {
             self.0.lock().unwrap().push(Instant::now());
         }

@@ -127,11 +127,11 @@ pub(super) fn state(site: &Site) -> Response {
 #[derive(Debug, Serialize)]
 struct HealthReport<'a> {
     status: &'static str,
-    sensors: Vec<SensorHealth<'a>>,
+    sensors: Vec<HealthEntry<'a>>,
 }
 
 #[derive(Debug, Serialize)]
-struct SensorHealth<'a> {
+struct HealthEntry<'a> {
     name: Option<&'a str>,
     status: &'static str,
     link: &'static str,
@@ -147,7 +147,7 @@ pub(super) fn health(site: &Site) -> Response {
         .map(|source| {
             let health = source.health();
             let (name, status) = (source.name.as_deref(), status(health.why.is_none()));
-            SensorHealth { name, status, link: health.link, why: health.why }
+            HealthEntry { name, status, link: health.link, why: health.why }
         })
         .collect();
     let is_ok = sensors.iter().all(|sensor| sensor.why.is_none());

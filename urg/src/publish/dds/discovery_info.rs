@@ -32,7 +32,7 @@ pub(super) fn encode(
     // Cyclone numbers entities from 1.
     let mut numbers = 1_u32..;
     // Little-endian CDR.
-    let mut message = Message(vec![0, 1, 0, 0]);
+    let mut message = CdrMessage(vec![0, 1, 0, 0]);
     message.gid(participant, PARTICIPANT);
     message.length(nodes.len());
     for node in nodes {
@@ -50,9 +50,9 @@ pub(super) fn encode(
     message.0
 }
 
-struct Message(Vec<u8>);
+struct CdrMessage(Vec<u8>);
 
-impl Message {
+impl CdrMessage {
     fn length(&mut self, length: usize) {
         // CDR aligns from the end of its header, but four header bytes make no difference.
         self.0.resize(self.0.len().next_multiple_of(4), 0);

@@ -34,7 +34,7 @@ use self::rtps::Prefix;
 use super::counts::ScanCounts;
 use super::discovery::Discovery;
 use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, NodePublishers, NodeSpec, Publish,
+    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, NodePublishers, NodeSpec,
     STATIC_TRANSFORMS_TOPIC,
 };
 use super::progress::{MAX_SILENT_LOOKS, Progress};
@@ -58,21 +58,21 @@ const LOOKS_PER_INFO: u32 = 8;
 const MAX_CHANGED_LOOKS: u32 = 2;
 
 /// Queued message.
-struct Message {
+struct DdsMessage {
     payload: Vec<u8>,
     counts: Arc<ScanCounts>,
 }
 
 /// State shared by the publishers and the thread.
-struct Link {
-    queue: SendQueue<Message>,
+struct DdsQueue {
+    queue: SendQueue<DdsMessage>,
     /// Number of messages taken from the queue.
     taken: AtomicU64,
 }
 
 /// Participant with its nodes.
 pub(super) struct Dds {
-    link: Arc<Link>,
+    link: Arc<DdsQueue>,
     thread: JoinHandle<Result<(), String>>,
     pulse: Pulse,
     log: Log,
@@ -114,7 +114,7 @@ impl Engine for Dds {
         let depths = specs.iter().flat_map(|_| [settings.depth, DIAGNOSTICS_DEPTH]);
         // The last two topics: discovery information and static transforms.
         let queue = SendQueue::new(depths.chain([1, 1]));
-        let link = Arc::new(Link { queue, taken: AtomicU64::new(0) });
+        let link = Arc::new(DdsQueue { queue, taken: AtomicU64::new(0) });
         let (opened, is_open) = mpsc::channel();
         let sending = Arc::clone(&link);
         let thread = std::thread::Builder::new()
@@ -139,7 +139,7 @@ impl Engine for Dds {
             .iter()
             .zip(0_usize..)
             .map(|(counts, node)| {
-                let publisher = |topic, counts| -> Box<dyn Publish> {
+                let publisher = |topic, counts| -> Box<dyn MessagePublisher> {
                     Box::new(DdsPublisher { link: Arc::clone(&link), topic, counts })
                 };
                 NodePublishers {
@@ -170,7 +170,7 @@ impl Engine for Dds {
         if let Some(payload) = transforms {
             // Cyclone keeps it for late readers.
             let topic = specs.len() * NODE_WRITERS + 1;
-            let _ = dds.link.queue.push(topic, Message { payload, counts: Arc::default() });
+            let _ = dds.link.queue.push(topic, DdsMessage { payload, counts: Arc::default() });
         }
         Ok((dds, publishers))
     }
@@ -226,7 +226,7 @@ impl Dds {
         let payload = discovery_info::encode(self.prefix, nodes, NODE_WRITERS, self.has_transforms);
         let topic = self.nodes.len() * NODE_WRITERS;
         // May replace an older list in the queue.
-        let _ = self.link.queue.push(topic, Message { payload, counts: Arc::default() });
+        let _ = self.link.queue.push(topic, DdsMessage { payload, counts: Arc::default() });
     }
 }
 
@@ -239,8 +239,8 @@ fn ended(thread: JoinHandle<Result<(), String>>) -> Option<String> {
     }
 }
 
-fn send(link: &Link, writers: &[Box<dyn Write + '_>]) {
-    while let Some((topic, Message { payload, counts })) = link.queue.pop() {
+fn send(link: &DdsQueue, writers: &[Box<dyn Write + '_>]) {
+    while let Some((topic, DdsMessage { payload, counts })) = link.queue.pop() {
         if let Some(writer) = writers.get(topic) {
             match writer.write(payload) {
                 Ok(()) => counts.add_published(),
@@ -253,16 +253,16 @@ fn send(link: &Link, writers: &[Box<dyn Write + '_>]) {
 }
 
 struct DdsPublisher {
-    link: Arc<Link>,
+    link: Arc<DdsQueue>,
     /// Index of the topic in the queue and among the writers.
     topic: usize,
     counts: Arc<ScanCounts>,
 }
 
-impl Publish for DdsPublisher {
+impl MessagePublisher for DdsPublisher {
     fn publish(&self, payload: Vec<u8>) {
         let counts = Arc::clone(&self.counts);
-        if let Some(dropped) = self.link.queue.push(self.topic, Message { payload, counts }) {
+        if let Some(dropped) = self.link.queue.push(self.topic, DdsMessage { payload, counts }) {
             dropped.counts.add_dropped();
         }
     }

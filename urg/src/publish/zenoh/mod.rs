@@ -24,8 +24,8 @@ use self::router::InTransit;
 use self::sender::Sender;
 use super::counts::ScanCounts;
 use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, Mode, NodePublishers, NodeSpec, Publish,
-    Qos, STATIC_TRANSFORMS_TOPIC,
+    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, Mode, NodePublishers,
+    NodeSpec, Qos, STATIC_TRANSFORMS_TOPIC,
 };
 
 /// Number of diagnostics to keep, as announced to readers.
@@ -197,7 +197,7 @@ impl Zenoh {
         topic: &Topic<'_>,
         queue: usize,
         counts: Arc<ScanCounts>,
-    ) -> zenoh::Result<Box<dyn Publish>> {
+    ) -> zenoh::Result<Box<dyn MessagePublisher>> {
         let publisher = self
             .session
             .declare_publisher(topic.key(graph.domain))

@@ -10,12 +10,12 @@ use zenoh::Wait;
 use zenoh::pubsub::Publisher;
 
 use crate::publish::counts::ScanCounts;
-use crate::publish::engine::Publish;
+use crate::publish::engine::MessagePublisher;
 use crate::publish::progress::Progress;
 use crate::publish::send_queue::SendQueue;
 
 /// Queued message. Its sequence number is in the attachment.
-struct Message {
+struct ZenohMessage {
     publisher: Arc<Publisher<'static>>,
     payload: Vec<u8>,
     attachment: Vec<u8>,
@@ -23,8 +23,8 @@ struct Message {
 }
 
 /// State shared by the publishers and the thread.
-struct Link {
-    queue: SendQueue<Message>,
+struct ZenohQueue {
+    queue: SendQueue<ZenohMessage>,
     /// Whether messages can be sent. A client without its router would lose them.
     is_connected: AtomicBool,
     /// Number of messages taken from the queue.
@@ -33,14 +33,14 @@ struct Link {
 
 /// Handle of the thread that sends for all publishers.
 pub(super) struct Sender {
-    link: Arc<Link>,
+    link: Arc<ZenohQueue>,
     thread: JoinHandle<()>,
     progress: Progress,
 }
 
 impl Sender {
     pub(super) fn start(depths: impl IntoIterator<Item = usize>) -> Result<Self, String> {
-        let link = Arc::new(Link {
+        let link = Arc::new(ZenohQueue {
             queue: SendQueue::new(depths),
             is_connected: AtomicBool::new(true),
             taken: AtomicU64::new(0),
@@ -61,7 +61,7 @@ impl Sender {
         publisher: Publisher<'static>,
         gid: [u8; 16],
         counts: Arc<ScanCounts>,
-    ) -> Box<dyn Publish> {
+    ) -> Box<dyn MessagePublisher> {
         Box::new(ZenohPublisher {
             link: Arc::clone(&self.link),
             topic,
@@ -99,10 +99,10 @@ impl Sender {
     }
 }
 
-fn send(link: &Link) {
+fn send(link: &ZenohQueue) {
     while let Some((_, message)) = link.queue.pop() {
         link.taken.fetch_add(1, Ordering::Relaxed);
-        let Message { publisher, payload, attachment, counts } = message;
+        let ZenohMessage { publisher, payload, attachment, counts } = message;
         // Counted before `put`, so that a scan waiting there counts as in transit.
         counts.add_published();
         // Fails only after the session is closed.
@@ -112,7 +112,7 @@ fn send(link: &Link) {
 
 /// Publisher that attaches the metadata `rmw_zenoh` expects.
 struct ZenohPublisher {
-    link: Arc<Link>,
+    link: Arc<ZenohQueue>,
     /// Index of the topic in the queue.
     topic: usize,
     publisher: Arc<Publisher<'static>>,
@@ -121,7 +121,7 @@ struct ZenohPublisher {
     counts: Arc<ScanCounts>,
 }
 
-impl Publish for ZenohPublisher {
+impl MessagePublisher for ZenohPublisher {
     fn publish(&self, payload: Vec<u8>) {
         // Dropped messages use up a number, so that readers see the gap.
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed);
@@ -131,7 +131,7 @@ impl Publish for ZenohPublisher {
         let attachment = attachment(sequence, SystemTime::now(), self.gid);
         let publisher = Arc::clone(&self.publisher);
         let counts = Arc::clone(&self.counts);
-        let message = Message { publisher, payload, attachment, counts };
+        let message = ZenohMessage { publisher, payload, attachment, counts };
         if let Some(dropped) = self.link.queue.push(self.topic, message) {
             dropped.counts.add_dropped();
         }
