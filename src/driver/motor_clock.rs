@@ -142,14 +142,16 @@ struct Former {
     chance: f64,
 }
 
-/// Line through the ends of revolutions.
+/// Line through the ends of revolutions. Its times are in seconds from `origin`: a reply costs
+/// half the instructions that it would with the arithmetic of [`Instant`].
 #[derive(Debug, Clone)]
 pub(crate) struct MotorClock {
+    origin: Instant,
     /// Seconds per revolution: from the firmware line, and as fitted.
     nominal: f64,
     period: f64,
-    /// End of the latest revolution on the line.
-    latest: Option<Instant>,
+    /// End of the latest revolution on the line, if there is one.
+    latest: Option<f64>,
     /// Sums of `w`, `w x` and `w x²` over all replies, with their weights `w` and their
     /// distances `x` from `latest` in revolutions.
     sums: [f64; 3],
@@ -177,6 +179,7 @@ impl MotorClock {
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
         Self {
+            origin: Instant::now(),
             nominal,
             period: nominal,
             latest: None,
@@ -197,8 +200,12 @@ impl MotorClock {
     /// Adds a reply whose first byte arrived at `arrived`. Returns when the revolution
     /// that it shows ended, which is never later than `arrived`.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
+        self.add(seconds(self.origin, requested), seconds(self.origin, arrived))
+    }
+
+    fn add(&mut self, requested: f64, arrived: f64) -> Revolution {
         let Some(latest) = self.latest else { return self.start(arrived) };
-        let since = seconds(latest, arrived);
+        let since = arrived - latest;
         let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
         let faded = self.sums.map(|sum| sum * fade);
         let gate = self.gate(faded, whole(since / self.period + 0.5));
@@ -207,8 +214,8 @@ impl MotorClock {
         if !(gate < self.period / 4.0 && lag > -gate) {
             return self.start(arrived);
         }
-        let end = moved(latest, turns * self.period);
-        let wait = seconds(requested, end) / self.period;
+        let end = latest + turns * self.period;
+        let wait = (end - requested) / self.period;
         let passed = whole(wait - LEAST_WAIT).max(0.0);
         if lag <= gate {
             self.waited = self.waited.saturating_add(u8::from(wait > LEAST_WAIT));
@@ -217,7 +224,7 @@ impl MotorClock {
         } else if wait < 0.0 {
             self.early(requested, arrived)
         } else {
-            let end = moved(end, (self.passed - passed).min(0.0) * self.period);
+            let end = end + (self.passed - passed).min(0.0) * self.period;
             self.misfit(end, lag, gate, arrived)
         }
     }
@@ -244,9 +251,9 @@ impl MotorClock {
         &mut self,
         [w, wx, wxx]: [f64; 3],
         turns: f64,
-        end: Instant,
+        end: f64,
         lag: f64,
-        arrived: Instant,
+        arrived: f64,
     ) -> Revolution {
         self.misfits = Misfits::NONE;
         self.note_share(MOST_SHARE);
@@ -269,13 +276,13 @@ impl MotorClock {
         if (self.period - self.nominal).abs() > LARGEST_DIFFERENCE * self.nominal {
             return self.start(arrived);
         }
-        let end = moved(end, wxx * gain);
+        let end = end + wxx * gain;
         self.latest = Some(end);
         self.on_line(end, arrived)
     }
 
     /// Notes a reply `lag` behind the line, which is late unless the phase has changed.
-    fn misfit(&mut self, end: Instant, lag: f64, gate: f64, arrived: Instant) -> Revolution {
+    fn misfit(&mut self, end: f64, lag: f64, gate: f64, arrived: f64) -> Revolution {
         self.note_share(0.0);
         if self.share < LEAST_SHARE {
             return self.start(arrived);
@@ -302,7 +309,7 @@ impl MotorClock {
             self.former = Some(Former { lag, weight, chance });
             // The agreeing ones were not late.
             self.share = (self.share + f64::from(agreeing) / self.counted).min(MOST_SHARE);
-            let end = moved(end, lag);
+            let end = end + lag;
             self.set_phase(end, f64::from(agreeing));
             self.on_line(end, arrived)
         } else {
@@ -314,14 +321,11 @@ impl MotorClock {
     fn note_share(&mut self, fits: f64) {
         self.counted = (self.counted + 1.0).min(SHARE_REPLIES);
         self.share += (fits - self.share) / self.counted;
-        let late = self.chance_of_lateness();
-        if let Some(former) = &mut self.former {
-            former.chance *= late;
-            if former.chance < CHANCE_OF_A_FALSE_JUMP {
-                self.former = None;
-                self.jumps += 1;
-            }
-        }
+        let Some(mut former) = self.former else { return };
+        former.chance *= self.chance_of_lateness();
+        let is_certain = former.chance < CHANCE_OF_A_FALSE_JUMP;
+        self.jumps += u64::from(is_certain);
+        self.former = (!is_certain).then_some(former);
     }
 
     fn fewest_agreeing(&self, misfits: u8) -> f64 {
@@ -339,11 +343,11 @@ impl MotorClock {
     }
 
     /// Corrects a line that an arrival shows to be late.
-    fn early(&mut self, requested: Instant, arrived: Instant) -> Revolution {
+    fn early(&mut self, requested: f64, arrived: f64) -> Revolution {
         if let (Some(former), Some(latest)) = (self.former.take(), self.latest) {
             // The replies that seemed to show a jump were late.
-            self.set_phase(moved(latest, -former.lag), former.weight);
-            return self.observe(requested, arrived);
+            self.set_phase(latest - former.lag, former.weight);
+            return self.add(requested, arrived);
         }
         // A second early arrival this soon means that the period is wrong, too.
         if self.fitting < ENOUGH || self.since_jump < ENOUGH {
@@ -355,7 +359,7 @@ impl MotorClock {
     }
 
     /// Starts the fit again with one arrival and the nominal period.
-    fn start(&mut self, arrived: Instant) -> Revolution {
+    fn start(&mut self, arrived: f64) -> Revolution {
         self.period = self.nominal;
         self.lateness = USUAL_LATENESS;
         self.fitting = 0;
@@ -367,7 +371,7 @@ impl MotorClock {
     }
 
     /// Moves the line to a new phase, and keeps the fitted period.
-    fn set_phase(&mut self, end: Instant, weight: f64) {
+    fn set_phase(&mut self, end: f64, weight: f64) {
         let [w, wx, wxx] = self.sums;
         let known = if w > 0.0 { wxx - wx * wx / w } else { 0.0 };
         let doubt = NOMINAL_DOUBT * self.nominal / USUAL_LATENESS;
@@ -389,12 +393,11 @@ impl MotorClock {
         is_known.then(|| duration(self.period))
     }
 
-    fn on_line(&self, end: Instant, arrived: Instant) -> Revolution {
+    fn on_line(&self, end: f64, arrived: f64) -> Revolution {
         if !self.is_known() {
             return self.at_arrival();
         }
-        let lateness = Some(arrived.saturating_duration_since(end));
-        Revolution { lateness, period: self.known_period() }
+        Revolution { lateness: Some(duration(arrived - end)), period: self.known_period() }
     }
 
     fn at_arrival(&self) -> Revolution {
@@ -415,14 +418,8 @@ fn seconds(from: Instant, to: Instant) -> f64 {
     }
 }
 
-/// Duration of positive seconds. `Duration::from_secs_f64` takes 100 instructions more.
+/// Duration of seconds, or zero if they are negative. `Duration::from_secs_f64` takes 100
+/// instructions more.
 fn duration(seconds: f64) -> Duration {
     Duration::from_nanos((seconds * 1e9) as u64)
-}
-
-/// Adds seconds to a time, or subtracts them if they are negative.
-fn moved(at: Instant, seconds: f64) -> Instant {
-    let by = duration(seconds.abs());
-    let moved = if seconds < 0.0 { at.checked_sub(by) } else { at.checked_add(by) };
-    moved.unwrap_or(at)
 }
