@@ -1,10 +1,12 @@
 //! Work whose instructions `.ci/callgrind` counts: a number of full scans, decoded
-//! (`decode`) or brought from port to consumer by the driver (`driver`, at 10 Hz on the
-//! paused clock).
+//! (`decode`), brought from port to consumer by the driver (`driver`, at 10 Hz on the
+//! paused clock), or only shown to the clock of the motor (`motor`).
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 use std::sync::Arc;
+
+use std::time::Duration;
 
 use bytes::BytesMut;
 use instant_sensor::InstantSensor;
@@ -15,6 +17,18 @@ use tokio_util::codec::Encoder;
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;
+// Private in the library. It needs no more of it than `stats`.
+#[allow(dead_code)]
+#[path = "../src/driver/motor_clock.rs"]
+mod motor_clock;
+
+mod stats {
+    pub(crate) struct MotorStats {
+        pub(crate) revolution: Option<std::time::Duration>,
+        pub(crate) lateness: std::time::Duration,
+        pub(crate) jumps: u64,
+    }
+}
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
@@ -26,7 +40,8 @@ fn main() {
     match work.as_str() {
         "decode" => decode(scans),
         "driver" => driver(scans),
-        _ => panic!("{work}: use decode or driver"),
+        "motor" => motor(scans),
+        _ => panic!("{work}: use decode, driver or motor"),
     }
 }
 
@@ -61,4 +76,25 @@ fn driver(scans: usize) {
             stream.next().await.unwrap().unwrap();
         }
     });
+}
+
+/// Arrivals on USB, one in 16 late by 5 ms.
+fn motor(scans: usize) {
+    let revolution = Duration::from_nanos(99_760_500);
+    let start = tokio::time::Instant::now();
+    let mut clock = motor_clock::MotorClock::new(Duration::from_millis(100));
+    // The same number for any number of scans, so that they do not count.
+    let arrivals = (1..=2000).map(|scan| {
+        let end = revolution * scan;
+        let late = if scan % 16 == 0 { Duration::from_millis(5) } else { Duration::ZERO };
+        // The next frame of USB.
+        let arrival = Duration::from_millis(end.as_millis() as u64 + 1) + late;
+        (start + (end - revolution * 9 / 10), start + arrival)
+    });
+    let arrivals: Vec<_> = arrivals.collect();
+    for (requested, arrived) in &arrivals[..scans] {
+        std::hint::black_box(clock.observe(*requested, *arrived));
+        std::hint::black_box(clock.stats());
+    }
+    assert!(clock.stats().is_some());
 }

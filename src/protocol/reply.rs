@@ -7,10 +7,9 @@
 use std::sync::Arc;
 
 use super::malformed::{foreign, no_status};
+use super::window::BLOCK;
 use super::{Command, Malformed, ReplyError, Status, Window};
 
-/// Data bytes in a full line of a `G` reply (C-42-3320-A p. 3 and 6).
-pub(super) const BLOCK: usize = 64;
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
 const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);

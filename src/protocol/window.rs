@@ -5,7 +5,6 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 use super::BaudRate;
-use super::reply::BLOCK;
 
 /// Steps in a full revolution of the motor (C-42-3320-A p. 7).
 const STEPS_PER_REVOLUTION: f64 = 1024.0;
@@ -16,6 +15,8 @@ const LAST: u16 = 768;
 
 /// Length of a `G` and of its echo in bytes, LF included (p. 6).
 const POLL_LEN: usize = 10;
+/// Data bytes in a full line of a `G` reply (p. 3 and 6).
+pub(super) const BLOCK: usize = 64;
 
 /// Direction of measurement: 0..=768, 360/1024 degree each (p. 7).
 ///

@@ -118,6 +118,16 @@ fn scans_come_as_urg_stream_writes_them() {
 }
 
 #[test]
+fn the_state_has_the_motor_once_scans_rest_on_it() {
+    let served = Served::start("emulated");
+    let mut response = served.get("/scans");
+    while scan(&response.line().unwrap())["stamp_quality"] != "motor" {}
+    let motor = &served.state()["stats"]["motor"];
+    assert!((0.0..0.05).contains(&motor["lateness"].as_f64().unwrap()), "{motor}");
+    assert_eq!(motor["jumps"], 0);
+}
+
+#[test]
 fn scans_come_as_server_sent_events_on_request() {
     let served = Served::start("emulated");
     let client = Client { accept: "text/event-stream", ..served.client() };
