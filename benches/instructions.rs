@@ -22,6 +22,7 @@ mod instant_sensor;
 #[path = "../src/driver/motor_clock.rs"]
 mod motor_clock;
 
+#[allow(dead_code)]
 mod stats {
     pub(crate) struct MotorStats {
         pub(crate) revolution: Option<std::time::Duration>,
