@@ -1,6 +1,8 @@
 //! Recordings for the properties that hold for any bytes: small whole ones, and the changes
 //! that a script makes to them.
 
+#![allow(dead_code, reason = "each fuzz target uses a part of it")]
+
 use std::sync::OnceLock;
 use std::time::Duration;
 
