@@ -1,5 +1,4 @@
-//! Times of an exchange: its [`Deadline`], and the [`Timing`] of the frame that it
-//! [`TimedFrame`].
+//! Times of an exchange: its [`Deadline`], and the [`Timing`] of the frame that it receives.
 
 use std::time::{Duration, SystemTime};
 
