@@ -37,7 +37,7 @@ enum Write {
     End,
 }
 
-/// ModelWriter between two steps.
+/// Writer between two steps.
 #[derive(Debug)]
 struct ModelWriter {
     writes: &'static [Write],
@@ -101,11 +101,11 @@ impl Wake for Woken {
     }
 }
 
-/// ModelReader between two steps.
+/// Reader between two steps.
 #[derive(Debug)]
 struct ModelReader {
     cursor: Option<Cursor>,
-    /// ModelReader that was cloned or has ended, and is dropped next.
+    /// Reader that was cloned or has ended, and is dropped next.
     original: Option<Cursor>,
     change: Change,
     /// True if it may be dropped before the end, or subscribe after the end.
