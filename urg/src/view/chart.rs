@@ -53,15 +53,9 @@ impl Chart {
         }
     }
 
-    /// Draws a dot at each place.
-    pub(super) fn dots(
-        &self,
-        context: &mut Context<'_>,
-        places: impl Iterator<Item = Place>,
-        color: Color,
-    ) {
-        let coords: Vec<_> = places.map(|place| (place.right, place.ahead)).collect();
-        context.draw(&Points { coords: &coords, color });
+    /// Draws a dot at a place.
+    pub(super) fn dot(&self, context: &mut Context<'_>, place: Place, color: Color) {
+        context.draw(&Points { coords: &[(place.right, place.ahead)], color });
     }
 
     /// Writes `symbol` into the cell of each place, if the cell is empty.

@@ -11,7 +11,7 @@ use super::help::Subject;
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
-use super::{common_frame, help, panel, radar, several};
+use super::{help, panel, radar, several};
 
 /// Minimum width and height. A smaller terminal only shows a message.
 const MIN_SIZE: (u16, u16) = (30, 10);
@@ -42,7 +42,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Op
         let wide = if body.width >= 120 { 36 } else { 28 };
         let columns = [Constraint::Min(0), Constraint::Length(wide)];
         let [plot, figures] = Layout::horizontal(columns).areas(body);
-        picture(frame, plot, model, palette);
+        radar::draw(frame, plot, model, palette);
         let figures = Rect { x: figures.x + 1, width: figures.width - 1, ..figures };
         let lines = match model.has_several() {
             true => several::lines(model, palette, figures.height),
@@ -50,20 +50,12 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Op
         };
         frame.render_widget(Paragraph::new(lines), figures);
     } else {
-        picture(frame, body, model, palette);
+        radar::draw(frame, body, model, palette);
     }
     message(frame, news, model, palette);
     let subject = Subject::of(model);
     frame.render_widget(help::key_line(keys.width, subject), keys);
     model.help.map(|scroll| draw_help(frame, body, scroll, &help::text(subject)))
-}
-
-fn picture(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
-    if model.is_common_frame() {
-        common_frame::draw(frame, area, model, palette);
-    } else {
-        radar::draw(frame, area, model, palette);
-    }
 }
 
 fn title_line(model: &Model) -> String {

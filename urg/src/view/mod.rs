@@ -4,7 +4,6 @@
 
 mod chart;
 mod command;
-mod common_frame;
 mod draw;
 mod help;
 mod layer;

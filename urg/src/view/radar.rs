@@ -1,5 +1,10 @@
-//! Picture of one sensor: sector, rings, points, nearest point, and marks at the rim for
-//! directions without a distance.
+//! Picture of the sensors: rings, points, nearest point, and marks at the rim for directions
+//! without a distance.
+//!
+//! A single sensor without a pose has its sector and the directions around it. Otherwise the
+//! picture is that of the common frame: each sensor's points have its colour, or are its number
+//! without colours. Only the selected sensor shows its edges and missing distances, because
+//! several sectors at once would be unreadable.
 
 use std::collections::BTreeMap;
 
@@ -14,8 +19,14 @@ use super::chart::{Chart, GRID, LabelSpace, Margin, TRAIL};
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
+use super::several::sign;
 use crate::plot::missing::MissingKind;
-use crate::plot::{self, Anchor, Extent, Place, Sector};
+use crate::plot::{self, Anchor, Extent, Place, Sector, pose};
+
+/// Sector of the common frame: a full circle.
+const ALL_AROUND: Sector = Sector { from: -std::f64::consts::PI, to: std::f64::consts::PI };
+/// Arrows for the direction of a sensor, in eighths of a turn counter-clockwise from ahead.
+const ARROWS: [&str; 8] = ["▲", "◤", "◀", "◣", "▼", "◢", "▶", "◥"];
 
 /// Mark at the rim for a direction without a distance.
 pub(crate) fn mark(kind: MissingKind) -> &'static str {
@@ -26,120 +37,177 @@ pub(crate) fn mark(kind: MissingKind) -> &'static str {
     }
 }
 
-/// Draws the selected sensor into `area`.
+/// Draws all sensors into `area`.
 pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
-    let Some(layer) = model.selected() else { return };
-    let sector = Sector::of(layer.scan.as_ref().map_or(layer.window, Scan::window));
-    let radar = Radar::new(area, sector, model.reach());
-    let chart = &radar.chart;
-    let trail = || layer.trail.iter().filter(|_| model.shows_trail);
-    let canvas =
-        Canvas::default().marker(Marker::Braille).x_bounds(chart.x).y_bounds(chart.y).paint(
-            |context| {
-                for older in trail().filter(|_| palette != Palette::Plain) {
-                    radar.points(context, older, |_| palette.faint());
-                }
-                if let Some(scan) = &layer.scan {
-                    context.layer();
-                    radar.points(context, scan, |range| {
-                        if model.is_live(layer) { palette.distance(range) } else { palette.faint() }
-                    });
-                }
-            },
-        );
-    frame.render_widget(canvas, area);
+    let Some(selected) = model.selected() else { return };
+    let radar = Radar::new(area, model, selected, palette);
+    let (chart, color) = (&radar.chart, palette.faint());
+    let canvas = Canvas::default().marker(Marker::Braille).x_bounds(chart.x).y_bounds(chart.y);
+    frame.render_widget(canvas.paint(|context| radar.points(context)), area);
     let buffer = frame.buffer_mut();
     if palette == Palette::Plain {
-        for older in trail() {
-            let points = older.points().filter(|point| f64::from(point.range) <= radar.reach);
-            let places = points.map(|point| plot::place(point.range.into(), point.angle.into()));
-            chart.cells(buffer, places, TRAIL, palette.faint());
+        for layer in &model.layers {
+            let trail = radar.trail(layer).flat_map(|older| radar.places(layer, older));
+            chart.cells(buffer, trail.map(|(place, _)| place), TRAIL, color);
         }
     }
-    radar.grid(buffer, palette.faint());
-    if layer.scan.is_some() {
-        marks(buffer, chart, layer, model.reach(), palette);
+    radar.grid(buffer);
+    if palette == Palette::Plain && model.has_several() {
+        radar.numbers(buffer);
     }
-    radar.labels(buffer, layer);
+    radar.marks(buffer);
+    radar.labels(buffer);
 }
 
-/// Marks the cells along the rim whose directions have no distance. Each cell shows its
-/// most frequent kind.
-pub(super) fn marks(
-    buffer: &mut Buffer,
-    chart: &Chart,
-    layer: &Layer,
-    reach: f64,
+/// Sensors and their place on the screen.
+struct Radar<'a> {
+    model: &'a Model,
+    selected: &'a Layer,
     palette: Palette,
-) {
-    let Some(scan) = &layer.scan else { return };
-    let mut cells: BTreeMap<_, BTreeMap<MissingKind, usize>> = BTreeMap::new();
-    for (angle, measurement) in scan.angles().zip(scan.measurements()) {
-        let place = layer.place(reach + 4.0 * chart.dot, angle.into());
-        if let (Some(kind), Some(cell)) = (MissingKind::of(measurement), chart.cell(place)) {
-            *cells.entry(cell).or_default().entry(kind).or_default() += 1;
-        }
-    }
-    for ((column, row), kinds) in cells {
-        if let Some((kind, _)) = kinds.into_iter().max_by_key(|(_, count)| *count) {
-            let style = Style::new().fg(palette.missing(kind));
-            buffer.set_stringn(column, row, mark(kind), 1, style);
-        }
-    }
-}
-
-/// Sector and its place on the screen.
-struct Radar {
     chart: Chart,
+    /// Directions that the rings cover.
     sector: Sector,
-    /// Metres to the rim.
+    /// Metres to the rim of a sensor.
     reach: f64,
+    /// Maximum radius of a ring, in metres.
+    farthest: f64,
 }
 
-impl Radar {
-    fn new(area: Rect, sector: Sector, reach: f64) -> Self {
-        // Room for the marks and, on a wide screen, for the labels of the angles.
-        let columns = if area.width >= 80 { 8.0 } else { 2.0 };
-        let Extent { left, right, ahead, behind } = sector.extent();
-        let [left, right, ahead, behind] = [left, right, ahead, behind].map(|side| side * reach);
-        let extent = Extent { left, right, ahead, behind };
-        let chart = Chart::new(area, extent, Margin { columns, rows: 2.0 });
-        Self { chart, sector, reach }
+impl<'a> Radar<'a> {
+    fn new(area: Rect, model: &'a Model, selected: &'a Layer, palette: Palette) -> Self {
+        let reach = model.reach();
+        let (sector, extent, margin) = if model.is_common_frame() {
+            (ALL_AROUND, extent(model, reach), Margin { columns: 2.0, rows: 1.0 })
+        } else {
+            let sector = sector_of(selected);
+            let Extent { left, right, ahead, behind } = sector.extent();
+            let sides = [left, right, ahead, behind].map(|side| side * reach);
+            let [left, right, ahead, behind] = sides;
+            // Room for the marks and, on a wide screen, for the labels of the angles.
+            let columns = if area.width >= 80 { 8.0 } else { 2.0 };
+            (sector, Extent { left, right, ahead, behind }, Margin { columns, rows: 2.0 })
+        };
+        let farthest = match model.is_common_frame() {
+            true => extent.left.max(extent.right).max(extent.ahead).max(extent.behind),
+            false => reach,
+        };
+        let chart = Chart::new(area, extent, margin);
+        Self { model, selected, palette, chart, sector, reach, farthest }
     }
 
-    fn grid(&self, buffer: &mut Buffer, color: Color) {
-        let Self { chart, sector, reach } = self;
-        for ring in plot::rings(*reach) {
+    /// Iterates over layers and their numbers. The selected layer comes last, to be on top.
+    fn layers(&self) -> impl DoubleEndedIterator<Item = (usize, &'a Layer)> {
+        let (model, selected) = (self.model, self.model.selected_number());
+        let layers = || model.layers.iter().enumerate();
+        let others = layers().filter(move |(number, _)| *number != selected);
+        others.chain(layers().filter(move |(number, _)| *number == selected))
+    }
+
+    fn trail(&self, layer: &'a Layer) -> impl Iterator<Item = &'a Scan> {
+        layer.trail.iter().filter(|_| self.model.shows_trail)
+    }
+
+    /// Iterates over the places of a scan's points, and their ranges. The picture of a single
+    /// sensor ends at the rim.
+    fn places(&self, layer: &Layer, scan: &Scan) -> impl Iterator<Item = (Place, f64)> {
+        let rim = if self.model.is_common_frame() { f64::INFINITY } else { self.reach };
+        let points = scan.points().map(|point| (f64::from(point.range), f64::from(point.angle)));
+        let points = points.filter(move |(range, _)| *range <= rim);
+        points.map(|(range, angle)| (layer.place(range, angle), range))
+    }
+
+    /// Draws the trails and the scans.
+    fn points(&self, context: &mut Context<'_>) {
+        for (number, layer) in self.layers() {
+            context.layer();
+            for older in self.trail(layer).filter(|_| self.palette != Palette::Plain) {
+                for (place, _) in self.places(layer, older) {
+                    self.chart.dot(context, place, self.palette.faint());
+                }
+            }
+            context.layer();
+            for (place, range) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
+                let color = match self.model.is_live(layer) {
+                    false => self.palette.faint(),
+                    true if self.model.has_several() => self.palette.sensor(number),
+                    true => self.palette.distance(range),
+                };
+                self.chart.dot(context, place, color);
+            }
+        }
+    }
+
+    /// Draws the rings, and the rim and the edges of the selected sector.
+    fn grid(&self, buffer: &mut Buffer) {
+        let Self { chart, sector, reach, .. } = self;
+        let color = self.palette.faint();
+        for ring in plot::rings(self.farthest) {
             chart.cells(buffer, sector.arc(ring, 4.0 * chart.dot), GRID, color);
         }
-        chart.cells(buffer, sector.arc(*reach, 2.0 * chart.dot), GRID, color);
-        for edge in [sector.from, sector.to] {
-            let dots = (reach / (3.0 * chart.dot)).min(1000.0) as u32;
-            let along = |n| plot::place(f64::from(n) * 3.0 * chart.dot, edge);
+        if !self.model.is_common_frame() {
+            chart.cells(buffer, sector.arc(*reach, 2.0 * chart.dot), GRID, color);
+        }
+        let spacing = 3.0 * chart.dot;
+        let dots = (reach / spacing).min(1000.0) as u32;
+        let Sector { from, to } = sector_of(self.selected);
+        for edge in [from, to] {
+            let along = |n| self.selected.place(f64::from(n) * spacing, edge);
             chart.cells(buffer, (0..=dots).map(along), GRID, color);
         }
     }
 
-    fn points(&self, context: &mut Context<'_>, scan: &Scan, color: impl Fn(f64) -> Color) {
-        for point in scan.points().filter(|point| f64::from(point.range) <= self.reach) {
-            let place = plot::place(point.range.into(), point.angle.into());
-            self.chart.dots(context, std::iter::once(place), color(point.range.into()));
+    /// Writes a sensor's number over each of its points.
+    fn numbers(&self, buffer: &mut Buffer) {
+        for (number, layer) in self.layers() {
+            for (place, _) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
+                if let Some((column, row)) = self.chart.cell(place) {
+                    buffer.set_string(column, row, sign(number), Style::new());
+                }
+            }
         }
     }
 
-    /// Labels the sensor, the nearest point, the rings and the angles.
-    fn labels(&self, buffer: &mut Buffer, layer: &Layer) {
-        let Self { chart, sector, reach } = self;
-        let style = Palette::quiet();
+    /// Marks the cells along the selected sensor's rim whose directions have no distance. Each
+    /// cell shows its most frequent kind.
+    fn marks(&self, buffer: &mut Buffer) {
+        let Some(scan) = &self.selected.scan else { return };
+        let mut cells: BTreeMap<_, BTreeMap<MissingKind, usize>> = BTreeMap::new();
+        for (angle, measurement) in scan.angles().zip(scan.measurements()) {
+            let place = self.selected.place(self.reach + 4.0 * self.chart.dot, angle.into());
+            if let (Some(kind), Some(cell)) = (MissingKind::of(measurement), self.chart.cell(place))
+            {
+                *cells.entry(cell).or_default().entry(kind).or_default() += 1;
+            }
+        }
+        for ((column, row), kinds) in cells {
+            if let Some((kind, _)) = kinds.into_iter().max_by_key(|(_, count)| *count) {
+                let style = Style::new().fg(self.palette.missing(kind));
+                buffer.set_stringn(column, row, mark(kind), 1, style);
+            }
+        }
+    }
+
+    /// Labels the sensors, the nearest point, the rings and the angles.
+    fn labels(&self, buffer: &mut Buffer) {
+        let Self { chart, sector, reach, .. } = self;
         let mut free = LabelSpace::default();
-        let origin = Place { right: 0.0, ahead: 0.0 };
-        chart.label(buffer, &mut free, origin, Anchor::Middle, "▲", style);
-        nearest(buffer, chart, &mut free, layer, *reach);
-        for ring in plot::rings(*reach) {
-            let (place, anchor) = sector.beside(ring, 4.0 * chart.dot);
+        for (number, layer) in self.layers().rev() {
+            self.sensor(buffer, &mut free, number, layer);
+        }
+        self.nearest(buffer, &mut free);
+        // Otherwise the label takes the colour of a point in its cell.
+        let style = Palette::quiet().fg(Color::Reset);
+        for ring in plot::rings(self.farthest) {
+            let (place, anchor) = match self.model.is_common_frame() {
+                true => (Place { right: 0.0, ahead: ring }, Anchor::Middle),
+                false => sector.beside(ring, 4.0 * chart.dot),
+            };
             // Rounded, because 3 * 0.1 is 0.30000000000000004.
             let name = format!("{} m", (ring * 100.0).round() / 100.0);
             chart.label(buffer, &mut free, place, anchor, &name, style);
+        }
+        if self.model.is_common_frame() {
+            return;
         }
         for degrees in sector.directions() {
             let angle = f64::from(degrees).to_radians();
@@ -158,19 +226,59 @@ impl Radar {
             chart.label(buffer, &mut free, place, anchor, &format!("{degrees}°"), style);
         }
     }
+
+    /// Writes a sensor's arrow, and its number among several, at its place, or beside it if the
+    /// place is taken.
+    fn sensor(&self, buffer: &mut Buffer, free: &mut LabelSpace, number: usize, layer: &Layer) {
+        let eighths = (pose::yaw(layer.pose) / 45.0).round().rem_euclid(8.0) as usize;
+        let arrow = ARROWS.get(eighths).copied().unwrap_or("▲");
+        let (text, color) = if self.model.has_several() {
+            (format!("{arrow}{}", sign(number)), self.palette.sensor(number))
+        } else {
+            (arrow.to_owned(), self.palette.distance(f64::MAX))
+        };
+        let style = Style::new().fg(color).add_modifier(Modifier::BOLD);
+        let place = layer.place(0.0, 0.0);
+        for (columns, rows) in
+            [(0.0, 0.0), (3.0, 0.0), (-3.0, 0.0), (0.0, 1.0), (0.0, -1.0), (6.0, 0.0), (-6.0, 0.0)]
+        {
+            let place = self.chart.beside(place, columns, rows);
+            if self.chart.label(buffer, free, place, Anchor::Middle, &text, style) {
+                return;
+            }
+        }
+    }
+
+    /// Circles the selected sensor's nearest point, as the web page does.
+    fn nearest(&self, buffer: &mut Buffer, free: &mut LabelSpace) {
+        let nearest = self.selected.scan.as_ref().and_then(Scan::nearest);
+        let Some(point) = nearest.filter(|point| f64::from(point.range) <= self.reach) else {
+            return;
+        };
+        let place = self.selected.place(point.range.into(), point.angle.into());
+        let style = Style::new().add_modifier(Modifier::BOLD);
+        self.chart.label(buffer, free, place, Anchor::Middle, "○", style);
+    }
 }
 
-/// Circles the nearest point of a layer, as the web page does.
-pub(super) fn nearest(
-    buffer: &mut Buffer,
-    chart: &Chart,
-    free: &mut LabelSpace,
-    layer: &Layer,
-    reach: f64,
-) {
-    let nearest = layer.scan.as_ref().and_then(Scan::nearest);
-    let Some(point) = nearest.filter(|point| f64::from(point.range) <= reach) else { return };
-    let place = layer.place(point.range.into(), point.angle.into());
-    let style = Style::new().add_modifier(Modifier::BOLD);
-    chart.label(buffer, free, place, Anchor::Middle, "○", style);
+/// Sector of the shown scan, or else of the requested window.
+fn sector_of(layer: &Layer) -> Sector {
+    Sector::of(layer.scan.as_ref().map_or(layer.window, Scan::window))
+}
+
+/// Computes the rectangle around the origin that contains all sectors, in metres.
+fn extent(model: &Model, reach: f64) -> Extent {
+    let mut extent = Extent { left: 0.0, right: 0.0, ahead: 0.0, behind: 0.0 };
+    for layer in &model.layers {
+        let Sector { from, to } = sector_of(layer);
+        let rim = (0..=48).map(|n| from + (to - from) * f64::from(n) / 48.0);
+        let rim = rim.map(|angle| layer.place(reach, angle));
+        for Place { right, ahead } in rim.chain([layer.place(0.0, 0.0)]) {
+            extent.left = extent.left.max(-right);
+            extent.right = extent.right.max(right);
+            extent.ahead = extent.ahead.max(ahead);
+            extent.behind = extent.behind.max(-ahead);
+        }
+    }
+    extent
 }
