@@ -1,16 +1,14 @@
 //! `urg repair`: restores a truncated or damaged recording.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Read, Write};
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::io::Write;
+use std::path::PathBuf;
 
-use tokio_scip::recording::{RecordingError, Repaired, repair};
+use tokio_scip::recording::{Repaired, repair};
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::output::whole_file::WholeFile;
+use crate::recording::rewrite::{Input, failure, is_dash, rewrite};
 
 /// Restore a recording that is truncated or damaged
 ///
@@ -35,25 +33,19 @@ pub(crate) struct Repair {
 impl Repair {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let Self { file, out } = self;
-        if is_stdin(&file) && out.is_none() {
-            let text = "standard input has no name: `urg repair - whole.mcap` gives OUT one";
+        if out.as_deref().map_or(is_dash(&file), is_dash) {
+            let text = "standard input has no name, and the copy must be a file: `urg repair - \
+                        whole.mcap` names it";
             return Err(Failure::Usage(text.to_owned()));
         }
         let out = out.unwrap_or_else(|| file.with_extension("repaired.mcap"));
-        let (whole, output) = WholeFile::create(&out).map_err(|error| failure(&out, &error))?;
-        let written = {
-            let (file, out) = (file.clone(), out.clone());
-            tokio::task::spawn_blocking(move || copy(&file, &out, &output))
+        let copy = |mut inputs: Vec<Input>, output: &mut dyn Write| match inputs.pop() {
+            Some(input) => repair(input, output),
+            None => Ok(Repaired::default()),
         };
-        let repaired = tokio::select! {
-            written = written => {
-                written.map_err(|error| failure(&file, &error)).and_then(|outcome| outcome)
-            }
-            _ = interrupt.requested() => Err(Failure::Failed(format!(
-                "{}: interrupted: {} not written", file.display(), out.display()
-            ))),
-        }?;
-        if repaired.messages > 0 && (repaired.was_truncated || repaired.damaged_parts > 0) {
+        let (repaired, whole) = rewrite(vec![file.clone()], &out, interrupt, copy).await?;
+        let is_repaired = repaired.was_truncated || repaired.damaged_parts > 0;
+        if let Some(whole) = whole.filter(|_| repaired.messages > 0 && is_repaired) {
             whole.keep().map_err(|error| failure(&out, &error))?;
         }
         let (file, out) = (file.display(), out.display());
@@ -81,32 +73,4 @@ impl Repair {
         }
         Ok(())
     }
-}
-
-/// Copies and repairs `file`. Blocks until the copy is on the disk.
-fn copy(file: &Path, out: &Path, output: &File) -> Result<Repaired, Failure> {
-    let input: Box<dyn Read + Send> = match is_stdin(file) {
-        true => Box::new(io::stdin()),
-        false => Box::new(File::open(file).map_err(|error| failure(file, &error))?),
-    };
-    copy_into(input, output).map_err(|error| match &error {
-        RecordingError::Write { .. } => failure(out, &error),
-        _ => failure(file, &error),
-    })
-}
-
-fn copy_into(input: Box<dyn Read + Send>, output: &File) -> Result<Repaired, RecordingError> {
-    let mut buffered = BufWriter::new(output);
-    let repaired = repair(input, &mut buffered)?;
-    let written = buffered.flush().and_then(|()| output.sync_all());
-    let write_error = |error| RecordingError::Write { source: Arc::new(error) };
-    written.map(|()| repaired).map_err(write_error)
-}
-
-fn is_stdin(path: &Path) -> bool {
-    path.as_os_str() == "-"
-}
-
-fn failure(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::at(&path.display().to_string(), error)
 }

@@ -5,6 +5,7 @@ pub(crate) mod contents;
 pub(crate) mod progress;
 pub(crate) mod recorded;
 pub(crate) mod reel;
+pub(crate) mod rewrite;
 pub(crate) mod span;
 pub(crate) mod split;
 pub(crate) mod totals;
