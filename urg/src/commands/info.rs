@@ -43,64 +43,47 @@ enum InfoFormat {
 impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
-        if let Some(recorded) = port.recorded() {
-            let contents = recorded.contents().await?;
-            return self.print_contents(&port, contents).await;
-        }
-        let sensor = open(&port, &self.link, Delivery::Newest).await?;
-        let version =
-            sensor.version().await.map_err(|error| Failure::at(&port.to_string(), &error))?;
-        let baud_rate = proven_baud_rate(&sensor).await;
-        match self.format {
+        let (version, baud_rate, rows) = match port.recorded() {
+            Some(recorded) => {
+                let Contents { version, baud_rate, rows } = recorded.contents().await?;
+                (version, baud_rate.map(|rate| rate.map(|rate| (rate, None))), rows)
+            }
+            None => {
+                let sensor = open(&port, &self.link, Delivery::Newest).await?;
+                let version = sensor.version().await;
+                let version = version.map_err(|error| Failure::at(&port.to_string(), &error))?;
+                (version, Some(proven_baud_rate(&sensor).await), Vec::new())
+            }
+        };
+        let output = match self.format {
             InfoFormat::Text => {
-                print(&text(&port, &version, Some(&baud_rate_text(&baud_rate)))).await
+                let mut text = text(&port, &version, baud_rate.as_ref());
+                rows.iter().for_each(|(name, _, value)| row(&mut text, name, value));
+                text
             }
             InfoFormat::Json => {
-                let port = port.to_string();
-                let info = json!({
-                    "port": port,
-                    "baud_rate": baud_rate.as_ref().map(|(rate, _)| rate),
-                    "baud_rate_is_ignored": matches!(baud_rate, Some((_, Some(_)))),
-                    "version": version,
-                });
-                print(&json_line(&info)?).await
-            }
-        }
-    }
-
-    async fn print_contents(&self, port: &PortName, contents: Contents) -> Result<(), Failure> {
-        let Contents { version, baud_rate, rows } = contents;
-        let rate = baud_rate.as_ref().and_then(|rate| rate.parse::<BaudRate>().ok());
-        match self.format {
-            InfoFormat::Text => {
-                let baud_rate = baud_rate.map(|_| match rate {
-                    Some(rate) => format!("{rate} baud"),
-                    None => baud_rate_text(&None),
-                });
-                let mut text = text(port, &version, baud_rate.as_deref());
-                for (name, _, value) in rows {
-                    row(&mut text, name, &value);
-                }
-                print(&text).await
-            }
-            InfoFormat::Json => {
+                let baud_rate = baud_rate.flatten();
                 let mut info = json!({
                     "port": port.to_string(),
-                    "baud_rate": rate,
-                    "baud_rate_is_ignored": false,
+                    "baud_rate": baud_rate.as_ref().map(|(rate, _)| rate),
+                    "baud_rate_is_ignored": matches!(baud_rate, Some((_, Some(_)))),
                     "version": version,
                 });
                 if let Value::Object(info) = &mut info {
                     info.extend(rows.into_iter().map(|(name, data, _)| (name.to_owned(), data)));
                 }
-                print(&json_line(&info)?).await
+                json_line(&info)?
             }
-        }
+        };
+        print(&output).await
     }
 }
 
+/// Baud rate, and why the port ignores it; `None` on USB.
+type Speed = Option<(BaudRate, Option<String>)>;
+
 /// Rows of what is known.
-fn text(port: &PortName, version: &Version, baud_rate: Option<&str>) -> String {
+fn text(port: &PortName, version: &Version, baud_rate: Option<&Speed>) -> String {
     let mut text = String::new();
     let mut row = |name, value: String| {
         if !value.is_empty() {
@@ -108,7 +91,7 @@ fn text(port: &PortName, version: &Version, baud_rate: Option<&str>) -> String {
         }
     };
     row("port", port.to_string());
-    row("baud rate", baud_rate.unwrap_or_default().to_owned());
+    row("baud rate", baud_rate.map(baud_rate_text).unwrap_or_default());
     row("product", version.product.to_string());
     row("vendor", version.vendor.to_string());
     row("serial number", version.serial_number.to_string());
@@ -158,7 +141,7 @@ fn window(start: u16, end: u16) -> String {
     }
 }
 
-fn baud_rate_text(baud_rate: &Option<(BaudRate, Option<String>)>) -> String {
+fn baud_rate_text(baud_rate: &Speed) -> String {
     match baud_rate {
         None => "none (USB)".to_owned(),
         Some((_, Some(why))) => format!("none: {why}"),

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
-use tokio_scip::Version;
 use tokio_scip::recording::{Recording, RecordingError};
+use tokio_scip::{BaudRate, Version};
 
 use crate::format::time::{self, clock};
 
@@ -27,8 +27,8 @@ const MAX_LISTED_GAPS: usize = 5;
 pub(crate) struct Contents {
     /// What is known of the sensor.
     pub(crate) version: Version,
-    /// The baud rate of the line, or `none` on USB; `None` if the recording does not have it.
-    pub(crate) baud_rate: Option<String>,
+    /// Baud rate of the line, or `None` on USB. `None` also if the recording does not have it.
+    pub(crate) baud_rate: Option<Option<BaudRate>>,
     pub(crate) rows: Vec<Row>,
 }
 
@@ -36,7 +36,7 @@ pub(crate) struct Contents {
 /// takes.
 pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents, RecordingError> {
     let (window, rate) = (recording.window(), recording.rate());
-    let baud_rate = recording.metadata().get("baud_rate").cloned();
+    let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());
     let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
     let mut times = ScanTimes::default();
     let mut damaged_at = Vec::new();
