@@ -67,10 +67,7 @@ impl Interrupt {
         &self,
         command: impl Future<Output = Result<(), Failure>>,
     ) -> Result<(), Failure> {
-        tokio::select! {
-            outcome = command => outcome,
-            _ = self.requested() => Ok(()),
-        }
+        self.unless(command).await.unwrap_or(Ok(()))
     }
 }
 

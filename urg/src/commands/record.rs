@@ -7,7 +7,6 @@ use std::str::FromStr;
 use tokio::time::Instant;
 
 use tokio_scip::State;
-use tokio_scip::event::Event;
 use tokio_scip::recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
 use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
@@ -22,7 +21,6 @@ use crate::recording::split::{SplitLimit, SyncInterval};
 use crate::recording::totals::RecordTotals;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
-use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 
 /// Record scans, and every reply of the sensor, into a file
@@ -110,18 +108,14 @@ impl Record {
             recorder.describe(&sensor, &scans).await.map_err(failed)?;
             Ok((sensor, scans, recorder))
         };
-        let (sensor, scans, recorder) = tokio::select! {
-            opened = opening => opened?,
-            _ = interrupt.requested() => return Ok(()),
-        };
+        let opened = interrupt.unless(opening).await;
+        let Some((sensor, scans, recorder)) = opened.transpose()? else { return Ok(()) };
         let run = RecordRun {
             recorder,
-            watch: RateWatch::new(&port, window, rate),
             feed: Feed::new(&port, scans),
-            reporter: Reporter::new(port, sensor),
+            reporter: Reporter::new(port, sensor).with_rate(window, rate),
             progress: RecordingProgress::new(),
             began: Instant::now(),
-            missed: 0,
         };
         run.run(&self.pace, interrupt, &target).await
     }
@@ -252,11 +246,8 @@ struct RecordRun {
     recorder: Recorder,
     feed: Feed,
     reporter: Reporter,
-    watch: RateWatch,
     progress: RecordingProgress,
     began: Instant,
-    /// Scans that are in the file only as replies.
-    missed: u64,
 }
 
 impl RecordRun {
@@ -266,28 +257,16 @@ impl RecordRun {
         interrupt: &Interrupt,
         target: &RecordTarget,
     ) -> Result<(), Failure> {
-        let Self { recorder, feed, reporter, watch, progress, began, missed } = &mut self;
+        let Self { recorder, feed, reporter, progress, began } = &mut self;
         let mut is_late = false;
         let take = async |update: Update| {
             reporter.report(&update);
             let item = match update {
                 Update::Scan(scan) => Ok(scan),
                 Update::Error(error) => Err(error),
-                Update::Event(event) => {
-                    match event {
-                        Event::Reconnected => watch.restart(),
-                        Event::Missed { scans } => *missed += scans,
-                        _ => {}
-                    }
-                    return Ok(());
-                }
+                Update::Event(_) => return Ok(()),
             };
             recorder.record(&item).map_err(|error| target.failure(&error))?;
-            if let Ok(scan) = &item
-                && let Some(text) = watch.scanned(scan, &reporter.sensor)
-            {
-                notice(text);
-            }
             if !is_late && recorder.progress().late_syncs > 0 {
                 is_late = true;
                 notice(
@@ -300,14 +279,14 @@ impl RecordRun {
                     State::Connected { .. } => "",
                     _ => "; sensor away",
                 };
-                let totals = RecordTotals::new(recorder, reporter, *missed);
+                let totals = RecordTotals::new(recorder, reporter);
                 format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
             });
             Ok(())
         };
         let followed = follow(feed, pace, interrupt, take).await;
         let elapsed = self.began.elapsed();
-        let mut totals = RecordTotals::new(&self.recorder, &self.reporter, self.missed);
+        let mut totals = RecordTotals::new(&self.recorder, &self.reporter);
         let finished = tokio::select! {
             finished = self.recorder.finish() => finished.map_err(|error| target.failure(&error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(

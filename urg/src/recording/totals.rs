@@ -26,13 +26,14 @@ pub(crate) struct RecordTotals {
 }
 
 impl RecordTotals {
-    pub(crate) fn new(recorder: &Recorder, reporter: &Reporter, missed: u64) -> Self {
+    pub(crate) fn new(recorder: &Recorder, reporter: &Reporter) -> Self {
         let progress = recorder.progress();
         Self {
             scans: progress.scans,
             bytes: progress.bytes,
             files: progress.files,
-            lost: progress.lost + missed,
+            // A missed scan is in the file only as a reply.
+            lost: progress.lost + reporter.missed,
             lost_replies: progress.lost_replies,
             failed: reporter.failed,
             disconnects: reporter.sensor.stats().disconnects,

@@ -5,18 +5,15 @@ use std::io::{self, IsTerminal};
 use clap::ValueEnum;
 
 use tokio_scip::Window;
-use tokio_scip::event::Event;
 
 use super::feed::{Feed, Update};
 use super::follow::follow;
-use super::rate_watch::RateWatch;
 use super::reporter::Reporter;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::failure::Failure;
 use crate::format::csv::{self, Columns};
 use crate::format::summary;
 use crate::interrupt::Interrupt;
-use crate::output::notice::notice;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
 use crate::port::open::Delivery;
@@ -122,14 +119,11 @@ impl Stream {
             let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
             Ok((sensor, scans))
         };
-        let (sensor, scans) = tokio::select! {
-            opened = opening => opened?,
-            _ = interrupt.requested() => return Ok(()),
-        };
+        let opened = interrupt.unless(opening).await;
+        let Some((sensor, scans)) = opened.transpose()? else { return Ok(()) };
         let mut feed = Feed::new(&port, scans);
         let mut run = StreamRun {
-            watch: RateWatch::new(&port, window, rate),
-            reporter: Reporter::new(port, sensor),
+            reporter: Reporter::new(port, sensor).with_rate(window, rate),
             window,
             format: self.format.unwrap_or_else(StreamFormat::default_for_stdout),
             output: Output::new(),
@@ -149,7 +143,6 @@ struct StreamRun {
     window: Window,
     format: StreamFormat,
     output: Output,
-    watch: RateWatch,
 }
 
 impl StreamRun {
@@ -171,15 +164,6 @@ impl StreamRun {
             }
             // Events are on standard error too.
             _ => {}
-        }
-        match update {
-            Update::Scan(scan) => {
-                if let Some(text) = self.watch.scanned(scan, &self.reporter.sensor) {
-                    notice(text);
-                }
-            }
-            Update::Event(Event::Reconnected) => self.watch.restart(),
-            Update::Error(_) | Update::Event(_) => {}
         }
         Ok(())
     }

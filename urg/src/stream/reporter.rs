@@ -4,10 +4,11 @@
 use std::time::Instant;
 
 use tokio_scip::event::Event;
-use tokio_scip::{Error, Sensor, State};
+use tokio_scip::{Error, Rate, Sensor, State, Window};
 
 use super::feed::Update;
 use super::follow::StreamEnd;
+use super::rate_watch::RateWatch;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 use crate::port::name::PortName;
@@ -20,6 +21,9 @@ pub(crate) struct Reporter {
     /// Polls without a scan over a working link. A lower bound: while its reader is behind,
     /// the stream keeps only the latest.
     pub(crate) failed: u64,
+    /// Scans that were overwritten before they were read.
+    pub(crate) missed: u64,
+    watch: Option<RateWatch>,
     scans: u64,
     last_error: Option<String>,
     began: Instant,
@@ -27,16 +31,33 @@ pub(crate) struct Reporter {
 
 impl Reporter {
     pub(crate) fn new(port: PortName, sensor: Sensor) -> Self {
-        Self { port, sensor, failed: 0, scans: 0, last_error: None, began: Instant::now() }
+        let (failed, missed, scans, began) = (0, 0, 0, Instant::now());
+        Self { port, sensor, failed, missed, watch: None, scans, last_error: None, began }
+    }
+
+    /// Also reports why the stream of `window` is slower than `rate`.
+    pub(crate) fn with_rate(self, window: Window, rate: Rate) -> Self {
+        let watch = Some(RateWatch::new(&self.port, window, rate));
+        Self { watch, ..self }
     }
 
     pub(crate) fn report(&mut self, update: &Update) {
         match update {
-            Update::Scan(_) => self.scans += 1,
+            Update::Scan(scan) => {
+                self.scans += 1;
+                let watch = self.watch.as_mut();
+                if let Some(text) = watch.and_then(|watch| watch.scanned(scan, &self.sensor)) {
+                    notice(format_args!("{}: {text}", self.port));
+                }
+            }
             Update::Event(Event::Reconnected) => {
                 notice(format_args!("{}: the sensor is back", self.port));
+                if let Some(watch) = &mut self.watch {
+                    watch.restart();
+                }
             }
             Update::Event(Event::Missed { scans }) => {
+                self.missed += scans;
                 notice(format_args!("{scans} scans missed: the reader of the output is too slow"));
             }
             Update::Event(_) => {}

@@ -10,14 +10,12 @@ use tokio_scip::{Freshness, Rate, Scan, Sensor, State, Version, Window};
 
 use crate::args::LinkArgs;
 use crate::failure::Failure;
-use crate::output::notice::notice;
 use crate::port::name::PortName;
 use crate::port::open::Delivery;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::StreamEnd;
 use crate::stream::jitter::{Jitter, RecentTimes};
-use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 use crate::stream::reporter::trouble;
 
@@ -89,17 +87,14 @@ impl Hub {
     pub(crate) async fn run(&self, link: &LinkArgs) -> Result<(), Failure> {
         self.open(link).await?;
         let Some(mut live) = self.live.borrow().clone() else { return Ok(()) };
-        let mut reporter = Reporter::new(self.port.clone(), live.sensor.clone());
-        let mut pace = RateWatch::new(&self.port, self.window, self.rate);
+        let reporter = Reporter::new(self.port.clone(), live.sensor.clone());
+        let mut reporter = reporter.with_rate(self.window, self.rate);
         while let Some(update) = live.feed.next().await {
             reporter.report(&update);
             match &update {
                 Update::Scan(scan) => {
                     self.times().push(scan.received_at());
                     *self.lock_latest() = Some(scan.clone());
-                    if let Some(text) = pace.scanned(scan, &live.sensor) {
-                        notice(format_args!("{}: {text}", self.port));
-                    }
                 }
                 Update::Event(Event::Reconnected) => self.times().clear(),
                 Update::Error(_) | Update::Event(_) => {}
