@@ -8,13 +8,11 @@ use tokio::net::{TcpListener, TcpSocket};
 use tokio::task::JoinSet;
 use tokio_scip::Rate;
 
-use crate::args::{LinkArgs, WindowArgs, listen_address};
+use crate::args::{LinkArgs, listen_address};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::playback::PlaybackArgs;
-use crate::port::named::NamedPort;
-use crate::port::named::{PlacedPort, PlacedPorts};
+use crate::port::named::{NamedPort, PictureArgs, PlacedPort};
 use crate::web::{self, Hub, Site, SiteSource};
 
 /// Send buffer of the system for each client, about ten scans. A slow client lags by at most
@@ -34,7 +32,7 @@ const BACKLOG: u32 = 1024;
 #[command(after_help = "`--help` explains the addresses", after_long_help = HELP)]
 pub(crate) struct Serve {
     #[command(flatten)]
-    sensors: PlacedPorts,
+    picture: PictureArgs,
     /// Address to listen on: a port number for this machine only, or ADDRESS:PORT
     ///
     /// With `0.0.0.0:8080` or `[::]:8080`, anyone on your network can read the scans and
@@ -43,15 +41,6 @@ pub(crate) struct Serve {
     /// web site can read the scans through your browser (DNS rebinding).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = listen_address)]
     listen: String,
-    /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
-    #[arg(long, value_name = "HZ", allow_hyphen_values = true)]
-    rate: Option<Rate>,
-    #[command(flatten)]
-    window: WindowArgs,
-    #[command(flatten)]
-    playback: PlaybackArgs,
-    #[command(flatten)]
-    link: LinkArgs,
 }
 
 const HELP: &str = "\
@@ -88,18 +77,13 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let opened = interrupt.unless(self.sensors.polled_at(self.rate)).await;
-        let Some(mut polled) = opened.transpose()? else { return Ok(()) };
-        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
-        self.playback.apply(ports, self.rate.is_some())?;
+        let Some(polled) = self.picture.polled(interrupt).await? else { return Ok(()) };
         let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);
         let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
-        let sources = tokio::select! {
-            sources = self.sources(polled) => sources?,
-            _ = interrupt.requested() => return Ok(()),
-        };
+        let sources = interrupt.unless(self.sources(polled)).await;
+        let Some(sources) = sources.transpose()? else { return Ok(()) };
         let is_loopback = bound.ip().to_canonical().is_loopback();
         let site = Site::new(sources, is_loopback, interrupt);
         let hubs = site.sources().iter().filter_map(SiteSource::hub).map(Arc::clone);
@@ -109,18 +93,17 @@ impl Serve {
             let player = player.clone();
             going.runs.spawn(async move { Err(player.failed().await) });
         }
-        if !self.link.wait {
-            tokio::select! {
-                opened = going.open(&self.link) => opened?,
-                _ = interrupt.requested() => return Ok(()),
-            }
+        let link = &self.picture.link;
+        if !link.wait {
+            let opened = interrupt.unless(going.open(link)).await;
+            let Some(()) = opened.transpose()? else { return Ok(()) };
         }
         notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
         if !is_loopback {
             notice("there is no password: everyone who can reach this address can watch");
         }
         tokio::select! {
-            outcome = going.follow(&self.link) => outcome,
+            outcome = going.follow(link) => outcome,
             () = web::serve(listener, site) => Ok(()),
         }
     }
@@ -129,10 +112,10 @@ impl Serve {
         let mut sources = Vec::new();
         for (PlacedPort { named: NamedPort { name, port }, pose }, rate) in polled {
             let name = name.as_deref();
-            let window = self.window.window(port.default_window())?;
+            let window = self.picture.window.window(port.default_window())?;
             sources.push(match port.recorded() {
                 Some(recorded) => {
-                    let settings = self.playback;
+                    let settings = self.picture.playback;
                     SiteSource::of_recording(name, pose, &port, recorded, window, settings).await?
                 }
                 None => SiteSource::of_sensor(name, pose, Hub::new(port, window, rate)),

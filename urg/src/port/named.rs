@@ -8,7 +8,10 @@ use tokio_scip::Rate;
 use tokio_scip::scan::Pose;
 
 use super::name::{PortArg, PortName, missing_port};
+use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::playback::PlaybackArgs;
 use crate::plot::pose;
 
 /// `PORT` or `NAME=PORT` argument.
@@ -46,22 +49,40 @@ pub(crate) fn token(text: &str) -> Result<&str, String> {
     })
 }
 
-/// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW.
-#[derive(Debug, Clone, clap::Args)]
-pub(crate) struct PlacedPorts {
+/// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW, and how to show them.
+#[derive(Debug, clap::Args)]
+pub(crate) struct PictureArgs {
     /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, or
     /// emulated (see `urg help`). To show several sensors in one picture, give each as
     /// NAME=PORT@X,Y,YAW
     #[arg(value_name = "PORT")]
     ports: Vec<PlacedPort>,
+    /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
+    #[arg(long, value_name = "HZ", allow_hyphen_values = true)]
+    rate: Option<Rate>,
+    #[command(flatten)]
+    pub(crate) window: WindowArgs,
+    #[command(flatten)]
+    pub(crate) playback: PlaybackArgs,
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
 }
 
-impl PlacedPorts {
-    /// Resolves each port and its rate. Several sensors need unique names.
-    pub(crate) async fn polled_at(
+impl PictureArgs {
+    /// Resolves each port and its rate; `None` after an interrupt.
+    pub(crate) async fn polled(
         &self,
-        rate: Option<Rate>,
-    ) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
+        interrupt: &Interrupt,
+    ) -> Result<Option<Vec<(PlacedPort, Rate)>>, Failure> {
+        let opened = interrupt.unless(self.polled_ports()).await;
+        let Some(mut polled) = opened.transpose()? else { return Ok(None) };
+        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
+        self.playback.apply(ports, self.rate.is_some())?;
+        Ok(Some(polled))
+    }
+
+    /// Several sensors need unique names.
+    async fn polled_ports(&self) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
         if self.ports.is_empty() {
             return Err(missing_port().await);
         }
@@ -75,7 +96,7 @@ impl PlacedPorts {
         let mut polled = Vec::new();
         for placed in &self.ports {
             let arg = PortArg { name: Some(placed.named.port.clone()) };
-            let (port, rate) = arg.polled_at(rate).await?;
+            let (port, rate) = arg.polled_at(self.rate).await?;
             let named = NamedPort { port, ..placed.named.clone() };
             polled.push((PlacedPort { named, pose: placed.pose }, rate));
         }

@@ -4,14 +4,11 @@ use tokio_scip::{Rate, Sensor};
 
 use super::screen::Screen;
 use super::{ViewedSensor, Viewer};
-use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::playback::PlaybackArgs;
-use crate::port::named::{PlacedPort, PlacedPorts};
-use crate::port::open::Delivery;
-use crate::port::open::{begin, opened};
+use crate::port::named::{PictureArgs, PlacedPort};
+use crate::port::open::{Delivery, begin, opened};
 use crate::stream::follow::StreamEnd;
 
 /// Show a live radar in the terminal
@@ -25,16 +22,7 @@ use crate::stream::follow::StreamEnd;
 #[command(after_help = examples())]
 pub(crate) struct View {
     #[command(flatten)]
-    sensors: PlacedPorts,
-    /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
-    #[arg(long, value_name = "HZ", allow_hyphen_values = true)]
-    rate: Option<Rate>,
-    #[command(flatten)]
-    window: WindowArgs,
-    #[command(flatten)]
-    playback: PlaybackArgs,
-    #[command(flatten)]
-    link: LinkArgs,
+    picture: PictureArgs,
 }
 
 fn examples() -> &'static str {
@@ -49,10 +37,7 @@ Examples:
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let opened = interrupt.unless(self.sensors.polled_at(self.rate)).await;
-        let Some(mut polled) = opened.transpose()? else { return Ok(()) };
-        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
-        self.playback.apply(ports, self.rate.is_some())?;
+        let Some(polled) = self.picture.polled(interrupt).await? else { return Ok(()) };
         let recording = polled.iter().find(|(placed, _)| placed.named.port.recorded().is_some());
         if let Some((placed, _)) = recording.filter(|_| polled.len() > 1) {
             return Err(Failure::Usage(format!(
@@ -62,12 +47,9 @@ impl View {
             )));
         }
         Screen::require_terminal()?;
-        let opening = self.open(polled);
         // Opening comes first: its errors must appear before the radar covers the terminal.
-        let mut viewer = tokio::select! {
-            opened = opening => opened?,
-            _ = interrupt.requested() => return Ok(()),
-        };
+        let opened = interrupt.unless(self.open(polled)).await;
+        let Some(mut viewer) = opened.transpose()? else { return Ok(()) };
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
@@ -83,19 +65,20 @@ impl View {
     }
 
     async fn open(&self, polled: Vec<(PlacedPort, Rate)>) -> Result<Viewer, Failure> {
+        let PictureArgs { window, playback, link, .. } = &self.picture;
         let has_several = polled.len() > 1;
         let mut sensors = Vec::new();
         for (placed, rate) in polled {
             let port = &placed.named.port;
-            let window = self.window.window(port.default_window())?;
+            let window = window.window(port.default_window())?;
             if let Some(recorded) = port.recorded() {
-                return Viewer::of_recording(&placed, recorded, window, self.playback).await;
+                return Viewer::of_recording(&placed, recorded, window, *playback).await;
             }
-            let sensor = begin(port, &self.link, Delivery::Newest, Sensor::builder())?;
+            let sensor = begin(port, link, Delivery::Newest, Sensor::builder())?;
             sensors.push(ViewedSensor { placed, sensor, window, rate });
         }
         // With `--wait`, several sensors appear as they open.
-        if !has_several || !self.link.wait {
+        if !has_several || !link.wait {
             self.wait_for_any(&sensors).await?;
         }
         Ok(Viewer::of_sensors(sensors))
@@ -106,7 +89,7 @@ impl View {
         let mut failures = Vec::new();
         // All sensors are already opening at the same time.
         for ViewedSensor { placed, sensor, .. } in sensors {
-            if let Err(failure) = opened(&placed.named.port, &self.link, sensor).await {
+            if let Err(failure) = opened(&placed.named.port, &self.picture.link, sensor).await {
                 failures.push(failure);
             }
         }
