@@ -100,6 +100,13 @@ impl SiteSource {
         }
     }
 
+    pub(super) fn version(&self) -> Option<&Version> {
+        match &self.kind {
+            SourceKind::Sensor(hub) => hub.version(),
+            SourceKind::Recording(playback) => Some(&playback.version),
+        }
+    }
+
     pub(super) fn health(&self) -> SensorHealth {
         match &self.kind {
             SourceKind::Sensor(hub) => hub.health(),

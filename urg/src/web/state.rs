@@ -7,11 +7,10 @@ use tokio_scip::scan::Pose;
 use tokio_scip::{Stats, Version, Window};
 
 use super::Site;
-use super::hub::Hub;
 use super::routes::{Response, text, whole};
-use super::source::{Playback, SiteSource, SourceKind};
+use super::source::SiteSource;
 use crate::format::json_line;
-use crate::playback::PlaybackStatus;
+use crate::playback::{PlaybackStatus, Player};
 use crate::plot::pose;
 use crate::stream::jitter::Jitter;
 
@@ -62,54 +61,33 @@ struct LatencySeconds {
 impl<'a> SensorReport<'a> {
     fn of(source: &'a SiteSource) -> Self {
         let health = source.health();
-        let report = Self {
+        let (hub, player) = (source.hub(), source.player());
+        let live = hub.and_then(|hub| hub.live());
+        let sensor = live.as_ref().map(|live| &live.sensor);
+        let stats = hub.map(|_| sensor.map(|sensor| sensor.stats()).unwrap_or_default());
+        let latency = stats.as_ref().map(|stats| stats.reply_latency);
+        let schedule = stats.as_ref().and_then(|stats| stats.schedules.first());
+        Self {
             name: source.name.as_deref(),
             pose: source.pose,
             port: source.port().to_string(),
             link: health.link,
             why: health.why,
-            baud_rate: None,
-            window: source.window(),
-            asked: None,
-            reached: None,
-            age: None,
-            latency: None,
-            jitter: None,
-            sensor: None,
-            stats: None,
-            playback: None,
-        };
-        match &source.kind {
-            SourceKind::Sensor(hub) => report.with_sensor(hub),
-            SourceKind::Recording(playback) => report.with_recording(playback),
-        }
-    }
-
-    fn with_sensor(self, hub: &Hub) -> Self {
-        let live = hub.live();
-        let sensor = live.as_ref().map(|live| &live.sensor);
-        let stats = sensor.map(|sensor| sensor.stats()).unwrap_or_default();
-        let latency = Some(stats.reply_latency).filter(|latency| latency.count > 0);
-        Self {
             baud_rate: sensor.and_then(|sensor| sensor.state().get().baud_rate()),
-            asked: hub.rate().period().map(|period| 1.0 / period.as_secs_f64()),
-            reached: stats.schedules.first().and_then(|schedule| schedule.reached),
+            window: source.window(),
+            asked: hub.and_then(|hub| hub.rate().period()).map(|one| 1.0 / one.as_secs_f64()),
+            reached: schedule.and_then(|schedule| schedule.reached),
             age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
-            latency: latency.map(|latency| LatencySeconds {
+            latency: latency.filter(|latency| latency.count > 0).map(|latency| LatencySeconds {
                 last: latency.last.as_secs_f64(),
                 mean: latency.mean().as_secs_f64(),
                 max: latency.max.as_secs_f64(),
             }),
-            jitter: hub.jitter(),
-            sensor: hub.version().cloned(),
-            stats: Some(stats),
-            ..self
+            jitter: hub.and_then(|hub| hub.jitter()),
+            sensor: source.version().cloned(),
+            stats,
+            playback: player.map(Player::status),
         }
-    }
-
-    fn with_recording(self, playback: &Playback) -> Self {
-        let sensor = Some(playback.version.clone());
-        Self { sensor, playback: Some(playback.player.status()), ..self }
     }
 }
 
