@@ -93,7 +93,8 @@ fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
             return;
         }
     };
-    let lines = wrapped(&text, area.width.saturating_sub(2).into());
+    let lines = help::wrapped(&text, area.width.saturating_sub(2).into());
+    let lines: Vec<_> = lines.iter().map(|line| Line::raw(format!(" {line}"))).collect();
     // Keep the title and the line of keys visible.
     let rows = (lines.len() as u16).clamp(1, area.y.max(1));
     let area = Rect { y: area.y + 1 - rows, height: rows, ..area };
@@ -114,25 +115,6 @@ fn trouble(model: &Model) -> Option<String> {
         })
     };
     model.selected().and_then(of).or_else(|| model.layers.iter().find_map(of))
-}
-
-/// Wraps text at `width` characters, between words if possible.
-fn wrapped(text: &str, width: usize) -> Vec<Line<'static>> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        for part in word.chars().collect::<Vec<_>>().chunks(width.max(1)) {
-            let part: String = part.iter().collect();
-            match lines.last_mut() {
-                Some(line) if line.is_empty() => line.push_str(&part),
-                Some(line) if line.chars().count() + 1 + part.chars().count() <= width => {
-                    line.push(' ');
-                    line.push_str(&part);
-                }
-                _ => lines.push(part),
-            }
-        }
-    }
-    lines.into_iter().map(|line| Line::raw(format!(" {line}"))).collect()
 }
 
 /// Draws the help from line `scroll`, but never past its end. Returns the first visible

@@ -39,7 +39,9 @@ const PLAYBACK_KEYS: [(&str, &str); 7] = [
 ];
 
 /// Column where the meaning of a key begins.
-const INDENT: usize = 9;
+const INDENT: usize = BLANKS.len();
+/// Indent of a continuation line.
+const BLANKS: &str = "         ";
 
 pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
 
@@ -132,32 +134,36 @@ pub(super) fn text(subject: Subject) -> String {
 /// Breaks lines longer than `width` between words. Continuation lines align with the
 /// meaning of their key.
 pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
-    let mut lines: Vec<String> = Vec::new();
-    for line in text.lines() {
-        if line.chars().count() <= width {
-            lines.push(line.to_owned());
-            continue;
+    let fold = |line: &str| match line.char_indices().nth(INDENT) {
+        _ if line.chars().count() <= width => vec![line.to_owned()],
+        Some((at, _)) if line.get(..at).is_some_and(|key| key.ends_with(' ')) => {
+            let (key, meaning) = line.split_at(at);
+            let mut lines = wrapped(meaning, width.saturating_sub(INDENT));
+            for (number, line) in lines.iter_mut().enumerate() {
+                line.insert_str(0, if number == 0 { key } else { BLANKS });
+            }
+            lines
         }
-        let (key, meaning) = match line.char_indices().nth(INDENT) {
-            Some((at, _)) if line.get(..at).is_some_and(|key| key.ends_with(' ')) => {
-                line.split_at(at)
+        _ => wrapped(line, width),
+    };
+    text.lines().flat_map(fold).collect()
+}
+
+/// Wraps text at `width` characters, between words if possible.
+pub(super) fn wrapped(text: &str, width: usize) -> Vec<String> {
+    let mut lines = vec![String::new()];
+    for word in text.split_whitespace() {
+        for part in word.chars().collect::<Vec<_>>().chunks(width.max(1)) {
+            let part: String = part.iter().collect();
+            match lines.last_mut() {
+                Some(line) if line.is_empty() => line.push_str(&part),
+                Some(line) if line.chars().count() + 1 + part.chars().count() <= width => {
+                    line.push(' ');
+                    line.push_str(&part);
+                }
+                _ => lines.push(part),
             }
-            _ => ("", line),
-        };
-        let indent = " ".repeat(key.chars().count());
-        let (mut current, mut is_empty) = (key.to_owned(), true);
-        for word in meaning.split(' ') {
-            let columns = current.chars().count() + usize::from(!is_empty) + word.chars().count();
-            if columns > width && !is_empty {
-                lines.push(std::mem::replace(&mut current, indent.clone()));
-                is_empty = true;
-            }
-            if !std::mem::replace(&mut is_empty, false) {
-                current.push(' ');
-            }
-            current.push_str(word);
         }
-        lines.push(current);
     }
     lines
 }
