@@ -154,7 +154,8 @@ async fn a_dead_playback_beside_another_source_is_on_the_page_and_in_the_health(
     let health = served.health(200);
     assert_eq!(health["sensors"][0]["link"], "recording");
 
-    std::fs::write(file.path(), b"overwritten").unwrap();
+    let bytes = std::fs::read(file.path()).unwrap();
+    std::fs::write(file.path(), &bytes[..2000]).unwrap();
     let health = served.health(503);
     let (dead, live) = (&health["sensors"][0], &health["sensors"][1]);
     assert_eq!((&dead["status"], &dead["link"]), (&"failing".into(), &"closed".into()));
