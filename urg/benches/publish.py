@@ -1,8 +1,8 @@
 """Measures `urg publish`: publish.sh runs it, with a namespace and the readers.
 
 publish.py PROGRAM [CASE...]: each of `one`, `fast`, `eight`, `hundred`, `thousand`,
-`listeners`, `processes`, `load`, `router`, `wire`, or all of them. Prints a row for each
-measurement: medians of RUNS runs (an environment variable, 1 unless set) of 15 s, and the
+`listeners`, `processes`, `load`, `router`, `wire`, or all of them. ENGINE=dds or ENGINE=zenoh
+(an environment variable) leaves the other out. Prints a row for each measurement: medians of RUNS runs (an environment variable, 1 unless set) of 15 s, and the
 sum of what was lost. Latency is from the publisher's own stamp of a message to the
 reader's callback; losses are gaps in the publisher's numbers. CPU time is that of the
 whole `urg`, its emulated sensors included.
@@ -22,6 +22,7 @@ from pathlib import Path
 PROGRAM, CASES = sys.argv[1], sys.argv[2:]
 SECONDS = 15
 RUNS = int(os.environ.get("RUNS", 1))
+ENGINES = os.environ.get("ENGINE", "dds zenoh").split()
 
 ROUTER = """
 import json, sys, time, zenoh
@@ -253,9 +254,9 @@ def over_zenoh(name, sensors, mode, *options):
 
 def both_engines(name, sensors, *options):
     """Over zenoh the quality of service is only a note to the readers."""
-    for qos in ("reliable", "sensor"):
+    for qos in ("reliable", "sensor") if "dds" in ENGINES else ():
         dds(name, sensors, qos, *options)
-    for mode in ("client", "peer"):
+    for mode in ("client", "peer") if "zenoh" in ENGINES else ():
         over_zenoh(name, sensors, mode, *options)
 
 
@@ -385,11 +386,14 @@ def wire():
     windows = {"44..725": (10, []), "0..768": (10, ["--start", 0, "--end", 768]),
                "cluster 4": (10, ["--cluster", 4]), "44..725 at 1 Hz": (1, ["--rate", 1])}
     for engine, qos in (("zenoh", "reliable"), ("dds", "reliable"), ("dds", "sensor")):
+        if engine not in ENGINES:
+            continue
         program = zenoh if engine == "zenoh" else ros.replace("QOS", repr(qos))
         reader = subprocess.Popen([*enter, sys.executable, "-c", program])
         for window, (rate, options) in windows.items():
+            place = ["--router", "tcp/10.1.0.2:7447"] if engine == "zenoh" else []
             urg = Urg("publish", "emulated", "--engine", engine, "--qos", qos, "--interface",
-                      "10.1.0.1", "--router", "tcp/10.1.0.2:7447", *options)
+                      "10.1.0.1", *place, *options)
             time.sleep(6)
             (octets, packets), begin = counters(), time.monotonic()
             time.sleep(SECONDS)

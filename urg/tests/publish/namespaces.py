@@ -20,7 +20,7 @@ def session(mode, **settings):
 ROUTER = ZENOH + """
 router = session("router", listen_endpoints=["tcp/0.0.0.0:7447"])
 print("ready", flush=True)
-time.sleep(3600)
+time.sleep(86400)
 """
 
 

@@ -46,7 +46,7 @@ def got(sample):
     print(time.time(), stamp[0] + stamp[1] / 1e9, 1, flush=True)
 subscriber = reader.declare_subscriber("*/scan/**", got)
 print("ready", flush=True)
-time.sleep(3600)
+time.sleep(86400)
 """
 
 
