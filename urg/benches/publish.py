@@ -103,8 +103,6 @@ class ZenohReader(Reader):
 
 
 class RosReader(Reader):
-    node = None
-
     def __init__(self, topics, qos):
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
@@ -112,12 +110,10 @@ class RosReader(Reader):
         from sensor_msgs.msg import LaserScan
 
         super().__init__()
-        if RosReader.node is None:
-            rclpy.init()
-            RosReader.node = rclpy.create_node("reader")
-            executor = SingleThreadedExecutor()
-            executor.add_node(RosReader.node)
-            threading.Thread(target=executor.spin, daemon=True).start()
+        # A context of its own: nothing of an earlier reader is left in the next one.
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("reader", context=self.context)
         profile = qos_profile_sensor_data if qos == "sensor" else QoSProfile(depth=100)
 
         def taker(topic):
@@ -125,14 +121,23 @@ class RosReader(Reader):
                 topic, info["publication_sequence_number"], info["source_timestamp"]
             )
 
-        self.subscriptions = [
-            RosReader.node.create_subscription(LaserScan, topic, taker(topic), profile, raw=True)
-            for topic in topics
-        ]
+        for topic in topics:
+            self.node.create_subscription(LaserScan, topic, taker(topic), profile, raw=True)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.is_open = True
+        self.thread = threading.Thread(target=self.spin, daemon=True)
+        self.thread.start()
+
+    def spin(self):
+        while self.is_open:
+            self.executor.spin_once(timeout_sec=0.1)
 
     def close(self):
-        for subscription in self.subscriptions:
-            RosReader.node.destroy_subscription(subscription)
+        self.is_open = False
+        self.thread.join()
+        self.node.destroy_node()
+        self.context.shutdown()
 
 
 class Urg:

@@ -36,6 +36,10 @@ for reader in "${readers[@]}"; do
     done
 done
 [ "${2-}" != core ] || exit 0
+echo "hundred_sensors"
+for engine in dds zenoh; do
+    timeout 180 "$URG_PEERS/jazzy/bin/python" "$here/hundred_sensors.py" "$program" "$place/run.mcap" "$engine"
+done
 # Without a reader's own Python: it sets what other programs would inherit.
 echo "outages"
 timeout 120 "$URG_PYTHON" "$here/outages.py" "$program" "$place/run.mcap" dds 5
