@@ -22,11 +22,14 @@ from common import PROGRAM, RECORDING, Urg, compare, ok, wait
 
 LASER_SCAN_HASH = "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"
 
+# With a second argument: subscribes only after it has discovered another reader.
 READER = """
 import sys, time, rclpy
 from sensor_msgs.msg import LaserScan
 rclpy.init()
 node = rclpy.create_node(sys.argv[1])
+while sys.argv[2:] and node.count_subscribers("/scan") == 0:
+    time.sleep(0.05)
 node.create_subscription(LaserScan, "/scan", lambda _: print("scan", flush=True), 20)
 rclpy.spin(node)
 """
@@ -62,6 +65,23 @@ class Reader:
     def scans(self):
         stamps = [m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for m in self.got]
         return list(zip(stamps, [list(m.ranges) for m in self.got]))
+
+
+class Other:
+    """A reader in a process of its own."""
+
+    def __init__(self, *arguments):
+        command = [sys.executable, "-c", READER, *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE)
+        os.set_blocking(self.process.stdout.fileno(), False)
+
+    def has_scan(self):
+        # What Fast DDS logs is on the same stream.
+        return b"scan\n" in (self.process.stdout.read() or b"")
+
+    def kill(self):
+        self.process.kill()
+        self.process.wait()
 
 
 def values_of(message):
@@ -171,27 +191,37 @@ def readers_come_late_die_and_hang():
     with Urg("publish", "emulated"):
         reader = Reader(LaserScan, "/scan")
         until("scans", lambda: len(reader.got) > 5)
-        others = [
-            subprocess.Popen(
-                [sys.executable, "-c", READER, f"reader_{number}"], stdout=subprocess.PIPE, text=True
-            )
-            for number in range(2)
-        ]
+        others = [Other(f"reader_{number}") for number in range(2)]
         for other in others:
-            assert other.stdout.readline() == "scan\n"
+            until("scans of a late reader", other.has_scan, 40)
         ok("late readers get scans")
-        others[0].send_signal(signal.SIGKILL)
-        others[1].send_signal(signal.SIGSTOP)
+        others[0].process.send_signal(signal.SIGKILL)
+        others[1].process.send_signal(signal.SIGSTOP)
         begin = len(reader.got)
         until("scans go on", lambda: len(reader.got) > begin + 50)
         for other in others:
             other.kill()
-            other.wait()
         numbers = reader.numbers[begin:]
         stamps = [f"{stamp / 1e9:.2f}" for stamp, _ in reader.scans()[begin:]]
         assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), (numbers, stamps)
         reader.close()
         ok("a reader that dies and one that hangs cost the others nothing")
+
+
+def readers_ask_each_other_for_types():
+    """Fast DDS of Kilted asks for the type of a topic that it discovers before it has the type
+    itself. All participants get the answer, Cyclone DDS, too."""
+    with Urg("publish", "emulated") as urg:
+        reader = Reader(LaserScan, "/scan")
+        until("scans", lambda: len(reader.got) > 5)
+        for name, options in (("asks", ["late"]), ("follows", [])):
+            other = Other(name, *options)
+            until(f"scans of a reader that {name}", other.has_scan, 40)
+            other.kill()
+        said = urg.stop()
+        assert len(said.splitlines()) == 1, said
+    reader.close()
+    ok("a reader that asks others for the type gets scans, and one that follows it")
 
 
 def diagnostics_and_an_unplugged_sensor():
@@ -235,7 +265,12 @@ def diagnostics_and_an_unplugged_sensor():
             each.close()
 
 
-TESTS = [values_are_the_same, the_graph, readers_come_late_die_and_hang]
+TESTS = [
+    values_are_the_same,
+    the_graph,
+    readers_ask_each_other_for_types,
+    readers_come_late_die_and_hang,
+]
 if sys.argv[3:] != ["core"]:
     TESTS += [
         the_recipe_without_a_build,

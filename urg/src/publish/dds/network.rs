@@ -16,6 +16,9 @@ const MAX_INDEX: u32 = 119;
 /// Highest participant index to try at a static peer, as in ROS 2: each index costs a packet.
 const MAX_PEER_INDEX: u32 = 32;
 
+/// Highest vendor number that Cyclone's configuration accepts. All DDS vendors have lower ones.
+const MAX_VENDOR: u32 = 32;
+
 /// Addresses of this machine.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Network {
@@ -103,6 +106,8 @@ impl Network {
         let tag =
             if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };
         let multicast = if has_multicast { "default" } else { "false" };
+        let vendors: Vec<String> = (1..=MAX_VENDOR).map(|number| format!("1.{number}")).collect();
+        let vendors = vendors.join(",");
         // LeaseDuration: same as Fast DDS.
         // SPDPInterval: a reader that forgot this participant finds it within one interval.
         // WriterLingerDuration: do not wait at exit to resend scans, which are stale by then.
@@ -110,6 +115,9 @@ impl Network {
         // the memory.
         // FragmentSize: send each message of up to 60 kB whole. When Cyclone resends fragments,
         // a late reader on Fast DDS 2.14 (Jazzy) may take an empty message and then hang.
+        // IgnoreTypeInformation: match readers by the name of their type. Readers on Fast DDS 3
+        // (Kilted) ask each other for type objects. Cyclone receives the answers too, finds them
+        // invalid, and from then on refuses every reader of that type without a message to it.
         format!(
             "<Domain>\
              <General><Interfaces>{interfaces}</Interfaces>\
@@ -121,6 +129,8 @@ impl Network {
              <Peers AddLocalhost=\"false\">{peers}</Peers></Discovery>\
              <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\
+             <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation>\
+             </Compatibility>\
              </Domain>"
         )
     }
