@@ -53,9 +53,10 @@ def use(name, address, inside=()):
 class Lines:
     """A program of Python in a namespace, and the lines that it has printed."""
 
-    def __init__(self, program, *arguments, namespace=None, python=sys.executable):
+    def __init__(self, program, *arguments, namespace=None, python=sys.executable, settings=()):
+        """`settings` are variables of its environment: `NAME=VALUE`."""
         enter = namespace.enter if namespace else ()
-        command = [*enter, python, "-c", program, *arguments]
+        command = ["env", *settings, *enter, python, "-c", program, *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout.readline() == "ready\n"
         self.lines = []

@@ -15,7 +15,7 @@ cd "$place"
 "$program" stream "$place/run.mcap" --rate max >"$place/run.ndjson"
 readers=("jazzy cyclone" "jazzy zenoh_peers" "jazzy dds" "kilted dds")
 if [ "${2-}" != core ]; then
-    readers+=("jazzy networks" "jazzy slow_network")
+    readers+=("jazzy discovery" "kilted discovery" "jazzy networks" "jazzy slow_network")
 fi
 for reader in "${readers[@]}"; do
     read -r venv script <<<"$reader"

@@ -1,0 +1,135 @@
+"""Publishes to readers of ROS 2 that are found in other ways than by multicast on one network,
+and to readers that were forgotten.
+
+discovery.py PROGRAM RECORDING
+"""
+
+import os
+import signal
+import time
+import traceback
+
+from common import Urg, ok, wait
+from namespaces import Lines, Namespace, ip, use
+
+# Prints publisher's number and stamp in nanoseconds of each scan.
+READER = """
+import rclpy
+from sensor_msgs.msg import LaserScan
+rclpy.init()
+node = rclpy.create_node("reader")
+print("ready", flush=True)
+def got(scan, info):
+    stamp = scan.header.stamp
+    print(info["publication_sequence_number"], stamp.sec * 10**9 + stamp.nanosec, flush=True)
+node.create_subscription(LaserScan, "/scan", got, 100)
+rclpy.spin(node)
+"""
+
+LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+# A participant of ROS 2 is forgotten after 20 s.
+LEASE = 20
+PERIOD = 10**8
+
+
+class Hosts:
+    """Two hosts with a link between them: `near` has the sensor."""
+
+    def __init__(self):
+        self.near, self.far = Namespace(), Namespace()
+        self.programs = []
+        self.link("n0", "10.4.0", self.far)
+
+    def link(self, name, network, other):
+        inside = self.near.enter
+        ip(f"link add {name} type veth peer name {name} netns {other.process.pid}", inside)
+        for place, number in ((self.near, 1), (other, 2)):
+            use(name, f"{network}.{number}", place.enter)
+            ip(f"route replace 224.0.0.0/4 dev {name}", place.enter)
+
+    def reader(self, namespace, *settings):
+        reader = Lines(READER, namespace=namespace, settings=settings)
+        self.programs.append(reader)
+        return reader
+
+    def urg(self, *settings):
+        return Urg("publish", "emulated", enter=("env", *settings, *self.near.enter))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        for each in (*self.programs, self.near, self.far):
+            each.process.kill()
+            each.process.wait()
+
+
+def static_peers():
+    # Multicast leads to no reader: each side asks the other's address.
+    for settings in ((LOCALHOST,), ()):
+        with Hosts() as hosts:
+            reader = hosts.reader(hosts.far, *settings, "ROS_STATIC_PEERS=10.4.0.1")
+            with hosts.urg(LOCALHOST, "ROS_STATIC_PEERS=10.9.9.9;10.4.0.2"):
+                reader.more(20, 40)
+    ok("a static peer on another host gets scans, without multicast")
+
+
+def localhost():
+    with Hosts() as hosts:
+        local, remote = hosts.reader(hosts.near), hosts.reader(hosts.far)
+        with hosts.urg(LOCALHOST):
+            local.more(100, 40)
+        assert remote.lines == [], "a reader on another host got scans"
+        # The same reader gets scans of a publisher that is not so limited.
+        with hosts.urg():
+            remote.more(20, 40)
+    ok("with LOCALHOST readers on this host get scans, and others none")
+
+
+def a_second_interface():
+    with Hosts() as hosts:
+        first = hosts.reader(hosts.far)
+        with hosts.urg() as urg:
+            first.more(20, 40)
+            second = Namespace()
+            hosts.link("n1", "10.5.0", second)
+            other = hosts.reader(second)
+            other.more(20, 40)
+            first.more(20)
+            said = urg.stop()
+            assert len(said.splitlines()) == 1, said
+        other.kill()
+        second.process.kill()
+    ok("an interface that is added while it publishes is used, and the first one still")
+
+
+def reopened_for_a_forgotten_reader():
+    with Hosts() as hosts:
+        steady, forgotten = hosts.reader(hosts.far), hosts.reader(hosts.far)
+        with hosts.urg():
+            steady.more(20, 40), forgotten.more(20, 40)
+            forgotten.process.send_signal(signal.SIGSTOP)
+            time.sleep(LEASE + 5)
+            begin = len(steady.lines)
+            forgotten.process.send_signal(signal.SIGCONT)
+            numbers = lambda: [int(number) for number, _ in steady.lines[begin:]]
+            again = lambda: any(b < a for a, b in zip(numbers(), numbers()[1:]))
+            wait("the engine is opened again", again, 20)
+            forgotten.more(20), steady.more(20)
+        stamps = [int(stamp) for _, stamp in steady.lines]
+        gaps = [b - a for a, b in zip(stamps, stamps[1:])]
+        assert min(gaps) > 0, "a scan came twice, or late"
+        missed = sum(round(gap / PERIOD) - 1 for gap in gaps)
+        assert missed <= 20, f"{missed} scans are missing"
+    ok(f"opened again for a reader that was forgotten: no scan came twice, {missed} are missing")
+
+
+try:
+    static_peers()
+    localhost()
+    a_second_interface()
+    reopened_for_a_forgotten_reader()
+except BaseException:
+    traceback.print_exc()
+    os._exit(1)
+os._exit(0)
