@@ -24,7 +24,7 @@ for reader in "${readers[@]}"; do
         timeout 240 "$URG_PEERS/$venv/bin/python" "$here/$script.py" "$program" "$place/run.mcap"
         continue
     fi
-    # A reader can hang (README, "Open"). A defect of ours fails three times; each time has
+    # A reader can hang (README). A defect of ours fails three times; each time has
     # processes of its own, which end with it.
     for try in 1 2 3; do
         if timeout 150 unshare -pf --mount-proc --kill-child \
