@@ -138,7 +138,7 @@ fn no_scan_is_a_failure_and_the_last_line_has_the_reason() {
 
 #[test]
 fn a_recording_without_a_scan_is_a_failure() {
-    let file = Scratch::with_extension("no-scan", ".mcap");
+    let file = Scratch::mcap("no-scan");
     let port = sensor_without_scans();
     let record = run(&format!("record {port} {} --duration 3s", file.path()), 1);
     let lines: Vec<_> = record.stderr.lines().rev().take(2).collect();
@@ -148,7 +148,7 @@ fn a_recording_without_a_scan_is_a_failure() {
 
 #[test]
 fn an_interrupt_after_no_scan_at_all_is_a_failure_with_the_reason() {
-    let file = Scratch::with_extension("interrupted-no-scan", ".mcap");
+    let file = Scratch::mcap("interrupted-no-scan");
     let record = format!("record {} {}", sensor_without_scans(), file.path());
     let stream = format!("stream {}", sensor_without_scans());
     let start = |command: &String| Running::start(command);

@@ -10,10 +10,6 @@ use super::formats::{check, scans, values};
 use super::program::{Running, Scratch, run, shell};
 use super::recorded::recording;
 
-fn scratch(name: &str) -> Scratch {
-    Scratch::with_extension(name, ".mcap")
-}
-
 /// Runs a script to its end, and returns standard output and standard error.
 fn script(script: &str, exit_code: i32) -> (String, String) {
     let output = shell(script).output().unwrap();
@@ -51,7 +47,7 @@ fn scans_come_through_a_pipe_while_they_are_recorded_until_the_reader_has_enough
 
 #[test]
 fn an_interrupted_recording_to_standard_output_is_complete() {
-    let file = scratch("stdout");
+    let file = Scratch::mcap("stdout");
     let record = Running::spawn(shell(&format!("exec $urg record emulated - > {}", file.path())));
     while fs::metadata(file.path()).map_or(0, |file| file.len()) < 10_000 {
         std::thread::yield_now();
@@ -65,7 +61,7 @@ fn an_interrupted_recording_to_standard_output_is_complete() {
 
 #[tokio::test(start_paused = true)]
 async fn every_command_reads_a_recording_from_standard_input() {
-    let (file, out) = (scratch("stdin"), scratch("from-stdin"));
+    let (file, out) = (Scratch::mcap("stdin"), Scratch::mcap("from-stdin"));
     let recorded = recording(file.path(), Window::DETECTION, 20).await;
     let (path, out) = (file.path(), out.path());
     let (info, _) = script(&format!("cat {path} | $urg info -"), 0);

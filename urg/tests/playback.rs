@@ -1,7 +1,10 @@
 //! The playback of a recording, on the page and in the terminal.
 
+use std::io::Cursor;
+
 use serde_json::Value;
 use tokio_scip::Window;
+use tokio_scip::recording::Recording;
 
 use super::formats::values;
 use super::program::{Scratch, run};
@@ -44,7 +47,7 @@ fn post(served: &Served, command: &str) -> u16 {
 
 #[tokio::test(start_paused = true)]
 async fn a_recording_on_the_page_can_be_paused_stepped_searched_and_looped() {
-    let file = Scratch::with_extension("played", ".mcap");
+    let file = Scratch::mcap("played");
     let recorded = recording(file.path(), Window::DETECTION, 30).await;
     let served = Served::start(file.path());
     let mut lines = Lines(served.get("/scans"));
@@ -86,7 +89,7 @@ async fn a_recording_on_the_page_can_be_paused_stepped_searched_and_looped() {
 
 #[tokio::test(start_paused = true)]
 async fn a_part_of_a_recording_is_played_through_another_window() {
-    let file = Scratch::with_extension("window", ".mcap");
+    let file = Scratch::mcap("window");
     let recorded = recording(file.path(), Window::DETECTION, 30).await;
     let served = Served::start(&format!("{} --range 1s..2s --window 100..200 --loop", file.path()));
     let scan = Lines(served.get("/scans")).scan(|_| true);
@@ -100,7 +103,7 @@ async fn a_part_of_a_recording_is_played_through_another_window() {
 
 #[tokio::test(start_paused = true)]
 async fn commands_that_make_no_sense_and_those_of_other_sites_are_refused() {
-    let file = Scratch::with_extension("refused", ".mcap");
+    let file = Scratch::mcap("refused");
     recording(file.path(), Window::DETECTION, 5).await;
     let served = Served::start(file.path());
     assert_eq!(post(&served, "rewind"), 400);
@@ -117,26 +120,21 @@ async fn commands_that_make_no_sense_and_those_of_other_sites_are_refused() {
 /// A file whose log times run back, as others may write it, and one that is overwritten.
 #[tokio::test(start_paused = true)]
 async fn times_that_run_back_are_played_and_a_dead_playback_is_a_failure_everywhere() {
-    let file = Scratch::with_extension("dead", ".mcap");
+    let file = Scratch::mcap("dead");
     recording(file.path(), Window::DETECTION, 600).await;
-    let mut bytes = std::fs::read(file.path()).unwrap();
-    // The last scan's reply and message at the time of the first scan; no chunk has a checksum.
-    let messages = mcap_places(&bytes);
-    let first = messages.iter().find(|(channel, ..)| *channel == 0).unwrap().1;
-    let (at, last) = (messages.len() - 2, messages.len());
-    for (_, _, place) in &messages[at..last] {
-        bytes[*place..place + 8].copy_from_slice(&first.to_le_bytes());
-    }
-    for place in chunk_places(&bytes) {
-        bytes[place + 9 + 24..place + 9 + 28].fill(0);
-    }
-    std::fs::write(file.path(), &bytes).unwrap();
+    // The last scan's reply and message at the time of the first scan.
+    with_times(file.path(), |messages| {
+        let is_scan = |message: &&mcap::Message<'_>| message.channel.topic == "/scan";
+        let first = messages.iter().find(is_scan).unwrap().log_time;
+        messages.iter_mut().rev().take(2).for_each(|message| message.log_time = first);
+    });
     let served = Served::start(&format!("{} --loop --speed 100", file.path()));
     let mut lines = Lines(served.get("/scans"));
     lines.scan(|sequence| sequence > 500);
     lines.scan(|sequence| sequence < 100);
     served.health(200);
     // Overwritten: the playback cannot continue.
+    let bytes = std::fs::read(file.path()).unwrap();
     std::fs::write(file.path(), &bytes[..2000]).unwrap();
     let (status, notices) = served.running.end();
     assert_eq!(status.code(), Some(1), "{notices:?}");
@@ -146,7 +144,7 @@ async fn times_that_run_back_are_played_and_a_dead_playback_is_a_failure_everywh
 /// The other source keeps the page there.
 #[tokio::test(start_paused = true)]
 async fn a_dead_playback_beside_another_source_is_on_the_page_and_in_the_health() {
-    let file = Scratch::with_extension("dead-beside", ".mcap");
+    let file = Scratch::mcap("dead-beside");
     recording(file.path(), Window::DETECTION, 600).await;
     let arguments = format!("dead={} live=emulated --loop --speed 100", file.path());
     let served = Served::start(&arguments);
@@ -170,20 +168,14 @@ async fn a_dead_playback_beside_another_source_is_on_the_page_and_in_the_health(
 /// As on a computer without a clock of its own, once it has asked for the time.
 #[tokio::test(start_paused = true)]
 async fn a_clock_that_was_set_changes_neither_the_length_of_a_recording_nor_its_parts() {
-    let file = Scratch::with_extension("clock", ".mcap");
+    let file = Scratch::mcap("clock");
     recording(file.path(), Window::DETECTION, 100).await;
-    let mut bytes = std::fs::read(file.path()).unwrap();
-    let messages = mcap_places(&bytes);
-    for (_, _, place) in &messages[messages.len() / 2..] {
-        let stamp = *place + 8..*place + 16;
-        let set = u64::from_le_bytes(bytes[stamp.clone()].try_into().unwrap());
-        let set = set + 72 * 3600 * 1_000_000_000;
-        bytes[stamp].copy_from_slice(&set.to_le_bytes());
-    }
-    for place in chunk_places(&bytes) {
-        bytes[place + 9 + 24..place + 9 + 28].fill(0);
-    }
-    std::fs::write(file.path(), &bytes).unwrap();
+    with_times(file.path(), |messages| {
+        let half = messages.len() / 2;
+        for message in &mut messages[half..] {
+            message.publish_time += 72 * 3600 * 1_000_000_000;
+        }
+    });
     let info = run(&format!("info {}", file.path()), 0).stdout;
     assert!(info.contains(", for 0:09\n") && info.contains("gaps           none\n"), "{info}");
     // By 72 hours, less a period: the wall clock did not pause.
@@ -192,28 +184,18 @@ async fn a_clock_that_was_set_changes_neither_the_length_of_a_recording_nor_its_
     assert!((9..=11).contains(&part.lines().count()), "{}", part.lines().count());
 }
 
-/// Returns the records of a file up to its index, those in chunks included: kind, place.
-fn record_places(bytes: &[u8]) -> Vec<(u8, usize)> {
-    let (mut at, mut places) = (8, Vec::new());
-    while bytes[at] != 0x0f {
-        places.push((bytes[at], at));
-        let length = u64::from_le_bytes(bytes[at + 1..at + 9].try_into().unwrap()) as usize;
-        at += if bytes[at] == 0x06 { 9 + 40 } else { 9 + length };
-    }
-    places
-}
-
-fn chunk_places(bytes: &[u8]) -> Vec<usize> {
-    record_places(bytes).into_iter().filter(|(kind, _)| *kind == 0x06).map(|(_, at)| at).collect()
-}
-
-/// Returns the messages: their channel, their log time, and the place of that.
-fn mcap_places(bytes: &[u8]) -> Vec<(u16, u64, usize)> {
-    let messages = record_places(bytes).into_iter().filter(|(kind, _)| *kind == 0x05);
-    let message = |(_, at): (u8, usize)| {
-        let channel = u16::from_le_bytes(bytes[at + 9..at + 11].try_into().unwrap());
-        let time = at + 15;
-        (channel, u64::from_le_bytes(bytes[time..time + 8].try_into().unwrap()), time)
-    };
-    messages.map(message).collect()
+/// Writes a recording again after `change` has changed the times of its messages.
+fn with_times(path: &str, change: impl FnOnce(&mut [mcap::Message<'_>])) {
+    let bytes = std::fs::read(path).unwrap();
+    let messages = mcap::MessageStream::new(&bytes).unwrap();
+    let mut messages: Vec<_> = messages.map(Result::unwrap).collect();
+    change(&mut messages);
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(50_000));
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let metadata = Recording::open(path).unwrap().metadata().clone();
+    let metadata = mcap::records::Metadata { name: "tokio_scip".to_owned(), metadata };
+    writer.write_metadata(&metadata).unwrap();
+    messages.iter().for_each(|message| writer.write(message).unwrap());
+    writer.finish().unwrap();
+    std::fs::write(path, writer.into_inner().into_inner()).unwrap();
 }

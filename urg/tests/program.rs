@@ -167,8 +167,7 @@ impl Running {
 
     /// Sends a signal such as `INT`.
     pub(crate) fn signal(&self, signal: &str) {
-        let id = self.child.id().to_string();
-        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+        send(self.child.id(), signal);
     }
 
     /// Returns the memory that it has allocated and used, without its code (Linux).
@@ -191,6 +190,12 @@ impl Drop for Running {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Sends a signal such as `INT` to a process.
+pub(crate) fn send(id: u32, signal: &str) {
+    let kill = Command::new("kill").args(["-s", signal, &id.to_string()]).status();
+    assert!(kill.unwrap().success());
 }
 
 fn lines(stream: impl Read + Send + 'static) -> Receiver<String> {
@@ -247,12 +252,24 @@ pub(crate) struct Scratch(PathBuf);
 
 impl Scratch {
     pub(crate) fn new(name: &str) -> Self {
-        Self::with_extension(name, "")
+        Self::new_with(name, "")
     }
 
-    pub(crate) fn with_extension(name: &str, extension: &str) -> Self {
+    fn new_with(name: &str, extension: &str) -> Self {
         let name = format!("urg-{name}-{}{extension}", std::process::id());
         Self(std::env::temp_dir().join(name))
+    }
+
+    /// The path of a recording.
+    pub(crate) fn mcap(name: &str) -> Self {
+        Self::new_with(name, ".mcap")
+    }
+
+    /// A pipe with the name of a recording.
+    pub(crate) fn pipe(name: &str) -> Self {
+        let pipe = Self::mcap(name);
+        assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+        pipe
     }
 
     pub(crate) fn path(&self) -> &str {

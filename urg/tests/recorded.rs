@@ -9,24 +9,33 @@ use serde_json::Value;
 use tokio_scip::emulator::Emulator;
 use tokio_scip::event::Event;
 use tokio_scip::recording::{Entry, Recorder, Recording};
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::{Rate, ScanStream, Sensor, Window};
 
 use super::formats::{check, scans, values};
-use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, shell};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, send, shell};
 use super::served::{FAST, SCANS, check_held, held};
-
-/// Returns a path for a recording.
-fn scratch(name: &str) -> Scratch {
-    Scratch::with_extension(name, ".mcap")
-}
 
 /// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
 pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<Vec<u64>> {
-    let mut recorder = Recorder::create(path).unwrap();
+    let recorder = Recorder::create(path).unwrap();
     let builder = Sensor::builder().on_reply(recorder.observer()).depth(1024);
     let sensor = builder.connect(Emulator::builder().usb().build()).await.unwrap();
-    let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &scans).await.unwrap();
+    recorded(recorder, scans, count).await
+}
+
+/// Makes a recording of `/scan` messages alone, as another program would, and returns its scans'
+/// values.
+pub(super) async fn messages_alone(path: &str, count: usize) -> Vec<Vec<u64>> {
+    let recorder = Recorder::create(path).unwrap();
+    let sensor = Sensor::builder().connect(Emulator::builder().usb().build()).await.unwrap();
+    let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorded(recorder, scans, count).await
+}
+
+/// Records scans, and returns their values.
+async fn recorded(mut recorder: Recorder, mut scans: ScanStream, count: usize) -> Vec<Vec<u64>> {
     let mut all = Vec::new();
     while all.len() < count {
         let item = scans.next().await.unwrap();
@@ -34,22 +43,6 @@ pub(super) async fn recording(path: &str, window: Window, count: usize) -> Vec<V
         all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
     }
     assert_eq!(recorder.progress().lost, 0);
-    recorder.finish().await.unwrap();
-    all
-}
-
-/// Makes a recording of `/scan` messages alone, as another program would, and returns its scans'
-/// values.
-pub(super) async fn messages_alone(path: &str, count: usize) -> Vec<Vec<u64>> {
-    let mut recorder = Recorder::create(path).unwrap();
-    let sensor = Sensor::builder().connect(Emulator::builder().usb().build()).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let mut all = Vec::new();
-    for _ in 0..count {
-        let item = scans.next().await.unwrap();
-        recorder.record(&item).unwrap();
-        all.push(item.unwrap().values().iter().map(|&value| value.into()).collect());
-    }
     recorder.finish().await.unwrap();
     all
 }
@@ -77,7 +70,7 @@ fn ranges(scan: &Value) -> Vec<Option<f32>> {
 
 #[tokio::test]
 async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
-    let (file, link) = (scratch("held"), Scratch::new("recorded"));
+    let (file, link) = (Scratch::mcap("held"), Scratch::new("recorded"));
     let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
     let output =
         run(&format!("record {} {} --rate max --count {SCANS}", sensor.port, file.path()), 0);
@@ -101,7 +94,7 @@ async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
 
 #[tokio::test(start_paused = true)]
 async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_the_file() {
-    let file = scratch("own");
+    let file = Scratch::mcap("own");
     let window = Window::new(100..=200).unwrap().with_cluster_count(2).unwrap();
     let recorded = recording(file.path(), window, 10).await;
     for pace in ["", "--rate max", "--rate 50"] {
@@ -129,7 +122,7 @@ async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_t
 
 #[tokio::test(start_paused = true)]
 async fn every_command_that_reads_a_sensor_reads_a_recording() {
-    let file = scratch("every");
+    let file = Scratch::mcap("every");
     let recorded = recording(file.path(), Window::DETECTION, 20).await;
     let path = file.path();
     let info = run(&format!("info {path}"), 0).stdout;
@@ -151,7 +144,7 @@ async fn every_command_that_reads_a_sensor_reads_a_recording() {
 
 #[tokio::test(start_paused = true)]
 async fn a_recording_without_replies_is_read_by_every_command() {
-    let (file, copy) = (scratch("messages"), scratch("messages-copy"));
+    let (file, copy) = (Scratch::mcap("messages"), Scratch::mcap("messages-copy"));
     let recorded = messages_alone(file.path(), 20).await;
     // Messages have no error codes.
     let distances = |values: &[u64]| -> Vec<Option<u64>> {
@@ -174,7 +167,7 @@ async fn a_recording_without_replies_is_read_by_every_command() {
 
 #[tokio::test(start_paused = true)]
 async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
-    let (file, part) = (scratch("whole"), scratch("part"));
+    let (file, part) = (Scratch::mcap("whole"), Scratch::mcap("part"));
     let recorded = recording(file.path(), Window::DETECTION, 50).await;
     let output = run(&format!("stream {} --range 1s..0:03 --rate max", file.path()), 0);
     let streamed: Vec<_> = scans(&output.stdout).iter().map(values).collect();
@@ -194,7 +187,7 @@ async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
     let (all, copied) = (times(file.path()), times(part.path()));
     assert!(copied.len() >= 19 && copied.iter().all(|time| all.contains(time)), "{copied:?}");
     assert!(failure(&cut).contains(part.path()), "an existing file was overwritten");
-    let nothing = scratch("nothing");
+    let nothing = Scratch::mcap("nothing");
     failure(&format!("cut {} {} --range 99s..", file.path(), nothing.path()));
     assert!(!fs::exists(nothing.path()).unwrap());
 
@@ -210,7 +203,7 @@ async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
 /// Many more scans than streams keep.
 #[tokio::test(start_paused = true)]
 async fn a_replay_waits_for_a_reader_that_is_slow() {
-    let file = scratch("long");
+    let file = Scratch::mcap("long");
     let recorded = recording(file.path(), Window::DETECTION, 3000).await;
     let mut slow = Running::start_unread(&format!("stream {} --rate max", file.path()));
     // By the end of this the pipe of the other one has long been full.
@@ -224,7 +217,7 @@ async fn a_replay_waits_for_a_reader_that_is_slow() {
 
 #[test]
 fn polls_without_a_scan_are_counted_for_the_recording_alone() {
-    let (file, link) = (scratch("tally"), Scratch::new("tally"));
+    let (file, link) = (Scratch::mcap("tally"), Scratch::new("tally"));
     let faults = "--revolution 10ms --faults damaged=0.4,seed=5";
     let sensor = Emulated::start(&format!("--link {} {faults}", link.path()));
     let record = format!("record {} {} --rate max --count 20", sensor.port, file.path());
@@ -238,7 +231,7 @@ fn polls_without_a_scan_are_counted_for_the_recording_alone() {
 
 #[test]
 fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
-    let (file, nobody) = (scratch("exists"), Scratch::new("nobody"));
+    let (file, nobody) = (Scratch::mcap("exists"), Scratch::new("nobody"));
     let precious = b"precious".repeat(100_000);
     fs::write(file.path(), &precious).unwrap();
     let line = failure(&format!("record emulated {}", file.path()));
@@ -258,7 +251,7 @@ fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
 
 #[test]
 fn a_file_that_another_recorder_writes_or_another_program_removes_ends_the_recording() {
-    let file = scratch("shared");
+    let file = Scratch::mcap("shared");
     let first = Running::start(&format!("record emulated {}", file.path()));
     while fs::metadata(file.path()).map_or(0, |file| file.len()) == 0 {
         std::thread::yield_now();
@@ -273,7 +266,7 @@ fn a_file_that_another_recorder_writes_or_another_program_removes_ends_the_recor
 
 #[test]
 fn an_empty_file_of_a_recording_that_was_killed_while_it_waited_is_used() {
-    let (file, nobody) = (scratch("killed-waiting"), Scratch::new("killed-waiting"));
+    let (file, nobody) = (Scratch::mcap("killed-waiting"), Scratch::new("killed-waiting"));
     let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
     waiting.notice();
     waiting.signal("KILL");
@@ -284,9 +277,8 @@ fn an_empty_file_of_a_recording_that_was_killed_while_it_waited_is_used() {
 
 #[test]
 fn opening_a_recording_that_hangs_can_be_interrupted() {
-    let pipe = scratch("hangs");
-    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
-    let out = scratch("hangs-out");
+    let pipe = Scratch::pipe("hangs");
+    let out = Scratch::mcap("hangs-out");
     let record = format!("record {} {}", pipe.path(), out.path());
     let mut others = vec!["stream", "info", "view", "serve", "scan", "check"];
     if cfg!(any(feature = "ros2", feature = "zenoh")) {
@@ -312,8 +304,7 @@ fn opening_a_recording_that_hangs_can_be_interrupted() {
 fn signalled(program: &mut std::process::Child, signal: &str) -> Option<i32> {
     let began = Instant::now();
     loop {
-        let id = program.id().to_string();
-        assert!(Command::new("kill").args(["-s", signal, &id]).status().unwrap().success());
+        send(program.id(), signal);
         match program.try_wait().unwrap() {
             Some(status) => return status.code(),
             None if began.elapsed() < STEP_LIMIT => {}
@@ -342,7 +333,7 @@ fn with_one_name_only_record_asks_for_the_missing_one() {
 
 #[test]
 fn no_file_is_left_where_there_was_no_sensor() {
-    let (file, nobody) = (scratch("left"), Scratch::new("left"));
+    let (file, nobody) = (Scratch::mcap("left"), Scratch::new("left"));
     failure(&format!("record {} {}", nobody.path(), file.path()));
     assert!(!fs::exists(file.path()).unwrap());
     let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
@@ -353,20 +344,14 @@ fn no_file_is_left_where_there_was_no_sensor() {
     assert!(!fs::exists(file.path()).unwrap());
 }
 
-/// Starts to record into a pipe; `record` is the command line up to its FILE.
-fn into_pipe(pipe: &Scratch, record: &str) -> (Running, File) {
-    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
-    let running = Running::start(&format!("{record} {} --force", pipe.path()));
+/// Records into a pipe, and returns the bytes read once they are more than `enough`.
+fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
+    let running = Running::start(&format!("record emulated {} --force", pipe.path()));
     // Opening blocks until the program opens the pipe, which may have failed.
     let (sender, opened) = std::sync::mpsc::channel();
     let path = pipe.path().to_owned();
     std::thread::spawn(move || sender.send(File::open(path).unwrap()));
-    (running, opened.recv_timeout(STEP_LIMIT).unwrap())
-}
-
-/// Records into a pipe, and returns the bytes read once they are more than `enough`.
-fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
-    let (running, mut file) = into_pipe(pipe, "record emulated");
+    let mut file = opened.recv_timeout(STEP_LIMIT).unwrap();
     let mut bytes = vec![0; enough];
     file.read_exact(&mut bytes).unwrap();
     (running, file, bytes)
@@ -375,7 +360,7 @@ fn until(pipe: &Scratch, enough: usize) -> (Running, File, Vec<u8>) {
 #[test]
 fn an_interrupted_recording_ends_with_its_index() {
     for signal in ["INT", "TERM", "HUP"] {
-        let pipe = scratch(&format!("interrupted-{signal}"));
+        let pipe = Scratch::pipe(&format!("interrupted-{signal}"));
         let (record, mut file, mut bytes) = until(&pipe, 10_000);
         record.signal(signal);
         file.read_to_end(&mut bytes).unwrap();
@@ -393,8 +378,7 @@ fn an_interrupted_recording_ends_with_its_index() {
 
 #[test]
 fn recording_into_a_pipe_that_nobody_reads_can_be_interrupted() {
-    let pipe = scratch("nobody-reads");
-    assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());
+    let pipe = Scratch::pipe("nobody-reads");
     // SIGINT is ignored until the program handles it.
     let script = format!("trap '' INT; echo; exec $urg record emulated {} --force", pipe.path());
     let mut record = shell(&script).stdout(Stdio::piped()).spawn().unwrap();
@@ -407,7 +391,7 @@ fn recording_into_a_pipe_that_nobody_reads_can_be_interrupted() {
 
 #[test]
 fn scans_recorded_before_a_kill_can_be_replayed() {
-    let (pipe, file) = (scratch("killed-pipe"), scratch("killed"));
+    let (pipe, file) = (Scratch::pipe("killed-pipe"), Scratch::mcap("killed"));
     let (record, mut rest, mut bytes) = until(&pipe, 50_000);
     record.signal("KILL");
     rest.read_to_end(&mut bytes).unwrap();
@@ -423,7 +407,7 @@ fn scans_recorded_before_a_kill_can_be_replayed() {
 
 #[test]
 fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
-    let full = scratch("full");
+    let full = Scratch::mcap("full");
     let linked = Command::new("ln").args(["-s", "/dev/full", full.path()]).status().unwrap();
     assert!(linked.success());
     let line = failure(&format!("record emulated {} --force", full.path()));
@@ -431,7 +415,7 @@ fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
     assert!(line.contains("No space left"), "{line}");
 
     // As if the disk had room for some scans.
-    let file = scratch("quota");
+    let file = Scratch::mcap("quota");
     let script = format!("trap '' XFSZ; ulimit -f 128; exec $urg record emulated {}", file.path());
     let output = shell(&script).output().unwrap();
     let stderr = String::from_utf8(output.stderr).unwrap();
@@ -443,7 +427,7 @@ fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
 
 #[tokio::test(start_paused = true)]
 async fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
-    let file = scratch("other");
+    let file = Scratch::mcap("other");
     let line = failure(&format!("stream {}", file.path()));
     assert!(line.contains("cannot open") && line.contains(file.path()), "{line}");
     fs::write(file.path(), "sequence,stamp\n1,2\n").unwrap();

@@ -12,10 +12,6 @@ use super::formats::scans;
 use super::program::{Emulated, Scratch, failure, run, urg};
 use super::recorded::recording;
 
-fn scratch(name: &str) -> Scratch {
-    Scratch::with_extension(name, ".mcap")
-}
-
 fn count(path: &str) -> usize {
     let records = Recording::open(path).unwrap().map(|record| record.unwrap().entry);
     records.filter(|entry| matches!(entry, Entry::Scan(_))).count()
@@ -23,7 +19,7 @@ fn count(path: &str) -> usize {
 
 #[tokio::test(start_paused = true)]
 async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repaired() {
-    let (whole, cut) = (scratch("repair-whole"), scratch("repair-cut"));
+    let (whole, cut) = (Scratch::mcap("repair-whole"), Scratch::mcap("repair-cut"));
     recording(whole.path(), Window::DETECTION, 400).await;
     let bytes = fs::read(whole.path()).unwrap();
     fs::write(cut.path(), &bytes[..bytes.len() * 3 / 4]).unwrap();
@@ -62,7 +58,7 @@ async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repair
 #[cfg(unix)]
 #[tokio::test(start_paused = true)]
 async fn a_file_name_cannot_control_the_terminal() {
-    let file = scratch("\x1b[2J");
+    let file = Scratch::mcap("\x1b[2J");
     recording(file.path(), Window::DETECTION, 20).await;
     let whole = fs::read(file.path()).unwrap();
     fs::write(file.path(), &whole[..whole.len() - 100]).unwrap();
@@ -82,7 +78,7 @@ async fn a_file_name_cannot_control_the_terminal() {
 /// Other readers open a file by its index.
 #[tokio::test(start_paused = true)]
 async fn a_damaged_index_is_told_by_info_and_repaired() {
-    let file = scratch("index");
+    let file = Scratch::mcap("index");
     recording(file.path(), Window::DETECTION, 20).await;
     let mut bytes = fs::read(file.path()).unwrap();
     let at = bytes.len() - 100;
@@ -98,7 +94,7 @@ async fn a_damaged_index_is_told_by_info_and_repaired() {
 
 #[test]
 fn a_split_recording_has_its_scans_in_several_files() {
-    let file = scratch("split-run");
+    let file = Scratch::mcap("split-run");
     let record = format!("record emulated {} --count 90 --rate max --split 150kB", file.path());
     let stderr = run(&record, 0).stderr;
     assert!(
@@ -134,7 +130,7 @@ fn a_recording_that_keeps_to_a_space_removes_its_first_file_too() {
 /// it is handled.
 #[test]
 fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
-    let (file, lines) = (scratch("limited"), Scratch::new("limited-lines"));
+    let (file, lines) = (Scratch::mcap("limited"), Scratch::new("limited-lines"));
     let urg = env!("CARGO_BIN_EXE_urg");
     for command in [
         format!("exec {urg} record emulated {} --rate max --duration 60s", file.path()),

@@ -7,7 +7,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 use tokio_serial::{SerialPort, SerialStream};
 
-use super::program::{STEP_LIMIT, program};
+use super::program::{Emulated, STEP_LIMIT, Scratch, program, run, send};
 
 /// A terminal, and the program that draws on it.
 struct Terminal {
@@ -122,13 +122,13 @@ async fn ctrl_z_and_the_signal_stop_the_program_with_the_terminal_restored() {
     for round in 0..2 {
         match round {
             0 => terminal.user.write_all(b"\x1a").await.unwrap(),
-            _ => signal(id, "TSTP"),
+            _ => send(id, "TSTP"),
         }
         terminal.until(&["\x1b[?1049l", "\x1b[?25h"]).await;
         stopped(id).await;
         assert_eq!(stty(&path, &["-g"]).await, terminal.settings);
         terminal.drawn.clear();
-        signal(id, "CONT");
+        send(id, "CONT");
         // All of the picture is drawn again.
         terminal.until(&["\x1b[?1049h"]).await;
         terminal.until_each(&["URG-04LX", "quit"]).await;
@@ -138,15 +138,9 @@ async fn ctrl_z_and_the_signal_stop_the_program_with_the_terminal_restored() {
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
 }
 
-#[cfg(target_os = "linux")]
-fn signal(id: u32, signal: &str) {
-    let kill = std::process::Command::new("kill").args(["-s", signal, &id.to_string()]).status();
-    assert!(kill.unwrap().success());
-}
-
 #[tokio::test]
 async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such() {
-    let nobody = super::program::Scratch::new("not-on-screen");
+    let nobody = Scratch::new("not-on-screen");
     let missing = format!("rear={}@-0.2,0,180", nobody.path());
     let mut terminal = Terminal::start(&format!("view front=emulated@0.2,0,0 {missing}")).await;
     terminal.until_each(&["front", "connected", "rear", "closed", "--wait"]).await;
@@ -159,7 +153,7 @@ async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such
     let arguments = format!("view front=emulated@0.2,0,0 {missing} --wait");
     let mut terminal = Terminal::start(&arguments).await;
     terminal.until_each(&["front", "rear", "looking for it", "connected"]).await;
-    let _sensor = super::program::Emulated::start(&format!("--link {}", nobody.path()));
+    let _sensor = Emulated::start(&format!("--link {}", nobody.path()));
     terminal.user.write_all(b"\t").await.unwrap();
     terminal.until(&["rear", "URG-04LX"]).await;
     terminal.user.write_all(b"q").await.unwrap();
@@ -176,20 +170,18 @@ async fn the_terminal_is_restored_on_ctrl_c_and_on_a_signal() {
 
     let mut terminal = Terminal::start("view emulated --baud 19200").await;
     terminal.until(&["URG-04LX"]).await;
-    let id = terminal.urg.id().unwrap().to_string();
-    assert!(Command::new("kill").args(["-s", "TERM", &id]).status().await.unwrap().success());
+    send(terminal.urg.id().unwrap(), "TERM");
     assert_eq!(terminal.end().await, Some(0));
 }
 
 #[tokio::test]
 async fn a_recording_shows_its_progress_and_removes_that_line_at_the_end() {
-    let file = super::program::Scratch::with_extension("progress", ".mcap");
+    let file = Scratch::mcap("progress");
     let arguments = format!("record emulated {}", file.path());
     let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
     let line = [" scans in 0:0", " kB, none lost (Ctrl-C ends it)\x1b[K\r"];
     terminal.until(&[line, line].concat()).await;
-    let id = terminal.urg.id().unwrap().to_string();
-    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    send(terminal.urg.id().unwrap(), "INT");
     let end = ["(Ctrl-C ends it)", "\r\x1b[Kurg: ", ".mcap: ", " scans in 0:0", ", none lost\n"];
     terminal.until(&end).await;
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
@@ -203,8 +195,7 @@ fn stop(terminal: &str) {
 
 #[tokio::test]
 async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
-    let pipe = super::program::Scratch::with_extension("stopped", ".mcap");
-    assert!(Command::new("mkfifo").arg(pipe.path()).status().await.unwrap().success());
+    let pipe = Scratch::pipe("stopped");
     let arguments = format!("record emulated {} --force", pipe.path());
     let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
     let mut file = tokio::fs::File::open(pipe.path()).await.unwrap();
@@ -213,8 +204,7 @@ async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
     // Takes longer to arrive than several progress lines are shown.
     let mut bytes = vec![0; 50_000];
     file.read_exact(&mut bytes).await.unwrap();
-    let id = terminal.urg.id().unwrap().to_string();
-    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    send(terminal.urg.id().unwrap(), "INT");
     let ended = async {
         file.read_to_end(&mut bytes).await.unwrap();
         terminal.urg.wait().await.unwrap().code()
@@ -229,7 +219,7 @@ async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
 
 #[tokio::test]
 async fn a_stopped_terminal_delays_no_notice() {
-    let link = super::program::Scratch::new("stopped");
+    let link = Scratch::new("stopped");
     let (_user, line) = SerialStream::pair().unwrap();
     let path = line.name().unwrap();
     stop(&path);
@@ -244,8 +234,7 @@ async fn a_stopped_terminal_delays_no_notice() {
     let info =
         tokio::time::timeout(STEP_LIMIT, info).await.expect("the sensor is not there").unwrap();
     assert!(info.status.success(), "{info:?}");
-    let id = emulate.id().unwrap().to_string();
-    assert!(Command::new("kill").args(["-s", "INT", &id]).status().await.unwrap().success());
+    send(emulate.id().unwrap(), "INT");
     let ended =
         tokio::time::timeout(STEP_LIMIT, emulate.wait()).await.expect("the emulator does not end");
     assert_eq!(ended.unwrap().code(), Some(0));
@@ -253,8 +242,8 @@ async fn a_stopped_terminal_delays_no_notice() {
 
 #[tokio::test]
 async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
-    let file = super::program::Scratch::with_extension("radar", ".mcap");
-    super::program::run(&format!("record emulated {} --count 5", file.path()), 0);
+    let file = Scratch::mcap("radar");
+    run(&format!("record emulated {} --count 5", file.path()), 0);
     let mut terminal = Terminal::start(&format!("view {}", file.path())).await;
     terminal.until_each(&["URG-04LX", "playing", "END", "at the end"]).await;
     terminal.user.write_all(b",").await.unwrap();
@@ -269,7 +258,7 @@ async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
 
 #[tokio::test]
 async fn the_radar_shows_a_recording_without_replies() {
-    let file = super::program::Scratch::with_extension("radar-messages", ".mcap");
+    let file = Scratch::mcap("radar-messages");
     let path = file.path().to_owned();
     let recorded = std::thread::spawn(move || {
         let mut runtime = tokio::runtime::Builder::new_current_thread();
@@ -299,7 +288,7 @@ fn long_recording(path: &str) {
 
 #[tokio::test]
 async fn the_radar_of_a_recording_that_is_overwritten_ends_with_the_reason_on_the_terminal() {
-    let file = super::program::Scratch::with_extension("overwritten", ".mcap");
+    let file = Scratch::mcap("overwritten");
     long_recording(file.path());
     let arguments = format!("view {} --loop --speed 100", file.path());
     let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
@@ -327,9 +316,9 @@ async fn a_stream_on_a_terminal_is_one_short_line_for_each_scan() {
 
 #[test]
 fn a_recording_is_not_shown_beside_another_source() {
-    let file = super::program::Scratch::with_extension("alone", ".mcap");
-    super::program::run(&format!("record emulated {} --count 2", file.path()), 0);
-    let text = super::program::run(&format!("view a={} b=emulated", file.path()), 2).stderr;
+    let file = Scratch::mcap("alone");
+    run(&format!("record emulated {} --count 2", file.path()), 0);
+    let text = run(&format!("view a={} b=emulated", file.path()), 2).stderr;
     assert!(text.contains("plays one recording") && text.contains("urg serve"), "{text}");
 }
 
