@@ -8,7 +8,7 @@ use tokio_scip::protocol::{Command, Malformed, Reply};
 use tokio_scip::{Error, Rate, Window};
 use tokio_util::codec::Decoder;
 
-use super::rig::{Outcome, instant_sensor, scans, second_poll, wrong_scans};
+use super::rig::{Outcome, instant_sensor, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::FaultyLink;
 use crate::common::{builder, request_of};
 
@@ -132,8 +132,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
 async fn w03_w04_w08_w11_w13_each_bit_flipped() {
     let window = Window::new(300..=340).unwrap();
     let emulator = instant_sensor().build();
-    let sensor = super::rig::open(&emulator).await;
-    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let (_sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     // The second poll's reply: it asks for one step more on the left.
     let sent = emulator.counts().scans as u16;
@@ -165,8 +164,7 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
     // 26 * 64 + 26 is sent as "JJ", and one flipped bit makes an LF of a 'J'.
     let emulator =
         Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
-    let sensor = super::rig::open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     for at in DATA..length() - 2 {
         scans(&mut stream, 1).await;
         let before = sensor.stats().scans;
@@ -221,8 +219,7 @@ fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
 async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between_them() {
     // No driver can detect this. The test shows its effect, and that it has no other.
     let emulator = instant_sensor().build();
-    let sensor = super::rig::open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     let faults = tokio_scip::emulator::Faults::none();
     // Two places in the same line, 20 bytes or ten points apart.

@@ -9,7 +9,7 @@ use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixe
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{BaudRate, Error, Measurement, Rate, State, Window};
 
-use super::rig::{instant_sensor, open, scans, wrong_scans};
+use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
 use crate::common::{builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
@@ -90,8 +90,7 @@ async fn d02_a_restart_that_a_change_of_baud_rate_cannot_show_leaves_the_laser_o
 async fn d03_an_hour_without_power_costs_few_attempts() {
     // The port stays open: the adapter has power, the sensor does not.
     let emulator = instant_sensor().baud_rate(BaudRate::B115200).build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().every(Fault::CommandLost));
     let before = (emulator.counts().commands, sensor.stats());
@@ -229,8 +228,7 @@ async fn d08_only_the_four_commands_are_sent_whether_or_not_undefined_ones_are_a
                 .empty_command(empty)
                 .baud_rate(BaudRate::B57600)
                 .build();
-            let sensor = open(&emulator).await;
-            let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+            let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
             emulator.set_faults(Faults::none().rate(0.2, Fault::Damaged).rate(0.1, Fault::Lost));
             scans(&mut stream, 20).await;
             let _ = sensor.laser_off().await;

@@ -14,7 +14,7 @@ use tokio_scip::{Driver, Error, Rate, Window};
 use tracing::field::{Field, Visit};
 use tracing::span;
 
-use super::rig::{instant_sensor, open, scans};
+use super::rig::{instant_sensor, open, scans, streaming};
 use crate::common::builder;
 
 const WINDOW: Window = Window::DETECTION;
@@ -163,8 +163,7 @@ async fn d03_an_hour_of_bad_frames_and_an_hour_without_power_log_a_few_lines() {
         loud.cloned().collect::<Vec<_>>()
     };
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(2.0)).await;
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().rate(0.1, Fault::Damaged));
     let start = tokio::time::Instant::now();

@@ -14,6 +14,17 @@ pub(crate) async fn open(emulator: &Emulator) -> Sensor {
     builder().depth(16).connect(emulator.clone()).await.unwrap()
 }
 
+/// Opens the sensor, and polls it.
+pub(crate) async fn streaming(
+    emulator: &Emulator,
+    window: Window,
+    rate: Rate,
+) -> (Sensor, ScanStream) {
+    let sensor = open(emulator).await;
+    let stream = sensor.scans(window, rate).await.unwrap();
+    (sensor, stream)
+}
+
 /// Reads the next `count` scans and skips errors.
 pub(crate) async fn scans(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     let mut scans = Vec::new();
@@ -43,8 +54,7 @@ pub(crate) struct Outcome {
 /// after it bring scans, and that every scan answers its own request.
 pub(crate) async fn second_poll(window: Window, faults: &[Fault]) -> Outcome {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
     let damaged = emulator.counts().scans;
     let script = faults.iter().fold(Faults::none(), |script, fault| script.at(0, fault.clone()));

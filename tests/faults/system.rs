@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
-use super::rig::{instant_sensor, open, scans, wrong_scans};
+use super::rig::{instant_sensor, scans, streaming, wrong_scans};
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};
@@ -258,8 +258,7 @@ fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
 async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
     for delay in [16, 40, 100] {
         let emulator = instant_sensor().baud_rate(BaudRate::B115200).latency(ms(delay)).build();
-        let sensor = open(&emulator).await;
-        let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+        let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(2.0)).await;
         for _ in 0..10 {
             stream.next().await.unwrap().unwrap();
         }

@@ -11,7 +11,7 @@ use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
 
-use super::rig::{instant_sensor, open, scans, wrong_scans};
+use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
 use crate::common::endless_port::EndlessPort;
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, request_of};
@@ -152,8 +152,7 @@ async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most(
     let (fast, slow) = (Rate::hz(10.0), Rate::hz(0.1));
     for (rate, faults) in [(fast, silent.clone()), (slow, silent), (slow, twice)] {
         let emulator = instant_sensor().build();
-        let sensor = open(&emulator).await;
-        let mut stream = sensor.scans(WINDOW, rate).await.unwrap();
+        let (sensor, mut stream) = streaming(&emulator, WINDOW, rate).await;
         scans(&mut stream, 1).await;
         emulator.set_faults(faults);
         let asker = sensor.clone();
@@ -217,8 +216,7 @@ async fn a10_sixteen_thousand_requests_without_a_link_take_linear_time() {
 #[tokio::test(start_paused = true)]
 async fn a08_a_failed_change_of_baud_rate_under_a_stream_keeps_the_old_one() {
     let emulator = instant_sensor().baud_rate(BaudRate::B57600).build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(2.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(2.0)).await;
     let mut delivered = scans(&mut stream, 2).await;
     // The sensor refuses; a flipped bit makes that a success; its baud rate stays.
     let faults = Faults::none().at(1, Fault::Status(b'1')).at(1, Fault::Flip(15, b'1' ^ b'0'));
@@ -327,8 +325,7 @@ async fn a16_the_state_that_a_killed_process_leaves_is_recovered_by_the_next_one
         link.write_all(left).await.unwrap();
         tokio::time::sleep(ms(10)).await;
         drop(link);
-        let sensor = open(&emulator).await;
-        let mut stream = sensor.scans(WINDOW, Rate::hz(1.0)).await.unwrap();
+        let (_sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(1.0)).await;
         let scan = scans(&mut stream, 1).await.remove(0);
         assert!(request_of(&scan).is_some(), "{}", left.escape_ascii());
     }

@@ -7,7 +7,7 @@ use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Pace, Verdict};
 use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
 
-use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
+use super::rig::{instant_sensor, open, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
@@ -28,8 +28,7 @@ async fn t01_a_late_reply_is_dropped_and_each_scan_answers_its_own_poll() {
 #[tokio::test(start_paused = true)]
 async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan() {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().every(Fault::Late(ms(3000))));
     let before = sensor.stats();
@@ -77,8 +76,7 @@ async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
     // At the highest rate, so that the driver is never idle between two polls, and with
     // the full window, where polls cannot differ.
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::MAX).await;
     let mut delivered = scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().rate(0.5, Fault::Doubled));
     for _ in 0..300 {
@@ -92,8 +90,7 @@ async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
 #[tokio::test(start_paused = true)]
 async fn t03_a_copy_that_comes_after_the_next_poll_is_not_delivered_for_it() {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
     // The copy arrives while the next poll waits for its reply, whether the faulty poll
     // asks for one step more, as it does, or for the same window.
@@ -129,8 +126,7 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
             // This truth's values name their request also in clusters.
             let truth = Truth::default();
             let emulator = truthful().world(truth.world()).baud_rate(baud_rate).build();
-            let sensor = open(&emulator).await;
-            let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+            let (_sensor, mut stream) = streaming(&emulator, window, Rate::MAX).await;
             let mut faults = Faults::none();
             for reply in (0..200).step_by(5) {
                 let pause = Fault::Pause(window.reply_len(), ms(behind));
@@ -154,8 +150,7 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     let truth = Truth::default();
     let emulator = truthful().pace(Pace::AtOnce).baud_rate(BaudRate::B19200);
     let emulator = emulator.world(truth.world()).build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 2).await;
     let took = delivered[1].received_at() - delivered[1].requested_at();
     assert_eq!(sensor.stats().malformed.total(), 0, "an answer without delay is refused");
@@ -298,8 +293,7 @@ async fn t05_half_a_command_from_a_stalled_write_is_terminated_before_the_next_o
 #[tokio::test(start_paused = true)]
 async fn t06_a_slow_line_is_polled_without_overlap_and_without_a_backlog() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     let delivered = scans(&mut stream, 50).await;
     assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
     let stats = sensor.stats();
@@ -310,8 +304,7 @@ async fn t06_a_slow_line_is_polled_without_overlap_and_without_a_backlog() {
 #[tokio::test(start_paused = true)]
 async fn t07_a_reply_that_trickles_in_times_out_at_its_deadline() {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (_sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().at(0, Fault::Trickle(ms(100))));
     let start = Instant::now();
@@ -395,8 +388,7 @@ async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
 #[tokio::test(start_paused = true)]
 async fn t12_a_late_reply_to_one_fence_is_not_taken_for_the_next() {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
     let polls = emulator.log().len();
     // The poll is lost; its fence is late, and so is the next fence.

@@ -8,7 +8,7 @@ use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{Error, Rate, State, Window};
 
-use super::rig::{instant_sensor, open, scans, second_poll, wrong_scans};
+use super::rig::{instant_sensor, scans, second_poll, streaming, wrong_scans};
 use crate::common::{builder, ms};
 
 const WINDOW: Window = Window::DETECTION;
@@ -99,8 +99,7 @@ async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
     ];
     for fault in faults {
         let emulator = instant_sensor().build();
-        let sensor = open(&emulator).await;
-        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
         scans(&mut stream, 1).await;
         emulator.set_faults(Faults::none().at(0, fault.clone()));
         let start = Instant::now();
@@ -131,8 +130,7 @@ async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
     let mut fired = 0;
     for seed in 0..100 {
         let emulator = instant_sensor().seed(seed).build();
-        let sensor = open(&emulator).await;
-        let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+        let (_sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
         let mut delivered = scans(&mut stream, 1).await;
         emulator.set_faults(Faults::none().noise(0.5, 4096).seed(seed));
         delivered.extend(scans(&mut stream, 10).await);
@@ -146,8 +144,7 @@ async fn w18_noise_of_any_kind_in_front_never_makes_a_scan() {
 /// that scans come again when the pattern stops. Returns the time until the link closed.
 async fn endless(pattern: &[u8]) -> Duration {
     let emulator = instant_sensor().build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().at(0, Fault::Endless(pattern.to_vec())));
     let start = Instant::now();
@@ -204,8 +201,7 @@ async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_afte
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
             let emulator = instant_sensor().empty_command(empty).build();
-            let sensor = open(&emulator).await;
-            let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
+            let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
             scans(&mut stream, 1).await;
             emulator.set_mode(mode);
             let mut errors = Vec::new();
