@@ -3,7 +3,7 @@
 
 mod commands;
 #[cfg(feature = "mcap")]
-mod damaged_files;
+pub(crate) mod damaged_files;
 mod driver;
 mod framing;
 #[cfg(feature = "mcap")]

@@ -6,7 +6,7 @@ use tokio_scip::emulator::Emulator;
 use tokio_scip::recording::{Entry, Recorder, Recording, ReplayPace};
 use tokio_scip::{Rate, Scan, ScanStream, Sensor, Window};
 
-use super::sink::Sink;
+use super::sink::{Sink, values};
 
 const WINDOW: Window = Window::DETECTION;
 
@@ -21,10 +21,6 @@ async fn next(scans: &mut ScanStream, count: usize, recorder: Option<&mut Record
         taken.push(item.unwrap());
     }
     taken
-}
-
-fn values<'a>(scans: impl IntoIterator<Item = &'a Scan>) -> Vec<Vec<u16>> {
-    scans.into_iter().map(|scan| scan.values().to_vec()).collect()
 }
 
 /// Replays a file. Returns the serial number of its sensor, and its scans.

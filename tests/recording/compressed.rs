@@ -8,11 +8,11 @@ use std::time::Duration;
 
 use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
 use ruzstd::encoding::{CompressionLevel, compress_to_vec};
-use tokio_scip::recording::{Recording, ReplayPace, cut, repair};
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::recording::{Recording, cut, repair};
+use tokio_scip::{Scan, Window};
 
 use super::raw::{MAGIC, channel, chunk_of, damaged_at, end, event, of_kind, read, text};
-use super::sink::{Sink, record, sensor, window};
+use super::sink::{Sink, record, replayed, sensor, window};
 
 /// Chunk with this compression, which claims `size` bytes and has no checksum.
 fn compressed_chunk(compression: &str, size: u64, bytes: &[u8]) -> Vec<u8> {
@@ -143,13 +143,9 @@ async fn a_compressed_recording_is_read_replayed_and_copied_as_the_original() {
         cut([Cursor::new(form.clone())], part.clone(), &mut cut_out).unwrap();
         assert!(cut_out == expected_part);
 
-        let replay = open().replay(ReplayPace::Max).unwrap();
-        let replayed = Sensor::builder().depth(1000).connect(replay).await.unwrap();
-        let mut stream = replayed.scans(Window::DETECTION, Rate::MAX).await.unwrap();
-        for scan in &scans {
-            let found = stream.next().await.unwrap().unwrap();
-            assert_eq!((found.values(), found.stamp()), (scan.values(), scan.stamp()));
-        }
+        let replayed = replayed(open(), Window::DETECTION).await;
+        let told = |scan: &Scan| (scan.values().to_vec(), scan.stamp());
+        assert!(replayed.iter().map(told).eq(scans.iter().map(told)));
     }
 }
 

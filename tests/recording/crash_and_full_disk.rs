@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio_scip::recording::{Entry, Record, Recorder, Recording, RecordingError, ReplayPace};
 use tokio_scip::{Error, Rate, Sensor, Window};
 
-use super::sink::{Sink, polls, record, sensor, window};
+use super::sink::{Sink, observed, polls, record, sensor, window};
 
 /// Returns the offset in `whole` at which `part` ends.
 fn end_of(part: &[u8], whole: &[u8]) -> usize {
@@ -44,8 +44,8 @@ async fn a_file_cut_off_at_any_byte_is_read_to_its_last_whole_message() {
 async fn three_chunks() -> (Vec<u8>, Vec<Record>) {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
-    let mut scans = sensor.scans(window(380, 384, 1), Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), window(380, 384, 1), Rate::hz(10.0)).await;
     for _ in 0..3 {
         // Metadata is not part of a chunk, so it ends one.
         recorder.describe(&sensor, &scans).await.unwrap();
@@ -90,9 +90,8 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
             assert_eq!(room, 1_000, "no room for the head");
             continue;
         };
-        let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16);
-        let sensor = builder.connect(sensor()).await.unwrap();
-        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        let (_sensor, mut scans) =
+            observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
         let item = scans.next().await.unwrap();
         // Until a chunk is complete and does not fit on the disk.
         let error = loop {

@@ -4,21 +4,19 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
 use tokio_scip::event::Event;
-use tokio_scip::recording::Recorder;
-use tokio_scip::recording::{Entry, ReplayPace};
+use tokio_scip::recording::{Entry, Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Sensor, Window};
 
-use super::sink::{Sink, events, sensor};
+use super::sink::{Sink, events, observed, polls, replayed, sensor, values};
 
 #[tokio::test(start_paused = true)]
 async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 14).jitter_seed(7);
     let began = (Instant::now(), std::time::SystemTime::now());
-    let sensor = builder.connect(emulator.clone()).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, emulator.clone(), Window::DETECTION, Rate::hz(10.0)).await;
     recorder.describe(&sensor, &scans).await.unwrap();
     let cable = tokio::spawn(async move {
         for (plugged, unplugged) in [(120, 30), (200, 5)] {
@@ -66,14 +64,7 @@ async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
     );
 
     // A replay delivers all scans again.
-    let replay = sink.open().replay(ReplayPace::Max).unwrap();
-    let builder = Sensor::builder().depth(1 << 14);
-    let sensor = builder.connect(replay).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
-    let mut replayed = Vec::new();
-    while let Some(Ok(scan)) = scans.next().await {
-        replayed.push(scan.values().to_vec());
-    }
+    let replayed = values(&replayed(sink.open(), Window::DETECTION).await);
     assert_eq!(replayed.len(), delivered.len());
     assert!(replayed == delivered, "other values");
 }
@@ -83,9 +74,8 @@ async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 14).jitter_seed(7);
-    let sensor = builder.connect(emulator.clone()).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let (_sensor, mut scans) =
+        observed(&recorder, emulator.clone(), Window::DETECTION, Rate::hz(10.0)).await;
     for n in 0..40 {
         if n == 20 {
             emulator.unplug();
@@ -127,5 +117,5 @@ async fn missed_scans_are_recorded_as_an_event_and_by_their_replies() {
     let missed = item.unwrap().sequence() - 1;
     let records = sink.records();
     assert_eq!(events(&records), [Event::Missed { scans: missed }]);
-    assert!(super::sink::polls(&records).len() as u64 >= missed + 2);
+    assert!(polls(&records).len() as u64 >= missed + 2);
 }

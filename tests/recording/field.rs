@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use tokio_scip::emulator::Emulator;
 use tokio_scip::recording::{Entry, Recorder, Recording, RecordingError, RecordingFile, cut};
-use tokio_scip::{Sensor, Window};
+use tokio_scip::{Rate, Sensor, Window};
 
 use super::file::Folder;
-use super::sink::{Sink, record, sensor};
+use super::sink::{Sink, next, observed, record, sensor};
 
 fn path(folder: &Folder) -> PathBuf {
     folder.write(b"")
@@ -132,13 +132,10 @@ async fn the_files_of_a_split_recording_are_joined_to_what_it_would_have_been() 
     let path = path(&folder);
     let builder = Recorder::builder().split_duration(Duration::from_secs(2));
     let mut recorder = builder.create(&path).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
-    let sensor = builder.connect(sensor()).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, tokio_scip::Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
     recorder.describe(&sensor, &scans).await.unwrap();
-    for _ in 0..60 {
-        recorder.record(&scans.next().await.unwrap()).unwrap();
-    }
+    next(&mut recorder, &mut scans, 60).await;
     recorder.finish().await.unwrap();
     let files = [path.clone()].into_iter().chain((2..).map(|number| {
         let name = path.file_stem().unwrap().to_str().unwrap();

@@ -3,29 +3,17 @@
 use std::io::Cursor;
 use std::time::Duration;
 
-use tokio_scip::recording::{Record, Recorder, Recording, RecordingError, ReplayPace};
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::recording::{Record, Recorder, Recording, RecordingError};
+use tokio_scip::{Rate, Window};
 
 use super::file::Folder;
-use super::sink::{Sink, record, sensor, window};
+use super::sink::{Sink, next, observed, record, replayed, sensor, values, window};
+use crate::properties::damaged_files::of_eight_chunks;
 
-/// Records eight scans, each in a chunk of its own, with metadata before the first and the
-/// sixth. Returns the file, and where its chunks begin.
-async fn eight_chunks() -> (Vec<u8>, Vec<usize>) {
-    let sink = Sink::new();
-    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).jitter_seed(7);
-    let sensor = builder.connect(sensor()).await.unwrap();
-    let rate = Rate::every(Duration::from_secs(2));
-    let mut scans = sensor.scans(window(380, 384, 1), rate).await.unwrap();
-    for number in 0..8 {
-        if number == 0 || number == 5 {
-            recorder.describe(&sensor, &scans).await.unwrap();
-        }
-        recorder.record(&scans.next().await.unwrap()).unwrap();
-    }
-    recorder.finish().await.unwrap();
-    let file = sink.bytes();
+/// Returns a recording of eight scans, each in a chunk of its own, with metadata before the first
+/// and the sixth, and where its chunks begin.
+fn eight_chunks() -> (Vec<u8>, Vec<usize>) {
+    let file = of_eight_chunks().to_vec();
     let index = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes;
     let starts = index.iter().filter(|chunk| chunk.message_end_time > 0);
     let starts: Vec<_> = starts.map(|chunk| chunk.chunk_start_offset as usize).collect();
@@ -40,9 +28,9 @@ fn last_scan(recording: Recording) -> Items {
     recording.range(Duration::from_secs(13)..).collect()
 }
 
-#[tokio::test(start_paused = true)]
-async fn what_is_before_a_part_is_not_read_on_either_side_of_metadata() {
-    let (whole, starts) = eight_chunks().await;
+#[test]
+fn what_is_before_a_part_is_not_read_on_either_side_of_metadata() {
+    let (whole, starts) = eight_chunks();
     let mut damaged = whole.clone();
     // Those before the last one, except those with the first scan and what precedes it.
     let left_out = &starts[starts.len() - 7..starts.len() - 1];
@@ -59,9 +47,9 @@ async fn what_is_before_a_part_is_not_read_on_either_side_of_metadata() {
     assert_eq!(found.len(), 3);
 }
 
-#[tokio::test(start_paused = true)]
-async fn a_place_where_no_record_begins_leaves_nothing_out() {
-    let (whole, starts) = eight_chunks().await;
+#[test]
+fn a_place_where_no_record_begins_leaves_nothing_out() {
+    let (whole, starts) = eight_chunks();
     let last = starts[starts.len() - 1];
     let folder = Folder::new("wrong-place");
     for (name, head) in [
@@ -89,15 +77,8 @@ async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
     for window in [Window::DETECTION, Window::FULL, window(2, 400, 1), window(40, 99, 3)] {
         let sink = Sink::new();
         let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-        let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
-        let sensor = builder.connect(sensor()).await.unwrap();
-        let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
-        let mut delivered = Vec::new();
-        for _ in 0..20 {
-            let item = scans.next().await.unwrap();
-            recorder.record(&item).unwrap();
-            delivered.push(item.unwrap().values().to_vec());
-        }
+        let (_sensor, mut scans) = observed(&recorder, sensor(), window, Rate::hz(10.0)).await;
+        let delivered = values(&next(&mut recorder, &mut scans, 20).await);
         recorder.finish().await.unwrap();
         assert_eq!(sink.open().window(), None);
         let mut recorded = sink.open().scans();
@@ -109,16 +90,10 @@ async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
         // Fewer than four scans may all be widened.
         for (number, place) in places.into_iter().enumerate().take(17) {
             let part = || sink.open().range(place..);
-            let values = part().scans().map(|scan| scan.unwrap().values().to_vec());
+            let scans = part().scans().map(|scan| scan.unwrap().values().to_vec());
             let rest = &delivered[number..];
-            assert!(values.eq(rest.iter().cloned()), "{window}, from {number}");
-            let replay = part().replay(ReplayPace::Max).unwrap();
-            let sensor = Sensor::builder().depth(64).connect(replay).await.unwrap();
-            let mut scans = sensor.scans(window, Rate::MAX).await.unwrap();
-            let mut replayed = Vec::new();
-            while let Some(Ok(scan)) = scans.next().await {
-                replayed.push(scan.values().to_vec());
-            }
+            assert!(scans.eq(rest.iter().cloned()), "{window}, from {number}");
+            let replayed = values(&replayed(part(), window).await);
             assert!(replayed == rest, "the replay of {window}, from {number}");
         }
     }

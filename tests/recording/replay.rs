@@ -9,7 +9,7 @@ use tokio_scip::protocol::Command;
 use tokio_scip::recording::{Entry, Record, Recorder, ReplayPace};
 use tokio_scip::{Error, Rate, Scan, Sensor, State, Window};
 
-use super::sink::{Sink, polls, record, sensor, window};
+use super::sink::{Sink, observed, polls, record, sensor, window};
 
 /// Reads everything that a sensor delivers until its stream ends.
 async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
@@ -234,11 +234,8 @@ async fn a_damaged_reply_is_never_replayed_as_a_scan_of_another_window() {
 async fn a_replay_is_that_of_the_described_stream_and_has_the_polls_of_others() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let original =
-        Sensor::builder().on_reply(recorder.observer()).depth(64).connect(sensor()).await;
-    let original = original.unwrap();
     let rate = Rate::hz(4.0);
-    let mut scans = original.scans(window(100, 199, 1), rate).await.unwrap();
+    let (original, mut scans) = observed(&recorder, sensor(), window(100, 199, 1), rate).await;
     let mut others = original.scans(window(300, 309, 1), rate).await.unwrap();
     recorder.describe(&original, &scans).await.unwrap();
     let (mut expected, mut seen) = (Vec::new(), Vec::new());

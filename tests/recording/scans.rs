@@ -13,7 +13,7 @@ use tokio_scip::recording::{
 use tokio_scip::{Rate, Scan, Sensor, Window};
 
 use super::file::Folder;
-use super::sink::{Sink, record, sensor, window};
+use super::sink::{Sink, next, record, replayed, sensor, values, window};
 
 /// An example of a function that is written for live scans.
 fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, Duration, bool) {
@@ -133,12 +133,7 @@ async fn a_recording_without_replies_has_the_scans_of_its_messages() {
             if is_described {
                 recorder.describe(&sensor, &stream).await.unwrap();
             }
-            let mut live = Vec::new();
-            for _ in 0..10 {
-                let item = stream.next().await.unwrap();
-                recorder.record(&item).unwrap();
-                live.push(item.unwrap());
-            }
+            let live = next(&mut recorder, &mut stream, 10).await;
             recorder.finish().await.unwrap();
 
             let mut recorded = sink.open().scans();
@@ -184,12 +179,7 @@ async fn a_recording_is_replayed_without_its_reply_to_v() {
     let builder = Sensor::builder().on_reply(without_version).depth(64);
     let sensor = builder.connect(sensor()).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let mut live = Vec::new();
-    for _ in 0..10 {
-        let item = stream.next().await.unwrap();
-        recorder.record(&item).unwrap();
-        live.push(item.unwrap().values().to_vec());
-    }
+    let live = values(&next(&mut recorder, &mut stream, 10).await);
     recorder.finish().await.unwrap();
     let scans: Vec<Scan> = sink.open().scans().map(Result::unwrap).collect();
     assert!(live.iter().eq(scans.iter().map(Scan::values)));
@@ -225,9 +215,7 @@ async fn the_scans_that_a_pipe_has_are_returned_before_more_is_read() {
     recorder.observe(&sensor);
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     recorder.describe(&sensor, &stream).await.unwrap();
-    for _ in 0..3 {
-        recorder.record(&stream.next().await.unwrap()).unwrap();
-    }
+    next(&mut recorder, &mut stream, 3).await;
     // The writer ends the chunk by itself after a second of real time.
     let began = *length.borrow_and_update();
     while *length.borrow_and_update() < began + 3 * 1400 {
@@ -271,14 +259,8 @@ async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
     let part: Vec<Scan> = sink.open().range(from..to).scans().collect::<Result<_, _>>().unwrap();
     assert_eq!(part.iter().map(Scan::values).collect::<Vec<_>>(), expected);
 
-    let replay = sink.open().range(from..to).replay(ReplayPace::Recorded).unwrap();
-    let sensor = Sensor::builder().reconnect(false).depth(64).connect(replay).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let mut replayed = Vec::new();
-    while let Some(Ok(scan)) = scans.next().await {
-        replayed.push(scan.values().to_vec());
-    }
-    assert_eq!(replayed, expected);
+    let replayed = replayed(sink.open().range(from..to), Window::DETECTION).await;
+    assert_eq!(values(&replayed), expected);
     // A part without a scan.
     let mut none = sink.open().range(Duration::from_secs(99)..).scans();
     assert!(matches!(none.next(), Some(Err(RecordingError::NoScans))));

@@ -6,8 +6,8 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::watch;
 use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::event::Event;
-use tokio_scip::recording::{Entry, Record, RecordedReply, Recorder, Recording};
-use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+use tokio_scip::recording::{Entry, Record, RecordedReply, Recorder, Recording, ReplayPace};
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
 
 /// A file in memory. Clones are the same file.
 #[derive(Clone)]
@@ -88,9 +88,7 @@ pub(crate) async fn record(
     count: usize,
 ) -> Vec<Result<Scan, Error>> {
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16).jitter_seed(7);
-    let sensor = builder.connect(emulator).await.unwrap();
-    let mut scans = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut scans) = observed(&recorder, emulator, window, Rate::hz(10.0)).await;
     recorder.describe(&sensor, &scans).await.unwrap();
     let mut items = Vec::new();
     while items.iter().filter(|item: &&Result<_, _>| item.is_ok()).count() < count {
@@ -101,6 +99,50 @@ pub(crate) async fn record(
     assert_eq!(recorder.progress().lost, 0);
     recorder.finish().await.unwrap();
     items
+}
+
+/// Polls a sensor whose replies are recorded.
+pub(crate) async fn observed(
+    recorder: &Recorder,
+    emulator: Emulator,
+    window: Window,
+    rate: Rate,
+) -> (Sensor, ScanStream) {
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 16).jitter_seed(7);
+    let sensor = builder.connect(emulator).await.unwrap();
+    let scans = sensor.scans(window, rate).await.unwrap();
+    (sensor, scans)
+}
+
+/// Records the next `count` scans, and returns them.
+pub(crate) async fn next(
+    recorder: &mut Recorder,
+    scans: &mut ScanStream,
+    count: usize,
+) -> Vec<Scan> {
+    let mut taken = Vec::new();
+    while taken.len() < count {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        taken.push(item.unwrap());
+    }
+    taken
+}
+
+/// Returns the scans of a replay of `window`, as fast as possible.
+pub(crate) async fn replayed(recording: Recording, window: Window) -> Vec<Scan> {
+    let replay = recording.replay(ReplayPace::Max).unwrap();
+    let sensor = Sensor::builder().depth(1 << 16).connect(replay).await.unwrap();
+    let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+    let mut scans = Vec::new();
+    while let Some(scan) = stream.next().await {
+        scans.push(scan.unwrap());
+    }
+    scans
+}
+
+pub(crate) fn values<'a>(scans: impl IntoIterator<Item = &'a Scan>) -> Vec<Vec<u16>> {
+    scans.into_iter().map(|scan| scan.values().to_vec()).collect()
 }
 
 /// Returns the replies to polls.

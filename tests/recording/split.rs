@@ -11,7 +11,7 @@ use tokio_scip::recording::{
 use tokio_scip::{Error, Rate, Sensor, Window};
 
 use super::file::{truth_of, write_truth};
-use super::sink::{polls, sensor};
+use super::sink::{next, observed, polls, sensor};
 
 /// Returns an empty folder for the files of a test.
 fn folder(name: &str) -> PathBuf {
@@ -24,16 +24,10 @@ fn folder(name: &str) -> PathBuf {
 /// Records 350 scans, 35 s, and returns them.
 async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> {
     let mut recorder = builder.create(path).unwrap();
-    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64).jitter_seed(7);
-    let sensor = builder.connect(sensor()).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
     recorder.describe(&sensor, &scans).await.unwrap();
-    let mut delivered = Vec::new();
-    while delivered.len() < 350 {
-        let item = scans.next().await.unwrap();
-        recorder.record(&item).unwrap();
-        delivered.push(item.unwrap());
-    }
+    let delivered = next(&mut recorder, &mut scans, 350).await;
     assert_eq!(recorder.progress().lost, 0);
     recorder.finish().await.unwrap();
     delivered
