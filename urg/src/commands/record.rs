@@ -4,6 +4,7 @@ use std::fmt;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::time::Duration;
 use tokio::time::Instant;
 
 use tokio_scip::State;
@@ -13,15 +14,18 @@ use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
+use crate::output::stderr;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::{Delivery, open};
-use crate::recording::progress::RecordingProgress;
 use crate::recording::recorded::Recorded;
 use crate::recording::split::{SplitLimit, SyncInterval};
 use crate::recording::totals::RecordTotals;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;
+
+/// Minimum time between updates of the progress line, so that you can read it.
+const REFRESH_INTERVAL: Duration = Duration::from_millis(200);
 
 /// Record scans, and every reply of the sensor, into a file
 ///
@@ -114,7 +118,7 @@ impl Record {
             recorder,
             feed: Feed::new(&port, scans),
             reporter: Reporter::new(port, sensor).with_rate(window, rate),
-            progress: RecordingProgress::new(),
+            refresh_at: Instant::now(),
             began: Instant::now(),
         };
         run.run(&self.pace, interrupt, &target).await
@@ -246,7 +250,8 @@ struct RecordRun {
     recorder: Recorder,
     feed: Feed,
     reporter: Reporter,
-    progress: RecordingProgress,
+    /// When the progress line may change again.
+    refresh_at: Instant,
     began: Instant,
 }
 
@@ -257,7 +262,7 @@ impl RecordRun {
         interrupt: &Interrupt,
         target: &RecordTarget,
     ) -> Result<(), Failure> {
-        let Self { recorder, feed, reporter, progress, began } = &mut self;
+        let Self { recorder, feed, reporter, refresh_at, began } = &mut self;
         let mut is_late = false;
         let take = async |update: Update| {
             reporter.report(&update);
@@ -274,7 +279,11 @@ impl RecordRun {
                      is delayed, but more is lost if the power fails",
                 );
             }
-            progress.show(|| {
+            if Instant::now() < *refresh_at {
+                return Ok(());
+            }
+            *refresh_at = Instant::now() + REFRESH_INTERVAL;
+            stderr::show(|| {
                 let away = match reporter.sensor.state().get() {
                     State::Connected { .. } => "",
                     _ => "; sensor away",

@@ -2,7 +2,6 @@
 //! of `urg record`.
 
 pub(crate) mod contents;
-pub(crate) mod progress;
 pub(crate) mod recorded;
 pub(crate) mod reel;
 pub(crate) mod rewrite;
