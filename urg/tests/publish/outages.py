@@ -149,8 +149,13 @@ def judge(reader, begin, end, depth, strict):
     new = lambda: [scan for scan in after() if scan[1] >= end - 0.2]
     wait("scans after the outage", lambda: len(new()) >= 30, 20)
     back = new()[0][0] - end
-    burst = [scan for scan in after() if scan[0] - scan[1] > 0.5]
-    oldest = max((scan[0] - scan[1] for scan in after()), default=0)
+    # Without those that a busy machine delays after the outage.
+    burst = [scan for scan in after() if scan[0] - scan[1] > 0.5 and scan[1] < end - 0.2]
+    # `urg` may be stopped with one scan on its way.
+    on_its_way = [scan for scan in burst if scan[1] < begin]
+    if strict and len(on_its_way) == 1:
+        burst.remove(on_its_way[0])
+    oldest = max((scan[0] - scan[1] for scan in burst), default=0)
     gaps = [b[0] - a[0] for a, b in zip(new(), new()[1:])]
     node = next((scan[0] - end for scan in after() if scan[2] >= 1), 99)
     text = f"back after {back:.1f} s, {len(burst)} old, oldest {oldest:.1f} s, node after {node:.1f} s"
