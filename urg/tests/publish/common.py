@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import time
+import traceback
 from pathlib import Path
 
 PROGRAM = sys.argv[1]
@@ -15,6 +16,15 @@ RECORDING = Path(sys.argv[2])
 BEYOND_RANGE = {0, 6, 16, 4095}
 # Angles are single precision, which is worth some nanoseconds; NDJSON has microseconds.
 TOLERANCE = 2_000
+
+
+def end(*failure):
+    """Ends with a failure at once. Threads and sessions of a reader would keep the process."""
+    traceback.print_exception(*failure)
+    os._exit(1)
+
+
+sys.excepthook = end
 
 
 def single(number):

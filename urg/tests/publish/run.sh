@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Publishes to readers that others wrote: tests/publish/run.sh PROGRAM [core]. See the README
-# beside it. `core` is what CI runs: the half that takes three minutes.
+# beside it. `core` is what CI runs: the half that takes two minutes.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 program=$(realpath "$1")

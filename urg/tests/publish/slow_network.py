@@ -13,7 +13,6 @@ import subprocess
 import sys
 import threading
 import time
-import traceback
 
 import zenoh
 
@@ -225,11 +224,6 @@ def a_link_that_is_too_slow():
     router.kill(), router.wait()
 
 
-try:
-    a_router_that_hangs()
-    a_link_that_is_too_slow()
-except BaseException:
-    # Sessions of zenoh would keep the process.
-    traceback.print_exc()
-    os._exit(1)
+a_router_that_hangs()
+a_link_that_is_too_slow()
 os._exit(0)
