@@ -248,15 +248,6 @@ async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_in_scip_2_is_back_in_scip_1_after_a_restart() {
-    let emulator = instant_sensor().mode(Mode::Scip2).build();
-    let mut link = emulator.link();
-    assert_eq!(ask(&mut link, "V").await, "V\n0Eu\n\n");
-    emulator.power_cycle();
-    assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
     assert_eq!(RepeatedLaser::default(), RepeatedLaser::Status0, "which all clients accept");
     for (setting, status) in [(RepeatedLaser::Status0, '0'), (RepeatedLaser::Status2, '2')] {

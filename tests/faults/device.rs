@@ -7,7 +7,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 use tokio_scip::protocol::Malformed;
-use tokio_scip::{BaudRate, Error, Measurement, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, Measurement, Rate, Window};
 
 use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
 use crate::common::{builder, ms, request_of};
@@ -57,21 +57,6 @@ async fn d02_nothing_is_polled_after_laser_off_and_a_reset_sensor_is_switched_of
     assert!(count <= sensor.stats().polls, "polled while the laser was off");
     sensor.laser_on().await.unwrap();
     scans(&mut stream, 2).await;
-}
-
-#[tokio::test(start_paused = true)]
-async fn d02_a_laser_that_was_off_is_switched_off_again_after_a_reset() {
-    let emulator = instant_sensor().usb().build();
-    let sensor = open(&emulator).await;
-    sensor.laser_off().await.unwrap();
-    let mut state = sensor.state();
-    emulator.unplug();
-    state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
-    emulator.power_cycle();
-    emulator.plug_in();
-    assert!(emulator.is_laser_on());
-    state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
-    assert!(!emulator.is_laser_on());
 }
 
 #[tokio::test(start_paused = true)]

@@ -18,21 +18,6 @@ use crate::common::{ConnectFn, builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 
-#[tokio::test(start_paused = true)]
-async fn a02_a_consumer_of_one_scan_a_minute_gets_the_newest_one() {
-    let emulator = instant_sensor().build();
-    let sensor = builder().connect(emulator.clone()).await.unwrap();
-    let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
-    for _ in 0..10 {
-        let scan = stream.next().await.unwrap().unwrap();
-        let age = scan.age();
-        assert!(age <= ms(101), "the scan is {age:?} old");
-        tokio::time::sleep(Duration::from_secs(60)).await;
-    }
-    assert!(emulator.counts().scans > 9 * 600);
-    assert!(stream.missed() > 8 * 599, "{}", stream.missed());
-}
-
 /// A runtime with a paused clock.
 fn runtime() -> tokio::runtime::Runtime {
     Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering::Relaxed};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
+use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{sleep, timeout};
@@ -38,11 +39,11 @@ impl Ending {
 }
 
 impl Connect for Ending {
-    type Port = EndingPort;
+    type Port = TestPort<EndingPort>;
 
-    async fn connect(&mut self) -> Result<EndingPort, Error> {
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
         self.connects.fetch_add(1, Relaxed);
-        Ok(EndingPort { link: self.emulator.link(), of: self.clone() })
+        Ok(TestPort(EndingPort { link: self.emulator.link(), of: self.clone() }))
     }
 }
 
@@ -51,45 +52,25 @@ struct EndingPort {
     of: Ending,
 }
 
-impl AsyncRead for EndingPort {
-    fn poll_read(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        buffer: &mut ReadBuf<'_>,
-    ) -> Poll<io::Result<()>> {
+impl FarEnd for EndingPort {
+    fn read(&mut self, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         match (self.is_over(), self.of.end) {
             (false, _) => Pin::new(&mut self.link).poll_read(cx, buffer),
             (true, End::Nothing) => Poll::Ready(Ok(())),
             (true, End::Failure) => Poll::Ready(Err(io::ErrorKind::InvalidData.into())),
         }
     }
-}
 
-impl AsyncWrite for EndingPort {
-    fn poll_write(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-        bytes: &[u8],
-    ) -> Poll<io::Result<usize>> {
+    fn write(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         Pin::new(&mut self.link).poll_write(cx, bytes)
-    }
-
-    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-
-    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
-        Poll::Ready(Ok(()))
-    }
-}
-
-impl Port for EndingPort {
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.link.set_baud_rate(baud_rate)
     }
 
     fn baud_rate(&self) -> Option<BaudRate> {
         self.link.baud_rate()
+    }
+
+    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.link.set_baud_rate(baud_rate)
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {

@@ -41,21 +41,6 @@ async fn a_motor_a_little_slow_or_fast_is_polled_every_revolution() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn polls_lie_on_the_grid_without_drift() {
-    let emulator = truthful().pace(Pace::AtOnce).build();
-    let sensor = open(&emulator).await;
-    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let scans = take(&mut stream, 36_000).await;
-    let start = scans[0].requested_at();
-    for (n, scan) in (0..).zip(&scans) {
-        let place = ms(100) * n;
-        let late = scan.requested_at() - start;
-        assert!(late >= place && late - place <= ms(1), "scan {n} is at {late:?}");
-        assert_eq!(scan.sequence(), u64::from(n));
-    }
-}
-
-#[tokio::test(start_paused = true)]
 async fn t06_a_line_that_is_too_slow_is_polled_at_its_own_rate_and_reported_once() {
     let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;

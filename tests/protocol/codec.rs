@@ -57,18 +57,6 @@ fn a_codec_that_was_reset_knows_nothing_of_what_came_before() {
 }
 
 #[test]
-fn w16_a_reply_is_found_however_it_is_split() {
-    let bytes = b"G00076801\n0\n0123456789\n\nL0\n0\n\n";
-    for split in 0..=bytes.len() {
-        let (frames, rest) = decode([&bytes[..split], &bytes[split..]]);
-        assert_eq!(frames.len(), 2, "split at {split}");
-        assert!(rest.is_empty());
-    }
-    let (frames, _) = decode(bytes.chunks(1));
-    assert_eq!(frames, [reply(b"G00076801\n0\n0123456789"), reply(b"L0\n0")]);
-}
-
-#[test]
 fn w18_leading_nuls_are_skipped_and_inner_ones_are_not() {
     let (frames, _) = decode([&b"\0\0"[..], b"\0V\n0\n\n\0L1\0\n0\n\n"]);
     assert_eq!(frames, [reply(b"V\n0"), reply(b"L1\0\n0")]);
