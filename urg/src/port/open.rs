@@ -40,16 +40,7 @@ pub(crate) async fn open(
     link: &LinkArgs,
     delivery: Delivery,
 ) -> Result<Sensor, Failure> {
-    open_with(port, link, delivery, Sensor::builder()).await
-}
-
-pub(crate) async fn open_with(
-    port: &PortName,
-    link: &LinkArgs,
-    delivery: Delivery,
-    builder: SensorBuilder,
-) -> Result<Sensor, Failure> {
-    let sensor = begin(port, link, delivery, builder)?;
+    let sensor = begin(port, link, delivery, Sensor::builder())?;
     opened(port, link, &sensor).await?;
     Ok(sensor)
 }
