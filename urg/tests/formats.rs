@@ -13,6 +13,17 @@ pub(crate) fn values(scan: &Value) -> Vec<u64> {
     scan["values"].as_array().unwrap().iter().map(|value| value.as_u64().unwrap()).collect()
 }
 
+/// Returns the next event of this name. Only scans and errors may precede it.
+pub(crate) fn event(name: &str, mut line: impl FnMut() -> String) -> Value {
+    loop {
+        let line: Value = serde_json::from_str(&line()).unwrap();
+        if line["event"] == name {
+            return line;
+        }
+        assert!(line["event"].is_null() || line["event"] == "error", "{line}");
+    }
+}
+
 /// Asserts that all fields of a scan fit together as documented.
 pub(crate) fn check(scan: &Value) {
     let field = |name: &str| scan[name].as_f64().unwrap_or_else(|| panic!("{name} in {scan}"));

@@ -4,11 +4,10 @@ use std::collections::HashMap;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use serde_json::Value;
 use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 use tokio_scip::{Sensor, Window};
 
-use super::formats::{check, scans, values};
+use super::formats::{check, event, scans, values};
 use super::program::{Emulated, Running, Scratch, run};
 
 /// The argument for an emulated sensor with a fast motor, so that tests are fast.
@@ -116,16 +115,7 @@ fn a_stream_goes_on_when_its_sensor_is_unplugged_and_comes_back() {
     let mut stream = Running::start(&format!("stream {}", link.path()));
     stream.line();
     sensor.running.signal("INT");
-    let event = |event: &str, stream: &mut Running| {
-        loop {
-            let line: Value = serde_json::from_str(&stream.line()).unwrap();
-            if line["event"] == event {
-                return line;
-            }
-            assert!(line["event"].is_null() || line["event"] == "error", "{line}");
-        }
-    };
-    let lost = event("disconnected", &mut stream);
+    let lost = event("disconnected", || stream.line());
     assert!(lost["error"].as_str().unwrap().contains("lost"), "{lost}");
     let lost = format!("the link to {} is lost", link.path());
     let notice = stream.notice();
@@ -133,7 +123,10 @@ fn a_stream_goes_on_when_its_sensor_is_unplugged_and_comes_back() {
     assert_eq!(notice.matches(link.path()).count(), 1, "{notice}");
     drop(sensor);
     let _sensor = Emulated::start(&format!("--link {}", link.path()));
-    assert_eq!(event("reconnected", &mut stream), serde_json::json!({ "event": "reconnected" }));
+    assert_eq!(
+        event("reconnected", || stream.line()),
+        serde_json::json!({ "event": "reconnected" })
+    );
     check(&serde_json::from_str(&stream.line()).unwrap());
     stream.signal("INT");
     stream.rest();

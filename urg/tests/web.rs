@@ -6,7 +6,7 @@ use std::time::Instant;
 use serde_json::Value;
 use tokio_scip::emulator::{Emulator, Fault, Faults};
 
-use super::formats::{check, values};
+use super::formats::{check, event, values};
 use super::http::{Client, Response};
 use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure};
 
@@ -184,19 +184,10 @@ fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
     assert_eq!(health["status"], "failing");
     assert!(health["sensors"][0]["why"].as_str().unwrap().contains("lost"), "{health}");
     assert_eq!(served.state()["link"], "disconnected");
-    let mut event = |event: &str| {
-        loop {
-            let line: Value = serde_json::from_str(&scans.line().unwrap()).unwrap();
-            if line["event"] == event {
-                return;
-            }
-            assert!(line["event"].is_null() || line["event"] == "error", "{line}");
-        }
-    };
-    event("disconnected");
+    event("disconnected", || scans.line().unwrap());
 
     let _sensor = Emulated::start(&format!("--link {}", link.path()));
-    event("reconnected");
+    event("reconnected", || scans.line().unwrap());
     served.health(200);
     assert_eq!(served.state()["link"], "connected");
 }
