@@ -114,12 +114,16 @@ pub(super) enum Health {
 
 /// Open engine.
 pub(super) trait Engine: Sized + Send + 'static {
+    /// What an engine leaves to the one that is opened after it.
+    type Memory: Default;
+
     /// Opens the engine with publishers for each node, which count their scans in `counts`.
     /// Blocks. The error explains why the network is unavailable; the caller retries.
     fn open(
         settings: &EngineSettings,
         nodes: &[NodeSpec],
         counts: &[Arc<ScanCounts>],
+        memory: &Self::Memory,
     ) -> Result<(Self, Vec<NodePublishers>), String>;
 
     /// Checks from outside whether the engine works. Called at regular intervals. May block for

@@ -32,10 +32,13 @@ pub(super) struct Foxglove {
 }
 
 impl Engine for Foxglove {
+    type Memory = ();
+
     fn open(
         settings: &EngineSettings,
         nodes: &[NodeSpec],
         counts: &[Arc<ScanCounts>],
+        (): &(),
     ) -> Result<(Self, Vec<NodePublishers>), String> {
         let failed = |error: FoxgloveError| {
             format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))

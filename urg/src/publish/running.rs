@@ -3,7 +3,6 @@
 //! It is a thread because opening and closing block, and zenoh refuses both inside tokio's
 //! current-thread runtime.
 
-use std::marker::PhantomData;
 use std::net::{IpAddr, UdpSocket};
 use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError};
 use std::sync::{Arc, PoisonError};
@@ -115,7 +114,7 @@ fn start<E: Engine>(
                 stop: &stopped,
                 network: NetworkNotices::of(&nodes),
                 restarts: 0,
-                engine: PhantomData,
+                memory: E::Memory::default(),
             };
             if let Err(failure) = engine.run() {
                 // The receiver is gone during shutdown.
@@ -127,7 +126,7 @@ fn start<E: Engine>(
 }
 
 /// State of the engine's thread.
-struct Watched<'a, E> {
+struct Watched<'a, E: Engine> {
     settings: &'a EngineSettings,
     nodes: &'a [NodeSpec],
     counts: &'a [Arc<ScanCounts>],
@@ -136,7 +135,7 @@ struct Watched<'a, E> {
     network: NetworkNotices,
     /// Number of consecutive restarts.
     restarts: u32,
-    engine: PhantomData<E>,
+    memory: E::Memory,
 }
 
 /// Why an engine is closed.
@@ -169,7 +168,7 @@ impl<E: Engine> Watched<'_, E> {
         loop {
             let opened = match missing_address(self.settings.interface) {
                 Some(why) => Err(why),
-                None => E::open(self.settings, self.nodes, self.counts),
+                None => E::open(self.settings, self.nodes, self.counts, &self.memory),
             };
             match opened {
                 Ok(opened) => return Some(opened),
@@ -301,10 +300,13 @@ mod tests {
     static OPENED: AtomicU32 = AtomicU32::new(0);
 
     impl Engine for Dead {
+        type Memory = ();
+
         fn open(
             _: &EngineSettings,
             _: &[NodeSpec],
             _: &[Arc<ScanCounts>],
+            (): &(),
         ) -> Result<(Self, Vec<NodePublishers>), String> {
             OPENED.fetch_add(1, Ordering::Relaxed);
             Ok((Self, Vec::new()))

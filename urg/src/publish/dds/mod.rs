@@ -26,7 +26,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use self::log::Log;
-use self::neighbours::Neighbours;
+use self::neighbours::{Heard, Neighbours};
 use self::network::Network;
 use self::participant::{Setup, Write, with_writers};
 use self::pulse::Pulse;
@@ -90,15 +90,18 @@ pub(super) struct Dds {
 }
 
 impl Engine for Dds {
+    type Memory = Heard;
+
     fn open(
         settings: &EngineSettings,
         specs: &[NodeSpec],
         counts: &[Arc<ScanCounts>],
+        heard: &Heard,
     ) -> Result<(Self, Vec<NodePublishers>), String> {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
-        let neighbours = Neighbours::listen(settings.domain, network.used())
+        let neighbours = Neighbours::listen(settings.domain, network.used(), heard)
             .map_err(|error| format!("cannot listen to other participants: {error}"))?;
         let transforms = settings.static_transforms();
         let setup = Setup {

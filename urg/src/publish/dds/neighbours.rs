@@ -8,6 +8,7 @@
 use std::collections::HashMap;
 use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
@@ -24,15 +25,20 @@ const LEASE: Duration = Duration::from_secs(19);
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
 const MAX_NEIGHBOURS: usize = 10_000;
 
+/// When each participant was last heard. Outlives Cyclone's participant: another one may answer the
+/// new participant directly, and then be silent before it announces itself to all.
+pub(super) type Heard = Arc<Mutex<HashMap<Prefix, Instant>>>;
+
 /// Listener for announcements.
 pub(super) struct Neighbours {
     socket: UdpSocket,
-    heard: HashMap<Prefix, Instant>,
+    heard: Heard,
     looked: (Instant, SystemTime),
 }
 
 impl Neighbours {
-    pub(super) fn listen(domain: u16, interfaces: &[Ipv4Addr]) -> io::Result<Self> {
+    /// Gives each participant in `heard` a new lease: any of them may know the new participant.
+    pub(super) fn listen(domain: u16, interfaces: &[Ipv4Addr], heard: &Heard) -> io::Result<Self> {
         let port = 7400 + 250 * u32::from(domain);
         let port = u16::try_from(port).map_err(io::Error::other)?;
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
@@ -45,7 +51,8 @@ impl Neighbours {
             let _ = socket.join_multicast_v4(&GROUP, interface);
         }
         let looked = (Instant::now(), SystemTime::now());
-        Ok(Self { socket: socket.into(), heard: HashMap::new(), looked })
+        lock(heard).values_mut().for_each(|last| *last = looked.0);
+        Ok(Self { socket: socket.into(), heard: Arc::clone(heard), looked })
     }
 
     /// Checks whether a forgotten participant is back. Also true if this process itself was
@@ -75,11 +82,16 @@ impl Neighbours {
 
     /// Notes an announcement. True if the participant had been forgotten.
     fn hear(&mut self, sender: Prefix, now: Instant) -> bool {
-        if self.heard.len() >= MAX_NEIGHBOURS {
-            self.heard.clear();
+        let mut heard = lock(&self.heard);
+        if heard.len() >= MAX_NEIGHBOURS {
+            heard.clear();
         }
-        self.heard.insert(sender, now).is_some_and(|before| now - before > LEASE)
+        heard.insert(sender, now).is_some_and(|before| now - before > LEASE)
     }
+}
+
+fn lock(heard: &Heard) -> MutexGuard<'_, HashMap<Prefix, Instant>> {
+    heard.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -88,7 +100,7 @@ mod tests {
 
     #[test]
     fn a_participant_that_was_silent_for_its_lease_is_back() {
-        let mut neighbours = Neighbours::listen(0, &[]).unwrap();
+        let mut neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(!neighbours.hear([1; 12], start), "it is new");
@@ -99,8 +111,20 @@ mod tests {
     }
 
     #[test]
+    fn a_participant_that_was_last_heard_before_a_reopening_is_back_after_its_lease() {
+        let heard = Heard::default();
+        let mut before = Neighbours::listen(0, &[], &heard).unwrap();
+        before.hear([1; 12], Instant::now());
+        before.hear([2; 12], Instant::now());
+        let mut after = Neighbours::listen(0, &[], &heard).unwrap();
+        let reopened = Instant::now();
+        assert!(!after.hear([1; 12], reopened + Duration::from_secs(15)), "it has a new lease");
+        assert!(after.hear([2; 12], reopened + Duration::from_secs(42)));
+    }
+
+    #[test]
     fn a_process_that_was_stopped_is_back_itself() {
-        let mut neighbours = Neighbours::listen(0, &[]).unwrap();
+        let mut neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
         assert!(!neighbours.is_one_back());
         neighbours.looked.0 -= LEASE + Duration::from_secs(1);
         assert!(neighbours.is_one_back());

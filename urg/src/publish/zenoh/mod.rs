@@ -51,10 +51,13 @@ pub(super) struct Zenoh {
 }
 
 impl Engine for Zenoh {
+    type Memory = ();
+
     fn open(
         settings: &EngineSettings,
         specs: &[NodeSpec],
         counts: &[Arc<ScanCounts>],
+        (): &(),
     ) -> Result<(Self, Vec<NodePublishers>), String> {
         let config = config(settings).map_err(|error| format!("cannot set up zenoh: {error}"))?;
         let session = zenoh::open(config)
