@@ -232,12 +232,12 @@ impl<'a> Radar<'a> {
     fn sensor(&self, buffer: &mut Buffer, free: &mut LabelSpace, number: usize, layer: &Layer) {
         let eighths = (pose::yaw(layer.pose) / 45.0).round().rem_euclid(8.0) as usize;
         let arrow = ARROWS.get(eighths).copied().unwrap_or("▲");
-        let (text, color) = if self.model.has_several() {
-            (format!("{arrow}{}", sign(number)), self.palette.sensor(number))
+        let bold = Style::new().add_modifier(Modifier::BOLD);
+        let (text, style) = if self.model.has_several() {
+            (format!("{arrow}{}", sign(number)), bold.fg(self.palette.sensor(number)))
         } else {
-            (arrow.to_owned(), self.palette.distance(f64::MAX))
+            (arrow.to_owned(), bold)
         };
-        let style = Style::new().fg(color).add_modifier(Modifier::BOLD);
         let place = layer.place(0.0, 0.0);
         for (columns, rows) in
             [(0.0, 0.0), (3.0, 0.0), (-3.0, 0.0), (0.0, 1.0), (0.0, -1.0), (6.0, 0.0), (-6.0, 0.0)]
