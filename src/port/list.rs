@@ -45,8 +45,7 @@ impl serde::Serialize for UsbId {
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct PortInfo {
-    /// Path to open: `/dev/ttyACM0`, `COM3`. It depends on the order in which you plug
-    /// devices in.
+    /// Path to open: `/dev/ttyACM0`, `COM3`. It can change when you unplug the device.
     pub path: String,
     /// Id of the USB device that the port belongs to, if any. A sensor on a USB adapter
     /// has the id of the adapter.

@@ -253,9 +253,8 @@ impl Window {
         f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
     }
 
-    /// Largest number of points by which a poll is widened to make it differ from the
-    /// polls before it. The driver chooses the number, and a replay recognises the
-    /// choice.
+    /// The driver adds at most this many points to a poll, so that it differs from the
+    /// previous ones. A replay recognises such polls.
     pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
 
     /// Creates the window of one step.

@@ -34,8 +34,8 @@ pub struct CutOutcome {
 /// files of a split recording as `inputs`, in their order.
 ///
 /// Messages of all topics keep their bytes, times and numbers. You can replay the copy: it gets the
-/// metadata and the sensor's version even if they lie before the part. The version then has the
-/// time at which the part begins.
+/// metadata and the sensor's version even if they lie before the part. The version is then dated to
+/// the start of the part.
 ///
 /// Blocks the thread, and reads all inputs up to the end of the part.
 ///
@@ -43,7 +43,8 @@ pub struct CutOutcome {
 ///
 /// Fails with [`RecordingError::NotMcap`] if an input is no recording,
 /// [`RecordingError::Compressed`] if this build does not read its compression,
-/// [`RecordingError::Read`] if reading fails, and [`RecordingError::Write`] if writing does. The output is then incomplete.
+/// [`RecordingError::Read`] if reading fails, and [`RecordingError::Write`] if
+/// writing does. The output is then incomplete.
 ///
 /// ```no_run
 /// use std::fs::File;

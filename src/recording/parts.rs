@@ -10,8 +10,8 @@ use super::RecordingError;
 use super::file::RecordingFile;
 use super::output::Output;
 
-/// Number of index entries at which a file ends. Less than the maximum, because the file
-/// gets further chunks until it can be split.
+/// With this many index entries, a file is split at the next opportunity. Less than the maximum,
+/// because the file grows until then.
 pub(super) const MAX_PART_ENTRIES: usize = 65_000;
 /// A file time before 2020 comes from a clock that was not set yet, and tells nothing
 /// about the file's age.

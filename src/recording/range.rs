@@ -34,7 +34,8 @@ impl TimeRange {
         Self { limits, first: None, has_version: false, is_begin_wanted: true }
     }
 
-    /// Returns the log time at which the part begins: once, as soon as it is known.
+    /// Returns the start of the part, as a log time, the first time that it is known, and then
+    /// `None`.
     pub(super) fn take_begin(&mut self) -> Option<SystemTime> {
         let first = self.first.filter(|_| self.has_version && self.is_begin_wanted)?;
         self.is_begin_wanted = false;

@@ -26,7 +26,7 @@ const METADATA_SEARCH_BYTES: u64 = 1 << 20;
 /// Reason for damage that no checksum covers.
 const MALFORMED: &str = "a message is malformed, or its channel is not defined";
 
-/// Recording as an iterator over its records, in the order in which they were written.
+/// Iterates over the records of a recording, in file order.
 ///
 /// A missing end is no error: after the process died or the disk was full, you get
 /// everything recorded before, and then [`is_truncated`](Self::is_truncated) returns true.
@@ -60,8 +60,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Opens a recording and reads up to its metadata: at most its first 256 messages, and
-    /// the chunk in which its first MiB ends.
+    /// Opens a recording and reads up to its metadata: at most 256 messages, and at most one
+    /// chunk beyond the first MiB.
     ///
     /// # Errors
     ///

@@ -84,7 +84,7 @@ impl Recorder {
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
     /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// // The service runs. Somebody asks for a recording of its next ten scans.
+    /// // Record the next ten scans of a sensor that is already open.
     /// let mut recorder = Recorder::builder().write_to(Vec::new())?;
     /// recorder.observe(&sensor);
     /// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;

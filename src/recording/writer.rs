@@ -273,7 +273,7 @@ mod tests {
         std::fs::remove_file(&path).unwrap();
     }
 
-    /// A file that waits for a scan at which it can end gets further chunks meanwhile.
+    /// A file can only be split at a scan, and grows until one comes.
     #[test]
     fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
         let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));

@@ -41,7 +41,7 @@ enum Write {
 #[derive(Debug)]
 struct ModelWriter {
     writes: &'static [Write],
-    /// Entry from which to wake readers. `None` between two writes.
+    /// Next reader to wake. `None` between two writes.
     entry: Option<usize>,
     /// Wakers that it has taken and not called yet.
     wakers: Vec<Waker>,

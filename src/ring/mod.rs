@@ -63,7 +63,7 @@ enum ReaderState {
 pub(crate) struct Pushed {
     /// The scan that it displaced, if the ring was full.
     pub(crate) displaced: Option<Scan>,
-    /// True if its values equal those of the scan before it.
+    /// True if the scan has the same values as the previous one.
     pub(crate) repeats: bool,
     /// Number of scans that readers have missed so far.
     pub(crate) missed: u64,

@@ -15,9 +15,9 @@ use crate::protocol::{Measurement, Window};
 /// times. The frame is the sensor's: x forward, y to the left, angles counter-clockwise from
 /// the front (REP 103).
 ///
-/// Two scans are equal if their windows, values, numbers and stamps are. The times at which
-/// this process got them, [`requested_at`](Self::requested_at) and
-/// [`received_at`](Self::received_at), are not compared.
+/// `==` compares windows, values, numbers and stamps, but not
+/// [`requested_at`](Self::requested_at) and [`received_at`](Self::received_at), which are
+/// times of this process.
 ///
 /// The driver makes scans. To test a function that takes a `&Scan`, make one from any values
 /// with [`Scan::builder`].
@@ -67,7 +67,8 @@ impl Scan {
         Self { window, values, first, first_cluster: window.first_cluster(), meta }
     }
 
-    /// Marks this scan if its values equal those of `latest`. Returns whether they do.
+    /// Compares the values with those of `latest`, and marks this scan as a repeat if they are
+    /// equal.
     pub(crate) fn note_repeat_of(&mut self, latest: &Self) -> bool {
         self.meta.repeat = self.values() == latest.values();
         self.meta.repeat

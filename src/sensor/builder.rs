@@ -50,8 +50,8 @@ impl SensorBuilder {
     /// Sets the name of the sensor in logs and errors. Default: the name of the
     /// [port](Connect::name), such as `/dev/ttyACM0`.
     ///
-    /// The driver logs inside a span `sensor` with this `name`. The parent of the span is the span
-    /// in which you build the driver.
+    /// The driver logs inside a span `sensor` with this `name`, a child of the span that is
+    /// current when you build the driver.
     pub fn name(mut self, name: impl Into<String>) -> Self {
         self.config.name = Some(name.into().into());
         self
@@ -185,9 +185,8 @@ impl SensorBuilder {
     /// Sets an observer of every reply, to record or log the bytes that the sensor sent.
     ///
     /// The driver calls your observer in its task, once for each frame, including fences and
-    /// malformed replies, and before it delivers a scan. The observer must not block. Several
-    /// observers are called in the order in which you set them. To observe a sensor that is
-    /// already open, use [`Sensor::observe_replies`].
+    /// malformed replies, and before it delivers a scan. The observer must not block. You can
+    /// set several; they are called in order. To observe a sensor that is already open, use [`Sensor::observe_replies`].
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window, emulator::Emulator};

@@ -16,7 +16,7 @@ use crate::ring::Ring;
 use crate::stats::{ScheduleStats, Stats};
 use crate::{BaudRate, Error};
 
-/// Interval at which a driver that waits for its sensor logs each reason again.
+/// A driver that waits for its sensor repeats each reason in the log after this time.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
 
 #[derive(Debug)]

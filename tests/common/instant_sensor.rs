@@ -50,7 +50,7 @@ impl InstantSensor {
         Self { line: Vec::with_capacity(64), reply: Vec::with_capacity(2048), ..Self::default() }
     }
 
-    /// Returns one that wakes nobody who waits for its reply.
+    /// Does not wake its reader when a reply is ready.
     pub(crate) fn without_wakeups() -> Self {
         Self { is_silent: true, ..Self::new() }
     }

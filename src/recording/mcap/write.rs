@@ -7,7 +7,7 @@ use std::io::{self, Write};
 use super::index::{ChunkMessages, ChunkPlace, Index};
 use super::{CHUNK_HEAD, MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
 
-/// Approximate size from which a chunk is written without waiting for its end.
+/// A chunk is written before a message makes it longer than this. Until then it waits for a flush.
 const CHUNK_BYTES: usize = 768 << 10;
 
 /// Writes an MCAP file without compression.

@@ -25,8 +25,8 @@ const REAR: i32 = -128;
 /// Steps in a full revolution of the motor (p. 7).
 const STEPS: i32 = 1024;
 
-/// Area in the sensor's frame, a sector or a polygon, and the rule by which a scan shows it
-/// clear.
+/// Sector or polygon in the sensor's frame, and the rule that decides whether a scan shows it
+/// to be clear.
 ///
 /// ```
 /// use tokio_scip::scan::{CountsAs, Sector, ZoneState, Zone};
