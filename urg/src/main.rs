@@ -9,6 +9,7 @@ mod first;
 mod format;
 mod interrupt;
 mod output;
+mod picture;
 mod playback;
 mod plot;
 mod port;

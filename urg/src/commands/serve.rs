@@ -12,7 +12,8 @@ use crate::args::{LinkArgs, listen_address};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::port::named::{NamedPort, PictureArgs, PlacedPort};
+use crate::picture::PictureArgs;
+use crate::port::named::{NamedPort, PlacedPort};
 use crate::web::{self, Hub, Site, SiteSource};
 
 /// Send buffer of the system for each client, about ten scans. A slow client lags by at most

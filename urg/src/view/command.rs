@@ -7,7 +7,8 @@ use super::{ViewedSensor, Viewer};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::port::named::{PictureArgs, PlacedPort};
+use crate::picture::PictureArgs;
+use crate::port::named::PlacedPort;
 use crate::port::open::{Delivery, begin, opened};
 use crate::stream::follow::StreamEnd;
 
