@@ -236,7 +236,8 @@ impl<'a> Radar<'a> {
         let (text, style) = if self.model.has_several() {
             (format!("{arrow}{}", sign(number)), bold.fg(self.palette.sensor(number)))
         } else {
-            (arrow.to_owned(), bold)
+            // Otherwise the arrow takes the colour of a point in its cell.
+            (arrow.to_owned(), bold.fg(Color::Reset))
         };
         let place = layer.place(0.0, 0.0);
         for (columns, rows) in
