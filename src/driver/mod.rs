@@ -151,7 +151,7 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, 
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
     let telemetry = Arc::new(Telemetry::new(name));
     let (request_timeout, depth) = (config.request_timeout, config.depth);
-    // A copy: a builder can create several drivers, which must not share observers.
+    // A copy: a clone of the builder may create another driver, which must not share it.
     let observers = Arc::new(ReplyObservers::clone(&config.observers));
     config.observers = Arc::clone(&observers);
     let supervisor =
