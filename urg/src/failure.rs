@@ -11,6 +11,8 @@ pub(crate) enum Failure {
     Failed(String),
     /// The reader of standard output, such as `head`, closed the pipe: exit code 0.
     PipeClosed,
+    /// The user stopped the program before it had anything to finish: exit code 0.
+    Interrupted,
 }
 
 impl Failure {
@@ -29,11 +31,11 @@ impl Failure {
         }
     }
 
-    /// Message for the user; empty for `PipeClosed`.
+    /// Message for the user; empty if the exit code is 0.
     pub(crate) fn line(&self) -> &str {
         match self {
             Self::Usage(line) | Self::Failed(line) => line,
-            Self::PipeClosed => "",
+            Self::PipeClosed | Self::Interrupted => "",
         }
     }
 }

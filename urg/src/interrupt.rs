@@ -55,19 +55,15 @@ impl Interrupt {
         tokio::time::sleep_until(deadline).await;
     }
 
-    pub(crate) async fn unless<T>(&self, work: impl Future<Output = T>) -> Option<T> {
-        tokio::select! {
-            done = work => Some(done),
-            _ = self.requested() => None,
-        }
-    }
-
-    /// Runs a command, and drops it on an interrupt, which counts as success.
-    pub(crate) async fn or(
+    /// Waits for `work`, and drops it on an interrupt.
+    pub(crate) async fn unless<T>(
         &self,
-        command: impl Future<Output = Result<(), Failure>>,
-    ) -> Result<(), Failure> {
-        self.unless(command).await.unwrap_or(Ok(()))
+        work: impl Future<Output = Result<T, Failure>>,
+    ) -> Result<T, Failure> {
+        tokio::select! {
+            done = work => done,
+            _ = self.requested() => Err(Failure::Interrupted),
+        }
     }
 }
 

@@ -124,7 +124,7 @@ fn main() -> ExitCode {
             .map_err(|error| output::stdout::failure(&error)),
     };
     let code = match outcome {
-        Ok(()) | Err(Failure::PipeClosed) => ExitCode::SUCCESS,
+        Ok(()) | Err(Failure::PipeClosed | Failure::Interrupted) => ExitCode::SUCCESS,
         Err(Failure::Failed(line)) => {
             notice(line);
             ExitCode::FAILURE
@@ -188,14 +188,16 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Command::Serve(serve) => serve.run(&interrupt).await,
         Command::Publish(publish) => publish.run(&interrupt).await,
         // These can be dropped at any await.
-        Command::List(list) => interrupt.or(list.run()).await,
-        Command::Info(info) => interrupt.or(info.run()).await,
-        Command::Scan(scan) => interrupt.or(scan.run()).await,
-        Command::Laser(laser) => interrupt.or(laser.run()).await,
-        Command::Baud(baud) => interrupt.or(baud.run()).await,
-        Command::Emulate(emulate) => interrupt.or(emulate.run()).await,
-        Command::Completions(completions) => interrupt.or(completions.run(Cli::command())).await,
-        Command::Man(man) => interrupt.or(man.run(Cli::command())).await,
+        Command::List(list) => interrupt.unless(list.run()).await,
+        Command::Info(info) => interrupt.unless(info.run()).await,
+        Command::Scan(scan) => interrupt.unless(scan.run()).await,
+        Command::Laser(laser) => interrupt.unless(laser.run()).await,
+        Command::Baud(baud) => interrupt.unless(baud.run()).await,
+        Command::Emulate(emulate) => interrupt.unless(emulate.run()).await,
+        Command::Completions(completions) => {
+            interrupt.unless(completions.run(Cli::command())).await
+        }
+        Command::Man(man) => interrupt.unless(man.run(Cli::command())).await,
     }
 }
 

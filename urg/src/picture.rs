@@ -6,7 +6,6 @@ use tokio_scip::Rate;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
-use crate::interrupt::Interrupt;
 use crate::playback::PlaybackArgs;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::named::{NamedPort, PlacedPort};
@@ -31,20 +30,8 @@ pub(crate) struct PictureArgs {
 }
 
 impl PictureArgs {
-    /// Resolves each port and its rate; `None` after an interrupt.
-    pub(crate) async fn polled(
-        &self,
-        interrupt: &Interrupt,
-    ) -> Result<Option<Vec<(PlacedPort, Rate)>>, Failure> {
-        let opened = interrupt.unless(self.polled_ports()).await;
-        let Some(mut polled) = opened.transpose()? else { return Ok(None) };
-        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
-        self.playback.apply(ports, self.rate.is_some())?;
-        Ok(Some(polled))
-    }
-
-    /// Several sensors need unique names.
-    async fn polled_ports(&self) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
+    /// Resolves each port and its rate. Several sensors need unique names.
+    pub(crate) async fn polled(&self) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
         if self.ports.is_empty() {
             return Err(missing_port().await);
         }
@@ -62,6 +49,8 @@ impl PictureArgs {
             let named = NamedPort { port, ..placed.named.clone() };
             polled.push((PlacedPort { named, pose: placed.pose }, rate));
         }
+        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
+        self.playback.apply(ports, self.rate.is_some())?;
         Ok(polled)
     }
 }

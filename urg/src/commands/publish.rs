@@ -155,8 +155,7 @@ impl Publish {
         let mut polled = Vec::new();
         for sensor in &self.sensors {
             let port = PortArg { name: Some(sensor.port.clone()) };
-            let opened = interrupt.unless(port.polled_at(self.rate)).await;
-            let Some((port, rate)) = opened.transpose()? else { return Ok(()) };
+            let (port, rate) = interrupt.unless(port.polled_at(self.rate)).await?;
             let window = self.window.window(port.default_window())?;
             polled.push((port, rate, window));
         }

@@ -90,8 +90,7 @@ pub(crate) struct Record {
 impl Record {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let Some(file) = &self.file else { return Err(self.without_file().await) };
-        let opened = interrupt.unless(self.port.polled_at(self.pace.rate)).await;
-        let Some((port, rate)) = opened.transpose()? else { return Ok(()) };
+        let (port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         if let Some(recorded) = port.recorded() {
             return Err(Failure::Usage(format!(
                 "{recorded} is a recording: `urg cut {} {}` copies it, or a part of it, \
@@ -101,8 +100,7 @@ impl Record {
             )));
         }
         let window = self.window.window(port.default_window())?;
-        let opened = interrupt.unless(self.target(file)).await;
-        let Some(mut target) = opened.transpose()? else { return Ok(()) };
+        let mut target = interrupt.unless(self.target(file)).await?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
             let mut recorder = target.record(self.builder())?;
@@ -112,8 +110,7 @@ impl Record {
             recorder.describe(&sensor, &scans).await.map_err(failed)?;
             Ok((sensor, scans, recorder))
         };
-        let opened = interrupt.unless(opening).await;
-        let Some((sensor, scans, recorder)) = opened.transpose()? else { return Ok(()) };
+        let (sensor, scans, recorder) = interrupt.unless(opening).await?;
         let run = RecordRun {
             recorder,
             feed: Feed::new(&port, scans),

@@ -78,13 +78,12 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Some(polled) = self.picture.polled(interrupt).await? else { return Ok(()) };
+        let polled = interrupt.unless(self.picture.polled()).await?;
         let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);
         let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
-        let sources = interrupt.unless(self.sources(polled)).await;
-        let Some(sources) = sources.transpose()? else { return Ok(()) };
+        let sources = interrupt.unless(self.sources(polled)).await?;
         let is_loopback = bound.ip().to_canonical().is_loopback();
         let site = Site::new(sources, is_loopback, interrupt);
         let hubs = site.sources().iter().filter_map(SiteSource::hub).map(Arc::clone);
@@ -96,8 +95,7 @@ impl Serve {
         }
         let link = &self.picture.link;
         if !link.wait {
-            let opened = interrupt.unless(going.open(link)).await;
-            let Some(()) = opened.transpose()? else { return Ok(()) };
+            interrupt.unless(going.open(link)).await?;
         }
         notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
         if !is_loopback {

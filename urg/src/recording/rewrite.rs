@@ -42,12 +42,15 @@ pub(crate) async fn rewrite<T: Send + 'static>(
             _ => Failure::of("one of the files", &error),
         })
     });
-    let Some(written) = interrupt.unless(writing).await else {
-        let outcome = if whole.is_some() { "not written" } else { "incomplete" };
-        let name = out.display();
-        return Err(Failure::Failed(format!("{name}: interrupted, and {outcome}")));
+    let written = tokio::select! {
+        written = writing => written.map_err(|error| failure(out, &error))??,
+        _ = interrupt.requested() => {
+            let outcome = if whole.is_some() { "not written" } else { "incomplete" };
+            let name = out.display();
+            return Err(Failure::Failed(format!("{name}: interrupted, and {outcome}")));
+        }
     };
-    Ok((written.map_err(|error| failure(out, &error))??, whole))
+    Ok((written, whole))
 }
 
 /// Checks whether a path means standard input or output.

@@ -109,8 +109,7 @@ impl Stream {
     }
 
     async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let opened = interrupt.unless(self.port.polled_at(self.pace.rate)).await;
-        let Some((mut port, rate)) = opened.transpose()? else { return Ok(()) };
+        let (mut port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         port.restrict(self.range.range)?;
         let window = self.window.window(port.default_window())?;
         let opening = async {
@@ -119,8 +118,7 @@ impl Stream {
             let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
             Ok((sensor, scans))
         };
-        let opened = interrupt.unless(opening).await;
-        let Some((sensor, scans)) = opened.transpose()? else { return Ok(()) };
+        let (sensor, scans) = interrupt.unless(opening).await?;
         let mut feed = Feed::new(&port, scans);
         let mut run = StreamRun {
             reporter: Reporter::new(port, sensor).with_rate(window, rate),

@@ -38,7 +38,7 @@ Examples:
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let Some(polled) = self.picture.polled(interrupt).await? else { return Ok(()) };
+        let polled = interrupt.unless(self.picture.polled()).await?;
         let recording = polled.iter().find(|(placed, _)| placed.named.port.recorded().is_some());
         if let Some((placed, _)) = recording.filter(|_| polled.len() > 1) {
             return Err(Failure::Usage(format!(
@@ -49,8 +49,7 @@ impl View {
         }
         Screen::require_terminal()?;
         // Opening comes first: its errors must appear before the radar covers the terminal.
-        let opened = interrupt.unless(self.open(polled)).await;
-        let Some(mut viewer) = opened.transpose()? else { return Ok(()) };
+        let mut viewer = interrupt.unless(self.open(polled)).await?;
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
