@@ -3,7 +3,7 @@
 use std::error::Error;
 
 /// Reason to exit early.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub(crate) enum Failure {
     /// Invalid command line: exit code 2, as for clap's own errors.
     Usage(String),

@@ -11,6 +11,7 @@ use tokio::time::Instant;
 use tokio::sync::watch;
 
 use crate::failure::Failure;
+use crate::wait::some;
 
 /// Time that an interrupted command has to finish.
 const COMMAND_GRACE: Duration = Duration::from_secs(1);
@@ -37,16 +38,7 @@ impl Interrupt {
     }
 
     pub(crate) async fn requested(&self) -> Instant {
-        let mut since = self.since.clone();
-        // Copied out: the future would not be `Send` with the guard held across an await.
-        let came = match since.wait_for(Option::is_some).await {
-            Ok(since) => *since,
-            Err(_) => None,
-        };
-        match came {
-            Some(since) => since,
-            None => std::future::pending().await,
-        }
+        some(self.since.clone()).await
     }
 
     /// Waits until an interrupted command has used up its time to finish.

@@ -5,7 +5,6 @@ mod args;
 mod check;
 mod commands;
 mod failure;
-mod first;
 mod format;
 mod interrupt;
 mod output;
@@ -18,6 +17,7 @@ mod publish;
 mod recording;
 mod stream;
 mod view;
+mod wait;
 mod web;
 
 use std::ffi::OsString;

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use tokio_scip::Rate;
+use tokio_scip::scan::Pose;
+use tokio_scip::{Rate, Window};
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
 use crate::playback::PlaybackArgs;
-use crate::port::name::{PortArg, missing_port};
+use crate::port::name::{PortArg, PortName, missing_port};
 use crate::port::named::{NamedPort, PlacedPort};
 
 /// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW, and how to show them.
@@ -22,16 +23,28 @@ pub(crate) struct PictureArgs {
     #[arg(long, value_name = "HZ", allow_hyphen_values = true)]
     rate: Option<Rate>,
     #[command(flatten)]
-    pub(crate) window: WindowArgs,
+    window: WindowArgs,
     #[command(flatten)]
     pub(crate) playback: PlaybackArgs,
     #[command(flatten)]
     pub(crate) link: LinkArgs,
 }
 
+/// Sensor or recording of a picture, its place, and how to poll it.
+#[derive(Debug)]
+pub(crate) struct PictureSource {
+    /// Set if the user named it.
+    pub(crate) name: Option<String>,
+    pub(crate) port: PortName,
+    /// Place in the common frame.
+    pub(crate) pose: Pose,
+    pub(crate) window: Window,
+    pub(crate) rate: Rate,
+}
+
 impl PictureArgs {
-    /// Resolves each port and its rate. Several sensors need unique names.
-    pub(crate) async fn polled(&self) -> Result<Vec<(PlacedPort, Rate)>, Failure> {
+    /// Resolves each port, its window and its rate. Several sensors need unique names.
+    pub(crate) async fn sources(&self) -> Result<Vec<PictureSource>, Failure> {
         if self.ports.is_empty() {
             return Err(missing_port().await);
         }
@@ -42,15 +55,14 @@ impl PictureArgs {
                         `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";
             return Err(Failure::Usage(text.to_owned()));
         }
-        let mut polled = Vec::new();
-        for placed in &self.ports {
-            let arg = PortArg { name: Some(placed.named.port.clone()) };
-            let (port, rate) = arg.polled_at(self.rate).await?;
-            let named = NamedPort { port, ..placed.named.clone() };
-            polled.push((PlacedPort { named, pose: placed.pose }, rate));
+        let mut sources = Vec::new();
+        for PlacedPort { named: NamedPort { name, port }, pose } in self.ports.iter().cloned() {
+            let (port, rate) = PortArg { name: Some(port) }.polled_at(self.rate).await?;
+            let window = self.window.window(port.default_window())?;
+            sources.push(PictureSource { name, port, pose, window, rate });
         }
-        let ports = polled.iter_mut().map(|(placed, _)| &mut placed.named.port);
+        let ports = sources.iter_mut().map(|source| &mut source.port);
         self.playback.apply(ports, self.rate.is_some())?;
-        Ok(polled)
+        Ok(sources)
     }
 }

@@ -5,16 +5,15 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use tokio::net::{TcpListener, TcpSocket};
+use tokio::sync::mpsc;
 use tokio::task::JoinSet;
-use tokio_scip::Rate;
 
-use crate::args::{LinkArgs, listen_address};
+use crate::args::listen_address;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::picture::PictureArgs;
-use crate::port::named::{NamedPort, PlacedPort};
-use crate::web::{self, Hub, Site, SiteSource};
+use crate::web::{self, Site, SiteSource};
 
 /// Send buffer of the system for each client, about ten scans. A slow client lags by at most
 /// these scans.
@@ -78,104 +77,56 @@ impl Serve {
     }
 
     async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let polled = interrupt.unless(self.picture.polled()).await?;
+        let PictureArgs { playback, link, .. } = &self.picture;
+        let picture = interrupt.unless(self.picture.sources()).await?;
         let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);
         let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
-        let sources = interrupt.unless(self.sources(polled)).await?;
-        let is_loopback = bound.ip().to_canonical().is_loopback();
-        let site = Site::new(sources, is_loopback, interrupt);
-        let hubs = site.sources().iter().filter_map(SiteSource::hub).map(Arc::clone);
-        let mut going =
-            Going { sources: site.sources().len(), hubs: hubs.collect(), runs: JoinSet::new() };
-        for player in site.sources().iter().filter_map(SiteSource::player) {
-            let player = player.clone();
-            going.runs.spawn(async move { Err(player.failed().await) });
+        let (opening, mut opened) = mpsc::channel(1);
+        let (mut sources, mut runs) = (Vec::new(), JoinSet::new());
+        for source in picture {
+            let source = interrupt.unless(SiteSource::new(source, *playback)).await?;
+            sources.push(Arc::clone(&source));
+            let (link, opening) = (link.clone(), opening.clone());
+            runs.spawn(async move { source.run(&link, opening).await });
         }
-        let link = &self.picture.link;
+        drop(opening);
         if !link.wait {
-            interrupt.unless(going.open(link)).await?;
+            tokio::select! {
+                biased;
+                // First, because errors come before the address of the page.
+                outcome = last(&mut runs) => return outcome,
+                _ = interrupt.requested() => return Ok(()),
+                // Nothing is sent: it ends when no sensor is being opened any more.
+                _ = opened.recv() => {}
+            }
         }
         notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
+        let is_loopback = bound.ip().to_canonical().is_loopback();
         if !is_loopback {
             notice("there is no password: everyone who can reach this address can watch");
         }
         tokio::select! {
-            outcome = going.follow(link) => outcome,
-            () = web::serve(listener, site) => Ok(()),
+            outcome = last(&mut runs) => outcome,
+            () = web::serve(listener, Site::new(sources, is_loopback, interrupt)) => Ok(()),
         }
-    }
-
-    async fn sources(&self, polled: Vec<(PlacedPort, Rate)>) -> Result<Vec<SiteSource>, Failure> {
-        let mut sources = Vec::new();
-        for (PlacedPort { named: NamedPort { name, port }, pose }, rate) in polled {
-            let name = name.as_deref();
-            let window = self.picture.window.window(port.default_window())?;
-            sources.push(match port.recorded() {
-                Some(recorded) => {
-                    let settings = self.picture.playback;
-                    SiteSource::of_recording(name, pose, &port, recorded, window, settings).await?
-                }
-                None => SiteSource::of_sensor(name, pose, Hub::new(port, window, rate)),
-            });
-        }
-        Ok(sources)
     }
 }
 
-/// Sources that are still running. A playback ends only when the file becomes unreadable.
-struct Going {
-    sources: usize,
-    hubs: Vec<Arc<Hub>>,
-    runs: JoinSet<Result<(), Failure>>,
-}
-
-impl Going {
-    /// Opens all sensors concurrently. A sensor that cannot be opened counts as ended.
-    async fn open(&mut self, link: &LinkArgs) -> Result<(), Failure> {
-        let mut opening = JoinSet::new();
-        for hub in std::mem::take(&mut self.hubs) {
-            let link = link.clone();
-            opening.spawn(async move { hub.open(&link).await.map(|()| hub) });
-        }
-        while let Some(opened) = opening.join_next().await {
-            // The panic hook has already printed a panic.
-            match opened.unwrap_or_else(|error| Err(Failure::of("cannot open", &error))) {
-                Ok(hub) => self.hubs.push(hub),
-                Err(failure) => self.ended(Err(failure))?,
-            }
-        }
-        Ok(())
-    }
-
-    /// Runs all sources until the last one ends.
-    async fn follow(&mut self, link: &LinkArgs) -> Result<(), Failure> {
-        for hub in std::mem::take(&mut self.hubs) {
-            let link = link.clone();
-            self.runs.spawn(async move { hub.run(&link).await });
-        }
-        while let Some(run) = self.runs.join_next().await {
-            self.ended(run.unwrap_or_else(|error| Err(Failure::of("cannot continue", &error))))?;
-        }
-        match self.sources {
-            0 => Ok(()),
-            _ => std::future::pending().await,
-        }
-    }
-
-    /// Counts a source that has ended. While others continue, its error is only printed. The
-    /// last source's error ends the program.
-    fn ended(&mut self, outcome: Result<(), Failure>) -> Result<(), Failure> {
-        self.sources = self.sources.saturating_sub(1);
-        match outcome {
-            Err(failure) if self.sources > 0 => {
+/// Waits until the last source ends, and returns its outcome. While others continue, an error is
+/// only printed. Cancel-safe.
+async fn last(runs: &mut JoinSet<Result<(), Failure>>) -> Result<(), Failure> {
+    while let Some(run) = runs.join_next().await {
+        // The panic hook has already printed a panic.
+        match run.unwrap_or_else(|error| Err(Failure::of("cannot continue", &error))) {
+            Err(failure) if !runs.is_empty() => {
                 notice(format_args!("{}; the others continue", failure.line()));
-                Ok(())
             }
-            outcome => outcome,
+            outcome => outcome?,
         }
     }
+    Ok(())
 }
 
 async fn listen(address: &str) -> io::Result<TcpListener> {

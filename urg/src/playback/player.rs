@@ -1,11 +1,10 @@
 //! [`Player`]: the task that plays a recording, for any number of viewers.
 
-use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use tokio::time::Instant;
-use tokio_scip::Scan;
+use tokio_scip::{Scan, Version};
 
 use super::command::PlaybackCommand;
 use super::deck::{Deck, PlaybackStatus};
@@ -14,6 +13,7 @@ use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::recording::recorded::Recorded;
 use crate::recording::reel::Reel;
+use crate::wait::some;
 
 /// Longest time between two updates of the position, even in a gap of the recording.
 const REPORT_INTERVAL: Duration = Duration::from_millis(250);
@@ -26,7 +26,9 @@ pub(crate) struct Player {
     commands: mpsc::UnboundedSender<PlaybackCommand>,
     shown: watch::Receiver<Shown>,
     /// Reason why the playback failed; `None` while it runs.
-    failure: watch::Receiver<Option<Arc<str>>>,
+    failure: watch::Receiver<Option<Failure>>,
+    /// What the recording has of the sensor's version.
+    version: Version,
 }
 
 /// Scan that a playback shows, and its position.
@@ -65,19 +67,11 @@ impl Player {
         let (sender, shown) = watch::channel(shown);
         let (commands, receiver) = mpsc::unbounded_channel();
         let (failed, failure) = watch::channel(None);
-        let running = tokio::spawn(run(deck, reel, receiver, sender));
-        let name = recorded.to_string();
+        let version = reel.version().clone();
         tokio::spawn(async move {
-            let failure = match running.await {
-                Ok(Ok(())) => return,
-                Ok(Err(failure)) => failure,
-                Err(panic) => Failure::of(&name, &panic),
-            };
-            failed.send_replace(Some(failure.line().into()));
-            // Keep the sender: without it, the playback would seem to run.
-            failed.closed().await;
+            failed.send_replace(run(deck, reel, receiver, sender).await.err());
         });
-        Ok(Self { commands, shown, failure })
+        Ok(Self { commands, shown, failure, version })
     }
 
     /// Sends a command. Its effect appears in [`shown`](Self::shown).
@@ -91,22 +85,17 @@ impl Player {
         self.shown.clone()
     }
 
-    pub(crate) fn failure(&self) -> Option<Arc<str>> {
+    pub(crate) fn failure(&self) -> Option<Failure> {
         self.failure.borrow().clone()
     }
 
     /// Waits until the playback fails, and returns the reason.
     pub(crate) async fn failed(&self) -> Failure {
-        let mut failure = self.failure.clone();
-        // A guard held across an await would bind the future to one thread.
-        let line = match failure.wait_for(Option::is_some).await {
-            Ok(failure) => failure.as_deref().map(str::to_owned),
-            Err(_) => None,
-        };
-        match line {
-            Some(line) => Failure::Failed(line),
-            None => std::future::pending().await,
-        }
+        some(self.failure.clone()).await
+    }
+
+    pub(crate) fn version(&self) -> &Version {
+        &self.version
     }
 
     pub(crate) fn status(&self) -> PlaybackStatus {

@@ -40,7 +40,7 @@ pub(crate) async fn open(
     link: &LinkArgs,
     delivery: Delivery,
 ) -> Result<Sensor, Failure> {
-    let sensor = begin(port, link, delivery, Sensor::builder())?;
+    let sensor = begin(port, link, delivery)?;
     opened(port, link, &sensor).await?;
     Ok(sensor)
 }
@@ -50,9 +50,8 @@ pub(crate) fn begin(
     port: &PortName,
     link: &LinkArgs,
     delivery: Delivery,
-    builder: SensorBuilder,
 ) -> Result<Sensor, Failure> {
-    let mut builder = builder.depth(delivery.ring_depth());
+    let mut builder = Sensor::builder().depth(delivery.ring_depth());
     if let Some(rate) = link.baud {
         builder = builder.baud_rate(rate);
     }

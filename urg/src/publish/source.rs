@@ -63,7 +63,7 @@ impl Source {
         // The motor of an emulated sensor starts when it is opened. Like real motors, several
         // of them must not run in phase.
         tokio::time::sleep_until(self.next_turn(Instant::now())).await;
-        let sensor = begin(&self.port, &self.link, Delivery::Newest, Sensor::builder())?;
+        let sensor = begin(&self.port, &self.link, Delivery::Newest)?;
         lock(condition).sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
         self.identify(&sensor, condition).await;

@@ -14,7 +14,7 @@ use tokio::sync::watch;
 use tokio_scip::emulator::Emulator;
 use tokio_scip::port::Connect;
 use tokio_scip::recording::{Recording, RecordingError, ReplayPace};
-use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Version, Window};
+use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 
 use super::contents::{self, Contents};
 use super::span::TimeSpan;
@@ -165,17 +165,6 @@ impl Recorded {
             // Its end is in the state of the sensor.
             Delivery::Newest => Box::pin(async { drop(driver.await) }),
         }
-    }
-
-    /// Reads what the beginning of the recording has of the sensor's version.
-    pub(crate) async fn version(&self) -> Result<Version, Failure> {
-        let mut scans = self.open()?.scans();
-        let read = tokio::task::spawn_blocking(move || {
-            // The version is before the first scan, which may be missing.
-            scans.by_ref().find(Result::is_ok);
-            scans.version()
-        });
-        read.await.map_err(|error| self.failure(&error))
     }
 
     /// Counts a scan taken from a feed.

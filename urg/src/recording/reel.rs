@@ -6,8 +6,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio_scip::Scan;
 use tokio_scip::recording::{RecordedScans, RecordingError};
+use tokio_scip::{Scan, Version};
 
 use super::recorded::Recorded;
 use crate::failure::Failure;
@@ -26,6 +26,7 @@ pub(crate) struct Reel {
     /// Position of each scan, counted from the file's first scan, even if `--range` excludes
     /// that one.
     positions: Vec<Duration>,
+    version: Version,
     scans: RecordedScans,
     /// Number of the next scan from `scans`.
     next: usize,
@@ -34,7 +35,8 @@ pub(crate) struct Reel {
 }
 
 impl Reel {
-    /// Opens the recording, and reads the positions of all scans. An error if it has no scan.
+    /// Opens the recording, and reads it once for the positions of all scans. An error if it has
+    /// no scan.
     pub(crate) fn open(recorded: Recorded) -> Result<Self, Failure> {
         let mut positions = Vec::new();
         let mut scans = recorded.open()?.scans();
@@ -44,8 +46,14 @@ impl Reel {
         if positions.is_empty() {
             return Err(recorded.no_scans(&RecordingError::NoScans));
         }
+        let version = scans.version();
         let scans = recorded.open()?.scans();
-        Ok(Self { recorded, positions, scans, next: 0, kept: VecDeque::new() })
+        Ok(Self { recorded, positions, version, scans, next: 0, kept: VecDeque::new() })
+    }
+
+    /// What the recording has of the sensor's version.
+    pub(crate) fn version(&self) -> &Version {
+        &self.version
     }
 
     /// Time of each scan since the first one. Never decreases: a scan with an earlier time gets

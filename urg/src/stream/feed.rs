@@ -68,6 +68,11 @@ impl Feed {
         Self { scans, port: port.clone(), events: Events::new(), next: VecDeque::new() }
     }
 
+    /// Newest scan, delivered or not.
+    pub(crate) fn latest(&self) -> Option<Scan> {
+        self.scans.latest()
+    }
+
     /// Waits for the next update, until the stream ends. Cancel-safe.
     pub(crate) async fn next(&mut self) -> Option<Update> {
         if self.next.is_empty() {

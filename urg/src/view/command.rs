@@ -1,14 +1,14 @@
 //! `urg view`: a live radar in the terminal.
 
-use tokio_scip::{Rate, Sensor};
+use tokio_scip::Sensor;
 
+use super::Viewer;
 use super::screen::Screen;
-use super::{ViewedSensor, Viewer};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::picture::PictureArgs;
-use crate::port::named::PlacedPort;
+use crate::picture::{PictureArgs, PictureSource};
+use crate::playback::Player;
 use crate::port::open::{Delivery, begin, opened};
 use crate::stream::follow::StreamEnd;
 
@@ -38,18 +38,18 @@ Examples:
 
 impl View {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let polled = interrupt.unless(self.picture.polled()).await?;
-        let recording = polled.iter().find(|(placed, _)| placed.named.port.recorded().is_some());
-        if let Some((placed, _)) = recording.filter(|_| polled.len() > 1) {
+        let sources = interrupt.unless(self.picture.sources()).await?;
+        let recording = sources.iter().find(|source| source.port.recorded().is_some());
+        if let Some(source) = recording.filter(|_| sources.len() > 1) {
             return Err(Failure::Usage(format!(
                 "{}: view plays one recording, and no other source beside it: leave out the other \
                  PORTs, or show them all on a page with `urg serve`",
-                placed.named.port
+                source.port
             )));
         }
         Screen::require_terminal()?;
         // Opening comes first: its errors must appear before the radar covers the terminal.
-        let mut viewer = interrupt.unless(self.open(polled)).await?;
+        let mut viewer = interrupt.unless(self.open(sources)).await?;
         let mut screen = Screen::take()?;
         let outcome = tokio::select! {
             outcome = viewer.run(&mut screen) => outcome,
@@ -64,32 +64,30 @@ impl View {
         outcome
     }
 
-    async fn open(&self, polled: Vec<(PlacedPort, Rate)>) -> Result<Viewer, Failure> {
-        let PictureArgs { window, playback, link, .. } = &self.picture;
-        let has_several = polled.len() > 1;
+    async fn open(&self, sources: Vec<PictureSource>) -> Result<Viewer, Failure> {
+        let PictureArgs { playback, link, .. } = &self.picture;
         let mut sensors = Vec::new();
-        for (placed, rate) in polled {
-            let port = &placed.named.port;
-            let window = window.window(port.default_window())?;
-            if let Some(recorded) = port.recorded() {
-                return Viewer::of_recording(&placed, recorded, window, *playback).await;
+        for source in sources {
+            if let Some(recorded) = source.port.recorded() {
+                let player = Player::start(recorded, *playback).await?;
+                return Ok(Viewer::of_recording(source, player));
             }
-            let sensor = begin(port, link, Delivery::Newest, Sensor::builder())?;
-            sensors.push(ViewedSensor { placed, sensor, window, rate });
+            let sensor = begin(&source.port, link, Delivery::Newest)?;
+            sensors.push((source, sensor));
         }
         // With `--wait`, several sensors appear as they open.
-        if !has_several || !link.wait {
+        if sensors.len() == 1 || !link.wait {
             self.wait_for_any(&sensors).await?;
         }
         Ok(Viewer::of_sensors(sensors))
     }
 
     /// Waits for every sensor to open or fail. One open sensor is enough to succeed.
-    async fn wait_for_any(&self, sensors: &[ViewedSensor]) -> Result<(), Failure> {
+    async fn wait_for_any(&self, sensors: &[(PictureSource, Sensor)]) -> Result<(), Failure> {
         let mut failures = Vec::new();
         // All sensors are already opening at the same time.
-        for ViewedSensor { placed, sensor, .. } in sensors {
-            if let Err(failure) = opened(&placed.named.port, &self.picture.link, sensor).await {
+        for (source, sensor) in sensors {
+            if let Err(failure) = opened(&source.port, &self.picture.link, sensor).await {
                 failures.push(failure);
             }
         }

@@ -6,6 +6,7 @@ use tokio_scip::scan::Pose;
 use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{Rate, Scan, State, Stats, Version, Window};
 
+use crate::picture::PictureSource;
 use crate::plot::Place;
 
 /// Maximum length of the trail, in scans.
@@ -34,13 +35,14 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    pub(crate) fn new(name: Option<String>, pose: Pose, port: String, window: Window) -> Self {
+    pub(crate) fn new(source: PictureSource) -> Self {
+        let PictureSource { name, port, pose, window, rate } = source;
         Self {
             name,
             pose,
-            port,
+            port: port.to_string(),
             version: None,
-            rate: Rate::MAX,
+            rate,
             window,
             scan: None,
             trail: VecDeque::new(),

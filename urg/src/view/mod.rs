@@ -28,7 +28,7 @@ use crossterm::event::{Event, EventStream};
 use futures_core::Stream;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
+use tokio_scip::{Error, Scan, ScanStream, Sensor, Version, Window};
 
 pub(crate) use self::command::View;
 use self::layer::Layer;
@@ -39,9 +39,8 @@ use self::source::{
     Arrival, PlayedRecording, PolledSensor, ViewSource, change_of_any, next_of_any,
 };
 use crate::failure::{Failure, chain};
-use crate::playback::{PlaybackArgs, Shown};
-use crate::port::named::PlacedPort;
-use crate::recording::recorded::Recorded;
+use crate::picture::PictureSource;
+use crate::playback::{Player, Shown};
 use crate::stream::follow::StreamEnd;
 use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::end;
@@ -65,14 +64,6 @@ pub(crate) struct Viewer {
     palette: Palette,
 }
 
-/// Sensor to show. It may not be open yet, and may never open.
-pub(crate) struct ViewedSensor {
-    pub(crate) placed: PlacedPort,
-    pub(crate) sensor: Sensor,
-    pub(crate) window: Window,
-    pub(crate) rate: Rate,
-}
-
 /// Number of a sensor, and the outcome of opening it.
 type Started = (usize, Result<(Version, ScanStream), Error>);
 
@@ -85,40 +76,31 @@ enum Outcome {
 }
 
 impl Viewer {
-    /// Polls each sensor as soon as it is open.
-    pub(crate) fn of_sensors(sensors: Vec<ViewedSensor>) -> Self {
+    /// Polls each sensor as soon as it is open, which may be never.
+    pub(crate) fn of_sensors(sensors: Vec<(PictureSource, Sensor)>) -> Self {
         let (mut sources, mut layers, mut starts) = (Vec::new(), Vec::new(), JoinSet::new());
-        for (number, viewed) in sensors.into_iter().enumerate() {
-            let ViewedSensor { placed: PlacedPort { named, pose }, sensor, window, rate } = viewed;
-            let port = named.port;
-            let layer = Layer::new(named.name, pose, port.to_string(), window);
-            layers.push(Layer { rate, ..layer });
+        for (number, (source, sensor)) in sensors.into_iter().enumerate() {
+            let PictureSource { window, rate, .. } = source;
             let started = source::start(sensor.clone(), window, rate);
             starts.spawn(async move { (number, started.await) });
-            let pace = RateWatch::new(&port, window, rate);
-            sources.push(ViewSource::Sensor(Box::new(PolledSensor {
-                port,
-                sensor,
-                scans: None,
-                pace,
-            })));
+            let pace = RateWatch::new(&source.port, window, rate);
+            let port = source.port.clone();
+            let polled = PolledSensor { port, sensor, scans: None, pace };
+            sources.push(ViewSource::Sensor(Box::new(polled)));
+            layers.push(Layer::new(source));
         }
         Self { starts, ..Self::new(sources, Model::new(layers)) }
     }
 
-    /// Opens the recording and starts to play it.
-    pub(crate) async fn of_recording(
-        placed: &PlacedPort,
-        recorded: &Recorded,
-        window: Window,
-        settings: PlaybackArgs,
-    ) -> Result<Self, Failure> {
-        let (playback, version) = PlayedRecording::start(recorded, settings).await?;
-        let (name, port) = (placed.named.name.clone(), placed.named.port.to_string());
-        let layer = Layer::new(name, placed.pose, port, window);
-        let mut model = Model::new(vec![Layer { version: Some(version), ..layer }]);
-        model.playback = Some(playback.player.status());
-        Ok(Self::new(vec![ViewSource::Playback(playback)], model))
+    /// Shows a playback, whose recording is `source`.
+    pub(crate) fn of_recording(source: PictureSource, player: Player) -> Self {
+        let version = Some(player.version().clone());
+        let mut model = Model::new(vec![Layer { version, ..Layer::new(source) }]);
+        let mut shown = player.shown();
+        // The first scan must arrive as a change, too.
+        shown.mark_changed();
+        model.playback = Some(player.status());
+        Self::new(vec![ViewSource::Playback(PlayedRecording { player, shown })], model)
     }
 
     fn new(sources: Vec<ViewSource>, model: Model) -> Self {
@@ -195,7 +177,7 @@ impl Viewer {
     pub(crate) fn end(&self) -> Result<(), Failure> {
         self.sources.iter().try_for_each(|source| match source {
             ViewSource::Sensor(live) => end(&live.port, &live.sensor),
-            ViewSource::Playback(playback) => playback.end(),
+            ViewSource::Playback(playback) => playback.player.failure().map_or(Ok(()), Err),
         })
     }
 

@@ -4,12 +4,10 @@ use tokio::sync::watch;
 use tokio_scip::state::StateWatch;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
 
-use crate::failure::Failure;
-use crate::first::first;
-use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown};
+use crate::playback::{PlaybackStatus, Player, Shown};
 use crate::port::name::PortName;
-use crate::recording::recorded::Recorded;
 use crate::stream::rate_watch::RateWatch;
+use crate::wait::first;
 
 /// Source of scans.
 pub(super) enum ViewSource {
@@ -29,7 +27,7 @@ pub(super) struct PolledSensor {
 /// Recording and its playback.
 pub(super) struct PlayedRecording {
     pub(super) player: Player,
-    shown: watch::Receiver<Shown>,
+    pub(super) shown: watch::Receiver<Shown>,
 }
 
 /// Scan, error or change that arrived from a source.
@@ -92,25 +90,4 @@ pub(super) async fn start(
     sensor.opened().await?;
     let version = sensor.version().await?;
     Ok((version, sensor.scans(window, rate).await?))
-}
-
-impl PlayedRecording {
-    /// Fails if the playback has stopped early.
-    pub(super) fn end(&self) -> Result<(), Failure> {
-        let failure = self.player.failure();
-        failure.map_or(Ok(()), |line| Err(Failure::Failed(line.to_string())))
-    }
-
-    /// Starts the playback, and reads the version of the recorded sensor.
-    pub(super) async fn start(
-        recorded: &Recorded,
-        settings: PlaybackArgs,
-    ) -> Result<(Self, Version), Failure> {
-        let player = Player::start(recorded, settings).await?;
-        let version = recorded.version().await?;
-        let mut shown = player.shown();
-        // The first scan must arrive as a change, too.
-        shown.mark_changed();
-        Ok((Self { player, shown }, version))
-    }
 }

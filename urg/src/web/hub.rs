@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use tokio::sync::watch;
 use tokio_scip::event::Event;
-use tokio_scip::{Freshness, Rate, Scan, Sensor, State, Version, Window};
+use tokio_scip::{Freshness, Scan, Sensor, State, Version};
 
 use crate::args::LinkArgs;
 use crate::failure::Failure;
-use crate::port::name::PortName;
+use crate::picture::PictureSource;
 use crate::port::open::Delivery;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
@@ -18,34 +18,24 @@ use crate::stream::follow::StreamEnd;
 use crate::stream::jitter::{Jitter, RecentTimes};
 use crate::stream::reporter::Reporter;
 use crate::stream::reporter::trouble;
+use crate::wait::some;
 
 /// Tolerance for a late scan, in addition to three periods.
 const SCAN_GRACE: Duration = Duration::from_secs(2);
 
 /// Sensor with one stream for all viewers.
 #[derive(Debug)]
-pub(crate) struct Hub {
-    port: PortName,
-    window: Window,
-    rate: Rate,
+pub(super) struct Hub {
+    source: Arc<PictureSource>,
     /// Set as soon as the search for the sensor begins.
     sensor: OnceLock<Sensor>,
-    /// `None` until the sensor is found.
-    live: watch::Sender<Option<Live>>,
     /// Identity of the sensor, read once it is found.
     version: OnceLock<Version>,
-    /// Latest scan, for clients that connect while no scans arrive.
-    latest: Mutex<Option<Scan>>,
+    /// Current position in the stream, where a clone continues. `None` until the sensor is
+    /// found.
+    feed: watch::Sender<Option<Feed>>,
     /// Arrival times of recent scans.
     times: Mutex<RecentTimes>,
-}
-
-/// Stream as of its latest update.
-#[derive(Debug, Clone)]
-pub(super) struct Live {
-    pub(super) sensor: Sensor,
-    /// Current position in the stream. A clone continues from there.
-    feed: Feed,
 }
 
 /// State of the link in one word, and the reason if no scans arrive.
@@ -57,68 +47,53 @@ pub(super) struct SensorHealth {
 }
 
 impl Hub {
-    pub(crate) fn new(port: PortName, window: Window, rate: Rate) -> Arc<Self> {
-        let (sensor, live) = (OnceLock::new(), watch::Sender::new(None));
-        let (version, latest, times) = (OnceLock::new(), Mutex::default(), Mutex::default());
-        Arc::new(Self { port, window, rate, sensor, live, version, latest, times })
+    pub(super) fn new(source: Arc<PictureSource>) -> Self {
+        let (sensor, version, times) = (OnceLock::new(), OnceLock::new(), Mutex::default());
+        Self { source, sensor, version, feed: watch::Sender::new(None), times }
     }
 
-    /// Finds the sensor and starts its stream. Does nothing if the stream already runs.
-    pub(crate) async fn open(&self, link: &LinkArgs) -> Result<(), Failure> {
-        if self.live.borrow().is_some() {
-            return Ok(());
-        }
+    /// Finds the sensor and starts its stream.
+    pub(super) async fn open(&self, link: &LinkArgs) -> Result<(Sensor, Feed), Failure> {
+        let PictureSource { port, window, rate, .. } = &*self.source;
         // Viewers only want the newest scan.
-        let sensor = begin(&self.port, link, Delivery::Newest, Sensor::builder())?;
-        // A hub gets here only once, so `set` succeeds.
+        let sensor = begin(port, link, Delivery::Newest)?;
+        // A hub is opened only once, so `set` succeeds.
         let _ = self.sensor.set(sensor.clone());
-        opened(&self.port, link, &sensor).await?;
+        opened(port, link, &sensor).await?;
         if let Ok(version) = sensor.version().await {
             let _ = self.version.set(version);
         }
-        let scans = sensor.scans(self.window, self.rate).await;
-        let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
-        let feed = Feed::new(&self.port, scans);
-        self.live.send_replace(Some(Live { sensor, feed }));
-        Ok(())
+        let scans = sensor.scans(*window, *rate).await;
+        let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        let feed = Feed::new(port, scans);
+        self.feed.send_replace(Some(feed.clone()));
+        Ok((sensor, feed))
     }
 
-    /// Opens the sensor if necessary, then follows its stream until it ends permanently.
-    pub(crate) async fn run(&self, link: &LinkArgs) -> Result<(), Failure> {
-        self.open(link).await?;
-        let Some(mut live) = self.live.borrow().clone() else { return Ok(()) };
-        let reporter = Reporter::new(self.port.clone(), live.sensor.clone());
-        let mut reporter = reporter.with_rate(self.window, self.rate);
-        while let Some(update) = live.feed.next().await {
+    /// Follows the stream until it ends permanently.
+    pub(super) async fn follow(&self, sensor: Sensor, mut feed: Feed) -> Result<(), Failure> {
+        let PictureSource { port, window, rate, .. } = &*self.source;
+        let mut reporter = Reporter::new(port.clone(), sensor).with_rate(*window, *rate);
+        while let Some(update) = feed.next().await {
             reporter.report(&update);
             match &update {
-                Update::Scan(scan) => {
-                    self.times().push(scan.received_at());
-                    *self.lock_latest() = Some(scan.clone());
-                }
+                Update::Scan(scan) => self.times().push(scan.received_at()),
                 Update::Event(Event::Reconnected) => self.times().clear(),
                 Update::Error(_) | Update::Event(_) => {}
             }
-            self.live.send_replace(Some(live.clone()));
+            self.feed.send_replace(Some(feed.clone()));
         }
         reporter.finish(StreamEnd::ByItself)
     }
 
     /// Waits until the sensor is found, then creates a feed for a viewer.
-    pub(super) async fn feed(&self) -> Option<Feed> {
-        let mut live = self.live.subscribe();
-        let live = live.wait_for(Option::is_some).await.ok()?;
-        live.as_ref().map(|live| live.feed.clone())
-    }
-
-    fn lock_latest(&self) -> MutexGuard<'_, Option<Scan>> {
-        // Nothing panics while it holds this lock.
-        self.latest.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) async fn feed(&self) -> Feed {
+        some(self.feed.subscribe()).await
     }
 
     /// Latest scan, if no scans arrive at the moment.
     pub(super) fn old_scan(&self) -> Option<Scan> {
-        self.health().why.and_then(|_| self.lock_latest().clone())
+        self.health().why.and_then(|_| self.feed.borrow().as_ref()?.latest())
     }
 
     pub(super) fn version(&self) -> Option<&Version> {
@@ -134,20 +109,9 @@ impl Hub {
         self.times().jitter()
     }
 
-    pub(crate) fn port(&self) -> &PortName {
-        &self.port
-    }
-
-    pub(super) fn window(&self) -> Window {
-        self.window
-    }
-
-    pub(super) fn rate(&self) -> Rate {
-        self.rate
-    }
-
-    pub(super) fn live(&self) -> Option<Live> {
-        self.live.borrow().clone()
+    /// Sensor, once it is found.
+    pub(super) fn sensor(&self) -> Option<&Sensor> {
+        self.sensor.get().filter(|_| self.feed.borrow().is_some())
     }
 
     pub(super) fn health(&self) -> SensorHealth {
@@ -166,9 +130,10 @@ impl Hub {
             State::Closed { .. } => "closed",
             _ => "unknown",
         };
+        let PictureSource { window, rate, .. } = &*self.source;
         let why = trouble(&state).or_else(|| {
-            let wire_time = state.baud_rate().map(|rate| self.window.wire_time(rate));
-            let period = self.rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
+            let wire_time = state.baud_rate().map(|rate| window.wire_time(rate));
+            let period = rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
             overdue(&sensor.freshness(), 3 * period + SCAN_GRACE)
         });
         SensorHealth { link, why }

@@ -8,6 +8,7 @@ use tokio_scip::Stats;
 use tokio_scip::stats::Metric;
 
 use super::Site;
+use super::hub::Hub;
 use super::routes::{Response, whole};
 use super::source::SiteSource;
 
@@ -15,7 +16,7 @@ const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
 /// Answers `/metrics`.
 pub(super) fn metrics(site: &Site) -> Response {
-    let sensors: Vec<_> = site.sources.iter().map(SensorFigures::of).collect();
+    let sensors: Vec<_> = site.sources.iter().map(|source| SensorFigures::of(source)).collect();
     let mut text = Metrics::default();
     text.metric("urg_viewers", "gauge", "Open streams of scans").sample("", site.viewers());
     text.sensors(&sensors);
@@ -36,17 +37,12 @@ struct SensorFigures {
 
 impl SensorFigures {
     fn of(source: &SiteSource) -> Self {
-        let live = source.hub().and_then(|hub| hub.live());
-        let sensor = live.as_ref().map(|live| &live.sensor);
+        let sensor = source.hub().and_then(Hub::sensor);
         Self {
-            label: source
-                .name
-                .as_deref()
-                .map(|name| format!("sensor=\"{name}\""))
-                .unwrap_or_default(),
+            label: source.name().map(|name| format!("sensor=\"{name}\"")).unwrap_or_default(),
             is_up: source.health().why.is_none(),
             age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
-            jitter: source.hub().and_then(|hub| hub.jitter()).map(|jitter| jitter.deviation),
+            jitter: source.hub().and_then(Hub::jitter).map(|jitter| jitter.deviation),
             stats: sensor.map(|sensor| sensor.stats()),
         }
     }

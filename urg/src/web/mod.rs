@@ -13,7 +13,6 @@ mod state;
 
 use std::sync::Arc;
 
-pub(crate) use self::hub::Hub;
 pub(crate) use self::server::serve;
 pub(crate) use self::source::SiteSource;
 use crate::interrupt::Interrupt;
@@ -21,7 +20,7 @@ use crate::interrupt::Interrupt;
 /// State that all requests share.
 #[derive(Debug)]
 pub(crate) struct Site {
-    sources: Vec<SiteSource>,
+    sources: Vec<Arc<SiteSource>>,
     /// True if only this machine can reach the address.
     is_loopback: bool,
     interrupt: Interrupt,
@@ -31,16 +30,12 @@ pub(crate) struct Site {
 
 impl Site {
     pub(crate) fn new(
-        sources: Vec<SiteSource>,
+        sources: Vec<Arc<SiteSource>>,
         is_loopback: bool,
         interrupt: &Interrupt,
     ) -> Arc<Self> {
         let (interrupt, viewers) = (interrupt.clone(), Arc::default());
         Arc::new(Self { sources, is_loopback, interrupt, viewers })
-    }
-
-    pub(crate) fn sources(&self) -> &[SiteSource] {
-        &self.sources
     }
 
     /// Number of open streams of scans.

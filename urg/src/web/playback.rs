@@ -5,7 +5,6 @@ use hyper::{Request, StatusCode};
 
 use super::Site;
 use super::routes::{Response, text};
-use super::source::SiteSource;
 use crate::playback::PlaybackCommand;
 
 /// Answers `POST /playback?COMMAND`. Sends the command to every recording.
@@ -17,7 +16,7 @@ pub(super) fn playback<B>(site: &Site, request: &Request<B>) -> Response {
         Ok(command) => command,
         Err(expected) => return text(StatusCode::BAD_REQUEST, format!("{expected}\n")),
     };
-    let mut players = site.sources.iter().filter_map(SiteSource::player);
+    let mut players = site.sources.iter().filter_map(|source| source.player());
     let Some(first) = players.next() else {
         return text(StatusCode::CONFLICT, "no recording is played here\n");
     };

@@ -15,8 +15,8 @@ use super::Site;
 use super::line::ViewerLine;
 use super::routes::{Response, response, text};
 use super::source::Lines;
-use crate::first::first;
 use crate::interrupt::Interrupt;
+use crate::wait::first;
 
 /// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
 /// server notices when the client is gone.

@@ -1,44 +1,34 @@
 //! Sources of scans: sensors and playbacks of recordings, each with a name and a place.
 //! Sources do not depend on each other.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
 use serde::Serialize;
-use tokio::sync::watch;
-use tokio_scip::scan::Pose;
-use tokio_scip::{Scan, Version, Window};
+use tokio::sync::{mpsc, watch};
+use tokio_scip::{Scan, Version};
 
 use super::hub::{Hub, SensorHealth};
 use super::line::{NewestLine, ViewerLine};
+use crate::args::LinkArgs;
 use crate::failure::Failure;
 use crate::format::json_line;
+use crate::picture::PictureSource;
 use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown, seen_through};
-use crate::port::name::PortName;
-use crate::recording::recorded::Recorded;
 use crate::stream::feed::{Feed, NamedLine, Update};
 
-/// Source of scans, with its name and place.
+/// Source of scans for all viewers.
 #[derive(Debug)]
 pub(crate) struct SiteSource {
-    pub(super) name: Option<Arc<str>>,
-    pub(super) pose: Pose,
-    pub(super) kind: SourceKind,
-    newest: Arc<NewestLine>,
+    pub(super) source: Arc<PictureSource>,
+    kind: SourceKind,
+    newest: NewestLine,
 }
 
 #[derive(Debug)]
-pub(super) enum SourceKind {
-    Sensor(Arc<Hub>),
-    Recording(Box<Playback>),
-}
-
-/// Playback of a recording, shared by all viewers.
-#[derive(Debug)]
-pub(super) struct Playback {
-    pub(super) port: PortName,
-    pub(super) window: Window,
-    pub(super) version: Version,
-    pub(super) player: Player,
+enum SourceKind {
+    Sensor(Hub),
+    Recording(Player),
 }
 
 /// JSON of a playback event.
@@ -49,89 +39,89 @@ struct PlaybackEvent {
 }
 
 impl SiteSource {
-    pub(crate) fn of_sensor(name: Option<&str>, pose: Pose, hub: Arc<Hub>) -> Self {
-        Self::new(name, pose, SourceKind::Sensor(hub))
-    }
-
-    /// Opens a recording and starts to play it.
-    pub(crate) async fn of_recording(
-        name: Option<&str>,
-        pose: Pose,
-        port: &PortName,
-        recorded: &Recorded,
-        window: Window,
+    /// Starts to play a recording. [`run`](Self::run) opens a sensor.
+    pub(crate) async fn new(
+        source: PictureSource,
         settings: PlaybackArgs,
-    ) -> Result<Self, Failure> {
-        let version = recorded.version().await?;
-        let player = Player::start(recorded, settings).await?;
-        let playback = Playback { port: port.clone(), window, version, player };
-        Ok(Self::new(name, pose, SourceKind::Recording(Box::new(playback))))
+    ) -> Result<Arc<Self>, Failure> {
+        let source = Arc::new(source);
+        let kind = match source.port.recorded() {
+            Some(recorded) => SourceKind::Recording(Player::start(recorded, settings).await?),
+            None => SourceKind::Sensor(Hub::new(Arc::clone(&source))),
+        };
+        Ok(Arc::new(Self { source, kind, newest: NewestLine::default() }))
     }
 
-    fn new(name: Option<&str>, pose: Pose, kind: SourceKind) -> Self {
-        Self { name: name.map(Arc::from), pose, kind, newest: Arc::default() }
+    /// Runs until the source ends permanently: a playback, when its file becomes unreadable.
+    /// Drops `opening` when a sensor is open or has failed to open.
+    pub(crate) async fn run(
+        &self,
+        link: &LinkArgs,
+        opening: mpsc::Sender<Infallible>,
+    ) -> Result<(), Failure> {
+        match &self.kind {
+            SourceKind::Sensor(hub) => {
+                let (sensor, feed) = hub.open(link).await?;
+                drop(opening);
+                hub.follow(sensor, feed).await
+            }
+            SourceKind::Recording(player) => {
+                drop(opening);
+                Err(player.failed().await)
+            }
+        }
     }
 
-    pub(crate) fn hub(&self) -> Option<&Arc<Hub>> {
+    pub(super) fn hub(&self) -> Option<&Hub> {
         match &self.kind {
             SourceKind::Sensor(hub) => Some(hub),
             SourceKind::Recording(_) => None,
         }
     }
 
-    pub(crate) fn player(&self) -> Option<&Player> {
+    pub(super) fn player(&self) -> Option<&Player> {
         match &self.kind {
             SourceKind::Sensor(_) => None,
-            SourceKind::Recording(playback) => Some(&playback.player),
+            SourceKind::Recording(player) => Some(player),
         }
     }
 
-    pub(super) fn port(&self) -> &PortName {
-        match &self.kind {
-            SourceKind::Sensor(hub) => hub.port(),
-            SourceKind::Recording(playback) => &playback.port,
-        }
-    }
-
-    pub(super) fn window(&self) -> Window {
-        match &self.kind {
-            SourceKind::Sensor(hub) => hub.window(),
-            SourceKind::Recording(playback) => playback.window,
-        }
+    /// Name that the user gave the source.
+    pub(super) fn name(&self) -> Option<&str> {
+        self.source.name.as_deref()
     }
 
     pub(super) fn version(&self) -> Option<&Version> {
         match &self.kind {
             SourceKind::Sensor(hub) => hub.version(),
-            SourceKind::Recording(playback) => Some(&playback.version),
+            SourceKind::Recording(player) => Some(player.version()),
         }
     }
 
     pub(super) fn health(&self) -> SensorHealth {
         match &self.kind {
             SourceKind::Sensor(hub) => hub.health(),
-            SourceKind::Recording(playback) => match playback.player.failure() {
+            SourceKind::Recording(player) => match player.failure() {
                 None => SensorHealth { link: "recording", why: None },
-                Some(failure) => SensorHealth { link: "closed", why: Some(failure.to_string()) },
+                Some(failure) => {
+                    SensorHealth { link: "closed", why: Some(failure.line().to_owned()) }
+                }
             },
         }
     }
 
     /// Starts the lines for a new client. With `with_old`, the latest scan comes first,
     /// marked as old, if no scans arrive at the moment.
-    pub(super) fn lines(&self, with_old: bool) -> Lines {
-        let (name, newest) = (self.name.clone(), Arc::clone(&self.newest));
+    pub(super) fn lines(self: &Arc<Self>, with_old: bool) -> Lines {
+        let source = Arc::clone(self);
         match &self.kind {
             SourceKind::Sensor(hub) => {
-                let hub = Arc::clone(hub);
                 let old = hub.old_scan().filter(|_| with_old);
-                Lines::Sensor(Box::new(SensorLines { hub, name, newest, old, feed: None }))
+                Lines::Sensor(Box::new(SensorLines { source, old, feed: None }))
             }
-            SourceKind::Recording(playback) => {
-                let (shown, window) = (playback.player.shown(), playback.window);
-                let lines =
-                    PlaybackLines { shown, window, name, newest, scan: None, settings: None };
-                Lines::Recording(lines)
+            SourceKind::Recording(player) => {
+                let shown = player.shown();
+                Lines::Recording(PlaybackLines { source, shown, scan: None, settings: None })
             }
         }
     }
@@ -157,9 +147,7 @@ impl Lines {
 
 /// Lines of a sensor: its scans and events.
 pub(super) struct SensorLines {
-    hub: Arc<Hub>,
-    name: Option<Arc<str>>,
-    newest: Arc<NewestLine>,
+    source: Arc<SiteSource>,
     /// Old scan to send first.
     old: Option<Scan>,
     /// `None` until the sensor is found.
@@ -168,18 +156,19 @@ pub(super) struct SensorLines {
 
 impl SensorLines {
     async fn next(&mut self) -> Option<Result<ViewerLine, Failure>> {
-        if let Some(scan) = self.old.take() {
-            let line = OldScan { old: true, line: scan_line(self.name.as_deref(), &scan) };
-            return Some(json_line(&line).map(|ndjson| ViewerLine::new(&ndjson, false)));
+        let sensor = self.source.name();
+        if let Some(data) = &self.old.take() {
+            let line = NamedLine { sensor, position: None, data };
+            return Some(other_line(&OldScan { old: true, line }));
         }
         let feed = match &mut self.feed {
             Some(feed) => feed,
-            none => none.insert(self.hub.feed().await?),
+            none => none.insert(self.source.hub()?.feed().await),
         };
         let update = feed.next().await?;
-        let ndjson = || update.line(self.name.as_deref());
+        let ndjson = || update.line(sensor);
         Some(match &update {
-            Update::Scan(scan) => self.newest.of(scan.sequence(), ndjson),
+            Update::Scan(scan) => self.source.newest.of(scan.sequence(), ndjson),
             _ => ndjson().map(|ndjson| ViewerLine::new(&ndjson, false)),
         })
     }
@@ -193,16 +182,10 @@ struct OldScan<'a> {
     line: NamedLine<'a, &'a Scan>,
 }
 
-fn scan_line<'a>(sensor: Option<&'a str>, data: &'a Scan) -> NamedLine<'a, &'a Scan> {
-    NamedLine { sensor, position: None, data }
-}
-
 /// Lines of a playback: each scan shown, and each change of pause, speed or loop.
 pub(super) struct PlaybackLines {
+    source: Arc<SiteSource>,
     shown: watch::Receiver<Shown>,
-    window: Window,
-    name: Option<Arc<str>>,
-    newest: Arc<NewestLine>,
     /// Scan and settings that the client already has.
     scan: Option<usize>,
     settings: Option<(bool, bool, u64, bool)>,
@@ -210,17 +193,19 @@ pub(super) struct PlaybackLines {
 
 impl PlaybackLines {
     async fn next(&mut self) -> Option<Result<ViewerLine, Failure>> {
+        let sensor = self.source.name();
         loop {
             let Shown { scan, status } = self.shown.borrow_and_update().clone();
             let speed = status.speed.to_bits();
             let settings = (status.paused, status.ended, speed, status.is_looping);
             if self.settings.replace(settings) != Some(settings) {
-                return Some(event(self.name.as_deref(), status));
+                let data = PlaybackEvent { playback: status };
+                return Some(other_line(&NamedLine { sensor, position: None, data }));
             }
             if self.scan.replace(status.scan) != Some(status.scan) {
-                let (sensor, position) = (self.name.as_deref(), Some(status.position));
-                return Some(self.newest.of(status.scan as u64, || {
-                    let data = seen_through(&scan, self.window);
+                let position = Some(status.position);
+                return Some(self.source.newest.of(status.scan as u64, || {
+                    let data = seen_through(&scan, self.source.source.window);
                     json_line(&NamedLine { sensor, position, data })
                 }));
             }
@@ -229,7 +214,7 @@ impl PlaybackLines {
     }
 }
 
-fn event(sensor: Option<&str>, playback: PlaybackStatus) -> Result<ViewerLine, Failure> {
-    let line = NamedLine { sensor, position: None, data: PlaybackEvent { playback } };
-    json_line(&line).map(|ndjson| ViewerLine::new(&ndjson, false))
+/// Creates a line that is not a new scan.
+fn other_line(data: &impl Serialize) -> Result<ViewerLine, Failure> {
+    json_line(data).map(|ndjson| ViewerLine::new(&ndjson, false))
 }

@@ -7,6 +7,7 @@ use tokio_scip::scan::Pose;
 use tokio_scip::{Stats, Version, Window};
 
 use super::Site;
+use super::hub::Hub;
 use super::routes::{Response, text, whole};
 use super::source::SiteSource;
 use crate::format::json_line;
@@ -62,20 +63,19 @@ impl<'a> SensorReport<'a> {
     fn of(source: &'a SiteSource) -> Self {
         let health = source.health();
         let (hub, player) = (source.hub(), source.player());
-        let live = hub.and_then(|hub| hub.live());
-        let sensor = live.as_ref().map(|live| &live.sensor);
+        let sensor = hub.and_then(Hub::sensor);
         let stats = hub.map(|_| sensor.map(|sensor| sensor.stats()).unwrap_or_default());
         let latency = stats.as_ref().map(|stats| stats.reply_latency);
         let schedule = stats.as_ref().and_then(|stats| stats.schedules.first());
         Self {
-            name: source.name.as_deref(),
-            pose: source.pose,
-            port: source.port().to_string(),
+            name: source.name(),
+            pose: source.source.pose,
+            port: source.source.port.to_string(),
             link: health.link,
             why: health.why,
             baud_rate: sensor.and_then(|sensor| sensor.state().get().baud_rate()),
-            window: source.window(),
-            asked: hub.and_then(|hub| hub.rate().period()).map(|one| 1.0 / one.as_secs_f64()),
+            window: source.source.window,
+            asked: hub.and_then(|_| source.source.rate.period()).map(|one| 1.0 / one.as_secs_f64()),
             reached: schedule.and_then(|schedule| schedule.reached),
             age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
             latency: latency.filter(|latency| latency.count > 0).map(|latency| LatencySeconds {
@@ -83,7 +83,7 @@ impl<'a> SensorReport<'a> {
                 mean: latency.mean().as_secs_f64(),
                 max: latency.max.as_secs_f64(),
             }),
-            jitter: hub.and_then(|hub| hub.jitter()),
+            jitter: hub.and_then(Hub::jitter),
             sensor: source.version().cloned(),
             stats,
             playback: player.map(Player::status),
@@ -96,7 +96,7 @@ pub(super) fn state(site: &Site) -> Response {
     let report = StateReport {
         urg: env!("CARGO_PKG_VERSION"),
         viewers: site.viewers(),
-        sensors: site.sources.iter().map(SensorReport::of).collect(),
+        sensors: site.sources.iter().map(|source| SensorReport::of(source)).collect(),
     };
     respond(StatusCode::OK, &report)
 }
@@ -124,7 +124,7 @@ pub(super) fn health(site: &Site) -> Response {
         .iter()
         .map(|source| {
             let health = source.health();
-            let (name, status) = (source.name.as_deref(), status(health.why.is_none()));
+            let (name, status) = (source.name(), status(health.why.is_none()));
             HealthEntry { name, status, link: health.link, why: health.why }
         })
         .collect();

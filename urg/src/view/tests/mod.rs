@@ -11,13 +11,14 @@ use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::Color;
 use tokio_scip::emulator::{Emulator, STEPS, Values, WorldTime};
-use tokio_scip::scan::Pose;
 use tokio_scip::{BaudRate, Rate, Sensor, State, Window};
 
 use super::draw::draw;
 use super::layer::Layer;
 use super::model::{Action, Model};
 use super::palette::Palette;
+use crate::picture::PictureSource;
+use crate::port::named::{NamedPort, PlacedPort};
 
 /// Values of a sensor whose view never changes.
 type Sight = [u16; STEPS];
@@ -27,14 +28,18 @@ fn seen(sight: Sight) -> Emulator {
     Emulator::builder().usb().world(world).build()
 }
 
+/// Source that is not recorded, with the default window and rate.
+fn source(port: &str) -> PictureSource {
+    let PlacedPort { named: NamedPort { name, port }, pose } = port.parse().unwrap();
+    PictureSource { name, port, pose, window: Window::DETECTION, rate: Rate::hz(10.0) }
+}
+
 fn layer_for(sensor: &Sensor, version: tokio_scip::Version) -> Layer {
-    let port = "/dev/ttyACM0".to_owned();
     Layer {
         version: Some(version),
-        rate: Rate::hz(10.0),
         state: sensor.state().get(),
         stats: sensor.stats(),
-        ..Layer::new(None, Pose::default(), port, Window::DETECTION)
+        ..Layer::new(source("/dev/ttyACM0"))
     }
 }
 

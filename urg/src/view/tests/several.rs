@@ -1,10 +1,11 @@
 //! Several sensors on one screen.
 
 use super::*;
+use tokio_scip::scan::Pose;
 use tokio_scip::{Error, ScanStream};
 
+use crate::view::Viewer;
 use crate::view::palette::Palette;
-use crate::view::{ViewedSensor, Viewer};
 
 /// Sensor that sees one object, two metres ahead.
 fn ahead() -> Emulator {
@@ -199,13 +200,12 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
         ("rear=/dev/ttyACM1", "rear: cannot open /dev/ttyACM1: "),
         ("/dev/ttyACM1", "cannot open /dev/ttyACM1: "),
     ] {
-        let mut viewed = Vec::new();
-        for placed in ["front=/dev/ttyACM0", argument] {
+        let mut sensors = Vec::new();
+        for port in ["front=/dev/ttyACM0", argument] {
             let sensor = Sensor::builder().connect(ahead()).await.unwrap();
-            let (placed, rate) = (placed.parse().unwrap(), Rate::hz(10.0));
-            viewed.push(ViewedSensor { placed, sensor, window: Window::DETECTION, rate });
+            sensors.push((source(port), sensor));
         }
-        let mut viewer = Viewer::of_sensors(viewed);
+        let mut viewer = Viewer::of_sensors(sensors);
         let source = std::sync::Arc::new(std::io::Error::other("no such port"));
         let error = Error::Open { port: "/dev/ttyACM1".to_owned(), source };
         viewer.started((1, Err(error))).unwrap();
@@ -218,13 +218,11 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
 async fn a_window_that_is_requested_while_the_sensor_is_opened_stays() {
     for is_open_first in [true, false] {
         let sensor = Sensor::builder().connect(ahead()).await.unwrap();
-        let placed = "/dev/ttyACM0".parse().unwrap();
-        let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
-        let mut viewer = Viewer::of_sensors(vec![ViewedSensor { placed, sensor, window, rate }]);
+        let mut viewer = Viewer::of_sensors(vec![(source("/dev/ttyACM0"), sensor)]);
         let action = press(&mut viewer.model, KeyCode::Char('w'));
         viewer.act(action);
         let requested = viewer.model.layers[0].window;
-        assert_ne!(requested, window);
+        assert_ne!(requested, Window::DETECTION);
         let started = viewer.starts.join_next().await.unwrap().unwrap();
         let done = viewer.jobs.join_next().await.unwrap().unwrap();
         if is_open_first {
