@@ -65,7 +65,7 @@ const EARLY_WEIGHT: f64 = 40.0;
 /// The same weight on a busy host, until [`SETTLED`] replies fit. A period that rests on two
 /// or three arrivals would look better known than it is.
 const UNSETTLED_WEIGHT: f64 = 6.0;
-const SETTLED: u8 = 40;
+const SETTLED: u64 = 40;
 /// Doubt of the nominal period, as a standard deviation: 0.3 %. The only motor in a
 /// capture is off by 0.24 %.
 const NOMINAL_DOUBT: f64 = 0.003;
@@ -79,7 +79,7 @@ const LATENESS_LIMITS: (f64, f64) = (0.05e-3, 0.7e-3);
 /// Part of the gate that does not depend on the usual lateness, in seconds.
 const LEAST_GATE: f64 = 0.15e-3;
 /// Number of replies that must fit before the line is used.
-const ENOUGH: u8 = 8;
+const ENOUGH: u64 = 8;
 /// The period counts as known if its error is below 0.01 % at this many standard
 /// deviations. The arrivals of a USB sensor are not independent samples: they step through
 /// its frames.
@@ -104,6 +104,10 @@ const LEAST_SHARE: f64 = 0.1;
 const SHARE_REPLIES: f64 = 256.0;
 /// Least time from a request to the end of a revolution that answers it, in revolutions.
 const LEAST_WAIT: f64 = 0.1;
+
+/// Middle of the range in which floats are the whole numbers, from 2⁵² to 2⁵³: adding it to a
+/// smaller number rounds that one.
+const WHOLE: f64 = 1.5 * (1_u64 << 52) as f64;
 
 /// What is known of the revolution that a reply shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -143,6 +147,13 @@ struct Former {
     chance: f64,
 }
 
+/// Sums of [`MotorClock`], and their determinant, which is the same from any point.
+#[derive(Debug, Clone, Copy)]
+struct Moments {
+    sums: [f64; 3],
+    determinant: f64,
+}
+
 /// Line through the ends of revolutions. Its times are in seconds from `origin`: a reply costs
 /// half the instructions that it would with the arithmetic of [`Instant`].
 #[derive(Debug, Clone)]
@@ -160,17 +171,16 @@ pub(crate) struct MotorClock {
     sums: [f64; 3],
     /// Mean lateness of fitting replies, in seconds.
     lateness: f64,
-    /// Number of fitting replies since the fit started, and since the latest jump.
-    fitting: u8,
-    since_jump: u8,
-    /// Number of fitting replies that kept the host waiting.
-    waited: u8,
+    /// Number of fitting replies since the fit started: in all, and before the latest jump.
+    fitting: u64,
+    before_jump: u64,
+    /// Number of fitting replies that kept the host waiting, up to [`ENOUGH`].
+    waited: u64,
     /// Part of the replies that fit.
     share: f64,
     counted: f64,
-    /// Number of revolutions that the sensor let pass before it answered the latest fitting
-    /// reply's request.
-    passed: f64,
+    /// Request of the latest fitting reply, and the end of the revolution that answered it.
+    answered: (Instant, f64),
     misfits: Misfits,
     /// Line before the latest jump, until the jump is certain.
     former: Option<Former>,
@@ -181,8 +191,9 @@ impl MotorClock {
     /// Creates a clock of a motor whose revolution nominally takes this long.
     pub(crate) fn new(nominal: Duration) -> Self {
         let nominal = nominal.as_secs_f64();
+        let origin = Instant::now();
         Self {
-            origin: Instant::now(),
+            origin,
             nominal,
             period: nominal,
             known_period: None,
@@ -190,11 +201,11 @@ impl MotorClock {
             sums: [0.0; 3],
             lateness: USUAL_LATENESS,
             fitting: 0,
-            since_jump: 0,
+            before_jump: 0,
             waited: 0,
             share: USUAL_SHARE,
-            counted: ENOUGH.into(),
-            passed: 0.0,
+            counted: ENOUGH as f64,
+            answered: (origin, 0.0),
             misfits: Misfits::NONE,
             former: None,
             jumps: 0,
@@ -204,32 +215,30 @@ impl MotorClock {
     /// Adds a reply whose first byte arrived at `arrived`. Returns when the revolution
     /// that it shows ended, which is never later than `arrived`.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
-        self.add(seconds(self.origin, requested), seconds(self.origin, arrived))
+        self.add(requested, seconds(self.origin, arrived))
     }
 
-    fn add(&mut self, requested: f64, arrived: f64) -> Revolution {
+    fn add(&mut self, requested: Instant, arrived: f64) -> Revolution {
         let Some(latest) = self.latest else { return self.start(arrived) };
         let since = arrived - latest;
-        let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
-        let faded = self.sums.map(|sum| sum * fade);
-        let gate = self.gate(faded, whole(since / self.period + 0.5));
-        let turns = whole((since + gate) / self.period);
+        let turns = nearest(since / self.period);
         let lag = since - turns * self.period;
-        if !(gate < self.period / 4.0 && lag > -gate) {
-            return self.start(arrived);
-        }
         let end = latest + turns * self.period;
-        let wait = (end - requested) / self.period;
-        let passed = whole(wait - LEAST_WAIT).max(0.0);
-        if lag <= gate {
-            self.waited = self.waited.saturating_add(u8::from(wait > LEAST_WAIT));
-            self.passed = passed;
-            self.fit(faded, turns, end, lag, arrived)
-        } else if wait < 0.0 {
-            self.early(requested, arrived)
+        let moments = self.moments(since, turns);
+        let gate = self.gate(moments);
+        // Not a number while the line rests on nothing.
+        if gate.is_nan() || gate >= self.period / 4.0 {
+            self.start(arrived)
+        } else if lag.abs() <= gate {
+            if self.waited < ENOUGH {
+                self.waited += u64::from(self.wait(requested, end) > LEAST_WAIT);
+            }
+            self.answered = (requested, end);
+            self.fit(moments, end, lag, arrived)
+        } else if lag > 0.0 {
+            self.misfit(requested, end, lag, gate, arrived)
         } else {
-            let end = end + (self.passed - passed).min(0.0) * self.period;
-            self.misfit(end, lag, gate, arrived)
+            self.misfit(requested, end - self.period, lag + self.period, gate, arrived)
         }
     }
 
@@ -242,27 +251,32 @@ impl MotorClock {
         })
     }
 
-    /// An arrival further from the line than this does not fit. `turns` is the number of
-    /// revolutions since the latest point of the line.
-    fn gate(&self, [w, wx, wxx]: [f64; 3], turns: f64) -> f64 {
-        let ahead = wxx - 2.0 * turns * wx + turns * turns * w;
-        let doubt = self.lateness * (ahead / (w * wxx - wx * wx)).sqrt();
+    /// Time from a request to the end of a revolution, in revolutions.
+    fn wait(&self, requested: Instant, end: f64) -> f64 {
+        (end - seconds(self.origin, requested)) / self.period
+    }
+
+    /// The sums, faded after `since`, with their distances from a point that is `turns`
+    /// revolutions ahead.
+    fn moments(&self, since: f64, turns: f64) -> Moments {
+        let fade = 1.0 / (1.0 + since.max(0.0) / MEMORY);
+        let [w, wx, wxx] = self.sums.map(|sum| sum * fade);
+        let determinant = w * wxx - wx * wx;
+        let ahead = wx - turns * w;
+        Moments { sums: [w, ahead, wxx - turns * (wx + ahead)], determinant }
+    }
+
+    /// An arrival further from the line than this does not fit.
+    fn gate(&self, Moments { sums: [.., wxx], determinant }: Moments) -> f64 {
+        let doubt = self.lateness * (wxx / determinant).sqrt();
         2.5 * self.lateness + LEAST_GATE + 3.0 * doubt
     }
 
     /// Adds a reply `lag` behind `end`, the end of a revolution on the line.
-    fn fit(
-        &mut self,
-        [w, wx, wxx]: [f64; 3],
-        turns: f64,
-        end: f64,
-        lag: f64,
-        arrived: f64,
-    ) -> Revolution {
+    fn fit(&mut self, moments: Moments, end: f64, lag: f64, arrived: f64) -> Revolution {
         self.misfits = Misfits::NONE;
         self.note_share(MOST_SHARE);
-        self.fitting = self.fitting.saturating_add(1);
-        self.since_jump = self.since_jump.saturating_add(1);
+        self.fitting += 1;
         // While the period is unknown, an early arrival says nothing about the edge.
         let weight = match self.fitting {
             _ if lag >= 0.0 => 1.0,
@@ -270,24 +284,40 @@ impl MotorClock {
             ..=SETTLED if self.is_host_busy() => UNSETTLED_WEIGHT,
             _ => EARLY_WEIGHT,
         };
-        let sums = [w + weight, wx - turns * w, wxx - 2.0 * turns * wx + turns * turns * w];
-        let [w, wx, wxx] = sums;
-        let gain = weight * lag / (w * wxx - wx * wx);
+        let [w, wx, wxx] = moments.sums;
+        let determinant = moments.determinant + weight * wxx;
+        let gain = weight * lag / determinant;
+        self.sums = [w + weight, wx, wxx];
         let (least, most) = LATENESS_LIMITS;
         self.lateness = (self.lateness + (lag.abs() - self.lateness) / 32.0).clamp(least, most);
-        self.sums = sums;
         self.period -= wx * gain;
         if (self.period - self.nominal).abs() > LARGEST_DIFFERENCE * self.nominal {
             return self.start(arrived);
         }
         let end = end + wxx * gain;
         self.latest = Some(end);
-        self.judge_period();
+        self.judge_period(determinant);
         self.on_line(end, arrived)
     }
 
-    /// Notes a reply `lag` behind the line, which is late unless the phase has changed.
-    fn misfit(&mut self, end: f64, lag: f64, gate: f64, arrived: f64) -> Revolution {
+    /// Notes a reply `lag` behind `end`, which is late unless the phase has changed.
+    fn misfit(
+        &mut self,
+        requested: Instant,
+        end: f64,
+        lag: f64,
+        gate: f64,
+        arrived: f64,
+    ) -> Revolution {
+        let wait = self.wait(requested, end);
+        if wait < 0.0 {
+            return self.early(requested, arrived);
+        }
+        // Number of revolutions that the sensor lets pass before it answers.
+        let passed = |wait: f64| (wait - LEAST_WAIT).max(0.0).floor();
+        let (answered, answer) = self.answered;
+        let more = passed(wait) - passed(self.wait(answered, answer));
+        let end = end - more.max(0.0) * self.period;
         self.note_share(0.0);
         if self.share < LEAST_SHARE {
             return self.start(arrived);
@@ -348,14 +378,14 @@ impl MotorClock {
     }
 
     /// Corrects a line that an arrival shows to be late.
-    fn early(&mut self, requested: f64, arrived: f64) -> Revolution {
+    fn early(&mut self, requested: Instant, arrived: f64) -> Revolution {
         if let (Some(former), Some(latest)) = (self.former.take(), self.latest) {
             // The replies that seemed to show a jump were late.
             self.set_phase(latest - former.lag, former.weight);
             return self.add(requested, arrived);
         }
         // A second early arrival this soon means that the period is wrong, too.
-        if self.fitting < ENOUGH || self.since_jump < ENOUGH {
+        if self.fitting - self.before_jump < ENOUGH {
             return self.start(arrived);
         }
         self.jumps += 1;
@@ -368,7 +398,7 @@ impl MotorClock {
         self.period = self.nominal;
         self.lateness = USUAL_LATENESS;
         self.fitting = 0;
-        (self.share, self.counted) = (USUAL_SHARE, ENOUGH.into());
+        (self.share, self.counted) = (USUAL_SHARE, ENOUGH as f64);
         self.former = None;
         self.sums = [0.0; 3];
         self.set_phase(arrived, 1.0);
@@ -382,9 +412,10 @@ impl MotorClock {
         let doubt = NOMINAL_DOUBT * self.nominal / USUAL_LATENESS;
         self.sums = [weight, 0.0, known.max(1.0 / (doubt * doubt))];
         self.latest = Some(end);
-        self.since_jump = 0;
+        self.before_jump = self.fitting;
         self.misfits = Misfits::NONE;
-        self.judge_period();
+        let [w, _, wxx] = self.sums;
+        self.judge_period(w * wxx);
     }
 
     fn is_known(&self) -> bool {
@@ -392,12 +423,12 @@ impl MotorClock {
     }
 
     /// Decides whether the period is known to 0.01 %, after a change of the line.
-    fn judge_period(&mut self) {
-        let [w, wx, wxx] = self.sums;
+    fn judge_period(&mut self, determinant: f64) {
+        let [w, ..] = self.sums;
         let sigmas = PERIOD_SIGMAS * self.lateness;
         let error = PERIOD_ERROR * self.period;
         // Both sides squared, which saves the square root of the variance.
-        let is_known = self.is_known() && sigmas * sigmas * w < error * error * (w * wxx - wx * wx);
+        let is_known = self.is_known() && sigmas * sigmas * w < error * error * determinant;
         self.known_period = is_known.then(|| duration(self.period));
     }
 
@@ -413,23 +444,28 @@ impl MotorClock {
     }
 }
 
-/// Rounds down. `f64::floor` is a function call on a processor without SSE 4.1.
-fn whole(turns: f64) -> f64 {
-    turns as i64 as f64
+/// Rounds to the nearest whole number. `f64::round` is a function call on a processor
+/// without SSE 4.1.
+fn nearest(turns: f64) -> f64 {
+    turns + WHOLE - WHOLE
 }
 
 /// Seconds from one time to another. Negative if `to` is earlier.
 fn seconds(from: Instant, to: Instant) -> f64 {
     match to.checked_duration_since(from) {
-        Some(after) => after.as_secs_f64(),
-        None => -from.duration_since(to).as_secs_f64(),
+        Some(after) => in_seconds(after),
+        None => -in_seconds(from.duration_since(to)),
     }
 }
 
-/// Duration of seconds to the nearest nanosecond, or zero if they are negative.
-/// `Duration::from_secs_f64` takes 100 instructions more, and a conversion of floats to unsigned
-/// numbers 10.
+/// `Duration::as_secs_f64` converts an unsigned number, which takes more instructions.
+fn in_seconds(duration: Duration) -> f64 {
+    duration.as_secs() as i64 as f64 + f64::from(duration.subsec_nanos()) * 1e-9
+}
+
+/// Duration of seconds to the nearest nanosecond, or zero if they are negative, in a tenth of
+/// the instructions that `Duration::from_secs_f64` takes. At most 26 days.
 fn duration(seconds: f64) -> Duration {
-    let nanos = (seconds * 1e9 + 0.5) as i64;
-    Duration::from_nanos(nanos.max(0).unsigned_abs())
+    let nanos = (seconds * 1e9).clamp(0.0, WHOLE / 3.0);
+    Duration::from_nanos((nanos + WHOLE).to_bits() - WHOLE.to_bits())
 }
