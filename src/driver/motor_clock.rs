@@ -226,7 +226,7 @@ impl MotorClock {
         let end = latest + turns * self.period;
         let moments = self.moments(since, turns);
         let gate = self.gate(moments);
-        // Not a number while the line rests on nothing.
+        // Not a number if rounding has made the determinant negative.
         if gate.is_nan() || gate >= self.period / 4.0 {
             self.start(arrived)
         } else if lag.abs() <= gate {
