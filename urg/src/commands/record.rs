@@ -111,14 +111,65 @@ impl Record {
             Ok((sensor, scans, recorder))
         };
         let (sensor, scans, recorder) = interrupt.unless(opening).await?;
-        let run = RecordRun {
-            recorder,
-            feed: Feed::new(&port, scans),
-            reporter: Reporter::new(port, sensor).with_rate(window, rate),
-            refresh_at: Instant::now(),
-            began: Instant::now(),
+        let feed = Feed::new(&port, scans);
+        let reporter = Reporter::new(port, sensor).with_rate(window, rate);
+        self.write(recorder, feed, reporter, &target, interrupt).await
+    }
+
+    /// Writes the stream into the file until one of them ends, and then the end of the file.
+    async fn write(
+        &self,
+        mut recorder: Recorder,
+        mut feed: Feed,
+        mut reporter: Reporter,
+        target: &RecordTarget,
+        interrupt: &Interrupt,
+    ) -> Result<(), Failure> {
+        let began = Instant::now();
+        // When the progress line may change again.
+        let mut refresh_at = began;
+        let mut is_late = false;
+        let take = async |update: Update| {
+            reporter.report(&update);
+            let item = match update {
+                Update::Scan(scan) => Ok(scan),
+                Update::Error(error) => Err(error),
+                Update::Event(_) => return Ok(()),
+            };
+            recorder.record(&item).map_err(|error| target.failure(&error))?;
+            if !is_late && recorder.progress().late_syncs > 0 {
+                is_late = true;
+                notice(
+                    "the disk is slow: it takes longer than --sync for what is written; no scan \
+                     is delayed, but more is lost if the power fails",
+                );
+            }
+            if Instant::now() < refresh_at {
+                return Ok(());
+            }
+            refresh_at = Instant::now() + REFRESH_INTERVAL;
+            stderr::show(|| {
+                let away = match reporter.sensor.state().get() {
+                    State::Connected { .. } => "",
+                    _ => "; sensor away",
+                };
+                let totals = RecordTotals::new(recorder.progress(), &reporter);
+                format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
+            });
+            Ok(())
         };
-        run.run(&self.pace, interrupt, &target).await
+        let followed = follow(&mut feed, &self.pace, interrupt, take).await;
+        let elapsed = began.elapsed();
+        let finished = tokio::select! {
+            finished = recorder.finish() => finished.map_err(|error| target.failure(&error)),
+            () = interrupt.overdue() => Err(Failure::Failed(format!(
+                "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
+            ))),
+        };
+        let ended = reporter.finish(followed?);
+        let totals = RecordTotals::new(finished?, &reporter);
+        notice(format_args!("{target}: {}", totals.after(elapsed)));
+        ended
     }
 
     /// Asks for the missing argument: FILE, or PORT if the only argument is a recording.
@@ -239,71 +290,5 @@ impl fmt::Display for RecordTarget {
             Self::File(file) => file.path().display().fmt(f),
             Self::Stdout => f.write_str("standard output"),
         }
-    }
-}
-
-/// Running `urg record`: writes updates to the file.
-struct RecordRun {
-    recorder: Recorder,
-    feed: Feed,
-    reporter: Reporter,
-    /// When the progress line may change again.
-    refresh_at: Instant,
-    began: Instant,
-}
-
-impl RecordRun {
-    async fn run(
-        mut self,
-        pace: &PaceArgs,
-        interrupt: &Interrupt,
-        target: &RecordTarget,
-    ) -> Result<(), Failure> {
-        let Self { recorder, feed, reporter, refresh_at, began } = &mut self;
-        let mut is_late = false;
-        let take = async |update: Update| {
-            reporter.report(&update);
-            let item = match update {
-                Update::Scan(scan) => Ok(scan),
-                Update::Error(error) => Err(error),
-                Update::Event(_) => return Ok(()),
-            };
-            recorder.record(&item).map_err(|error| target.failure(&error))?;
-            if !is_late && recorder.progress().late_syncs > 0 {
-                is_late = true;
-                notice(
-                    "the disk is slow: it takes longer than --sync for what is written; no scan \
-                     is delayed, but more is lost if the power fails",
-                );
-            }
-            if Instant::now() < *refresh_at {
-                return Ok(());
-            }
-            *refresh_at = Instant::now() + REFRESH_INTERVAL;
-            stderr::show(|| {
-                let away = match reporter.sensor.state().get() {
-                    State::Connected { .. } => "",
-                    _ => "; sensor away",
-                };
-                let totals = RecordTotals::new(recorder, reporter);
-                format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
-            });
-            Ok(())
-        };
-        let followed = follow(feed, pace, interrupt, take).await;
-        let elapsed = self.began.elapsed();
-        let mut totals = RecordTotals::new(&self.recorder, &self.reporter);
-        let finished = tokio::select! {
-            finished = self.recorder.finish() => finished.map_err(|error| target.failure(&error)),
-            () = interrupt.overdue() => Err(Failure::Failed(format!(
-                "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
-            ))),
-        };
-        let ended = self.reporter.finish(followed?);
-        let finished = finished?;
-        (totals.bytes, totals.files) = (finished.bytes, finished.files);
-        totals.late_syncs = finished.late_syncs;
-        notice(format_args!("{target}: {}", totals.after(elapsed)));
-        ended
     }
 }

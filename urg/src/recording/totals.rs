@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use tokio_scip::recording::Recorder;
+use tokio_scip::recording::Progress;
 
 use crate::format::time::clock;
 use crate::stream::reporter::Reporter;
@@ -11,39 +11,23 @@ use crate::stream::reporter::Reporter;
 /// Counts for the progress line and the final notice.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct RecordTotals {
-    pub(crate) scans: u64,
-    pub(crate) bytes: u64,
-    pub(crate) files: u64,
-    /// Received scans that are missing from the file.
-    lost: u64,
-    /// Received replies that are missing from the file, and so from a replay.
-    lost_replies: u64,
+    progress: Progress,
+    /// Scans that are in the file only as replies.
+    missed: u64,
     /// Polls without a scan over a working link.
     failed: u64,
     disconnects: u64,
-    /// Syncs that took longer than `--sync`.
-    pub(crate) late_syncs: u64,
 }
 
 impl RecordTotals {
-    pub(crate) fn new(recorder: &Recorder, reporter: &Reporter) -> Self {
-        let progress = recorder.progress();
-        Self {
-            scans: progress.scans,
-            bytes: progress.bytes,
-            files: progress.files,
-            // A missed scan is in the file only as a reply.
-            lost: progress.lost + reporter.missed,
-            lost_replies: progress.lost_replies,
-            failed: reporter.failed,
-            disconnects: reporter.sensor.stats().disconnects,
-            late_syncs: progress.late_syncs,
-        }
+    pub(crate) fn new(progress: Progress, reporter: &Reporter) -> Self {
+        let disconnects = reporter.sensor.stats().disconnects;
+        Self { progress, missed: reporter.missed, failed: reporter.failed, disconnects }
     }
 
     pub(crate) fn after(self, elapsed: Duration) -> String {
-        let Self { scans, bytes, files, lost, lost_replies, failed, disconnects, late_syncs } =
-            self;
+        let Self { progress, missed, failed, disconnects } = self;
+        let Progress { scans, bytes, files, lost_replies, late_syncs, .. } = progress;
         let noun = if scans == 1 { "scan" } else { "scans" };
         let mut text = format!("{scans} {noun} in {}, ", clock(elapsed.as_secs_f64()));
         text.push_str(&match bytes {
@@ -54,7 +38,7 @@ impl RecordTotals {
             // Writing to a `String` is infallible.
             let _ = write!(text, " in {files} files");
         }
-        text.push_str(&match lost {
+        text.push_str(&match progress.lost + missed {
             0 => ", none lost".to_owned(),
             lost => format!(", {lost} lost"),
         });
@@ -80,19 +64,14 @@ mod tests {
 
     #[test]
     fn a_line_has_the_time_the_size_and_what_is_missing() {
-        let good = RecordTotals { scans: 598, bytes: 2_345_678, ..RecordTotals::default() };
-        assert_eq!(good.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
-        assert!(good.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
-        let bad = RecordTotals {
-            scans: 3,
-            bytes: 13_999,
-            files: 2,
-            lost: 2,
-            lost_replies: 5,
-            failed: 4,
-            disconnects: 1,
-            late_syncs: 7,
-        };
+        let mut totals = RecordTotals::default();
+        (totals.progress.scans, totals.progress.bytes) = (598, 2_345_678);
+        assert_eq!(totals.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");
+        assert!(totals.after(Duration::from_secs(3601)).starts_with("598 scans in 1:00:01, "));
+        let mut progress = Progress::default();
+        (progress.scans, progress.bytes, progress.files) = (3, 13_999, 2);
+        (progress.lost, progress.lost_replies, progress.late_syncs) = (1, 5, 7);
+        let bad = RecordTotals { progress, missed: 1, failed: 4, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
             "3 scans in 0:00, 13 kB in 2 files, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x, 7 late syncs"
