@@ -4,10 +4,9 @@ use std::io::{self, IsTerminal};
 
 use clap::ValueEnum;
 
-use tokio_scip::Window;
-
 use super::feed::{Feed, Update};
 use super::follow::follow;
+use super::rate_watch::schedule;
 use super::reporter::Reporter;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
 use crate::failure::Failure;
@@ -120,49 +119,31 @@ impl Stream {
         };
         let (sensor, scans) = interrupt.unless(opening).await?;
         let mut feed = Feed::new(&port, scans);
-        let mut run = StreamRun {
-            reporter: Reporter::new(port, sensor).with_rate(window, rate),
-            window,
-            format: self.format.unwrap_or_else(StreamFormat::default_for_stdout),
-            output: Output::new(),
+        let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
+        let format = self.format.unwrap_or_else(StreamFormat::default_for_stdout);
+        let mut output = Output::new();
+        if let Some(columns) = format.columns() {
+            output.write(columns.header()).await?;
+        }
+        let write = async |update: Update| {
+            reporter.report(&update);
+            match (format.columns(), &update) {
+                (None, _) if format == StreamFormat::Ndjson => {
+                    output.write(&update.line(None)?).await
+                }
+                (Some(columns), Update::Scan(scan)) => {
+                    output.write(&csv::rows(scan, columns)).await
+                }
+                (None, Update::Scan(scan)) => {
+                    let stats = reporter.sensor.stats();
+                    let rate = schedule(&stats, window).and_then(|schedule| schedule.reached);
+                    output.write(&summary::line(scan, rate)).await
+                }
+                // Events are on standard error too.
+                _ => Ok(()),
+            }
         };
-        if let Some(columns) = run.format.columns() {
-            run.output.write(columns.header()).await?;
-        }
-        let write = async |update: Update| run.write(&update).await;
         let ended = follow(&mut feed, &self.pace, interrupt, write).await?;
-        run.reporter.finish(ended)
-    }
-}
-
-/// Running `urg stream`: formats updates and writes them to standard output.
-struct StreamRun {
-    reporter: Reporter,
-    window: Window,
-    format: StreamFormat,
-    output: Output,
-}
-
-impl StreamRun {
-    async fn write(&mut self, update: &Update) -> Result<(), Failure> {
-        self.reporter.report(update);
-        match (self.format.columns(), update) {
-            (None, update) if self.format == StreamFormat::Ndjson => {
-                self.output.write(&update.line(None)?).await?;
-            }
-            (Some(columns), Update::Scan(scan)) => {
-                self.output.write(&csv::rows(scan, columns)).await?;
-            }
-            (None, Update::Scan(scan)) => {
-                let stats = self.reporter.sensor.stats();
-                let schedules = stats.schedules.iter();
-                let reached = schedules.filter(|schedule| schedule.window == self.window);
-                let rate = reached.filter_map(|schedule| schedule.reached).next();
-                self.output.write(&summary::line(scan, rate)).await?;
-            }
-            // Events are on standard error too.
-            _ => {}
-        }
-        Ok(())
+        reporter.finish(ended)
     }
 }

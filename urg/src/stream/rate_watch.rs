@@ -5,6 +5,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
+use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{BaudRate, Endpoint, Rate, Scan, Sensor, Stats, Window};
 
 use crate::port::name::PortName;
@@ -80,7 +81,7 @@ impl RateWatch {
         let slowest_part = quickest.as_secs_f64().max(scan.scan_time().as_secs_f64());
         self.since = None;
         let stats = sensor.stats();
-        let schedule = stats.schedules.iter().find(|schedule| schedule.window == self.window)?;
+        let schedule = schedule(&stats, self.window)?;
         let baud_rate = sensor.state().get().baud_rate();
         let measured = RateFigures {
             asked,
@@ -139,6 +140,11 @@ impl RateWatch {
         }
         text
     }
+}
+
+/// Finds the statistics of the polls of a window.
+pub(crate) fn schedule(stats: &Stats, window: Window) -> Option<&ScheduleStats> {
+    stats.schedules.iter().find(|schedule| schedule.window == window)
 }
 
 /// Checks whether a line at `baud_rate` is too slow for `rate` scans per second.

@@ -8,6 +8,7 @@ use tokio_scip::{Rate, Scan, State, Stats, Version, Window};
 
 use crate::picture::PictureSource;
 use crate::plot::Place;
+use crate::stream::rate_watch::schedule;
 
 /// Maximum length of the trail, in scans.
 const MAX_TRAIL_SCANS: usize = 10;
@@ -73,7 +74,7 @@ impl Layer {
 
     /// Statistics of the schedule for the requested window.
     pub(crate) fn pace(&self) -> Option<&ScheduleStats> {
-        self.stats.schedules.iter().find(|schedule| schedule.window == self.window)
+        schedule(&self.stats, self.window)
     }
 
     /// Measured rate in scans a second; `None` before there are enough scans to average.
