@@ -47,6 +47,17 @@ impl Interrupt {
         tokio::time::sleep_until(deadline).await;
     }
 
+    /// Waits for `work`, and drops it if it has not finished a second after an interrupt.
+    pub(crate) async fn limit(
+        &self,
+        work: impl Future<Output = Result<(), Failure>>,
+    ) -> Result<(), Failure> {
+        tokio::select! {
+            done = work => done,
+            () = self.overdue() => Err(Failure::Interrupted),
+        }
+    }
+
     /// Waits for `work`, and drops it on an interrupt.
     pub(crate) async fn unless<T>(
         &self,

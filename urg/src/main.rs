@@ -179,14 +179,16 @@ async fn run_command(command: Command) -> Result<(), Failure> {
         Interrupt::listen().map_err(|error| Failure::of("cannot listen for signals", &error))?;
     match command {
         // These handle the interrupt themselves.
-        Command::Stream(stream) => stream.run(&interrupt).await,
         Command::Check(check) => check.run(&interrupt).await,
         Command::View(view) => view.run(&interrupt).await,
         Command::Record(record) => record.run(&interrupt).await,
         Command::Cut(cut) => cut.run(&interrupt).await,
         Command::Repair(repair) => repair.run(&interrupt).await,
-        Command::Serve(serve) => serve.run(&interrupt).await,
-        Command::Publish(publish) => publish.run(&interrupt).await,
+        // These handle it too, but a reader, a client or an engine that hangs must not keep the
+        // program alive.
+        Command::Stream(stream) => interrupt.limit(stream.run(&interrupt)).await,
+        Command::Serve(serve) => interrupt.limit(serve.run(&interrupt)).await,
+        Command::Publish(publish) => interrupt.limit(publish.run(&interrupt)).await,
         // These can be dropped at any await.
         Command::List(list) => interrupt.unless(list.run()).await,
         Command::Info(info) => interrupt.unless(info.run()).await,

@@ -134,14 +134,6 @@ struct Ended {
 
 impl Publish {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        tokio::select! {
-            outcome = self.publish(interrupt) => outcome,
-            // Does not wait for an engine that hangs.
-            () = interrupt.overdue() => Ok(()),
-        }
-    }
-
-    async fn publish(self, interrupt: &Interrupt) -> Result<(), Failure> {
         if self.sensors.is_empty() {
             return Err(missing_port().await);
         }

@@ -69,14 +69,6 @@ Examples:
 
 impl Serve {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        tokio::select! {
-            outcome = self.serve(interrupt) => outcome,
-            // Does not wait for a client that has stopped reading.
-            () = interrupt.overdue() => Ok(()),
-        }
-    }
-
-    async fn serve(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let PictureArgs { playback, link, .. } = &self.picture;
         let picture = interrupt.unless(self.picture.sources()).await?;
         let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);

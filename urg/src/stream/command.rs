@@ -100,14 +100,6 @@ impl StreamFormat {
 
 impl Stream {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
-        tokio::select! {
-            outcome = self.stream(interrupt) => outcome,
-            // A reader that has stopped reading must not keep the program alive.
-            () = interrupt.overdue() => Ok(()),
-        }
-    }
-
-    async fn stream(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (mut port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         port.restrict(self.range.range)?;
         let window = self.window.window(port.default_window())?;
