@@ -3,7 +3,8 @@
 use std::fmt::Write;
 use std::time::SystemTime;
 
-use tokio_scip::{Measurement, Scan};
+use tokio_scip::scan::Ray;
+use tokio_scip::{Measurement, Point, Scan};
 
 /// Columns to write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,10 +46,9 @@ pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
     let stamp = since_1970(scan.stamp()).unwrap_or_default();
     let stamp = format!("{}.{:06}", stamp.as_secs(), stamp.subsec_micros());
     let mut time = since_1970(scan.first_ray_stamp()).unwrap_or_default();
-    let steps =
-        (scan.window().start().number()..).step_by(usize::from(scan.window().cluster_count()));
     let mut rows = String::with_capacity(scan.len() * 64);
-    for ((step, angle), measurement) in steps.zip(scan.angles()).zip(scan.measurements()) {
+    for ray in scan.rays() {
+        let Ray { step, angle, measurement, .. } = ray;
         // Writing to a `String` is infallible.
         let _ = write!(rows, "{},{stamp},", scan.sequence());
         let _ = write!(rows, "{}.{:06},", time.as_secs(), time.subsec_micros());
@@ -59,11 +59,8 @@ pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
             other => write!(rows, ",{}", other.value()),
         };
         if columns == Columns::Cartesian {
-            let _ = match measurement.distance() {
-                Some(mm) => {
-                    let range = f32::from(mm) / 1000.0;
-                    write!(rows, ",{:.3},{:.3}", range * angle.cos(), range * angle.sin())
-                }
+            let _ = match ray.point() {
+                Some(Point { x, y, .. }) => write!(rows, ",{x:.3},{y:.3}"),
                 None => write!(rows, ",,"),
             };
         }

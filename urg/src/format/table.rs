@@ -10,15 +10,11 @@ use crate::plot::summary::ScanSummary;
 /// Formats the table, with the sensor's name in the summary.
 pub(crate) fn table(scan: &Scan, version: &Version) -> String {
     let mut text = String::from("step  direction   distance\n");
-    let cluster = scan.window().cluster_count();
-    let steps = (scan.window().start().number()..).step_by(usize::from(cluster));
-    for ((step, angle), measurement) in steps.zip(scan.angles()).zip(scan.measurements()) {
+    for ray in scan.rays() {
         // Writing to a `String` is infallible.
-        let _ = write!(text, "{step:>4} {:>8.2}°  ", angle.to_degrees());
-        let _ = match measurement {
-            Measurement::Distance(mm) => {
-                writeln!(text, "{:>3}.{:03} m", mm / 1000, mm % 1000)
-            }
+        let _ = write!(text, "{:>4} {:>8.2}°  ", ray.step.number(), ray.angle.to_degrees());
+        let _ = match ray.measurement {
+            Measurement::Distance(mm) => writeln!(text, "{:>3}.{:03} m", mm / 1000, mm % 1000),
             other => writeln!(text, "        - {}", reason(other)),
         };
     }

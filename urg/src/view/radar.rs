@@ -172,10 +172,10 @@ impl<'a> Radar<'a> {
     fn marks(&self, buffer: &mut Buffer) {
         let Some(scan) = &self.selected.scan else { return };
         let mut cells: BTreeMap<_, BTreeMap<MissingKind, usize>> = BTreeMap::new();
-        for (angle, measurement) in scan.angles().zip(scan.measurements()) {
-            let place = self.selected.place(self.reach + 4.0 * self.chart.dot, angle.into());
-            if let (Some(kind), Some(cell)) = (MissingKind::of(measurement), self.chart.cell(place))
-            {
+        for ray in scan.rays() {
+            let place = self.selected.place(self.reach + 4.0 * self.chart.dot, ray.angle.into());
+            let kind = MissingKind::of(ray.measurement);
+            if let Some((cell, kind)) = self.chart.cell(place).zip(kind) {
                 *cells.entry(cell).or_default().entry(kind).or_default() += 1;
             }
         }
