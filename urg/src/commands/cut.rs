@@ -9,7 +9,7 @@ use tokio_scip::recording::{CutOutcome, cut};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::recording::rewrite::{failure, rewrite};
+use crate::recording::rewrite::{is_dash, rewrite};
 use crate::recording::span::RangeArgs;
 
 /// Copy a part of a recording, or join the files of a split recording
@@ -41,14 +41,12 @@ impl Cut {
         let name = out.display().to_string();
         let bounds = range.bounds();
         let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, output);
-        let (outcome, whole) = rewrite(files, &out, interrupt, copy).await?;
-        if let Some(whole) = whole {
-            if outcome.messages == 0 {
-                return Err(Failure::Failed(format!("{name}: nothing in this part")));
-            }
-            whole.keep().map_err(|error| failure(&out, &error))?;
+        let is_kept = |outcome: &CutOutcome| outcome.messages > 0;
+        let outcome = rewrite(files, &out, interrupt, copy, is_kept).await?;
+        let CutOutcome { messages, scans, damaged_parts, was_truncated, .. } = outcome;
+        if messages == 0 && !is_dash(&out) {
+            return Err(Failure::Failed(format!("{name}: nothing in this part")));
         }
-        let CutOutcome { scans, damaged_parts, was_truncated, .. } = outcome;
         let noun = if scans == 1 { "scan" } else { "scans" };
         let mut text = format!("{name}: {scans} {noun}");
         if damaged_parts > 0 {

@@ -8,7 +8,7 @@ use tokio_scip::recording::{Repaired, repair};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::recording::rewrite::{Input, failure, is_dash, rewrite};
+use crate::recording::rewrite::{Input, is_dash, rewrite};
 
 /// Restore a recording that is truncated or damaged
 ///
@@ -43,11 +43,10 @@ impl Repair {
             Some(input) => repair(input, output),
             None => Ok(Repaired::default()),
         };
-        let (repaired, whole) = rewrite(vec![file.clone()], &out, interrupt, copy).await?;
-        let is_repaired = repaired.was_truncated || repaired.damaged_parts > 0;
-        if let Some(whole) = whole.filter(|_| repaired.messages > 0 && is_repaired) {
-            whole.keep().map_err(|error| failure(&out, &error))?;
-        }
+        let is_kept = |repaired: &Repaired| {
+            repaired.messages > 0 && (repaired.was_truncated || repaired.damaged_parts > 0)
+        };
+        let repaired = rewrite(vec![file.clone()], &out, interrupt, copy, is_kept).await?;
         let (file, out) = (file.display(), out.display());
         match repaired {
             Repaired { was_truncated: false, damaged_parts: 0, .. } => {

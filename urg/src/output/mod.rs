@@ -1,9 +1,8 @@
 //! The program's two outputs: data on standard output, all other text on standard error.
-//! A slow reader of either never blocks the driver. [`whole_file`] writes files.
+//! A slow reader of either never blocks the driver.
 
 #[cfg(feature = "ros2")]
 pub(crate) mod capture;
 pub(crate) mod notice;
 pub(crate) mod stderr;
 pub(crate) mod stdout;
-pub(crate) mod whole_file;

@@ -1,33 +1,35 @@
-//! Writes a new recording from others, for `urg cut` and `urg repair`. A file gets its name once
-//! it is complete.
+//! Writes a new recording from others, for `urg cut` and `urg repair`. A file gets its name only
+//! when it is complete and on the disk, so that a crash or a power failure never leaves a partial
+//! file under that name.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use tempfile::{NamedTempFile, TempPath};
 use tokio_scip::recording::RecordingError;
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::whole_file::WholeFile;
 
 /// Recording to read.
 pub(crate) type Input = Box<dyn Read + Send>;
 
-/// Calls `copy` with `files` and the output `out`, and waits until the output is on the disk.
-/// Returns the outcome of `copy`, and the file to keep; `None` for standard output.
+/// Calls `copy` with `files` and the output `out`, and returns its outcome once the output is on
+/// the disk. Keeps a new file only if `is_kept` returns true for the outcome.
 pub(crate) async fn rewrite<T: Send + 'static>(
     files: Vec<PathBuf>,
     out: &Path,
     interrupt: &Interrupt,
     copy: impl FnOnce(Vec<Input>, &mut dyn Write) -> Result<T, RecordingError> + Send + 'static,
-) -> Result<(T, Option<WholeFile>), Failure> {
+    is_kept: impl FnOnce(&T) -> bool,
+) -> Result<T, Failure> {
     let created = match is_dash(out) {
         true => None,
-        false => Some(WholeFile::create(out).map_err(|error| failure(out, &error))?),
+        false => Some(create(out).map_err(|error| failure(out, &error))?.into_parts()),
     };
-    let (whole, output) = created.unzip();
+    let (output, temporary) = created.unzip();
     let to = out.to_owned();
     let writing = tokio::task::spawn_blocking(move || {
         let inputs = files.iter().map(|file| open(file)).collect::<Result<_, _>>()?;
@@ -42,15 +44,49 @@ pub(crate) async fn rewrite<T: Send + 'static>(
             _ => Failure::of("one of the files", &error),
         })
     });
-    let written = tokio::select! {
+    let outcome = tokio::select! {
         written = writing => written.map_err(|error| failure(out, &error))??,
         _ = interrupt.requested() => {
-            let outcome = if whole.is_some() { "not written" } else { "incomplete" };
+            let outcome = if temporary.is_some() { "not written" } else { "incomplete" };
             let name = out.display();
             return Err(Failure::Failed(format!("{name}: interrupted, and {outcome}")));
         }
     };
-    Ok((written, whole))
+    if let Some(temporary) = temporary.filter(|_| is_kept(&outcome)) {
+        keep(temporary, out).map_err(|error| failure(out, &error))?;
+    }
+    Ok(outcome)
+}
+
+/// Creates a temporary file beside `path`, such as `run.mcap.a1B2c3.part`, which is removed on
+/// drop. It is an error if `path` exists.
+fn create(path: &Path) -> io::Result<NamedTempFile> {
+    if path.symlink_metadata().is_ok() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    let mut prefix = path.file_name().unwrap_or_default().to_owned();
+    prefix.push(".");
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(".part");
+    // Same permissions as any new file. The default of `tempfile` is 0o600.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder(path))
+}
+
+/// Renames a temporary file to `path`. Sync its content first. It is an error if `path` exists
+/// by now.
+fn keep(temporary: TempPath, path: &Path) -> io::Result<()> {
+    temporary.persist_noclobber(path)?;
+    if cfg!(unix) {
+        // Ignores file systems that cannot sync a folder: a power failure may undo the rename.
+        let _ = File::open(folder(path)).and_then(|folder| folder.sync_all());
+    }
+    Ok(())
+}
+
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Checks whether a path means standard input or output.
@@ -81,4 +117,30 @@ fn buffered<T>(
 
 fn write_error(error: io::Error) -> RecordingError {
     RecordingError::Write { source: Arc::new(error) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_has_its_name_only_once_it_is_kept_and_replaces_no_other() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("run.mcap");
+        let names = || {
+            let entries = std::fs::read_dir(place.path()).unwrap();
+            entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+        };
+        let (mut file, temporary) = create(&path).unwrap().into_parts();
+        file.write_all(b"one").unwrap();
+        let found: Vec<String> = names();
+        assert!(found.len() == 1 && found[0].ends_with(".part"), "{found:?}");
+        let late = create(&path).unwrap().into_temp_path();
+        drop(create(&path).unwrap());
+        keep(temporary, &path).unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"one");
+        assert_eq!(keep(late, &path).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(create(&path).unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(names(), ["run.mcap"]);
+    }
 }
