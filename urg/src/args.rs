@@ -219,15 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn degrees_may_have_their_unit() {
-        assert_eq!(degrees("-90deg"), Ok(-90.0));
-        assert_eq!(degrees("12.5"), Ok(12.5));
-        assert!(degrees("inf").is_err());
-        assert!(degrees("1rad").is_err());
-    }
-
-    #[test]
-    fn a_port_number_alone_is_of_this_machine() {
+    fn an_address_to_listen_on_has_a_port_number_which_alone_is_of_this_machine() {
         for (text, address) in [
             ("4001", "127.0.0.1:4001"),
             (":4001", "127.0.0.1:4001"),
@@ -237,10 +229,6 @@ mod tests {
         ] {
             assert_eq!(listen_address(text).as_deref(), Ok(address), "{text}");
         }
-    }
-
-    #[test]
-    fn an_address_to_listen_on_has_a_port_number() {
         for text in ["", ":", "1.2.3.4", "localhost", "localhost:", "[::1]", "0.0.0.0:65536"] {
             assert!(listen_address(text).is_err(), "{text}");
         }

@@ -100,6 +100,7 @@ fn the_window_can_be_given_in_steps_or_degrees() {
         ("--start 0 --end 768", (0, 768, 1)),
         ("--start 100 --end 110 --cluster 4", (100, 110, 4)),
         ("--from -90deg --to 90deg", (128, 640, 1)),
+        ("--from -12.5deg --to 0", (349, 384, 1)),
         ("--from -45 --to=-44", (256, 258, 1)),
         ("--to 0", (44, 384, 1)),
     ] {

@@ -76,7 +76,8 @@ async fn a_recording_on_the_page_can_be_paused_stepped_searched_and_looped() {
     assert_eq!(post(&served, "speed=100"), 204);
     assert_eq!(post(&served, "play"), 204);
     lines.scan(|sequence| sequence == 29);
-    assert_eq!(served.state()["playback"]["ended"], true);
+    let playback = &served.state()["playback"];
+    assert!(playback["ended"] == true && playback["speed"] == 100.0, "{playback}");
     assert_eq!(served.get("/").status, 200);
     assert_eq!(post(&served, "loop=true"), 204);
     lines.scan(|sequence| sequence < 29);
@@ -106,11 +107,21 @@ async fn commands_that_make_no_sense_and_those_of_other_sites_are_refused() {
     let file = Scratch::mcap("refused");
     recording(file.path(), Window::DETECTION, 5).await;
     let served = Served::start(file.path());
-    assert_eq!(post(&served, "rewind"), 400);
+    for command in
+        ["", "rewind", "pause=1", "step=", "scan=-1", "seek=nan", "speed=0", "speed=101", "loop=2"]
+    {
+        assert_eq!(post(&served, command), 400, "{command}");
+    }
     assert_eq!(served.get("/playback?pause").status, 405);
-    let origin = "Origin: http://evil.example\r\n";
-    assert_eq!(served.client().post("/playback?pause", origin).status, 403);
+    let of_page = |origin: &str| {
+        let origin = format!("Origin: {origin}\r\n");
+        served.client().post("/playback?pause", &origin).status
+    };
+    for origin in ["null", "", "http://evil.example", "http://127.0.0.1:80"] {
+        assert_eq!(of_page(origin), 403, "{origin}");
+    }
     assert_eq!(served.state()["playback"]["paused"], false);
+    assert_eq!(of_page(&format!("http://{}", served.address)), 204);
     let live = Served::start("emulated");
     assert_eq!(post(&live, "pause"), 409);
     let line = run(&format!("serve {} --rate 5", file.path()), 2).stderr;
@@ -171,15 +182,17 @@ async fn a_clock_that_was_set_changes_neither_the_length_of_a_recording_nor_its_
     let file = Scratch::mcap("clock");
     recording(file.path(), Window::DETECTION, 100).await;
     with_times(file.path(), |messages| {
-        let half = messages.len() / 2;
-        for message in &mut messages[half..] {
-            message.publish_time += 72 * 3600 * 1_000_000_000;
+        let (half, most) = (messages.len() / 2, messages.len() * 4 / 5);
+        for (number, message) in messages.iter_mut().enumerate().skip(half) {
+            let hours = if number < most { 72 } else { 1 };
+            message.publish_time += hours * 3600 * 1_000_000_000;
         }
     });
     let info = run(&format!("info {}", file.path()), 0).stdout;
     assert!(info.contains(", for 0:09\n") && info.contains("gaps           none\n"), "{info}");
     // By 72 hours, less a period: the wall clock did not pause.
     assert!(info.contains("set forward by 71:59:59 at 0:0"), "{info}");
+    assert!(info.contains(", set back by 71:00:00 at 0:0"), "{info}");
     let part = run(&format!("stream {} --range 7s..8s --rate max", file.path()), 0).stdout;
     assert!((9..=11).contains(&part.lines().count()), "{}", part.lines().count());
 }

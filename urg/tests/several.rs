@@ -72,15 +72,14 @@ fn a_sensor_that_is_not_there_at_the_start_is_reported_and_the_others_are_shown(
 
 #[test]
 fn several_sensors_need_a_name_each_and_a_place_is_three_numbers() {
-    for arguments in [
-        "emulated emulated",
-        "front=emulated emulated",
-        "a=emulated a=emulated",
-        "a=emulated@1,2",
-        "1=emulated",
-        "",
-    ] {
+    for arguments in
+        ["emulated emulated", "front=emulated emulated", "a=emulated a=emulated", "1=emulated", ""]
+    {
         run(&format!("serve {arguments}"), 2);
         run(&format!("view {arguments}"), 2);
+    }
+    for place in ["1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,,2", "1e8,0,0", "0,-1001,0", "0,0,361"] {
+        let stderr = run(&format!("view a=emulated@{place}"), 2).stderr;
+        assert!(stderr.contains("expected X,Y,YAW"), "{place}: {stderr}");
     }
 }

@@ -39,6 +39,8 @@ fn an_invalid_command_line_exits_with_2() {
         "scan emulated --start 730",
         "scan emulated --from 20 --to 10",
         "scan emulated --from nan",
+        "scan emulated --from inf",
+        "scan emulated --to 1rad",
         "scan emulated --from 10 --start 3",
         "view emulated",
         "view emulated --count 3",

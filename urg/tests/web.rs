@@ -276,13 +276,17 @@ fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
 #[test]
 fn a_request_for_another_host_is_refused() {
     let served = Served::start("emulated");
-    for host in ["evil.example", "evil.example:80", "192.168.1.1"] {
+    for host in ["evil.example", "evil.example:80", "192.168.1.1:80", "0.0.0.0", "[::2]:80"] {
         for path in ["/", "/scans", "/state", "/health"] {
             let response = Client { host, ..served.client() }.get(path);
             assert_eq!(response.status, 421, "{host} {path}");
         }
     }
-    for host in ["localhost", "localhost:1234", "[::1]:80"] {
+    let near = ["", "localhost.evil.example:80", "127.0.0.1.evil.example", "::1.evil.example"];
+    for host in near {
+        assert_eq!(Client { host, ..served.client() }.get("/state").status, 421, "{host}");
+    }
+    for host in ["localhost", "LOCALHOST:9", "127.0.0.1:80", "127.1.2.3", "[::1]:80", "[::1]"] {
         assert_eq!(Client { host, ..served.client() }.get("/state").status, 200, "{host}");
     }
 }
@@ -291,9 +295,14 @@ fn a_request_for_another_host_is_refused() {
 fn requests_and_addresses_that_cannot_be_served_are_refused_with_the_reason() {
     let served = Served::start("emulated");
     assert_eq!(served.get("/nothing").status, 404);
-    let response = served.get("/scans?max=none");
-    assert_eq!(response.status, 400);
-    assert!(response.text().contains("/scans?max=N"));
+    for query in ["max=none", "max=0", "max=-1", "max=", "maximum=3", "max=1&rate=2"] {
+        let response = served.get(&format!("/scans?{query}"));
+        assert_eq!(response.status, 400, "{query}");
+        assert!(response.text().contains("/scans?max=N"));
+    }
+    for query in ["max=2", "old&max=2"] {
+        assert_eq!(served.get(&format!("/scans?{query}")).text().lines().count(), 2, "{query}");
+    }
     let line = failure(&format!("serve emulated --listen {}", served.address));
     assert!(line.contains(&format!("cannot listen on {}", served.address)), "{line}");
 }

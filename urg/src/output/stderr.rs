@@ -274,34 +274,12 @@ mod tests {
         }
     }
 
-    /// Sink that blocks forever.
-    struct Stopped;
-
-    impl Sink for Stopped {
-        fn write(&self, _: &[u8]) {
-            loop {
-                std::thread::park();
-            }
-        }
-
-        fn is_writable(&self) -> bool {
-            false
-        }
-    }
-
     #[test]
     fn a_message_is_written_even_if_the_machine_does_not_run_the_thread_for_long() {
         let writer = Starved::leaked();
         writer.write(b"urg: cannot open the port\n");
         writer.finish(Duration::from_millis(1));
         assert!(writer.sink.written.load(Ordering::SeqCst));
-    }
-
-    #[test]
-    fn a_reader_that_takes_nothing_does_not_keep_the_program_from_ending() {
-        static WRITER: BackgroundWriter<Stopped> = BackgroundWriter::new(Stopped);
-        WRITER.write(b"urg: cannot open the port\n");
-        WRITER.finish(Duration::from_millis(1));
     }
 
     #[test]

@@ -45,26 +45,3 @@ impl std::str::FromStr for PlaybackCommand {
         command.ok_or(EXPECTED)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_query_is_one_command() {
-        for (text, command) in [
-            ("pause", PlaybackCommand::Pause),
-            ("step=-3", PlaybackCommand::Step(-3)),
-            ("scan=12", PlaybackCommand::Scan(12)),
-            ("seek=1.5", PlaybackCommand::Seek(1.5)),
-            ("by=-5", PlaybackCommand::SeekBy(-5.0)),
-            ("speed=2", PlaybackCommand::Speed(2.0)),
-            ("loop=true", PlaybackCommand::Loop(true)),
-        ] {
-            assert_eq!(text.parse(), Ok(command), "{text}");
-        }
-        for text in ["", "stop", "pause=1", "step=", "scan=-1", "seek=nan", "speed=0", "loop=2"] {
-            assert!(text.parse::<PlaybackCommand>().is_err(), "{text}");
-        }
-    }
-}

@@ -47,16 +47,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_place_is_three_numbers() {
-        for text in
-            ["1,2", "1,2,3,4", "1,2,x", "1,2,inf", "1,,2", "1e8,0,0", "0,-1001,0", "0,0,361"]
-        {
-            let refused = parse(text).unwrap_err();
-            assert!(refused.contains("expected X,Y,YAW"), "{text}: {refused}");
-        }
-    }
-
-    #[test]
     fn a_yaw_is_written_as_it_was_parsed() {
         for tenths in -3600..=3600 {
             let degrees = f64::from(tenths) / 10.0;

@@ -193,25 +193,4 @@ mod tests {
         let many = [Gap { from: 3_661.0, seconds: 2.0 }; 6];
         assert!(listed(&many).starts_with("6, the first of them 2.0 s at 1:01:01, 2.0 s"));
     }
-
-    #[test]
-    fn a_clock_that_is_set_is_told_and_changes_neither_length_nor_gaps() {
-        let (mut times, boot) = (ScanTimes::default(), SystemTime::UNIX_EPOCH);
-        for tenth in 0..100 {
-            let position = Duration::from_millis(tenth * 100);
-            let set = match tenth {
-                0..50 => Duration::ZERO,
-                50..80 => Duration::from_secs(72 * 3600),
-                _ => Duration::from_secs(3600),
-            };
-            times.add(position, boot + set + position, Duration::from_millis(1100));
-        }
-        let span = times.span.unwrap();
-        assert_eq!(
-            (span.last - span.first, listed(&times.gaps)),
-            (Duration::from_millis(9900), "none".to_owned())
-        );
-        let steps: Vec<_> = times.clock_steps.iter().map(ToString::to_string).collect();
-        assert_eq!(steps, ["set forward by 72:00:00 at 0:05", "set back by 71:00:00 at 0:08"]);
-    }
 }

@@ -63,13 +63,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_is_the_same_in_both_formats() {
-        let line = ViewerLine::new("{\"sequence\":1}\n", true);
-        assert_eq!(line.ndjson(), "{\"sequence\":1}\n");
-        assert_eq!(line.event(), "data: {\"sequence\":1}\n\n");
-    }
-
-    #[test]
     fn a_scan_is_written_once_for_all_viewers() {
         let (newest, mut written) = (NewestLine::default(), 0);
         for number in [1, 1, 1, 2, 2, 1] {

@@ -36,28 +36,3 @@ fn is_own_page(headers: &HeaderMap) -> bool {
         _ => false,
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use hyper::header::HeaderValue;
-
-    use super::*;
-
-    #[test]
-    fn only_programs_and_the_own_page_may_command() {
-        let headers = |origin: Option<&'static str>| {
-            let mut headers = HeaderMap::new();
-            headers.insert(header::HOST, HeaderValue::from_static("127.0.0.1:8080"));
-            if let Some(origin) = origin {
-                headers.insert(header::ORIGIN, HeaderValue::from_static(origin));
-            }
-            headers
-        };
-        for origin in [None, Some("http://127.0.0.1:8080")] {
-            assert!(is_own_page(&headers(origin)), "{origin:?}");
-        }
-        for origin in ["null", "", "http://evil.example", "http://127.0.0.1:80"] {
-            assert!(!is_own_page(&headers(Some(origin))), "{origin}");
-        }
-    }
-}

@@ -174,20 +174,3 @@ impl Body for ScansBody {
         Poll::Ready(Some(Ok(Frame::data(bytes))))
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_query_asks_for_a_number_of_scans_or_for_all() {
-        let parsed = |query| ScansQuery::parse(query).map(|query| (query.max, query.with_old));
-        assert_eq!(parsed(None), Some((u64::MAX, false)));
-        assert_eq!(parsed(Some("")), Some((u64::MAX, false)));
-        assert_eq!(parsed(Some("max=3")), Some((3, false)));
-        assert_eq!(parsed(Some("old&max=3")), Some((3, true)));
-        for query in ["max=0", "max=-1", "max=", "max=many", "maximum=3", "max=1&rate=2"] {
-            assert_eq!(parsed(Some(query)), None, "{query}");
-        }
-    }
-}
