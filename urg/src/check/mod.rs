@@ -12,8 +12,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
-use crate::port::open::Delivery;
-use crate::port::open::open;
+use crate::port::open::{Delivery, open};
 
 /// Test a sensor, with a verdict for each step
 ///

@@ -6,8 +6,7 @@ use crate::args::LinkArgs;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortArg;
-use crate::port::open::Delivery;
-use crate::port::open::open;
+use crate::port::open::{Delivery, open};
 
 /// Switch the laser on or off
 ///

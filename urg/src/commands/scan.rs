@@ -9,8 +9,7 @@ use crate::format::csv::{self, Columns};
 use crate::format::{json_line, svg, table};
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
-use crate::port::open::Delivery;
-use crate::port::open::open;
+use crate::port::open::{Delivery, open};
 
 /// Take one scan
 ///

@@ -8,7 +8,7 @@ pub(crate) enum PlaybackCommand {
     /// Pauses or plays. At the end, plays again from the start.
     Toggle,
     /// Pauses and moves by a number of scans, backwards if it is negative.
-    Step(i64),
+    Step(isize),
     /// Jumps to a scan, counted from 0.
     Scan(usize),
     /// Jumps to a time, in seconds since the first scan.

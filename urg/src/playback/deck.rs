@@ -129,13 +129,7 @@ impl Deck {
             Toggle => self.play(),
             Step(count) => {
                 self.paused = true;
-                let count_abs = usize::try_from(count.unsigned_abs()).unwrap_or(usize::MAX);
-                let scan = if count < 0 {
-                    self.scan.saturating_sub(count_abs)
-                } else {
-                    self.scan.saturating_add(count_abs)
-                };
-                self.go_to(scan);
+                self.go_to(self.scan.saturating_add_signed(count));
             }
             Scan(scan) => self.go_to(scan),
             Seek(seconds) => self.seek(seconds),
@@ -229,9 +223,9 @@ mod tests {
         assert!(deck.status().paused && deck.status().scan == 1);
         deck.apply(PlaybackCommand::Step(-5), now);
         assert_eq!(deck.status().scan, 0);
-        deck.apply(PlaybackCommand::Step(i64::MAX), now);
+        deck.apply(PlaybackCommand::Step(isize::MAX), now);
         assert_eq!(deck.status().scan, 10);
-        deck.apply(PlaybackCommand::Step(i64::MIN), now);
+        deck.apply(PlaybackCommand::Step(isize::MIN), now);
         assert_eq!(deck.status().scan, 0);
     }
 

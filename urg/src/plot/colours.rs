@@ -43,12 +43,6 @@ pub(crate) fn band(metres: f64) -> usize {
     ((metres / BAND) as usize).min(DISTANCES.len() - 1)
 }
 
-/// Returns the item for sensor `number`, which counts from 0. Items repeat if there are
-/// more sensors.
-pub(crate) fn of_sensor<T: Copy + Default>(items: [T; SENSORS.len()], number: usize) -> T {
-    items.get(number % SENSORS.len()).copied().unwrap_or_default()
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::missing::MissingKind;
@@ -95,11 +89,5 @@ mod tests {
     #[test]
     fn each_half_metre_has_a_colour_and_the_last_one_is_for_the_rest() {
         assert_eq!([0.0, 0.49, 0.5, 3.99, 4.0, 99.0].map(band), [0, 0, 1, 7, 7, 7]);
-    }
-
-    #[test]
-    fn a_seventh_sensor_has_the_colour_of_the_first() {
-        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 6), 1);
-        assert_eq!(of_sensor([1, 2, 3, 4, 5, 6], 11), 6);
     }
 }

@@ -61,6 +61,16 @@ pub(crate) struct Extent {
     pub(crate) behind: f64,
 }
 
+impl Extent {
+    /// Extends the rectangle as far as a place.
+    pub(crate) fn include(&mut self, Place { right, ahead }: Place) {
+        self.left = self.left.max(-right);
+        self.right = self.right.max(right);
+        self.ahead = self.ahead.max(ahead);
+        self.behind = self.behind.max(-ahead);
+    }
+}
+
 impl Sector {
     pub(crate) fn of(window: Window) -> Self {
         Self { from: window.start().angle().into(), to: window.end().angle().into() }
@@ -73,11 +83,7 @@ impl Sector {
         let corners = [self.from, self.to, -FRAC_PI_2, 0.0, FRAC_PI_2];
         let mut extent = Extent { left: LEAST, right: LEAST, ahead: LEAST, behind: 0.1 };
         for angle in corners.into_iter().filter(|angle| (self.from..=self.to).contains(angle)) {
-            let Place { right, ahead } = place(1.0, angle);
-            extent.left = extent.left.max(-right);
-            extent.right = extent.right.max(right);
-            extent.ahead = extent.ahead.max(ahead);
-            extent.behind = extent.behind.max(-ahead);
+            extent.include(place(1.0, angle));
         }
         extent
     }

@@ -15,8 +15,7 @@ use crate::format::summary;
 use crate::interrupt::Interrupt;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
-use crate::port::open::Delivery;
-use crate::port::open::open;
+use crate::port::open::{Delivery, open};
 use crate::recording::span::RangeArgs;
 
 /// Write scans to standard output as they come

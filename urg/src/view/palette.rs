@@ -4,7 +4,7 @@ use std::ffi::OsString;
 
 use ratatui::style::{Color, Modifier, Style};
 
-use crate::plot::colours::{self, DISTANCES};
+use crate::plot::colours::{self, DISTANCES, SENSORS};
 use crate::plot::missing::MissingKind;
 
 /// Distance colours for a terminal with 16 colours.
@@ -19,7 +19,7 @@ const SIXTEEN: [Color; DISTANCES.len()] = [
     Color::Magenta,
 ];
 
-const SIXTEEN_SENSORS: [Color; 6] =
+const SIXTEEN_SENSORS: [Color; SENSORS.len()] =
     [Color::LightBlue, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::Cyan];
 
 /// Number of colours that a terminal supports.
@@ -58,15 +58,15 @@ impl Palette {
         self.distances().get(colours::band(metres)).copied().unwrap_or_default()
     }
 
-    /// Colour of a sensor among several. `number` counts from 0.
+    /// Colour of a sensor among several. `number` counts from 0. Colours repeat if there are
+    /// more sensors.
     pub(crate) fn sensor(self, number: usize) -> Color {
-        match self {
-            Self::Plain => Color::Reset,
-            Self::Sixteen => colours::of_sensor(SIXTEEN_SENSORS, number),
-            Self::Many => {
-                colours::of_sensor(colours::SENSORS.map(|one| Color::Indexed(one.indexed)), number)
-            }
-        }
+        let colours = match self {
+            Self::Plain => [Color::Reset; SENSORS.len()],
+            Self::Sixteen => SIXTEEN_SENSORS,
+            Self::Many => SENSORS.map(|one| Color::Indexed(one.indexed)),
+        };
+        colours.get(number % SENSORS.len()).copied().unwrap_or_default()
     }
 
     pub(crate) fn missing(self, kind: MissingKind) -> Color {
@@ -145,5 +145,16 @@ mod tests {
             assert_eq!(palette.distance(99.0), palette.distances()[7]);
         }
         assert_eq!(Palette::Plain.distance(0.1), Color::Reset);
+    }
+
+    #[test]
+    fn a_seventh_sensor_has_the_colour_of_the_first() {
+        for palette in [Palette::Sixteen, Palette::Many] {
+            assert_eq!(
+                [6, 11].map(|number| palette.sensor(number)),
+                [0, 5].map(|number| palette.sensor(number))
+            );
+            assert_ne!(palette.sensor(0), palette.sensor(5));
+        }
     }
 }

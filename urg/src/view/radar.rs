@@ -273,13 +273,8 @@ fn extent(model: &Model, reach: f64) -> Extent {
     for layer in &model.layers {
         let Sector { from, to } = sector_of(layer);
         let rim = (0..=48).map(|n| from + (to - from) * f64::from(n) / 48.0);
-        let rim = rim.map(|angle| layer.place(reach, angle));
-        for Place { right, ahead } in rim.chain([layer.place(0.0, 0.0)]) {
-            extent.left = extent.left.max(-right);
-            extent.right = extent.right.max(right);
-            extent.ahead = extent.ahead.max(ahead);
-            extent.behind = extent.behind.max(-ahead);
-        }
+        rim.for_each(|angle| extent.include(layer.place(reach, angle)));
+        extent.include(layer.place(0.0, 0.0));
     }
     extent
 }

@@ -11,13 +11,11 @@ use tokio_scip::{Freshness, Scan, Sensor, State, Version};
 use crate::args::LinkArgs;
 use crate::failure::Failure;
 use crate::picture::PictureSource;
-use crate::port::open::Delivery;
-use crate::port::open::{begin, opened};
+use crate::port::open::{Delivery, begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::StreamEnd;
 use crate::stream::jitter::{Jitter, RecentTimes};
-use crate::stream::reporter::Reporter;
-use crate::stream::reporter::trouble;
+use crate::stream::reporter::{Reporter, trouble};
 use crate::wait::some;
 
 /// Tolerance for a late scan, in addition to three periods.
