@@ -7,6 +7,7 @@ use tokio::time::Instant;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 
 use super::steps::{Step, Verdict};
+use crate::format::listed;
 use crate::port::open::ignored_baud_rate;
 use crate::stream::jitter::Jitter;
 use crate::stream::rate_watch::{ENOUGH, sufficient_baud_rate};
@@ -101,17 +102,12 @@ impl Measured {
     fn polls(&self) -> Step {
         let polls = self.count(|stats| stats.polls);
         let lost = self.lost();
-        let reasons = [
+        let reasons = listed(&[
             (self.count(|stats| stats.timeouts), "unanswered in time"),
             (self.count(|stats| stats.malformed.total()), "malformed"),
             (self.count(|stats| stats.refused), "refused"),
             (self.count(|stats| stats.disconnects), "times the link was lost"),
-        ];
-        let reasons: Vec<_> = reasons
-            .iter()
-            .filter(|(count, _)| *count > 0)
-            .map(|(count, reason)| format!("{count} {reason}"))
-            .collect();
+        ]);
         let verdict = if polls == 0
             || self.scans.is_empty()
             || self.count(|stats| stats.disconnects) > 0
@@ -125,9 +121,8 @@ impl Measured {
         };
         let mut text = format!("{} of {polls} answered with a whole scan", polls - lost);
         if !reasons.is_empty() {
-            text.push_str(": ");
-            text.push_str(&reasons.join(", "));
-            text.push_str("; check cable, plugs and power");
+            // Writing to a `String` is infallible.
+            let _ = write!(text, ": {reasons}; check cable, plugs and power");
         }
         Step::new("polls", verdict, text)
     }

@@ -10,6 +10,12 @@ use serde::Serialize;
 
 use crate::failure::Failure;
 
+/// Lists the counts above 0, such as `3 malformed, 1 refused`.
+pub(crate) fn listed(counts: &[(u64, &str)]) -> String {
+    let counts = counts.iter().filter(|(count, _)| *count > 0);
+    counts.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(", ")
+}
+
 /// Serializes `data` as one line of JSON, which ends in LF.
 pub(crate) fn json_line(data: &impl Serialize) -> Result<String, Failure> {
     let mut line = json_text(data)?;

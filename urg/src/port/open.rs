@@ -51,12 +51,9 @@ pub(crate) fn begin(
     link: &LinkArgs,
     delivery: Delivery,
 ) -> Result<Sensor, Failure> {
-    let mut builder = Sensor::builder().depth(delivery.ring_depth());
+    let mut builder = Sensor::builder().depth(delivery.ring_depth()).wait_for_sensor(link.wait);
     if let Some(rate) = link.baud {
         builder = builder.baud_rate(rate);
-    }
-    if link.wait {
-        builder = builder.wait_for_sensor(true);
     }
     if let Some(timeout) = link.timeout {
         builder = builder.open_timeout(timeout);

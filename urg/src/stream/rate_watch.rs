@@ -8,6 +8,7 @@ use tokio::time::Instant;
 use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{BaudRate, Endpoint, Rate, Scan, Sensor, Stats, Window};
 
+use crate::format::listed;
 use crate::port::name::PortName;
 
 /// Fraction of the requested rate that counts as reached.
@@ -159,21 +160,15 @@ pub(crate) fn sufficient_baud_rate(window: Window, rate: f64) -> Option<BaudRate
 
 fn losses(stats: &Stats) -> String {
     let malformed = stats.malformed.total();
-    let kinds = [
+    let kinds = listed(&[
         (stats.timeouts, "unanswered in time"),
         (malformed, "malformed"),
         (stats.refused, "refused"),
-    ];
+    ]);
     let failed = stats.timeouts + malformed + stats.refused;
-    let kinds: Vec<_> = kinds
-        .iter()
-        .filter(|(count, _)| *count > 0)
-        .map(|(count, kind)| format!("{count} {kind}"))
-        .collect();
     format!(
-        "of {} polls {failed} brought no scan ({}). What helps: check cable, plugs and power",
-        stats.polls,
-        kinds.join(", ")
+        "of {} polls {failed} brought no scan ({kinds}). What helps: check cable, plugs and power",
+        stats.polls
     )
 }
 
