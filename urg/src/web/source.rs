@@ -20,7 +20,7 @@ use crate::stream::feed::{Feed, NamedLine, Update};
 /// Source of scans for all viewers.
 #[derive(Debug)]
 pub(crate) struct SiteSource {
-    pub(super) source: Arc<PictureSource>,
+    pub(super) picture: Arc<PictureSource>,
     kind: SourceKind,
     newest: NewestLine,
 }
@@ -41,15 +41,15 @@ struct PlaybackEvent {
 impl SiteSource {
     /// Starts to play a recording. [`run`](Self::run) opens a sensor.
     pub(crate) async fn new(
-        source: PictureSource,
+        picture: PictureSource,
         settings: PlaybackArgs,
     ) -> Result<Arc<Self>, Failure> {
-        let source = Arc::new(source);
-        let kind = match source.port.recorded() {
+        let picture = Arc::new(picture);
+        let kind = match picture.port.recorded() {
             Some(recorded) => SourceKind::Recording(Player::start(recorded, settings).await?),
-            None => SourceKind::Sensor(Hub::new(Arc::clone(&source))),
+            None => SourceKind::Sensor(Hub::new(Arc::clone(&picture))),
         };
-        Ok(Arc::new(Self { source, kind, newest: NewestLine::default() }))
+        Ok(Arc::new(Self { picture, kind, newest: NewestLine::default() }))
     }
 
     /// Runs until the source ends permanently: a playback, when its file becomes unreadable.
@@ -88,7 +88,7 @@ impl SiteSource {
 
     /// Name that the user gave the source.
     pub(super) fn name(&self) -> Option<&str> {
-        self.source.name.as_deref()
+        self.picture.name.as_deref()
     }
 
     pub(super) fn version(&self) -> Option<&Version> {
@@ -188,7 +188,7 @@ pub(super) struct PlaybackLines {
     shown: watch::Receiver<Shown>,
     /// Scan and settings that the client already has.
     scan: Option<usize>,
-    settings: Option<(bool, bool, u64, bool)>,
+    settings: Option<PlaybackStatus>,
 }
 
 impl PlaybackLines {
@@ -196,8 +196,7 @@ impl PlaybackLines {
         let sensor = self.source.name();
         loop {
             let Shown { scan, status } = self.shown.borrow_and_update().clone();
-            let speed = status.speed.to_bits();
-            let settings = (status.paused, status.ended, speed, status.is_looping);
+            let settings = PlaybackStatus { scan: 0, position: 0.0, ..status };
             if self.settings.replace(settings) != Some(settings) {
                 let data = PlaybackEvent { playback: status };
                 return Some(other_line(&NamedLine { sensor, position: None, data }));
@@ -205,7 +204,7 @@ impl PlaybackLines {
             if self.scan.replace(status.scan) != Some(status.scan) {
                 let position = Some(status.position);
                 return Some(self.source.newest.of(status.scan as u64, || {
-                    let data = seen_through(&scan, self.source.source.window);
+                    let data = seen_through(&scan, self.source.picture.window);
                     json_line(&NamedLine { sensor, position, data })
                 }));
             }

@@ -69,13 +69,15 @@ impl<'a> SensorReport<'a> {
         let schedule = stats.as_ref().and_then(|stats| stats.schedules.first());
         Self {
             name: source.name(),
-            pose: source.source.pose,
-            port: source.source.port.to_string(),
+            pose: source.picture.pose,
+            port: source.picture.port.to_string(),
             link: health.link,
             why: health.why,
             baud_rate: sensor.and_then(|sensor| sensor.state().get().baud_rate()),
-            window: source.source.window,
-            asked: hub.and_then(|_| source.source.rate.period()).map(|one| 1.0 / one.as_secs_f64()),
+            window: source.picture.window,
+            asked: hub
+                .and_then(|_| source.picture.rate.period())
+                .map(|one| 1.0 / one.as_secs_f64()),
             reached: schedule.and_then(|schedule| schedule.reached),
             age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
             latency: latency.filter(|latency| latency.count > 0).map(|latency| LatencySeconds {
