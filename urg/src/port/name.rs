@@ -40,7 +40,7 @@ impl FromStr for PortName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if let Some(recorded) = Recorded::named(text)? {
+        if let Some(recorded) = Recorded::named(text) {
             return Ok(Self::Recording(recorded));
         }
         match text {

@@ -5,7 +5,7 @@ use std::future::poll_fn;
 use std::io::{self, IsTerminal};
 use std::ops::Bound;
 use std::path::{Path, PathBuf};
-use std::pin::{Pin, pin};
+use std::pin::pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::Poll;
 use std::time::Duration;
@@ -43,9 +43,9 @@ pub(crate) struct Recorded {
 
 impl Recorded {
     /// Parses the name of a recording. Does not open the file.
-    pub(crate) fn named(text: &str) -> Result<Option<Self>, String> {
+    pub(crate) fn named(text: &str) -> Option<Self> {
         let is_stdin = text == "-";
-        Ok((is_stdin || Self::is_name(Path::new(text))).then(|| Self {
+        (is_stdin || Self::is_name(Path::new(text))).then(|| Self {
             path: text.into(),
             stdin: is_stdin.then(Arc::default),
             window: None,
@@ -53,7 +53,7 @@ impl Recorded {
             pace: ReplayPace::Recorded,
             range: None,
             taken: Arc::default(),
-        }))
+        })
     }
 
     /// Returns the name that was given: `-` for standard input.
@@ -138,7 +138,7 @@ impl Recorded {
             let pipe =
                 PipeReplay { recording: Some((recording, self.pace)), name: self.to_string() };
             let (sensor, driver) = builder.build(pipe);
-            let run = self.run(driver, sensor.clone(), delivery);
+            let run = run(driver, sensor.clone(), delivery, self.taken.subscribe());
             // Reading a pipe blocks the thread of its driver.
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
             let runtime = runtime.map_err(|error| self.failure(&error))?;
@@ -150,21 +150,8 @@ impl Recorded {
         }
         let emulator = recording.replay(self.pace).map_err(|error| self.no_scans(&error))?;
         let (sensor, driver) = builder.build(emulator);
-        tokio::spawn(self.run(driver, sensor.clone(), delivery));
+        tokio::spawn(run(driver, sensor.clone(), delivery, self.taken.subscribe()));
         Ok(sensor)
-    }
-
-    fn run(
-        &self,
-        driver: Driver,
-        sensor: Sensor,
-        delivery: Delivery,
-    ) -> Pin<Box<dyn Future<Output = ()> + Send>> {
-        match delivery {
-            Delivery::All => Box::pin(run_paced(driver, sensor, self.taken.subscribe())),
-            // Its end is in the state of the sensor.
-            Delivery::Newest => Box::pin(async { drop(driver.await) }),
-        }
     }
 
     /// Counts a scan taken from a feed.
@@ -242,9 +229,14 @@ impl Connect for PipeReplay {
     }
 }
 
-/// Runs the driver, and pauses it while it is more than [`MAX_SCANS_AHEAD`] scans ahead of the
-/// consumer. The driver sees this as a busy machine.
-async fn run_paced(driver: Driver, sensor: Sensor, mut taken: watch::Receiver<u64>) {
+/// Runs the driver. With [`Delivery::All`], pauses it while it is more than [`MAX_SCANS_AHEAD`]
+/// scans ahead of the consumer. The driver sees this as a busy machine.
+async fn run(driver: Driver, sensor: Sensor, delivery: Delivery, mut taken: watch::Receiver<u64>) {
+    if delivery == Delivery::Newest {
+        // The driver ends with the last handle. Its end is in the state of the sensor.
+        drop(sensor);
+        return drop(driver.await);
+    }
     let mut driver = pin!(driver);
     loop {
         let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);

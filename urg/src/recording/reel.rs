@@ -149,7 +149,7 @@ mod tests {
             recorder.record(&scans.next().await.unwrap()).unwrap();
         }
         recorder.finish().await.unwrap();
-        let mut recorded = Recorded::named(path.to_str().unwrap()).unwrap().unwrap();
+        let mut recorded = Recorded::named(path.to_str().unwrap()).unwrap();
         recorded.read_settings().await.unwrap();
         recorded
     }
