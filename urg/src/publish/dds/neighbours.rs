@@ -13,7 +13,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 
-use super::rtps::{Prefix, sender};
+use super::rtps::{Prefix, senders};
 
 /// Default multicast group of DDS for announcements.
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
@@ -65,23 +65,12 @@ impl Neighbours {
         if now - before > LEASE || slept > LEASE {
             return true;
         }
-        let mut is_back = false;
-        let mut packet = [0; 64];
-        loop {
-            match self.socket.recv(&mut packet) {
-                Ok(length) => {
-                    let Some(sender) = packet.get(..length).and_then(sender) else { continue };
-                    is_back |= self.hear(sender, now);
-                }
-                // WSAEMSGSIZE: Windows returns it for a packet longer than the buffer.
-                Err(error) if error.raw_os_error() == Some(10_040) => {}
-                Err(_) => return is_back,
-            }
-        }
+        // Takes all of them, also after one that is back.
+        senders(&self.socket).filter(|sender| self.hear(*sender, now)).count() > 0
     }
 
     /// Notes an announcement. True if the participant had been forgotten.
-    fn hear(&mut self, sender: Prefix, now: Instant) -> bool {
+    fn hear(&self, sender: Prefix, now: Instant) -> bool {
         let mut heard = lock(&self.heard);
         if heard.len() >= MAX_NEIGHBOURS {
             heard.clear();
@@ -100,7 +89,7 @@ mod tests {
 
     #[test]
     fn a_participant_that_was_silent_for_its_lease_is_back() {
-        let mut neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
+        let neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         assert!(!neighbours.hear([1; 12], start), "it is new");
@@ -113,10 +102,10 @@ mod tests {
     #[test]
     fn a_participant_that_was_last_heard_before_a_reopening_is_back_after_its_lease() {
         let heard = Heard::default();
-        let mut before = Neighbours::listen(0, &[], &heard).unwrap();
+        let before = Neighbours::listen(0, &[], &heard).unwrap();
         before.hear([1; 12], Instant::now());
         before.hear([2; 12], Instant::now());
-        let mut after = Neighbours::listen(0, &[], &heard).unwrap();
+        let after = Neighbours::listen(0, &[], &heard).unwrap();
         let reopened = Instant::now();
         assert!(!after.hear([1; 12], reopened + Duration::from_secs(15)), "it has a new lease");
         assert!(after.hear([2; 12], reopened + Duration::from_secs(42)));

@@ -6,10 +6,10 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use super::rtps::{Prefix, sender};
+use super::rtps::{Prefix, senders};
 
-/// Size of the receive buffer. Only the start of a packet matters.
-const PACKET: usize = 2048;
+/// First bytes of the prefix of every participant of Cyclone: the number of the vendor.
+const CYCLONE: [u8; 2] = [0x01, 0x10];
 
 /// Pause between two checks for the first packet.
 const CHECK_INTERVAL: Duration = Duration::from_millis(5);
@@ -38,11 +38,9 @@ impl Pulse {
     pub(super) fn first(&self, timeout: Duration) -> Option<Prefix> {
         let end = Instant::now() + timeout;
         loop {
-            if let Some(prefix) = self.receive() {
-                return Some(prefix);
-            }
-            if Instant::now() > end {
-                return None;
+            let prefix = self.arrived().next();
+            if prefix.is_some() || Instant::now() > end {
+                return prefix;
             }
             std::thread::sleep(CHECK_INTERVAL);
         }
@@ -50,28 +48,13 @@ impl Pulse {
 
     /// Checks whether an announcement has arrived since the last call.
     pub(super) fn beats(&self) -> bool {
-        let mut beats = false;
-        while self.receive().is_some() {
-            beats = true;
-        }
-        beats
+        self.arrived().count() > 0
     }
 
-    /// Reads the prefix of a pending packet. Skips packets that are not from Cyclone.
-    fn receive(&self) -> Option<Prefix> {
-        let mut packet = [0; PACKET];
-        loop {
-            let length = self.socket.recv(&mut packet).ok()?;
-            if let Some(prefix) = packet.get(..length).and_then(prefix) {
-                return Some(prefix);
-            }
-        }
+    /// Receives the announcements that have arrived. Skips packets that are not from Cyclone.
+    fn arrived(&self) -> impl Iterator<Item = Prefix> {
+        senders(&self.socket).filter(|prefix| prefix.starts_with(&CYCLONE))
     }
-}
-
-/// Parses the sender of a packet, if its vendor is Cyclone.
-fn prefix(packet: &[u8]) -> Option<Prefix> {
-    sender(packet).filter(|prefix| prefix.starts_with(&[0x01, 0x10]))
 }
 
 #[cfg(test)]

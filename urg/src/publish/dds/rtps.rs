@@ -1,9 +1,26 @@
-//! Parser of the RTPS header: the sender of a DDS packet.
+//! Senders of DDS packets: the receiver of announcements, and the parser of the RTPS header.
+
+use std::iter;
+use std::net::UdpSocket;
 
 /// GUID prefix, common to a participant and its entities.
 pub(super) type Prefix = [u8; 12];
 
-pub(super) fn sender(packet: &[u8]) -> Option<Prefix> {
+/// Receives the packets that have arrived, and returns their senders. Skips packets that are
+/// not RTPS.
+pub(super) fn senders(socket: &UdpSocket) -> impl Iterator<Item = Prefix> {
+    // Only the start of a packet matters.
+    let mut packet = [0; 2048];
+    let packets = iter::from_fn(move || match socket.recv(&mut packet) {
+        Ok(length) => Some(packet.get(..length).and_then(sender)),
+        // WSAEMSGSIZE: Windows returns it for a packet longer than the buffer.
+        Err(error) if error.raw_os_error() == Some(10_040) => Some(None),
+        Err(_) => None,
+    });
+    packets.flatten()
+}
+
+fn sender(packet: &[u8]) -> Option<Prefix> {
     packet.strip_prefix(b"RTPS")?.get(4..16)?.try_into().ok()
 }
 
