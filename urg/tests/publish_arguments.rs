@@ -26,10 +26,14 @@ fn a_wrong_name_is_refused_with_what_was_expected() {
         (["--frame", &long], "--frame"),
         (["--topic", "/a//b"], "`/a//b`: expected no empty part"),
         (["--topic", ""], "--topic: expected a name"),
+        (["--topic", "/"], "--topic: expected a name"),
+        (["--topic", "sc an"], "--topic: invalid name `sc an`"),
         (["--topic", &long], "too long: expected at most 240"),
         (["--namespace", "a//b"], "`a//b`: expected no empty part"),
+        (["--namespace", "/a/"], "`/a/`: expected no empty part"),
         (["--namespace", &long], "too long: expected at most 240"),
         (["--node", "a-b"], "--node: invalid name `a-b`"),
+        (["--node", ""], "--node: invalid name ``"),
         (["--node", &long], "too long: expected at most 240"),
         (["--domain", "-1"], "-1 is not in 0..=232"),
         (["--domain", "233"], "233 is not in 0..=232"),
@@ -42,6 +46,8 @@ fn a_wrong_name_is_refused_with_what_was_expected() {
     }
     let error = refused(&["--tf", "a,0,0,0,0", "--tf", "a,0,0,0,0"]);
     assert!(error.contains("expected one for each of 1 sensors, found 2"), "{error}");
+    let error = refused(&["emulated"]);
+    assert!(error.contains("two sensors would publish on /scan: name each of them"), "{error}");
 }
 
 #[test]
@@ -54,6 +60,11 @@ fn a_router_that_can_never_work_is_refused() {
         "tcp/localhost",
         "tcp/localhost:99999",
         "tcp/localhost:",
+        "tcp/localhost:0",
+        "tcp/:7447",
+        "tcp/a b:7447",
+        "tcp/::1:7447",
+        "tcp/[x]:7447",
     ] {
         let error = refused(&["--engine", "zenoh", "--router", router]);
         assert!(error.contains("expected tcp/HOST:PORT"), "{router}: {error}");
@@ -82,7 +93,9 @@ fn an_argument_of_ros_is_checked_as_its_option_is() {
         (&["-p", "depth:=0"][..], "0 is not in 1..=1000"),
         (&["-p", "frame_id:=/laser"], "without a leading `/`"),
         (&["-p", "depth"], "expected NAME:=VALUE, found `depth`"),
+        (&["-p", "depth:="], "expected NAME:=VALUE, found `depth:=`"),
         (&["-p"], "expected NAME:=VALUE after -p"),
+        (&["-r", ":=x"], "expected NAME:=VALUE, found `:=x`"),
         (&["-p", "use_sim_time:=true"], "use_sim_time is not supported"),
         (&["-r", "__node:=a-b"], "invalid name `a-b`"),
         (&["--params-file", "p.yaml"], "`--params-file` is not supported"),

@@ -119,18 +119,4 @@ mod tests {
             assert_eq!(options(text).unwrap(), expected);
         }
     }
-
-    #[test]
-    fn ros_arguments_that_cannot_be_followed_are_refused() {
-        for text in [
-            "publish --ros-args -p",
-            "publish --ros-args -p depth",
-            "publish --ros-args -p depth:=",
-            "publish --ros-args -r :=x",
-            "publish --ros-args -p use_sim_time:=true",
-            "publish --ros-args --params-file x.yaml",
-        ] {
-            assert!(matches!(options(text), Err(Failure::Usage(_))), "{text}");
-        }
-    }
 }
