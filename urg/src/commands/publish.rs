@@ -7,6 +7,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_scip::Rate;
+use tokio_scip::ros::Transform;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
@@ -15,8 +16,8 @@ use crate::output::notice::notice;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::named::NamedPort;
 use crate::publish::{
-    Discovery, EngineName, EngineSettings, Mode, Mounting, NodeNames, NodeSpec, Qos, RunningEngine,
-    Source,
+    Discovery, EngineName, EngineSettings, Mode, NodeNames, NodeSpec, Qos, RunningEngine, Source,
+    mounting,
 };
 
 /// Default router, as in `rmw_zenoh`.
@@ -68,8 +69,8 @@ pub(crate) struct Publish {
     frame: String,
     /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static; for
     /// several sensors, repeat the option in the same order
-    #[arg(long, value_name = "PARENT,X,Y,Z,YAW", help_heading = "ROS")]
-    tf: Vec<Mounting>,
+    #[arg(long, value_name = "PARENT,X,Y,Z,YAW", value_parser = mounting, help_heading = "ROS")]
+    tf: Vec<Transform>,
     /// ROS domain, 0 to 232 [default: ROS_DOMAIN_ID, else 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232),
         allow_hyphen_values = true, help_heading = "ROS")]
@@ -218,7 +219,9 @@ impl Publish {
                 self.tf.len()
             )));
         }
-        let transforms = self.tf.iter().zip(names).map(|(tf, names)| tf.transform(&names.frame));
+        let transforms = self.tf.iter().cloned().zip(names);
+        let transforms =
+            transforms.map(|(tf, names)| Transform { child: names.frame.clone(), ..tf });
         Ok(EngineSettings {
             transforms: transforms.collect(),
             domain,

@@ -31,7 +31,7 @@ mod zenoh;
 
 pub(crate) use self::discovery::Discovery;
 pub(crate) use self::engine::{EngineName, EngineSettings, Mode, NodeSpec, Qos};
-pub(crate) use self::mounting::Mounting;
+pub(crate) use self::mounting::mounting;
 pub(crate) use self::names::NodeNames;
 pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;
