@@ -1,9 +1,9 @@
 //! `urg publish`: publishes scans as ROS 2 messages, to ROS 2 or to Foxglove.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4};
+use std::sync::{Arc, Mutex};
 
 use clap::ValueEnum;
-use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_scip::Rate;
@@ -127,11 +127,8 @@ Examples:
   urg publish emulated --engine foxglove    then: open ws://localhost:8765 in Lichtblick
   urg publish serial:H0713090 --wait --engine zenoh --router tcp/10.0.0.1:7447";
 
-/// End of one sensor's scans.
-struct Ended {
-    name: String,
-    outcome: Result<(), Failure>,
-}
+/// Topic of a sensor on its port, and how its scans ended.
+type Ended = (String, Result<(), Failure>);
 
 impl Publish {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
@@ -165,13 +162,12 @@ impl Publish {
 
         let count = polled.len();
         let epoch = Instant::now();
-        let (ends, mut ended) = mpsc::unbounded_channel();
-        let mut tasks = JoinSet::new();
+        let (mut scans, mut diagnostics) = (JoinSet::new(), JoinSet::new());
         for (place, ((names, (port, rate, window)), outlet)) in
             names.into_iter().zip(polled).zip(outlets).enumerate()
         {
             let name = format!("{port} ({})", names.topic);
-            let source = Source {
+            let source = Arc::new(Source {
                 port,
                 link: self.link.clone(),
                 window,
@@ -181,18 +177,19 @@ impl Publish {
                 outlet,
                 epoch,
                 turn: place as f64 / count as f64,
-            };
-            let ends = ends.clone();
-            // An error means that the program is exiting.
-            let done = move |outcome| drop(ends.send(Ended { name, outcome }));
-            tasks.spawn(source.run(done));
+                condition: Mutex::default(),
+            });
+            let scanned = Arc::clone(&source);
+            scans.spawn(async move { (name, scanned.publish_scans().await) });
+            diagnostics.spawn(async move { source.publish_diagnostics().await });
         }
         let outcome = tokio::select! {
-            outcome = all_ended(&mut ended, count) => outcome,
+            outcome = all_ended(&mut scans) => outcome,
             failure = engine.failed() => Err(failure),
             _ = interrupt.requested() => Ok(()),
         };
-        tasks.shutdown().await;
+        scans.shutdown().await;
+        diagnostics.shutdown().await;
         engine.close().await;
         outcome
     }
@@ -263,20 +260,16 @@ impl Publish {
 
 /// Waits until the scans of all sensors have ended. While others continue, an error is only
 /// printed. The last error ends the program.
-async fn all_ended(
-    ended: &mut mpsc::UnboundedReceiver<Ended>,
-    count: usize,
-) -> Result<(), Failure> {
+async fn all_ended(scans: &mut JoinSet<Ended>) -> Result<(), Failure> {
     let mut failure = Ok(());
-    for left in (0..count).rev() {
-        let Some(Ended { name, outcome }) = ended.recv().await else { break };
-        match outcome {
-            Err(error) if left > 0 => {
+    while let Some(ended) = scans.join_next().await {
+        let (name, outcome) =
+            ended.map_err(|error| Failure::of("publishing has failed", &error))?;
+        if let Err(error) = outcome {
+            if !scans.is_empty() {
                 notice(format_args!("{name}: {}; the others continue", error.line()));
-                failure = Err(error);
             }
-            Err(error) => return Err(error),
-            Ok(()) => {}
+            failure = Err(error);
         }
     }
     failure

@@ -14,7 +14,7 @@ const LATE: Duration = Duration::from_secs(1);
 
 /// Condition of one sensor, updated by its scans.
 #[derive(Debug, Default)]
-pub(super) struct Condition {
+pub(crate) struct Condition {
     /// `None` before the driver is started.
     pub(super) sensor: Option<Sensor>,
     pub(super) version: Option<Version>,

@@ -1,7 +1,7 @@
 //! Publishes the scans of one sensor, and its condition once per second. Sensors are independent
 //! of each other; they only take turns.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use tokio::time::{Instant, MissedTickBehavior};
@@ -15,8 +15,7 @@ use crate::args::LinkArgs;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortName;
-use crate::port::open::Delivery;
-use crate::port::open::{begin, opened};
+use crate::port::open::{Delivery, begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::StreamEnd;
 use crate::stream::rate_watch::RateWatch;
@@ -40,33 +39,28 @@ pub(crate) struct Source {
     /// Delay of this sensor's polls after the first sensor's, as a fraction of the period, in
     /// 0..1. Spreads the scans of all sensors evenly.
     pub(crate) turn: f64,
+    pub(crate) condition: Mutex<Condition>,
 }
 
 impl Source {
-    /// Publishes scans until the stream ends, then passes the outcome to `done`. Diagnostics
-    /// continue, so the future never completes.
-    pub(crate) async fn run(self, done: impl FnOnce(Result<(), Failure>)) {
-        let condition = Mutex::new(Condition::default());
-        let source = Arc::new(self);
-        let scans = async {
-            let outcome = source.publish_scans(&condition).await;
-            lock(&condition).ended = Some(match &outcome {
-                Ok(()) => "the recording has ended".to_owned(),
-                Err(failure) => failure.line().to_owned(),
-            });
-            done(outcome);
-        };
-        tokio::join!(scans, source.publish_diagnostics(&condition));
+    /// Publishes scans until the stream ends.
+    pub(crate) async fn publish_scans(&self) -> Result<(), Failure> {
+        let outcome = self.publish_stream().await;
+        self.condition().ended = Some(match &outcome {
+            Ok(()) => "the recording has ended".to_owned(),
+            Err(failure) => failure.line().to_owned(),
+        });
+        outcome
     }
 
-    async fn publish_scans(&self, condition: &Mutex<Condition>) -> Result<(), Failure> {
+    async fn publish_stream(&self) -> Result<(), Failure> {
         // The motor of an emulated sensor starts when it is opened. Like real motors, several
         // of them must not run in phase.
         tokio::time::sleep_until(self.next_turn(Instant::now())).await;
         let sensor = begin(&self.port, &self.link, Delivery::Newest)?;
-        lock(condition).sensor = Some(sensor.clone());
+        self.condition().sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
-        self.identify(&sensor, condition).await;
+        self.identify(&sensor).await;
         tokio::time::sleep_until(self.next_turn(Instant::now())).await;
         let scans = sensor.scans(self.window, self.rate).await;
         let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
@@ -77,7 +71,7 @@ impl Source {
             reporter.report(&update);
             match update {
                 Update::Scan(scan) => {
-                    lock(condition).scanned = Some(std::time::Instant::now());
+                    self.condition().scanned = Some(std::time::Instant::now());
                     self.outlet.publish_scan(self.message(&scan));
                     if let Some(text) = watch.scanned(&scan, &sensor) {
                         notice(format_args!("{}: {text}", self.port));
@@ -85,7 +79,7 @@ impl Source {
                 }
                 Update::Event(Event::Reconnected) => {
                     watch.restart();
-                    self.identify(&sensor, condition).await;
+                    self.identify(&sensor).await;
                 }
                 Update::Error(_) | Update::Event(_) => {}
             }
@@ -93,15 +87,16 @@ impl Source {
         reporter.finish(StreamEnd::ByItself)
     }
 
-    /// Publishes the condition once per second. Never completes.
-    async fn publish_diagnostics(&self, condition: &Mutex<Condition>) {
+    /// Publishes the condition once per second, also after the scans have ended. Never
+    /// completes.
+    pub(crate) async fn publish_diagnostics(&self) {
         let node = format!("{}/{}", self.names.namespace.trim_end_matches('/'), self.names.node);
         let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.turn);
         let mut ticks = tokio::time::interval_at(first, DIAGNOSTICS_PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
             ticks.tick().await;
-            let status = lock(condition).status(&node, self.window, self.rate, &self.outlet);
+            let status = self.condition().status(&node, self.window, self.rate, &self.outlet);
             let mut message = Vec::new();
             ros::write_diagnostics(&mut message, SystemTime::now(), &[status]);
             self.outlet.publish_diagnostics(message);
@@ -109,9 +104,9 @@ impl Source {
     }
 
     /// Reads the identity of the sensor. A timeout is ignored: the next reconnect tries again.
-    async fn identify(&self, sensor: &Sensor, condition: &Mutex<Condition>) {
+    async fn identify(&self, sensor: &Sensor) {
         if let Ok(version) = sensor.version().await {
-            lock(condition).version = Some(version);
+            self.condition().version = Some(version);
         }
     }
 
@@ -120,6 +115,11 @@ impl Source {
         let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
         ros::write_scan(&mut message, scan, stamp, &self.names.frame);
         message
+    }
+
+    fn condition(&self) -> MutexGuard<'_, Condition> {
+        // No code panics while holding it.
+        self.condition.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Computes this sensor's next turn. A schedule that starts there keeps to the grid.
@@ -141,13 +141,10 @@ fn shifted(stamp: SystemTime, offset: f64) -> SystemTime {
     shifted.unwrap_or(stamp)
 }
 
-fn lock(condition: &Mutex<Condition>) -> MutexGuard<'_, Condition> {
-    // No code panics while holding it.
-    condition.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::*;
     use crate::port::named::NamedPort;
     use crate::publish::engine::{MessagePublisher, NodePublishers, Shared};
@@ -176,6 +173,7 @@ mod tests {
             outlet: Outlet::new(place as usize, shared, Arc::default()),
             epoch,
             turn: f64::from(place) / f64::from(count),
+            condition: Mutex::default(),
         }
     }
 
@@ -192,7 +190,9 @@ mod tests {
         let epoch = Instant::now();
         for place in 0..COUNT {
             let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
-            tokio::spawn(source.run(|_| ()));
+            tokio::spawn(async move {
+                tokio::join!(source.publish_scans(), source.publish_diagnostics())
+            });
         }
         tokio::time::sleep(Duration::from_secs(5)).await;
 
