@@ -16,7 +16,7 @@ use crate::output::notice::notice;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::named::NamedPort;
 use crate::publish::{
-    Discovery, EngineName, EngineSettings, Mode, NodeNames, NodeSpec, Qos, RunningEngine, Source,
+    Discovery, EngineName, EngineSettings, Mode, NameArgs, NodeNames, Qos, RunningEngine, Source,
     mounting,
 };
 
@@ -49,24 +49,8 @@ pub(crate) struct Publish {
     /// Network to publish on
     #[arg(long, value_enum, value_name = "ENGINE", default_value_t = DEFAULT_ENGINE)]
     engine: EngineName,
-    /// Topic of the scans; without the leading `/` it is in the namespace
-    #[arg(long, value_name = "NAME", default_value = "/scan", help_heading = "ROS")]
-    topic: String,
-    /// Name of the node
-    #[arg(long, value_name = "NAME", default_value = "urg_node", help_heading = "ROS")]
-    node: String,
-    /// Namespace of the node
-    #[arg(long, value_name = "NAME", default_value = "/", help_heading = "ROS")]
-    namespace: String,
-    /// Coordinate frame of the scans
-    #[arg(
-        long,
-        visible_alias = "frame-id",
-        value_name = "NAME",
-        default_value = "laser",
-        help_heading = "ROS"
-    )]
-    frame: String,
+    #[command(flatten)]
+    names: NameArgs,
     /// Pose of the sensor in the frame PARENT, in metres and degrees, for /tf_static; for
     /// several sensors, repeat the option in the same order
     #[arg(long, value_name = "PARENT,X,Y,Z,YAW", value_parser = mounting, help_heading = "ROS")]
@@ -135,13 +119,7 @@ impl Publish {
         if self.sensors.is_empty() {
             return Err(missing_port().await);
         }
-        let names = NodeNames::resolve(
-            &self.sensors,
-            &self.namespace,
-            &self.node,
-            &self.topic,
-            &self.frame,
-        )?;
+        let names = self.names.resolve(&self.sensors)?;
         let mut polled = Vec::new();
         for sensor in &self.sensors {
             let port = PortArg { name: Some(sensor.port.clone()) };
@@ -149,16 +127,8 @@ impl Publish {
             let window = self.window.window(port.default_window())?;
             polled.push((port, rate, window));
         }
-        let nodes = names
-            .iter()
-            .map(|names| NodeSpec {
-                namespace: names.namespace.clone(),
-                name: names.node.clone(),
-                scan_topic: names.topic.clone(),
-            })
-            .collect();
-        let (mut engine, outlets) =
-            RunningEngine::start(self.engine, self.settings(&names)?, nodes)?;
+        let settings = self.settings(names.clone())?;
+        let (mut engine, outlets) = RunningEngine::start(self.engine, settings)?;
 
         let count = polled.len();
         let epoch = Instant::now();
@@ -194,7 +164,7 @@ impl Publish {
         outcome
     }
 
-    fn settings(&self, names: &[NodeNames]) -> Result<EngineSettings, Failure> {
+    fn settings(&self, nodes: Vec<NodeNames>) -> Result<EngineSettings, Failure> {
         let default_depth = match self.qos {
             Qos::Reliable => 20,
             Qos::Sensor => 5,
@@ -209,18 +179,19 @@ impl Publish {
             )));
         }
         self.check_engine()?;
-        if !self.tf.is_empty() && self.tf.len() != names.len() {
+        if !self.tf.is_empty() && self.tf.len() != nodes.len() {
             return Err(Failure::Usage(format!(
                 "--tf: expected one for each of {} sensors, found {}",
-                names.len(),
+                nodes.len(),
                 self.tf.len()
             )));
         }
-        let transforms = self.tf.iter().cloned().zip(names);
+        let transforms = self.tf.iter().cloned().zip(&nodes);
         let transforms =
             transforms.map(|(tf, names)| Transform { child: names.frame.clone(), ..tf });
         Ok(EngineSettings {
             transforms: transforms.collect(),
+            nodes,
             domain,
             qos: self.qos,
             depth: self.depth.unwrap_or(default_depth).into(),

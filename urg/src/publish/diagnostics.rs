@@ -39,34 +39,26 @@ impl Condition {
             .iter()
             .find(|schedule| schedule.window == window)
             .and_then(|schedule| schedule.reached);
-        let (level, message) = self.judge(window, rate, reached);
-        let text =
-            |text: &dyn Fn(&Version) -> String| self.version.as_ref().map(text).unwrap_or_default();
-        let serial_number = text(&|version| version.serial_number.to_string());
+        let state = self.sensor.as_ref().map(|sensor| sensor.state().get());
+        let (level, message) = self.judge(state.as_ref(), window, rate, reached);
+        let version = self.version.as_ref();
+        let serial_number = shown(version.map(|version| &version.serial_number));
+        let counted = outlet.counts().lock().clone();
         let mut values = vec![
-            ("State", self.state()),
-            ("Product", text(&|version| version.product.to_string())),
+            ("State", state_name(state.as_ref()).to_owned()),
+            ("Product", shown(version.map(|version| &version.product))),
             ("Serial number", serial_number.clone()),
-            ("Firmware", text(&|version| version.firmware.to_string())),
-            ("Baud rate", self.baud_rate()),
+            ("Firmware", shown(version.map(|version| &version.firmware))),
+            ("Baud rate", shown(state.as_ref().and_then(State::baud_rate))),
             ("Rate requested (Hz)", rate.period().map_or_else(|| "max".to_owned(), hertz)),
-            ("Rate reached (Hz)", reached.map_or_else(String::new, |rate| format!("{rate:.2}"))),
-            (
-                "Age of the last scan (s)",
-                self.scanned.map_or_else(String::new, |at| seconds(at.elapsed())),
-            ),
-            ("Scans published", outlet.counts().published().to_string()),
-            ("Scans dropped", outlet.counts().dropped().to_string()),
-            ("Scans possibly lost", outlet.counts().possibly_lost().to_string()),
-            (
-                "Age of the last published scan (s)",
-                outlet
-                    .counts()
-                    .last_published()
-                    .map_or_else(String::new, |at| seconds(at.elapsed())),
-            ),
-            ("Readers", outlet.counts().readers().map_or_else(String::new, |n| n.to_string())),
-            ("Engine restarts", outlet.counts().restarts().to_string()),
+            ("Rate reached (Hz)", shown(reached.map(|rate| format!("{rate:.2}")))),
+            ("Age of the last scan (s)", shown(self.scanned.map(age))),
+            ("Scans published", counted.published.to_string()),
+            ("Scans dropped", counted.dropped.to_string()),
+            ("Scans possibly lost", counted.possibly_lost.to_string()),
+            ("Age of the last published scan (s)", shown(counted.last_published.map(age))),
+            ("Readers", shown(counted.readers)),
+            ("Engine restarts", counted.restarts.to_string()),
         ];
         values.extend(losses(&stats));
         DiagnosticStatus {
@@ -78,33 +70,39 @@ impl Condition {
         }
     }
 
-    fn judge(&self, window: Window, rate: Rate, reached: Option<f64>) -> (DiagnosticLevel, String) {
+    fn judge(
+        &self,
+        state: Option<&State>,
+        window: Window,
+        rate: Rate,
+        reached: Option<f64>,
+    ) -> (DiagnosticLevel, String) {
         use DiagnosticLevel::{Error, Ok, Warn};
         if let Some(reason) = &self.ended {
             return (Error, reason.clone());
         }
-        let Some(sensor) = &self.sensor else { return (Error, "not opened yet".to_owned()) };
-        let baud_rate = match &sensor.state().get() {
-            State::Connected { streaming: false, .. } if self.scanned.is_some() => {
+        let baud_rate = match state {
+            None => return (Error, "not opened yet".to_owned()),
+            Some(State::Connected { streaming: false, .. }) if self.scanned.is_some() => {
                 return (Warn, "the laser is off".to_owned());
             }
-            State::Connected { baud_rate, .. } => *baud_rate,
-            State::Connecting { error: Some(error) } => {
+            Some(State::Connected { baud_rate, .. }) => *baud_rate,
+            Some(State::Connecting { error: Some(error) }) => {
                 return (Error, format!("waiting for the sensor: {}", chain(error)));
             }
-            State::Connecting { .. } => return (Error, "looking for the sensor".to_owned()),
-            State::Recovering => return (Error, "the sensor is silent".to_owned()),
-            State::Disconnected { error, .. } | State::Closed { error: Some(error) } => {
+            Some(State::Connecting { .. }) => return (Error, "looking for the sensor".to_owned()),
+            Some(State::Recovering) => return (Error, "the sensor is silent".to_owned()),
+            Some(State::Disconnected { error, .. } | State::Closed { error: Some(error) }) => {
                 return (Error, chain(error));
             }
-            _ => return (Error, "closed".to_owned()),
+            Some(_) => return (Error, "closed".to_owned()),
         };
         let wire = baud_rate.map_or(Duration::ZERO, |rate| window.wire_time(rate));
         let period = rate.period().unwrap_or_default();
-        match self.scanned.map(|at| at.elapsed()) {
+        match self.scanned {
             None => (Warn, "no scan yet".to_owned()),
-            Some(age) if age > 3 * period.max(wire) + LATE => {
-                (Error, format!("no scan for {} s", seconds(age)))
+            Some(at) if at.elapsed() > 3 * period.max(wire) + LATE => {
+                (Error, format!("no scan for {} s", age(at)))
             }
             Some(_) => match reached {
                 Some(reached) if reached * period.as_secs_f64() < ENOUGH => {
@@ -114,23 +112,16 @@ impl Condition {
             },
         }
     }
+}
 
-    /// State of the driver in one word.
-    fn state(&self) -> String {
-        match self.sensor.as_ref().map(|sensor| sensor.state().get()) {
-            None | Some(State::Connecting { .. }) => "connecting",
-            Some(State::Connected { .. }) => "connected",
-            Some(State::Recovering) => "recovering",
-            Some(State::Disconnected { .. }) => "disconnected",
-            Some(_) => "closed",
-        }
-        .to_owned()
-    }
-
-    /// Baud rate; empty on USB and without a link.
-    fn baud_rate(&self) -> String {
-        let rate = self.sensor.as_ref().and_then(|sensor| sensor.state().get().baud_rate());
-        rate.map_or_else(String::new, |rate| rate.to_string())
+/// Names the state of the driver in one word.
+fn state_name(state: Option<&State>) -> &'static str {
+    match state {
+        None | Some(State::Connecting { .. }) => "connecting",
+        Some(State::Connected { .. }) => "connected",
+        Some(State::Recovering) => "recovering",
+        Some(State::Disconnected { .. }) => "disconnected",
+        Some(_) => "closed",
     }
 }
 
@@ -156,6 +147,12 @@ fn hertz(period: Duration) -> String {
     ((rate * 1000.0).round() / 1000.0).to_string()
 }
 
-fn seconds(time: Duration) -> String {
-    format!("{:.2}", time.as_secs_f64())
+/// Formats the seconds since an instant.
+fn age(instant: Instant) -> String {
+    format!("{:.2}", instant.elapsed().as_secs_f64())
+}
+
+/// Formats a value that is not always known; else the text is empty.
+fn shown(value: Option<impl ToString>) -> String {
+    value.map(|value| value.to_string()).unwrap_or_default()
 }

@@ -5,9 +5,10 @@ use std::env;
 use crate::failure::Failure;
 
 /// `ROS_AUTOMATIC_DISCOVERY_RANGE`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) enum Range {
     /// Every participant that multicast reaches.
+    #[default]
     Subnet,
     /// This machine, and static peers.
     Localhost,
@@ -16,7 +17,7 @@ pub(crate) enum Range {
 }
 
 /// Where to discover readers.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Discovery {
     pub(crate) range: Range,
     /// Host names or addresses in `ROS_STATIC_PEERS`.
@@ -30,7 +31,6 @@ impl Discovery {
         Self::resolve(|name| env::var_os(name).map(|text| text.to_string_lossy().into_owned()))
     }
 
-    #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only DDS looks for readers"))]
     pub(super) fn is_beyond_this_machine(&self) -> bool {
         self.range == Range::Subnet || !self.static_peers.is_empty()
     }

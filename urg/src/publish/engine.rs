@@ -1,15 +1,22 @@
-//! Interface of an engine, its settings, and the [`Outlet`] that publishes through it from any
-//! task without waiting.
+//! Interface of an engine, its settings and topics, and the [`Outlet`] that publishes through it
+//! from any task without waiting.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::SystemTime;
 
 use clap::ValueEnum;
-use tokio_scip::ros::{self, Transform};
+use tokio_scip::ros::{self, MessageType, Transform};
 
-use super::counts::ScanCounts;
+use super::counts::Counts;
 use super::discovery::Discovery;
+use super::names::NodeNames;
+
+/// Number of diagnostics kept for readers that missed some.
+const DIAGNOSTICS_DEPTH: usize = 10;
+
+/// Number of topics of every node: scans and diagnostics.
+const NODE_TOPICS: usize = 2;
 
 /// Engines, whether built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -41,156 +48,187 @@ pub(crate) enum Mode {
 }
 
 /// Settings of all engines. An engine ignores settings that do not apply to it.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(crate) struct EngineSettings {
-    #[cfg_attr(
-        not(any(feature = "ros2", feature = "zenoh")),
-        expect(dead_code, reason = "only a network of ROS has domains")
-    )]
+    /// ROS nodes to create, one per sensor.
+    pub(crate) nodes: Vec<NodeNames>,
     pub(crate) domain: u16,
-    #[cfg_attr(
-        not(any(feature = "ros2", feature = "zenoh")),
-        expect(dead_code, reason = "only a network of ROS has QoS")
-    )]
     pub(crate) qos: Qos,
-    /// Number of messages kept for readers that missed some.
+    /// Number of scans kept for readers that missed some.
     pub(crate) depth: usize,
     /// Static transforms of the sensors. Late readers get them too.
     pub(crate) transforms: Vec<Transform>,
     /// Only local address to use. Default: all.
     pub(crate) interface: Option<IpAddr>,
-    #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only DDS looks for readers"))]
     pub(crate) discovery: Discovery,
-    #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "only zenoh has a router"))]
     pub(crate) router: String,
-    #[cfg_attr(not(feature = "zenoh"), expect(dead_code, reason = "only zenoh has a router"))]
     pub(crate) mode: Mode,
-    #[cfg_attr(not(feature = "foxglove"), expect(dead_code, reason = "only Foxglove listens"))]
     pub(crate) listen: SocketAddr,
 }
 
-impl EngineSettings {
-    /// Encodes the static transforms, if there are any.
-    pub(super) fn static_transforms(&self) -> Option<Vec<u8>> {
-        let mut message = Vec::new();
-        ros::write_transforms(&mut message, SystemTime::now(), &self.transforms);
-        (!self.transforms.is_empty()).then_some(message)
+/// Topic of one node. Several nodes may publish on a topic of the same name.
+#[derive(Debug)]
+pub(super) struct Topic {
+    /// Index of the node.
+    pub(super) node: usize,
+    /// Absolute.
+    pub(super) name: String,
+    pub(super) message: MessageType,
+    pub(super) qos: Qos,
+    pub(super) depth: usize,
+    /// Whether late readers get the last message (transient local).
+    pub(super) is_kept: bool,
+    pub(super) counts: Arc<Counts>,
+}
+
+impl Topic {
+    pub(super) fn has_scans(&self) -> bool {
+        self.message == MessageType::LASER_SCAN
+    }
+
+    /// Depth and counters of the topic in a queue.
+    pub(super) fn queue(&self) -> (usize, Arc<Counts>) {
+        (self.depth, Arc::clone(&self.counts))
     }
 }
 
-/// Names of a ROS node to create.
-#[derive(Debug, Clone)]
-pub(crate) struct NodeSpec {
-    /// Absolute; `/` if there is no namespace.
-    pub(crate) namespace: String,
-    pub(crate) name: String,
-    /// Absolute name of the scan topic.
-    pub(crate) scan_topic: String,
+impl EngineSettings {
+    /// Lists the topics: scans and diagnostics of each node in turn, then the static transforms
+    /// of all sensors, if there are any, as a topic of the first node.
+    pub(super) fn topics(&self) -> Vec<Topic> {
+        let topic = |node, name: &str, message| Topic {
+            node,
+            name: name.to_owned(),
+            message,
+            qos: Qos::Reliable,
+            depth: 1,
+            is_kept: false,
+            counts: Arc::default(),
+        };
+        let mut topics = Vec::new();
+        for (node, names) in self.nodes.iter().enumerate() {
+            let scans = topic(node, &names.topic, MessageType::LASER_SCAN);
+            topics.push(Topic { qos: self.qos, depth: self.depth, ..scans });
+            let diagnostics = topic(node, "/diagnostics", MessageType::DIAGNOSTIC_ARRAY);
+            topics.push(Topic { depth: DIAGNOSTICS_DEPTH, ..diagnostics });
+        }
+        if !self.transforms.is_empty() {
+            let transforms = topic(0, "/tf_static", MessageType::TF_MESSAGE);
+            topics.push(Topic { is_kept: true, ..transforms });
+        }
+        topics
+    }
+
+    /// Encodes the static transforms, the only message of a topic that is kept.
+    pub(super) fn static_transforms(&self) -> Vec<u8> {
+        let mut message = Vec::new();
+        ros::write_transforms(&mut message, SystemTime::now(), &self.transforms);
+        message
+    }
 }
 
-/// Diagnostics topic, shared by all nodes.
-pub(super) const DIAGNOSTICS_TOPIC: &str = "/diagnostics";
-
-/// Topic for the static transforms of all sensors. Published by the first node.
-pub(super) const STATIC_TRANSFORMS_TOPIC: &str = "/tf_static";
-
-/// Condition of an open engine.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Health {
-    /// The engine delivers messages.
-    Works,
-    /// The engine cannot reach some readers. The line tells the user what happens to the scans.
-    #[cfg_attr(
-        not(any(feature = "ros2", feature = "zenoh")),
-        expect(dead_code, reason = "only a network of ROS has readers to reach")
-    )]
-    Unreachable(String),
-    /// The network has changed. The engine has to be reopened to use it.
-    #[cfg_attr(not(feature = "ros2"), expect(dead_code, reason = "only DDS forgets readers"))]
+/// Why an open engine has to be reopened.
+#[derive(Debug)]
+pub(super) enum Reopen {
+    /// The network has changed.
     Outdated,
-    /// The engine has stopped working, for this reason, and has to be reopened.
+    /// The engine has stopped working, for this reason.
     Dead(String),
 }
 
 /// Open engine.
 pub(super) trait Engine: Sized + Send + 'static {
     /// What an engine leaves to the one that is opened after it.
-    type Memory: Default;
+    type Memory: Default + Send;
 
-    /// Opens the engine with publishers for each node, which count their scans in `counts`.
-    /// Blocks. The error explains why the network is unavailable; the caller retries.
+    /// Opens the engine. Blocks. The error explains why the network is unavailable; the caller
+    /// retries.
     fn open(
-        settings: &EngineSettings,
-        nodes: &[NodeSpec],
-        counts: &[Arc<ScanCounts>],
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
         memory: &Self::Memory,
-    ) -> Result<(Self, Vec<NodePublishers>), String>;
+    ) -> Result<(Self, Arc<dyn Publisher>), String>;
 
     /// Checks from outside whether the engine works. Called at regular intervals. May block for
-    /// a few seconds.
-    fn look(&mut self) -> Health;
+    /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
+    /// happens to the scans.
+    fn look(&mut self) -> Result<Option<String>, Reopen>;
 
     /// Removes the nodes from the ROS graph, and stops the engine. Blocks. The caller drops the
-    /// publishers first.
+    /// publisher first.
     fn close(self);
 }
 
-/// Publisher of one topic.
-pub(super) trait MessagePublisher: Send + Sync {
-    /// Publishes or drops an encoded message, and counts the outcome. Does not block.
-    fn publish(&self, message: Vec<u8>);
+/// Publisher on the topics of an open engine.
+pub(super) trait Publisher: Send + Sync {
+    /// Publishes or drops an encoded message on the topic with this index, and counts the
+    /// outcome. Does not block.
+    fn publish(&self, topic: usize, message: Vec<u8>);
 }
 
-/// Publishers of one node.
-pub(super) struct NodePublishers {
-    pub(super) scans: Box<dyn MessagePublisher>,
-    pub(super) diagnostics: Box<dyn MessagePublisher>,
-}
-
-/// Publishers of all nodes, in order; `None` while the engine is not open.
-pub(super) type Shared = Arc<RwLock<Option<Vec<NodePublishers>>>>;
+/// Publisher of the engine; `None` while it is not open.
+pub(super) type Shared = Arc<RwLock<Option<Arc<dyn Publisher>>>>;
 
 /// Publisher of one node that survives reopening of the engine. Drops messages while the engine
 /// is not open: old scans are useless.
 #[derive(Clone)]
 pub(crate) struct Outlet {
     node: usize,
-    publishers: Shared,
-    counts: Arc<ScanCounts>,
+    publisher: Shared,
+    counts: Arc<Counts>,
 }
 
 impl Outlet {
-    pub(super) fn new(node: usize, publishers: &Shared, counts: Arc<ScanCounts>) -> Self {
-        Self { node, publishers: Arc::clone(publishers), counts }
+    pub(super) fn new(node: usize, publisher: &Shared, counts: &Arc<Counts>) -> Self {
+        Self { node, publisher: Arc::clone(publisher), counts: Arc::clone(counts) }
     }
 
     /// Publishes an encoded `sensor_msgs/msg/LaserScan`.
     pub(crate) fn publish_scan(&self, message: Vec<u8>) {
-        if !self.publish(message, |node| &node.scans) {
+        if !self.publish(0, message) {
             self.counts.add_dropped();
         }
     }
 
     /// Publishes an encoded `diagnostic_msgs/msg/DiagnosticArray`.
     pub(crate) fn publish_diagnostics(&self, message: Vec<u8>) {
-        self.publish(message, |node| &node.diagnostics);
+        self.publish(1, message);
     }
 
-    /// Returns false if the engine is not open.
-    fn publish(
-        &self,
-        message: Vec<u8>,
-        topic: impl FnOnce(&NodePublishers) -> &Box<dyn MessagePublisher>,
-    ) -> bool {
-        let publishers = self.publishers.read().unwrap_or_else(PoisonError::into_inner);
-        let node = publishers.as_ref().and_then(|nodes| nodes.get(self.node));
-        node.is_some_and(|node| {
-            topic(node).publish(message);
-            true
-        })
+    /// Publishes on one of the node's topics. Returns false if the engine is not open.
+    fn publish(&self, topic: usize, message: Vec<u8>) -> bool {
+        let publisher = self.publisher.read().unwrap_or_else(PoisonError::into_inner);
+        let Some(publisher) = &*publisher else { return false };
+        publisher.publish(NODE_TOPICS * self.node + topic, message);
+        true
     }
 
-    pub(crate) fn counts(&self) -> &ScanCounts {
+    /// Counters of the scans.
+    pub(crate) fn counts(&self) -> &Counts {
         &self.counts
+    }
+}
+
+#[cfg(test)]
+impl EngineSettings {
+    /// Creates settings of nodes named `urg` in these namespaces.
+    pub(super) fn of_namespaces(namespaces: &[&str]) -> Self {
+        let node = |namespace: &&str| NodeNames {
+            namespace: (*namespace).to_owned(),
+            node: "urg".to_owned(),
+            ..NodeNames::default()
+        };
+        Self {
+            nodes: namespaces.iter().map(node).collect(),
+            domain: 0,
+            qos: Qos::Reliable,
+            depth: 1,
+            transforms: Vec::new(),
+            interface: None,
+            discovery: Discovery::default(),
+            router: String::new(),
+            mode: Mode::Client,
+            listen: ([127, 0, 0, 1], 0).into(),
+        }
     }
 }

@@ -10,13 +10,9 @@ use foxglove::{
     ChannelBuilder, Context, FoxgloveError, RawChannel, Schema, WebSocketServer,
     WebSocketServerHandle,
 };
-use tokio_scip::ros::MessageType;
 
-use super::counts::ScanCounts;
-use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, NodePublishers, NodeSpec,
-    STATIC_TRANSFORMS_TOPIC,
-};
+use super::counts::Counts;
+use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
 use crate::failure::chain;
 use crate::output::notice::notice;
 
@@ -35,73 +31,56 @@ impl Engine for Foxglove {
     type Memory = ();
 
     fn open(
-        settings: &EngineSettings,
-        nodes: &[NodeSpec],
-        counts: &[Arc<ScanCounts>],
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
         (): &(),
-    ) -> Result<(Self, Vec<NodePublishers>), String> {
+    ) -> Result<(Self, Arc<dyn Publisher>), String> {
         let failed = |error: FoxgloveError| {
             format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))
         };
         let context = Context::new();
-        let channel = |topic: &str, message: &MessageType| {
+        // Nodes that publish on the same topic share a channel, as in ROS.
+        let mut channels = Vec::new();
+        let mut late_viewers = None;
+        for topic in topics.iter() {
+            let message = &topic.message;
             let schema = Schema::new(message.name(), "ros2msg", message.definition().as_bytes());
-            let builder = ChannelBuilder::new(topic).message_encoding("cdr").schema(schema);
-            builder.context(&context)
-        };
-        let transforms = settings
-            .static_transforms()
-            .map(|message| {
-                let channel = channel(STATIC_TRANSFORMS_TOPIC, &MessageType::TF_MESSAGE);
-                let channel = channel.build_raw().map_err(failed)?;
-                Ok::<_, String>(LateViewers { channel, message })
-            })
-            .transpose()?;
-        // One topic shared by all nodes, as in ROS.
-        let diagnostics = channel(DIAGNOSTICS_TOPIC, &MessageType::DIAGNOSTIC_ARRAY);
-        let diagnostics = diagnostics.build_raw().map_err(failed)?;
-        let publishers = nodes
-            .iter()
-            .zip(counts)
-            .map(|(node, counts)| {
-                let name = format!("{}/{}", node.namespace.trim_end_matches('/'), node.name);
-                let scans = channel(&node.scan_topic, &MessageType::LASER_SCAN);
-                let scans = scans.add_metadata("node", &name).build_raw().map_err(failed)?;
-                Ok(NodePublishers {
-                    scans: Box::new(ChannelPublisher {
-                        channel: scans,
-                        counts: Arc::clone(counts),
-                    }),
-                    diagnostics: Box::new(ChannelPublisher {
-                        channel: Arc::clone(&diagnostics),
-                        // Only scans are counted.
-                        counts: Arc::default(),
-                    }),
-                })
-            })
-            .collect::<Result<Vec<_>, String>>()?;
+            let mut channel =
+                ChannelBuilder::new(&topic.name).message_encoding("cdr").schema(schema);
+            if let Some(node) = settings.nodes.get(topic.node).filter(|_| topic.has_scans()) {
+                channel = channel.add_metadata("node", &node.full_name());
+            }
+            let channel = channel.context(&context).build_raw().map_err(failed)?;
+            if topic.is_kept {
+                let message = settings.static_transforms();
+                late_viewers = Some(Arc::new(LateViewers { channel, message }));
+            } else {
+                channels.push((channel, Arc::clone(&topic.counts)));
+            }
+        }
         let mut server = WebSocketServer::new()
             .name(concat!("urg ", env!("CARGO_PKG_VERSION")))
             .context(&context)
-            .message_backlog_size((settings.depth * nodes.len()).max(MIN_BACKLOG))
+            .message_backlog_size((settings.depth * settings.nodes.len()).max(MIN_BACKLOG))
             .bind(host(settings.listen), settings.listen.port());
-        if let Some(transforms) = transforms {
-            server = server.listener(Arc::new(transforms));
+        if let Some(late_viewers) = late_viewers {
+            server = server.listener(late_viewers);
         }
         let server = server.start_blocking().map_err(failed)?;
         let address = SocketAddr::new(settings.listen.ip(), server.port());
         notice(format_args!("Foxglove and Lichtblick can connect to ws://{address}"));
-        Ok((Self { server, address, _context: context }, publishers))
+        Ok((Self { server, address, _context: context }, Arc::new(Channels(channels))))
     }
 
-    fn look(&mut self) -> Health {
+    fn look(&mut self) -> Result<Option<String>, Reopen> {
         // The SDK silently stops listening when the system cannot accept a connection, for
         // example because too many files are open. Starting it again closes them.
-        match TcpListener::bind(self.address) {
-            Err(error) if error.kind() == ErrorKind::AddrInUse => Health::Works,
-            Err(error) => Health::Dead(format!("the server for Foxglove has failed: {error}")),
-            Ok(_) => Health::Dead("the server for Foxglove no longer listens".to_owned()),
-        }
+        let why = match TcpListener::bind(self.address) {
+            Err(error) if error.kind() == ErrorKind::AddrInUse => return Ok(None),
+            Err(error) => format!("the server for Foxglove has failed: {error}"),
+            Ok(_) => "the server for Foxglove no longer listens".to_owned(),
+        };
+        Err(Reopen::Dead(why))
     }
 
     fn close(self) {
@@ -111,16 +90,15 @@ impl Engine for Foxglove {
     }
 }
 
-/// Publisher of one channel.
-struct ChannelPublisher {
-    channel: Arc<RawChannel>,
-    counts: Arc<ScanCounts>,
-}
+/// Channels of the topics that are published all the time, with their counters.
+struct Channels(Vec<(Arc<RawChannel>, Arc<Counts>)>);
 
-impl MessagePublisher for ChannelPublisher {
-    fn publish(&self, message: Vec<u8>) {
-        self.channel.log(&message);
-        self.counts.add_published();
+impl Publisher for Channels {
+    fn publish(&self, topic: usize, message: Vec<u8>) {
+        if let Some((channel, counts)) = self.0.get(topic) {
+            channel.log(&message);
+            counts.add_published();
+        }
     }
 }
 

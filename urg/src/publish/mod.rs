@@ -3,11 +3,15 @@
 //!
 //! - `engine` defines the interface of engines. `dds`, `zenoh` and `foxglove` implement it.
 //! - `running` keeps an engine open, and reopens it after errors.
-//! - `send_queue` buffers messages for slow links. `progress` detects a stuck queue.
+//! - `send_queue` buffers messages for slow links, and detects links that are stuck.
 //! - `counts` counts published, dropped and lost scans.
 //! - `source` publishes one sensor, and `diagnostics` describes its condition.
 //! - `names` and `mounting` are nodes, topics, frames and transforms.
 //! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
+#![cfg_attr(
+    not(all(feature = "ros2", feature = "zenoh", feature = "foxglove")),
+    expect(dead_code, reason = "some settings and counters are for one engine only")
+)]
 
 mod counts;
 #[cfg(feature = "ros2")]
@@ -19,8 +23,6 @@ mod engine;
 mod foxglove;
 mod mounting;
 mod names;
-#[cfg(any(feature = "ros2", feature = "zenoh"))]
-mod progress;
 pub(crate) mod ros_args;
 mod running;
 #[cfg(any(feature = "ros2", feature = "zenoh"))]
@@ -30,8 +32,8 @@ mod source;
 mod zenoh;
 
 pub(crate) use self::discovery::Discovery;
-pub(crate) use self::engine::{EngineName, EngineSettings, Mode, NodeSpec, Qos};
+pub(crate) use self::engine::{EngineName, EngineSettings, Mode, Qos};
 pub(crate) use self::mounting::mounting;
-pub(crate) use self::names::NodeNames;
+pub(crate) use self::names::{NameArgs, NodeNames};
 pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;

@@ -10,8 +10,31 @@ use crate::port::named::{NamedPort, token};
 /// bytes, some of them for the prefix that ROS adds.
 const MAX_NAME: usize = 240;
 
+/// Options for names.
+#[derive(Debug, clap::Args)]
+pub(crate) struct NameArgs {
+    /// Topic of the scans; without the leading `/` it is in the namespace
+    #[arg(long, value_name = "NAME", default_value = "/scan", help_heading = "ROS")]
+    topic: String,
+    /// Name of the node
+    #[arg(long, value_name = "NAME", default_value = "urg_node", help_heading = "ROS")]
+    node: String,
+    /// Namespace of the node
+    #[arg(long, value_name = "NAME", default_value = "/", help_heading = "ROS")]
+    namespace: String,
+    /// Coordinate frame of the scans
+    #[arg(
+        long,
+        visible_alias = "frame-id",
+        value_name = "NAME",
+        default_value = "laser",
+        help_heading = "ROS"
+    )]
+    frame: String,
+}
+
 /// Names for one sensor.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct NodeNames {
     /// Absolute; `/` if there is no namespace.
     pub(crate) namespace: String,
@@ -22,17 +45,19 @@ pub(crate) struct NodeNames {
 }
 
 impl NodeNames {
+    /// Absolute name of the node.
+    pub(super) fn full_name(&self) -> String {
+        format!("{}/{}", self.namespace.trim_end_matches('/'), self.node)
+    }
+}
+
+impl NameArgs {
     /// Computes the names for each of `sensors`. The name of a sensor becomes a namespace for
     /// its node and topic, and a prefix of its frame.
     ///
     /// Usage errors: a name that breaks the rules of ROS, and two sensors on one topic.
-    pub(crate) fn resolve(
-        sensors: &[NamedPort],
-        namespace: &str,
-        node: &str,
-        topic: &str,
-        frame: &str,
-    ) -> Result<Vec<Self>, Failure> {
+    pub(crate) fn resolve(&self, sensors: &[NamedPort]) -> Result<Vec<NodeNames>, Failure> {
+        let Self { topic, node, namespace, frame } = self;
         let usage = |option: &'static str| {
             move |reason: String| Failure::Usage(format!("{option}: {reason}"))
         };
@@ -61,7 +86,7 @@ impl NodeNames {
                 // A name that starts with `/` is absolute.
                 let own: &[&str] = if topic.starts_with('/') { &[] } else { &namespace };
                 let parts = own.iter().chain(topic_namespace).copied().chain(name);
-                let names = Self {
+                let names = NodeNames {
                     namespace: absolute(namespace.iter().copied().chain(name)),
                     node: node.to_owned(),
                     topic: absolute(parts.chain([*base])),
@@ -110,13 +135,15 @@ fn path(text: &str) -> Result<Vec<&str>, String> {
 mod tests {
     use super::*;
 
-    fn sensors(texts: &[&str]) -> Vec<NamedPort> {
-        texts.iter().map(|text| text.parse().unwrap()).collect()
+    fn names(sensors: &[&str], namespace: &str, topic: &str) -> Vec<NodeNames> {
+        let sensors: Vec<NamedPort> = sensors.iter().map(|text| text.parse().unwrap()).collect();
+        let [namespace, topic] = [namespace, topic].map(str::to_owned);
+        let (node, frame) = ("urg_node".to_owned(), "laser".to_owned());
+        NameArgs { topic, node, namespace, frame }.resolve(&sensors).unwrap()
     }
 
-    fn topics(texts: &[&str], namespace: &str, topic: &str) -> Vec<String> {
-        let names = NodeNames::resolve(&sensors(texts), namespace, "urg_node", topic, "laser");
-        names.unwrap().into_iter().map(|names| names.topic).collect()
+    fn topics(sensors: &[&str], namespace: &str, topic: &str) -> Vec<String> {
+        names(sensors, namespace, topic).into_iter().map(|names| names.topic).collect()
     }
 
     #[test]
@@ -127,9 +154,7 @@ mod tests {
         let both = ["front=emulated", "rear=tcp://host:1?baud=19200"];
         assert_eq!(topics(&both, "/", "/scan"), ["/front/scan", "/rear/scan"]);
         assert_eq!(topics(&both, "/a/b", "c/scan"), ["/a/b/c/front/scan", "/a/b/c/rear/scan"]);
-        let names =
-            NodeNames::resolve(&sensors(&["front=emulated"]), "/a", "urg_node", "/scan", "laser");
-        let names = names.unwrap().remove(0);
-        assert_eq!((&*names.namespace, &*names.frame), ("/a/front", "front_laser"));
+        let front = names(&["front=emulated"], "/a", "/scan").remove(0);
+        assert_eq!((&*front.namespace, &*front.frame), ("/a/front", "front_laser"));
     }
 }

@@ -10,14 +10,12 @@ use std::time::Duration;
 
 use tokio::sync::mpsc;
 
-use super::counts::ScanCounts;
 #[cfg(feature = "ros2")]
 use super::dds::Dds;
-use super::engine::{
-    Engine, EngineName, EngineSettings, Health, NodePublishers, NodeSpec, Outlet, Shared,
-};
+use super::engine::{Engine, EngineName, EngineSettings, Outlet, Publisher, Reopen, Shared, Topic};
 #[cfg(feature = "foxglove")]
 use super::foxglove::Foxglove;
+use super::names::NodeNames;
 #[cfg(feature = "zenoh")]
 use super::zenoh::Zenoh;
 use crate::failure::Failure;
@@ -52,15 +50,14 @@ impl RunningEngine {
     pub(crate) fn start(
         engine: EngineName,
         settings: EngineSettings,
-        nodes: Vec<NodeSpec>,
     ) -> Result<(Self, Vec<Outlet>), Failure> {
         match engine {
             #[cfg(feature = "ros2")]
-            EngineName::Dds => start::<Dds>(settings, nodes),
+            EngineName::Dds => start::<Dds>(settings),
             #[cfg(feature = "zenoh")]
-            EngineName::Zenoh => start::<Zenoh>(settings, nodes),
+            EngineName::Zenoh => start::<Zenoh>(settings),
             #[cfg(feature = "foxglove")]
-            EngineName::Foxglove => start::<Foxglove>(settings, nodes),
+            EngineName::Foxglove => start::<Foxglove>(settings),
             #[cfg(not(feature = "ros2"))]
             EngineName::Dds => Err(not_built_in("dds", "ros2")),
             #[cfg(not(feature = "zenoh"))]
@@ -92,30 +89,25 @@ fn not_built_in(engine: &str, feature: &str) -> Failure {
     ))
 }
 
-fn start<E: Engine>(
-    settings: EngineSettings,
-    nodes: Vec<NodeSpec>,
-) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
-    let publishers = Shared::default();
-    let counts: Vec<Arc<ScanCounts>> = nodes.iter().map(|_| Arc::default()).collect();
-    let outlets = counts.iter().enumerate();
-    let outlets =
-        outlets.map(|(node, counts)| Outlet::new(node, &publishers, Arc::clone(counts))).collect();
+fn start<E: Engine>(settings: EngineSettings) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
+    let topics = settings.topics();
+    let shared = Shared::default();
+    let scans = topics.iter().filter(|topic| topic.has_scans());
+    let outlets = scans.map(|topic| Outlet::new(topic.node, &shared, &topic.counts)).collect();
     let (stop, stopped) = std_mpsc::channel();
     let (fail, failures) = mpsc::channel(1);
+    let mut engine = Watched::<E> {
+        network: NetworkNotices::of(&settings.nodes),
+        settings: Arc::new(settings),
+        topics: topics.into(),
+        shared,
+        stop: stopped,
+        restarts: 0,
+        memory: E::Memory::default(),
+    };
     std::thread::Builder::new()
         .name("engine".to_owned())
         .spawn(move || {
-            let mut engine = Watched::<E> {
-                settings: &settings,
-                nodes: &nodes,
-                counts: &counts,
-                shared: &publishers,
-                stop: &stopped,
-                network: NetworkNotices::of(&nodes),
-                restarts: 0,
-                memory: E::Memory::default(),
-            };
             if let Err(failure) = engine.run() {
                 // The receiver is gone during shutdown.
                 let _ = fail.try_send(failure);
@@ -126,49 +118,41 @@ fn start<E: Engine>(
 }
 
 /// State of the engine's thread.
-struct Watched<'a, E: Engine> {
-    settings: &'a EngineSettings,
-    nodes: &'a [NodeSpec],
-    counts: &'a [Arc<ScanCounts>],
-    shared: &'a Shared,
-    stop: &'a std_mpsc::Receiver<()>,
+struct Watched<E: Engine> {
+    settings: Arc<EngineSettings>,
+    topics: Arc<[Topic]>,
+    shared: Shared,
+    stop: std_mpsc::Receiver<()>,
     network: NetworkNotices,
     /// Number of consecutive restarts.
     restarts: u32,
     memory: E::Memory,
 }
 
-/// Why an engine is closed.
-enum Reason {
-    Stopped,
-    Outdated,
-    Dead(String),
-}
-
-impl<E: Engine> Watched<'_, E> {
+impl<E: Engine> Watched<E> {
     /// Runs the engine until it is stopped. Reopens it after the network has changed or the
     /// engine has died. The error is permanent: reopening did not help.
     fn run(&mut self) -> Result<(), Failure> {
-        while let Some((mut engine, publishers)) = self.open() {
-            self.set(Some(publishers));
-            let reason = self.watch(&mut engine);
+        while let Some((mut engine, publisher)) = self.open() {
+            self.set(Some(publisher));
+            let watched = self.watch(&mut engine);
             self.set(None);
             let is_closed = close(engine);
-            match reason {
-                Reason::Stopped => return Ok(()),
-                Reason::Outdated => {}
-                Reason::Dead(why) => self.restart(&why, is_closed)?,
+            match watched {
+                Ok(()) => break,
+                Err(Reopen::Outdated) => {}
+                Err(Reopen::Dead(why)) => self.restart(&why, is_closed)?,
             }
         }
         Ok(())
     }
 
     /// Retries until the engine opens. `None` if it was stopped meanwhile.
-    fn open(&mut self) -> Option<(E, Vec<NodePublishers>)> {
+    fn open(&mut self) -> Option<(E, Arc<dyn Publisher>)> {
         loop {
             let opened = match missing_address(self.settings.interface) {
                 Some(why) => Err(why),
-                None => E::open(self.settings, self.nodes, self.counts, &self.memory),
+                None => E::open(&self.settings, &self.topics, &self.memory),
             };
             match opened {
                 Ok(opened) => return Some(opened),
@@ -182,24 +166,21 @@ impl<E: Engine> Watched<'_, E> {
         }
     }
 
-    fn watch(&mut self, engine: &mut E) -> Reason {
+    /// Looks at the engine at regular intervals, until the user stops it or it has to be
+    /// reopened.
+    fn watch(&mut self, engine: &mut E) -> Result<(), Reopen> {
         let mut looks = 0;
         loop {
-            match engine.look() {
-                Health::Works => self.network.report(None),
-                Health::Unreachable(why) => self.network.report(Some(why)),
-                Health::Outdated => return Reason::Outdated,
-                Health::Dead(why) => return Reason::Dead(why),
-            }
+            self.network.report(engine.look()?);
             looks += 1;
             if looks == WORKING_LOOKS {
                 self.restarts = 0;
             }
             if self.is_stopped(WATCH_INTERVAL) {
-                return Reason::Stopped;
+                return Ok(());
             }
             if missing_address(self.settings.interface).is_some() {
-                return Reason::Outdated;
+                return Err(Reopen::Outdated);
             }
         }
     }
@@ -215,13 +196,13 @@ impl<E: Engine> Watched<'_, E> {
             )));
         }
         self.restarts += 1;
-        self.counts.iter().for_each(|counts| counts.add_restart());
+        self.topics.iter().for_each(|topic| topic.counts.lock().restarts += 1);
         notice(format_args!("{why}: it is opened again"));
         Ok(())
     }
 
-    fn set(&self, publishers: Option<Vec<NodePublishers>>) {
-        *self.shared.write().unwrap_or_else(PoisonError::into_inner) = publishers;
+    fn set(&self, publisher: Option<Arc<dyn Publisher>>) {
+        *self.shared.write().unwrap_or_else(PoisonError::into_inner) = publisher;
     }
 
     /// Waits for at most `wait`. Returns true if the engine was stopped meanwhile.
@@ -257,12 +238,12 @@ struct NetworkNotices {
 }
 
 impl NetworkNotices {
-    fn of(nodes: &[NodeSpec]) -> Self {
+    fn of(nodes: &[NodeNames]) -> Self {
         let topics = match nodes {
             [first, .., last] => {
-                format!("{} topics, {} to {}", nodes.len(), first.scan_topic, last.scan_topic)
+                format!("{} topics, {} to {}", nodes.len(), first.topic, last.topic)
             }
-            _ => nodes.iter().map(|node| node.scan_topic.as_str()).collect(),
+            _ => nodes.iter().map(|node| node.topic.as_str()).collect(),
         };
         Self { topics, away: None }
     }
@@ -290,8 +271,6 @@ mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
 
     use super::*;
-    use crate::publish::discovery::{Discovery, Range};
-    use crate::publish::engine::{Mode, Qos};
 
     /// Engine that never works.
     struct Dead;
@@ -299,21 +278,24 @@ mod tests {
     /// How often the engine was opened.
     static OPENED: AtomicU32 = AtomicU32::new(0);
 
+    impl Publisher for Dead {
+        fn publish(&self, _: usize, _: Vec<u8>) {}
+    }
+
     impl Engine for Dead {
         type Memory = ();
 
         fn open(
-            _: &EngineSettings,
-            _: &[NodeSpec],
-            _: &[Arc<ScanCounts>],
+            _: &Arc<EngineSettings>,
+            _: &Arc<[Topic]>,
             (): &(),
-        ) -> Result<(Self, Vec<NodePublishers>), String> {
+        ) -> Result<(Self, Arc<dyn Publisher>), String> {
             OPENED.fetch_add(1, Ordering::Relaxed);
-            Ok((Self, Vec::new()))
+            Ok((Self, Arc::new(Self)))
         }
 
-        fn look(&mut self) -> Health {
-            Health::Dead("the engine is dead".to_owned())
+        fn look(&mut self) -> Result<Option<String>, Reopen> {
+            Err(Reopen::Dead("the engine is dead".to_owned()))
         }
 
         fn close(self) {}
@@ -321,27 +303,12 @@ mod tests {
 
     #[tokio::test]
     async fn an_engine_that_stays_dead_is_opened_again_and_counted_and_fails_in_the_end() {
-        let settings = EngineSettings {
-            domain: 0,
-            qos: Qos::Reliable,
-            depth: 1,
-            transforms: Vec::new(),
-            interface: None,
-            discovery: Discovery { range: Range::Localhost, static_peers: Vec::new() },
-            router: String::new(),
-            mode: Mode::Client,
-            listen: ([127, 0, 0, 1], 0).into(),
-        };
-        let node = NodeSpec {
-            namespace: "/".to_owned(),
-            name: "urg_node".to_owned(),
-            scan_topic: "/scan".to_owned(),
-        };
-        let (mut running, outlets) = start::<Dead>(settings, vec![node]).unwrap();
+        let settings = EngineSettings::of_namespaces(&["/"]);
+        let (mut running, outlets) = start::<Dead>(settings).unwrap();
         let failure = running.failed().await;
         assert_eq!(failure.line(), "the engine is dead, also after it was opened again 5 times");
         assert_eq!(OPENED.load(Ordering::Relaxed), 1 + MAX_RESTARTS);
-        assert_eq!(outlets[0].counts().restarts(), 5);
+        assert_eq!(outlets[0].counts().lock().restarts, 5);
         running.close().await;
     }
 

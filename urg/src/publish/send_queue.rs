@@ -2,64 +2,80 @@
 //! bounds the delay of scans on a slow link, and keeps topics from delaying each other.
 
 use std::collections::VecDeque;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
-/// Bounded queue with several topics, which take turns.
-pub(super) struct SendQueue<M> {
-    state: Mutex<State<M>>,
+use super::counts::Counts;
+use super::engine::Publisher;
+
+/// Looks without progress before an engine counts as stuck: 10 s. Counting looks instead of
+/// time avoids false alarms after the process was stopped or the machine slept.
+pub(super) const MAX_SILENT_LOOKS: u32 = 20;
+
+/// Queued message.
+#[derive(Debug)]
+pub(super) struct Message {
+    /// Index of the topic.
+    pub(super) topic: usize,
+    pub(super) payload: Vec<u8>,
+    /// Number on its topic, from 1. Dropped messages use up a number, so that readers see the
+    /// gap.
+    pub(super) sequence: i64,
+    pub(super) published_at: SystemTime,
+    pub(super) counts: Arc<Counts>,
+}
+
+/// Bounded queue with several topics, which take turns. Counts the messages that it drops.
+pub(super) struct SendQueue {
+    state: Mutex<State>,
     changed: Condvar,
 }
 
-struct State<M> {
-    topics: Vec<TopicQueue<M>>,
+struct State {
+    topics: Vec<TopicQueue>,
     /// Topics with pending messages, each once, in the order of their turns.
     turns: VecDeque<usize>,
+    /// Whether messages can be sent.
+    is_connected: bool,
     is_closed: bool,
+    /// Whether a message was taken since the last look.
+    is_moving: bool,
+    /// Looks since the last progress.
+    silent_looks: u32,
 }
 
-struct TopicQueue<M> {
+struct TopicQueue {
     depth: usize,
-    waiting: VecDeque<M>,
+    waiting: VecDeque<Message>,
+    /// Number of the last message.
+    sequence: i64,
+    counts: Arc<Counts>,
 }
 
-impl<M> SendQueue<M> {
-    /// Creates an empty queue with one topic per depth.
-    pub(super) fn new(depths: impl IntoIterator<Item = usize>) -> Self {
-        let topic = |depth: usize| TopicQueue { depth: depth.max(1), waiting: VecDeque::new() };
+impl SendQueue {
+    /// Creates an empty queue for topics with these depths and counters.
+    pub(super) fn new(topics: impl IntoIterator<Item = (usize, Arc<Counts>)>) -> Self {
+        let topic = |(depth, counts): (usize, _)| TopicQueue {
+            depth: depth.max(1),
+            waiting: VecDeque::new(),
+            sequence: 0,
+            counts,
+        };
         let state = State {
-            topics: depths.into_iter().map(topic).collect(),
+            topics: topics.into_iter().map(topic).collect(),
             turns: VecDeque::new(),
+            is_connected: true,
             is_closed: false,
+            is_moving: false,
+            silent_looks: 0,
         };
         Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Adds a message to the topic with this index. If the topic is full, drops its oldest
-    /// message and returns it. A closed queue returns `message` itself. Does not wait.
-    pub(super) fn push(&self, topic: usize, message: M) -> Option<M> {
-        let mut guard = self.lock();
-        let state = &mut *guard;
-        let Some(TopicQueue { depth, waiting }) = state.topics.get_mut(topic) else {
-            return Some(message);
-        };
-        if state.is_closed {
-            return Some(message);
-        }
-        waiting.push_back(message);
-        if waiting.len() > *depth {
-            return waiting.pop_front();
-        }
-        if waiting.len() == 1 {
-            state.turns.push_back(topic);
-            self.changed.notify_one();
-        }
-        None
-    }
-
-    /// Waits for a message, and removes it: the oldest message of the next topic, with the
-    /// topic's index. `None` once the queue is closed and empty.
-    pub(super) fn pop(&self) -> Option<(usize, M)> {
-        let is_idle = |state: &mut State<M>| state.turns.is_empty() && !state.is_closed;
+    /// Waits for a message, and removes it: the oldest message of the next topic. `None` once
+    /// the queue is closed and empty.
+    pub(super) fn pop(&self) -> Option<Message> {
+        let is_idle = |state: &mut State| state.turns.is_empty() && !state.is_closed;
         let mut guard =
             self.changed.wait_while(self.lock(), is_idle).unwrap_or_else(PoisonError::into_inner);
         let state = &mut *guard;
@@ -69,21 +85,33 @@ impl<M> SendQueue<M> {
         if !waiting.is_empty() {
             state.turns.push_back(turn);
         }
-        message.map(|message| (turn, message))
+        state.is_moving = true;
+        message
     }
 
-    pub(super) fn is_empty(&self) -> bool {
-        self.lock().turns.is_empty()
-    }
-
-    #[cfg_attr(
-        not(any(test, feature = "zenoh")),
-        expect(dead_code, reason = "only zenoh ends with messages that wait")
-    )]
-    pub(super) fn clear(&self) -> Vec<M> {
+    /// Checks whether messages have been waiting too long. Call it at regular intervals.
+    pub(super) fn is_stuck(&self) -> bool {
         let mut state = self.lock();
-        state.turns.clear();
-        state.topics.iter_mut().flat_map(|topic| topic.waiting.drain(..)).collect()
+        let is_waiting = !state.turns.is_empty() && !state.is_moving;
+        state.silent_looks = if is_waiting { state.silent_looks + 1 } else { 0 };
+        state.is_moving = false;
+        state.silent_looks > MAX_SILENT_LOOKS
+    }
+
+    pub(super) fn is_connected(&self) -> bool {
+        self.lock().is_connected
+    }
+
+    /// Sets whether messages can be sent. Without a connection, drops all messages: old scans
+    /// are useless.
+    pub(super) fn set_connected(&self, is_connected: bool) {
+        let mut state = self.lock();
+        state.is_connected = is_connected;
+        if !is_connected {
+            state.turns.clear();
+            let waiting = state.topics.iter_mut().flat_map(|topic| topic.waiting.drain(..));
+            waiting.for_each(|message| message.counts.add_dropped());
+        }
     }
 
     /// Rejects new messages. You can still `pop` pending ones.
@@ -92,9 +120,39 @@ impl<M> SendQueue<M> {
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<M>> {
+    fn lock(&self) -> MutexGuard<'_, State> {
         // No code panics while holding it.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Publisher for SendQueue {
+    /// Queues the message. If the topic is full, drops its oldest message.
+    fn publish(&self, topic: usize, payload: Vec<u8>) {
+        let mut guard = self.lock();
+        let state = &mut *guard;
+        let Some(TopicQueue { depth, waiting, sequence, counts }) = state.topics.get_mut(topic)
+        else {
+            return;
+        };
+        *sequence += 1;
+        if state.is_closed || !state.is_connected {
+            return counts.add_dropped();
+        }
+        waiting.push_back(Message {
+            topic,
+            payload,
+            sequence: *sequence,
+            published_at: SystemTime::now(),
+            counts: Arc::clone(counts),
+        });
+        if waiting.len() > *depth {
+            waiting.pop_front();
+            counts.add_dropped();
+        } else if waiting.len() == 1 {
+            state.turns.push_back(topic);
+            self.changed.notify_one();
+        }
     }
 }
 
@@ -102,38 +160,64 @@ impl<M> SendQueue<M> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_full_topic_drops_its_oldest_message() {
-        let queue = SendQueue::new([2, 1]);
-        assert_eq!(queue.push(0, "a1"), None);
-        assert_eq!(queue.push(0, "a2"), None);
-        assert_eq!(queue.push(1, "b1"), None);
-        assert_eq!(queue.push(0, "a3"), Some("a1"));
-        assert_eq!(queue.push(1, "b2"), Some("b1"));
-        queue.close();
-        assert_eq!(queue.push(0, "late"), Some("late"));
-        let left: Vec<_> = std::iter::from_fn(|| queue.pop()).collect();
-        assert_eq!(left, [(0, "a2"), (1, "b2"), (0, "a3")], "topics take turns");
+    fn queue<const N: usize>(depths: [usize; N]) -> (SendQueue, [Arc<Counts>; N]) {
+        let topics = depths.map(|depth| (depth, Arc::<Counts>::default()));
+        (SendQueue::new(topics.clone()), topics.map(|(_, counts)| counts))
+    }
+
+    fn text(message: Message) -> (usize, i64, String) {
+        (message.topic, message.sequence, String::from_utf8(message.payload).unwrap())
     }
 
     #[test]
-    fn a_cleared_queue_is_empty_and_goes_on() {
-        let queue = SendQueue::new([3]);
-        for message in 0..3 {
-            assert_eq!(queue.push(0, message), None);
+    fn a_full_topic_drops_its_oldest_message_and_topics_take_turns() {
+        let (queue, counts) = queue([2, 1]);
+        for (topic, message) in [(0, "a1"), (0, "a2"), (1, "b1"), (0, "a3"), (1, "b2")] {
+            queue.publish(topic, message.into());
         }
-        assert_eq!(queue.clear(), [0, 1, 2]);
-        assert_eq!(queue.push(0, 3), None);
-        assert_eq!(queue.pop(), Some((0, 3)));
+        queue.close();
+        queue.publish(0, "late".into());
+        let left: Vec<_> = std::iter::from_fn(|| queue.pop()).map(text).collect();
+        let expected = [(0, 2, "a2"), (1, 2, "b2"), (0, 3, "a3")];
+        assert_eq!(left, expected.map(|(topic, number, text)| (topic, number, text.to_owned())));
+        assert_eq!(counts.map(|counts| counts.lock().dropped), [2, 1]);
+    }
+
+    #[test]
+    fn messages_are_dropped_but_numbered_without_a_connection() {
+        let (queue, [counts]) = queue([3]);
+        queue.publish(0, "waits".into());
+        queue.set_connected(false);
+        queue.publish(0, "away".into());
+        queue.set_connected(true);
+        queue.publish(0, "back".into());
+        assert_eq!(queue.pop().map(text), Some((0, 3, "back".to_owned())));
+        assert_eq!(counts.lock().dropped, 2);
     }
 
     #[test]
     fn the_end_of_the_queue_wakes_the_thread_that_waits() {
-        let queue = SendQueue::<()>::new([1]);
+        let (queue, _) = queue([1]);
         std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| queue.pop());
+            let waiting = scope.spawn(|| queue.pop().is_none());
             queue.close();
-            assert_eq!(waiting.join().unwrap(), None);
+            assert!(waiting.join().unwrap());
         });
+    }
+
+    #[test]
+    fn a_queue_is_stuck_when_messages_wait_and_none_is_taken() {
+        let (queue, _) = queue([100]);
+        (0..=MAX_SILENT_LOOKS).for_each(|_| assert!(!queue.is_stuck(), "nothing waits"));
+        queue.publish(0, Vec::new());
+        for _ in 0..=MAX_SILENT_LOOKS {
+            queue.publish(0, Vec::new());
+            queue.pop();
+            assert!(!queue.is_stuck(), "it moves");
+        }
+        (0..MAX_SILENT_LOOKS).for_each(|_| assert!(!queue.is_stuck()));
+        assert!(queue.is_stuck());
+        queue.pop();
+        assert!(!queue.is_stuck(), "it moves again");
     }
 }

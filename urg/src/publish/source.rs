@@ -90,7 +90,7 @@ impl Source {
     /// Publishes the condition once per second, also after the scans have ended. Never
     /// completes.
     pub(crate) async fn publish_diagnostics(&self) {
-        let node = format!("{}/{}", self.names.namespace.trim_end_matches('/'), self.names.node);
+        let node = self.names.full_name();
         let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.turn);
         let mut ticks = tokio::time::interval_at(first, DIAGNOSTICS_PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
@@ -146,31 +146,27 @@ mod tests {
     use std::sync::Arc;
 
     use super::*;
-    use crate::port::named::NamedPort;
-    use crate::publish::engine::{MessagePublisher, NodePublishers, Shared};
+    use crate::publish::engine::{Publisher, Shared};
 
-    /// Publisher that keeps the time of each message.
-    #[derive(Clone, Default)]
-    struct Instants(Arc<Mutex<Vec<Instant>>>);
+    /// Publisher that keeps the time of each message: of scans, and of diagnostics.
+    #[derive(Default)]
+    struct Instants([Mutex<Vec<Instant>>; 2]);
 
-    impl MessagePublisher for Instants {
-        fn publish(&self, _: Vec<u8>) {
-            self.0.lock().unwrap().push(Instant::now());
+    impl Publisher for Instants {
+        fn publish(&self, topic: usize, _: Vec<u8>) {
+            self.0[topic % 2].lock().unwrap().push(Instant::now());
         }
     }
 
     fn source(place: u32, count: u32, epoch: Instant, rate: Rate, shared: &Shared) -> Source {
-        let named: NamedPort = format!("s{place}=emulated").parse().unwrap();
-        let names =
-            NodeNames::resolve(std::slice::from_ref(&named), "/", "urg_node", "/scan", "laser");
         Source {
-            port: named.port,
+            port: "emulated".parse().unwrap(),
             link: LinkArgs::default(),
             window: Window::DETECTION,
             rate,
-            names: names.unwrap().remove(0),
+            names: NodeNames::default(),
             time_offset: 0.0,
-            outlet: Outlet::new(place as usize, shared, Arc::default()),
+            outlet: Outlet::new(place as usize, shared, &Arc::default()),
             epoch,
             turn: f64::from(place) / f64::from(count),
             condition: Mutex::default(),
@@ -180,13 +176,9 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {
         const COUNT: u32 = 10;
-        let (scans, diagnostics) = (Instants::default(), Instants::default());
-        let publishers = || NodePublishers {
-            scans: Box::new(scans.clone()),
-            diagnostics: Box::new(diagnostics.clone()),
-        };
+        let published = Arc::new(Instants::default());
         let shared = Shared::default();
-        *shared.write().unwrap() = Some((0..COUNT).map(|_| publishers()).collect());
+        *shared.write().unwrap() = Some(published.clone());
         let epoch = Instant::now();
         for place in 0..COUNT {
             let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
@@ -196,8 +188,8 @@ mod tests {
         }
         tokio::time::sleep(Duration::from_secs(5)).await;
 
-        for (period, published) in [(0.1, scans), (1.0, diagnostics)] {
-            let mut instants = published.0.lock().unwrap().clone();
+        for (period, instants) in [0.1, 1.0].into_iter().zip(&published.0) {
+            let mut instants = instants.lock().unwrap().clone();
             instants.retain(|at| *at - epoch > Duration::from_secs(2));
             assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
             let (even, slack) = (period / f64::from(COUNT), 0.003);

@@ -2,7 +2,8 @@
 //! DDS itself has no nodes.
 
 use super::rtps::Prefix;
-use crate::publish::engine::NodeSpec;
+use crate::publish::engine::Topic;
+use crate::publish::names::NodeNames;
 
 /// Name of the topic. Unlike other ROS topics, it has no prefix in DDS.
 pub(super) const TOPIC: &str = "ros_discovery_info";
@@ -16,33 +17,22 @@ const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xC1];
 /// Entity kind of a user-defined writer without keys.
 const WRITER: u8 = 0x03;
 
-/// Encodes the nodes of a participant.
-///
-/// Assumes that the participant created its writers in this order: `writers_each` writers for
-/// each node, the writer of this message, and with `has_transforms` one more for the first
-/// node.
-pub(super) fn encode(
-    participant: Prefix,
-    nodes: &[NodeSpec],
-    writers_each: usize,
-    has_transforms: bool,
-) -> Vec<u8> {
-    let transforms = u32::try_from(nodes.len() * writers_each + 2).ok().filter(|_| has_transforms);
-    let mut transforms = transforms.into_iter().collect::<Vec<_>>();
-    // Cyclone numbers entities from 1.
-    let mut numbers = 1_u32..;
+/// Encodes the nodes of a participant, which created a writer for each of `topics`, in this
+/// order.
+pub(super) fn encode(participant: Prefix, nodes: &[NodeNames], topics: &[Topic]) -> Vec<u8> {
     // Little-endian CDR.
     let mut message = CdrMessage(vec![0, 1, 0, 0]);
     message.gid(participant, PARTICIPANT);
     message.length(nodes.len());
-    for node in nodes {
-        message.string(&node.namespace);
-        message.string(&node.name);
+    for (node, names) in nodes.iter().enumerate() {
+        message.string(&names.namespace);
+        message.string(&names.node);
         // No readers.
         message.length(0);
-        let own: Vec<_> = numbers.by_ref().take(writers_each).chain(transforms.drain(..)).collect();
-        message.length(own.len());
-        for number in own {
+        // Cyclone numbers entities from 1.
+        let own = topics.iter().zip(1_u32..).filter(|(topic, _)| topic.node == node);
+        message.length(own.clone().count());
+        for (_, number) in own {
             let [_, high, middle, low] = number.to_be_bytes();
             message.gid(participant, [high, middle, low, WRITER]);
         }
@@ -75,15 +65,15 @@ impl CdrMessage {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::publish::engine::EngineSettings;
+    use crate::publish::mounting;
 
     #[test]
     fn a_node_is_encoded_with_the_identities_of_its_writers() {
-        let node = |namespace: &str| NodeSpec {
-            namespace: namespace.to_owned(),
-            name: "urg".to_owned(),
-            scan_topic: "/scan".to_owned(),
-        };
-        let message = encode([7; 12], &[node("/"), node("/b")], 2, false);
+        let mut settings = EngineSettings::of_namespaces(&["/", "/b"]);
+        settings.transforms.push(mounting("base_link,0,0,0,0").unwrap());
+        let topics = settings.topics();
+        let message = encode([7; 12], &settings.nodes, &topics);
         let gid = |entity: [u8; 4]| [&[7; 12][..], &entity].concat();
         let expected = [
             &[0, 1, 0, 0][..],
@@ -92,9 +82,11 @@ mod tests {
             &[2, 0, 0, 0, b'/', 0, 0, 0],
             &[4, 0, 0, 0, b'u', b'r', b'g', 0],
             &[0, 0, 0, 0],
-            &[2, 0, 0, 0],
+            &[3, 0, 0, 0],
             &gid([0, 0, 1, 3]),
             &gid([0, 0, 2, 3]),
+            // The static transforms.
+            &gid([0, 0, 5, 3]),
             &[3, 0, 0, 0, b'/', b'b', 0, 0],
             &[4, 0, 0, 0, b'u', b'r', b'g', 0],
             &[0, 0, 0, 0],
@@ -103,28 +95,7 @@ mod tests {
             &gid([0, 0, 4, 3]),
         ];
         assert_eq!(message, expected.concat());
-    }
-
-    #[test]
-    fn the_first_node_has_the_writer_of_the_transforms() {
-        let node = NodeSpec {
-            namespace: "/".to_owned(),
-            name: "urg".to_owned(),
-            scan_topic: "/scan".to_owned(),
-        };
-        let message = encode([7; 12], &[node.clone(), node], 2, true);
-        // Participant, node 1 with writers 1, 2 and 6, node 2 with writers 3 and 4.
-        let entities: Vec<u8> = message
-            .windows(12)
-            .zip(message.iter().skip(14))
-            .filter(|(gid, _)| *gid == [7; 12])
-            .map(|(_, number)| *number)
-            .collect();
-        assert_eq!(entities, [1, 1, 2, 6, 3, 4]);
-    }
-
-    #[test]
-    fn an_ended_participant_has_no_nodes() {
-        assert_eq!(encode([7; 12], &[], 2, true)[20..], [0, 0, 0, 0]);
+        let ended = encode([7; 12], &[], &topics);
+        assert_eq!(ended[20..], [0, 0, 0, 0], "an ended participant has no nodes");
     }
 }

@@ -18,9 +18,7 @@ mod participant;
 mod pulse;
 mod rtps;
 
-use std::net::IpAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -28,23 +26,11 @@ use std::time::Duration;
 use self::log::Log;
 use self::neighbours::{Heard, Neighbours};
 use self::network::Network;
-use self::participant::{Setup, Write, with_writers};
 use self::pulse::Pulse;
 use self::rtps::Prefix;
-use super::counts::ScanCounts;
-use super::discovery::Discovery;
-use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, NodePublishers, NodeSpec,
-    STATIC_TRANSFORMS_TOPIC,
-};
-use super::progress::{MAX_SILENT_LOOKS, Progress};
-use super::send_queue::SendQueue;
-
-/// Number of diagnostics kept for readers that missed some.
-const DIAGNOSTICS_DEPTH: usize = 10;
-
-/// Writers per node: scans and diagnostics.
-const NODE_WRITERS: usize = 2;
+use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
+use super::names::NodeNames;
+use super::send_queue::{MAX_SILENT_LOOKS, SendQueue};
 
 /// Time that a new participant has to announce itself.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -57,179 +43,127 @@ const LOOKS_PER_INFO: u32 = 8;
 /// a moment when its lease is renewed.
 const MAX_CHANGED_LOOKS: u32 = 2;
 
-/// Queued message.
-struct DdsMessage {
-    payload: Vec<u8>,
-    counts: Arc<ScanCounts>,
-}
-
-/// State shared by the publishers and the thread.
-struct DdsQueue {
-    queue: SendQueue<DdsMessage>,
-    /// Number of messages taken from the queue.
-    taken: AtomicU64,
-}
-
 /// Participant with its nodes.
 pub(super) struct Dds {
-    link: Arc<DdsQueue>,
+    settings: Arc<EngineSettings>,
+    topics: Arc<[Topic]>,
+    queue: Arc<SendQueue>,
     thread: JoinHandle<Result<(), String>>,
     pulse: Pulse,
     log: Log,
     neighbours: Neighbours,
     prefix: Prefix,
-    nodes: Vec<NodeSpec>,
-    has_transforms: bool,
-    interface: Option<IpAddr>,
-    discovery: Discovery,
     network: Network,
     looks: u32,
     changed_looks: u32,
     silent_looks: u32,
-    progress: Progress,
 }
 
 impl Engine for Dds {
     type Memory = Heard;
 
     fn open(
-        settings: &EngineSettings,
-        specs: &[NodeSpec],
-        counts: &[Arc<ScanCounts>],
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
         heard: &Heard,
-    ) -> Result<(Self, Vec<NodePublishers>), String> {
+    ) -> Result<(Self, Arc<dyn Publisher>), String> {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
-        let neighbours = Neighbours::listen(settings.domain, network.used(), heard)
+        let domain = settings.domain;
+        let neighbours = Neighbours::listen(domain, network.used(), heard)
             .map_err(|error| format!("cannot listen to other participants: {error}"))?;
-        let transforms = settings.static_transforms();
-        let setup = Setup {
-            domain: settings.domain,
-            config: network.config(&settings.discovery, pulse.address()),
-            scan_topics: specs.iter().map(|spec| spec.scan_topic.clone()).collect(),
-            diagnostics_topic: DIAGNOSTICS_TOPIC,
-            transforms_topic: transforms.is_some().then_some(STATIC_TRANSFORMS_TOPIC),
-            qos: settings.qos,
-            depth: settings.depth,
-            diagnostics_depth: DIAGNOSTICS_DEPTH,
-        };
-        let depths = specs.iter().flat_map(|_| [settings.depth, DIAGNOSTICS_DEPTH]);
-        // The last two topics: discovery information and static transforms.
-        let queue = SendQueue::new(depths.chain([1, 1]));
-        let link = Arc::new(DdsQueue { queue, taken: AtomicU64::new(0) });
+        let config = network.config(&settings.discovery, pulse.address());
+        // Of the discovery information, only the last matters.
+        let queues = topics.iter().map(Topic::queue).chain([(1, Arc::default())]);
+        let queue = Arc::new(SendQueue::new(queues));
         let (opened, is_open) = mpsc::channel();
-        let sending = Arc::clone(&link);
+        let (writing, written) = (Arc::clone(&queue), Arc::clone(topics));
         let thread = std::thread::Builder::new()
             .name("dds".to_owned())
             .spawn(move || {
-                with_writers(&setup, |writers| {
+                participant::run(domain, &config, &written, &writing, || {
                     // An error means that `open` gave up, which closes the queue.
                     let _ = opened.send(());
-                    send(&sending, writers);
                 })
             })
             .map_err(|error| format!("cannot start the thread of DDS: {error}"))?;
         let opened = is_open.recv_timeout(OPEN_TIMEOUT);
         let prefix = opened.is_ok().then(|| pulse.first(OPEN_TIMEOUT)).flatten();
         let Some(prefix) = prefix else {
-            link.queue.close();
+            queue.close();
             // Joining a thread that hangs would hang too.
             let why = (opened != Err(RecvTimeoutError::Timeout)).then(|| ended(thread)).flatten();
             return Err(why.unwrap_or_else(|| "DDS does not announce itself".to_owned()));
         };
-        let publishers = counts
-            .iter()
-            .zip(0_usize..)
-            .map(|(counts, node)| {
-                let publisher = |topic, counts| -> Box<dyn MessagePublisher> {
-                    Box::new(DdsPublisher { link: Arc::clone(&link), topic, counts })
-                };
-                NodePublishers {
-                    scans: publisher(2 * node, Arc::clone(counts)),
-                    // Only scans are counted.
-                    diagnostics: publisher(2 * node + 1, Arc::default()),
-                }
-            })
-            .collect();
         let dds = Self {
-            link,
+            settings: Arc::clone(settings),
+            topics: Arc::clone(topics),
+            queue: Arc::clone(&queue),
             thread,
             pulse,
             log,
             neighbours,
             prefix,
-            nodes: specs.to_vec(),
-            has_transforms: transforms.is_some(),
-            interface: settings.interface,
-            discovery: settings.discovery.clone(),
             network,
             looks: 0,
             changed_looks: 0,
             silent_looks: 0,
-            progress: Progress::default(),
         };
-        dds.announce(&dds.nodes);
-        if let Some(payload) = transforms {
+        dds.announce(&settings.nodes);
+        if let Some(transforms) = topics.iter().position(|topic| topic.is_kept) {
             // Cyclone keeps it for late readers.
-            let topic = specs.len() * NODE_WRITERS + 1;
-            let _ = dds.link.queue.push(topic, DdsMessage { payload, counts: Arc::default() });
+            queue.publish(transforms, settings.static_transforms());
         }
-        Ok((dds, publishers))
+        Ok((dds, queue))
     }
 
-    fn look(&mut self) -> Health {
+    fn look(&mut self) -> Result<Option<String>, Reopen> {
+        let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
         self.looks += 1;
         if self.looks.is_multiple_of(LOOKS_PER_INFO) {
-            self.announce(&self.nodes);
+            self.announce(&self.settings.nodes);
         }
         if self.thread.is_finished() {
-            return Health::Dead("the thread of DDS has ended".to_owned());
+            return dead("the thread of DDS has ended");
         }
         self.silent_looks = if self.pulse.beats() { 0 } else { self.silent_looks + 1 };
         if self.silent_looks > MAX_SILENT_LOOKS {
-            return Health::Dead("DDS sends nothing any more".to_owned());
+            return dead("DDS sends nothing any more");
         }
-        let taken = self.link.taken.load(Ordering::Relaxed);
-        if self.progress.is_stuck(taken, !self.link.queue.is_empty()) {
-            return Health::Dead("DDS no longer takes scans".to_owned());
+        if self.queue.is_stuck() {
+            return dead("DDS no longer takes scans");
         }
-        let network = Network::current(self.interface, &self.discovery);
+        let network = Network::current(self.settings.interface, &self.settings.discovery);
         self.changed_looks =
             if self.network.differs(&network) { self.changed_looks + 1 } else { 0 };
         if self.neighbours.is_one_back() || self.changed_looks >= MAX_CHANGED_LOOKS {
-            return Health::Outdated;
+            return Err(Reopen::Outdated);
         }
         // Readers on this machine still get scans: DDS has no central server.
-        if self.network.is_absent() && self.discovery.is_beyond_this_machine() {
-            return Health::Unreachable(
-                "this machine is in no network: until it is, only readers on it get scans"
-                    .to_owned(),
-            );
+        Ok(if self.network.is_absent() && self.settings.discovery.is_beyond_this_machine() {
+            Some("this machine is in no network: until it is, only readers on it get scans")
+        } else if self.log.is_failing() {
+            Some("DDS cannot send on some network: readers there get no scans until it can")
+        } else {
+            None
         }
-        if self.log.is_failing() {
-            return Health::Unreachable(
-                "DDS cannot send on some network: readers there get no scans until it can"
-                    .to_owned(),
-            );
-        }
-        Health::Works
+        .map(str::to_owned))
     }
 
     fn close(self) {
         // Removes the nodes immediately; otherwise they stay until the lease expires.
         self.announce(&[]);
-        self.link.queue.close();
+        self.queue.close();
         let _ = ended(self.thread);
     }
 }
 
 impl Dds {
-    fn announce(&self, nodes: &[NodeSpec]) {
-        let payload = discovery_info::encode(self.prefix, nodes, NODE_WRITERS, self.has_transforms);
-        let topic = self.nodes.len() * NODE_WRITERS;
-        // May replace an older list in the queue.
-        let _ = self.link.queue.push(topic, DdsMessage { payload, counts: Arc::default() });
+    /// Tells ROS the nodes and their writers. Replaces an older list in the queue.
+    fn announce(&self, nodes: &[NodeNames]) {
+        let info = discovery_info::encode(self.prefix, nodes, &self.topics);
+        self.queue.publish(self.topics.len(), info);
     }
 }
 
@@ -239,34 +173,5 @@ fn ended(thread: JoinHandle<Result<(), String>>) -> Option<String> {
         Ok(Ok(())) => None,
         Ok(Err(why)) => Some(why),
         Err(_) => Some("the thread of DDS has panicked".to_owned()),
-    }
-}
-
-fn send(link: &DdsQueue, writers: &[Box<dyn Write + '_>]) {
-    while let Some((topic, DdsMessage { payload, counts })) = link.queue.pop() {
-        if let Some(writer) = writers.get(topic) {
-            match writer.write(payload) {
-                Ok(()) => counts.add_published(),
-                Err(_) => counts.add_dropped(),
-            }
-            counts.set_readers(writer.readers());
-        }
-        link.taken.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-struct DdsPublisher {
-    link: Arc<DdsQueue>,
-    /// Index of the topic in the queue and among the writers.
-    topic: usize,
-    counts: Arc<ScanCounts>,
-}
-
-impl MessagePublisher for DdsPublisher {
-    fn publish(&self, payload: Vec<u8>) {
-        let counts = Arc::clone(&self.counts);
-        if let Some(dropped) = self.link.queue.push(self.topic, DdsMessage { payload, counts }) {
-            dropped.counts.add_dropped();
-        }
     }
 }

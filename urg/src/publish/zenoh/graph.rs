@@ -1,29 +1,27 @@
-//! Keys of messages, and the liveliness tokens that add nodes and publishers to the ROS graph,
-//! in the format of `rmw_zenoh`.
+//! Keys and metadata of messages, and the liveliness tokens that add nodes and publishers to the
+//! ROS graph, in the format of `rmw_zenoh`.
 
-use tokio_scip::ros::MessageType;
+use std::time::SystemTime;
+
 use twox_hash::XxHash3_128;
 
-use crate::publish::engine::{NodeSpec, Qos};
+use crate::publish::engine::{Qos, Topic};
+use crate::publish::names::NodeNames;
 
 /// Node in the ROS graph.
 pub(super) struct GraphNode<'a> {
     pub(super) domain: u16,
-    pub(super) session_id: String,
+    pub(super) session_id: &'a str,
     pub(super) number: usize,
-    pub(super) spec: &'a NodeSpec,
+    pub(super) names: &'a NodeNames,
 }
 
 impl GraphNode<'_> {
     /// Entity ids are unique in the session: four per node.
-    fn entity(&self, entity: usize) -> usize {
-        self.number * 4 + entity
-    }
-
     fn token(&self, entity: usize, kind: &str) -> String {
-        let Self { domain, session_id, spec, .. } = self;
-        let (node, entity) = (self.entity(0), self.entity(entity));
-        let (namespace, name) = (mangled(&spec.namespace), &spec.name);
+        let Self { domain, session_id, number, names } = self;
+        let (node, entity) = (number * 4, number * 4 + entity);
+        let (namespace, name) = (mangled(&names.namespace), &names.node);
         format!("@ros2_lv/{domain}/{session_id}/{node}/{entity}/{kind}/%/{namespace}/{name}")
     }
 
@@ -31,9 +29,10 @@ impl GraphNode<'_> {
         self.token(0, "NN")
     }
 
-    pub(super) fn publisher_token(&self, topic: &Topic<'_>) -> String {
-        let token = self.token(topic.entity, "MP");
-        let name = mangled(topic.name);
+    /// `entity` is the number of the topic on this node, from 1.
+    pub(super) fn publisher_token(&self, topic: &Topic, entity: usize) -> String {
+        let token = self.token(entity, "MP");
+        let name = mangled(&topic.name);
         let (message, hash) = (topic.message.dds_name(), topic.message.hash());
         // The key contains only differences from the ROS default, which is reliable.
         let reliability = match topic.qos {
@@ -46,25 +45,11 @@ impl GraphNode<'_> {
             topic.depth
         )
     }
-}
 
-/// Topic of a node.
-pub(super) struct Topic<'a> {
-    /// Absolute.
-    pub(super) name: &'a str,
-    pub(super) message: &'a MessageType,
-    pub(super) qos: Qos,
-    pub(super) depth: usize,
-    /// Whether late readers get the last message (transient local).
-    pub(super) is_kept: bool,
-    /// Entity number within the node.
-    pub(super) entity: usize,
-}
-
-impl Topic<'_> {
-    pub(super) fn key(&self, domain: u16) -> String {
-        let name = self.name.trim_start_matches('/');
-        format!("{domain}/{name}/{}/{}", self.message.dds_name(), self.message.hash())
+    /// Key of the messages.
+    pub(super) fn key(&self, topic: &Topic) -> String {
+        let name = topic.name.trim_start_matches('/');
+        format!("{}/{name}/{}/{}", self.domain, topic.message.dds_name(), topic.message.hash())
     }
 }
 
@@ -73,9 +58,25 @@ fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
+/// Identity of a publisher.
+pub(super) type Gid = [u8; 16];
+
 /// Computes the GID of the publisher with this token.
-pub(super) fn gid(token: &str) -> [u8; 16] {
+pub(super) fn gid(token: &str) -> Gid {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
+}
+
+/// Encodes the metadata of a message: sequence number, time, GID of the publisher.
+pub(super) fn attachment(sequence: i64, time: SystemTime, gid: Gid) -> Vec<u8> {
+    let since_1970 = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let nanos = i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX);
+    let mut bytes = Vec::with_capacity(33);
+    bytes.extend_from_slice(&sequence.to_le_bytes());
+    bytes.extend_from_slice(&nanos.to_le_bytes());
+    // Length of the GID.
+    bytes.push(16);
+    bytes.extend_from_slice(&gid);
+    bytes
 }
 
 #[cfg(test)]
@@ -89,5 +90,14 @@ mod tests {
                      9382553fce5c1f8cca5be7924bd828/::,20:,:,:,,";
         let hex: String = gid(token).iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(hex, "7fdd3c7864607827008077793c63c525");
+    }
+
+    #[test]
+    fn metadata_has_the_form_of_rmw_zenoh() {
+        let time = SystemTime::UNIX_EPOCH + std::time::Duration::from_nanos(258);
+        let bytes = attachment(1, time, [7; 16]);
+        assert_eq!(bytes.len(), 33);
+        assert_eq!(bytes[..17], [1, 0, 0, 0, 0, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0, 16]);
+        assert_eq!(bytes[17..], [7; 16]);
     }
 }

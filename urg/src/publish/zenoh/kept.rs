@@ -8,7 +8,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
-use super::sender::attachment;
+use super::graph::{Gid, attachment};
 
 /// Published message. Late readers no longer get it after you drop this.
 pub(super) struct Kept {
@@ -23,7 +23,7 @@ impl Kept {
         session: &Session,
         key: String,
         message: Vec<u8>,
-        gid: [u8; 16],
+        gid: Gid,
     ) -> zenoh::Result<Self> {
         let metadata = attachment(1, SystemTime::now(), gid);
         session.put(key.clone(), message.clone()).attachment(metadata.clone()).wait()?;

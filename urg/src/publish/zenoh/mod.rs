@@ -1,35 +1,31 @@
 //! Zenoh engine, compatible with `rmw_zenoh`: one session, with liveliness tokens that add each
 //! node and topic to the ROS graph.
 //!
-//! - `graph` formats keys and tokens.
-//! - `sender` sends queued messages.
+//! zenoh drops messages silently, so `put` blocks until the link has room, on a thread of its
+//! own, and messages are dropped and counted in our own queue.
+//!
+//! - `graph` formats keys, tokens and metadata.
 //! - `router` checks whether the router answers.
 //! - `kept` serves the static transforms to late readers.
 
 mod graph;
 mod kept;
 mod router;
-mod sender;
 
+use std::net::SocketAddr;
 use std::sync::Arc;
+use std::thread::JoinHandle;
 
-use tokio_scip::ros::MessageType;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub;
 use zenoh::qos::CongestionControl;
 use zenoh::{Config, Session, Wait};
 
-use self::graph::{GraphNode, Topic, gid};
+use self::graph::{Gid, GraphNode, attachment, gid};
 use self::kept::Kept;
 use self::router::InTransit;
-use self::sender::Sender;
-use super::counts::ScanCounts;
-use super::engine::{
-    DIAGNOSTICS_TOPIC, Engine, EngineSettings, Health, MessagePublisher, Mode, NodePublishers,
-    NodeSpec, Qos, STATIC_TRANSFORMS_TOPIC,
-};
-
-/// Number of diagnostics to keep, as announced to readers.
-const DIAGNOSTICS_DEPTH: usize = 10;
+use super::engine::{Engine, EngineSettings, Mode, Publisher, Reopen, Topic};
+use super::send_queue::SendQueue;
 
 /// Setting for how long a put waits for room, in microseconds.
 const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/wait_before_drop";
@@ -40,58 +36,53 @@ const LEASE: u32 = 2_000;
 
 /// Session with the tokens of its nodes.
 pub(super) struct Zenoh {
+    settings: Arc<EngineSettings>,
     session: Session,
     tokens: Vec<LivelinessToken>,
-    sender: Sender,
     /// Serves late readers until dropped.
     _transforms: Option<Kept>,
+    queue: Arc<SendQueue>,
+    thread: JoinHandle<()>,
     in_transit: Vec<InTransit>,
-    router: String,
-    mode: Mode,
 }
 
 impl Engine for Zenoh {
     type Memory = ();
 
     fn open(
-        settings: &EngineSettings,
-        specs: &[NodeSpec],
-        counts: &[Arc<ScanCounts>],
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
         (): &(),
-    ) -> Result<(Self, Vec<NodePublishers>), String> {
+    ) -> Result<(Self, Arc<dyn Publisher>), String> {
         let config = config(settings).map_err(|error| format!("cannot set up zenoh: {error}"))?;
         let session = zenoh::open(config)
             .wait()
             .map_err(|_| format!("no zenoh router answers at {}", settings.router))?;
-        let depths = specs.iter().flat_map(|_| [settings.depth, DIAGNOSTICS_DEPTH]);
-        let mut zenoh = Self {
-            session,
-            tokens: Vec::new(),
-            sender: Sender::start(depths)?,
-            _transforms: None,
-            in_transit: counts.iter().map(|counts| InTransit::new(Arc::clone(counts))).collect(),
-            router: settings.router.clone(),
-            mode: settings.mode,
-        };
-        let publishers = specs
-            .iter()
-            .zip(counts)
-            .enumerate()
-            .map(|(number, (spec, counts))| zenoh.add_node(number, spec, counts, settings))
-            .collect::<zenoh::Result<Vec<_>>>()
-            .and_then(|publishers| {
-                zenoh.add_transforms(specs, settings)?;
-                Ok(publishers)
-            })
+        let Declared { tokens, publishers, transforms } = declare(&session, settings, topics)
             .map_err(|error| format!("cannot publish over zenoh: {error}"))?;
-        Ok((zenoh, publishers))
+        let queue = Arc::new(SendQueue::new(topics.iter().map(Topic::queue)));
+        let sending = Arc::clone(&queue);
+        let thread = std::thread::Builder::new()
+            .name("sender".to_owned())
+            .spawn(move || send(&sending, &publishers))
+            .map_err(|error| format!("cannot start the thread that sends: {error}"))?;
+        let zenoh = Self {
+            settings: Arc::clone(settings),
+            session,
+            tokens,
+            _transforms: transforms,
+            queue: Arc::clone(&queue),
+            thread,
+            in_transit: topics.iter().map(|topic| InTransit::new(&topic.counts)).collect(),
+        };
+        Ok((zenoh, queue))
     }
 
-    fn look(&mut self) -> Health {
-        let without = match self.mode {
+    fn look(&mut self) -> Result<Option<String>, Reopen> {
+        let without = match self.settings.mode {
             Mode::Client => {
                 let answers = router::answers(&self.session);
-                self.sender.set_connected(answers);
+                self.queue.set_connected(answers);
                 let note = if answers { InTransit::confirm } else { InTransit::lose };
                 self.in_transit.iter_mut().for_each(note);
                 (!answers).then_some("waiting for it, scans are dropped until then")
@@ -102,22 +93,22 @@ impl Engine for Zenoh {
             }
         };
         if self.session.is_closed() {
-            return Health::Dead("the zenoh session has ended".to_owned());
+            return Err(Reopen::Dead("the zenoh session has ended".to_owned()));
         }
-        if self.sender.is_stuck() {
-            return Health::Dead("zenoh no longer takes scans".to_owned());
+        if self.queue.is_stuck() {
+            return Err(Reopen::Dead("zenoh no longer takes scans".to_owned()));
         }
-        match without {
-            Some(without) => Health::Unreachable(format!(
-                "no zenoh router answers at {}; {without}",
-                self.router
-            )),
-            None => Health::Works,
-        }
+        let router = &self.settings.router;
+        Ok(without.map(|without| format!("no zenoh router answers at {router}; {without}")))
     }
 
     fn close(mut self) {
-        self.sender.close();
+        self.queue.close();
+        // Without a connection, a `put` may wait for a long time.
+        if self.queue.is_connected() {
+            // The thread does not panic.
+            let _ = self.thread.join();
+        }
         // No answer confirms the last scans.
         self.in_transit.iter_mut().for_each(InTransit::lose);
         for token in self.tokens {
@@ -128,94 +119,58 @@ impl Engine for Zenoh {
     }
 }
 
-impl Zenoh {
-    fn add_node(
-        &mut self,
-        number: usize,
-        spec: &NodeSpec,
-        counts: &Arc<ScanCounts>,
-        settings: &EngineSettings,
-    ) -> zenoh::Result<NodePublishers> {
-        let session_id = self.session.zid().to_string();
-        let graph = GraphNode { domain: settings.domain, session_id, number, spec };
-        self.declare_token(&graph.node_token())?;
-        let scans = Topic {
-            name: &spec.scan_topic,
-            message: &MessageType::LASER_SCAN,
-            qos: settings.qos,
-            depth: settings.depth,
-            is_kept: false,
-            entity: 1,
-        };
-        let diagnostics = Topic {
-            name: DIAGNOSTICS_TOPIC,
-            message: &MessageType::DIAGNOSTIC_ARRAY,
-            qos: Qos::Reliable,
-            depth: DIAGNOSTICS_DEPTH,
-            is_kept: false,
-            entity: 2,
-        };
-        Ok(NodePublishers {
-            scans: self.add_publisher(&graph, &scans, 2 * number, Arc::clone(counts))?,
-            // Only scans are counted.
-            diagnostics: self.add_publisher(
-                &graph,
-                &diagnostics,
-                2 * number + 1,
-                Arc::default(),
-            )?,
-        })
-    }
+/// What a session declares to others.
+#[derive(Default)]
+struct Declared {
+    tokens: Vec<LivelinessToken>,
+    /// Publishers of the topics that are published all the time, in order.
+    publishers: Vec<(pubsub::Publisher<'static>, Gid)>,
+    transforms: Option<Kept>,
+}
 
-    /// Publishes the static transforms of all sensors, as the first node.
-    fn add_transforms(
-        &mut self,
-        specs: &[NodeSpec],
-        settings: &EngineSettings,
-    ) -> zenoh::Result<()> {
-        let (Some(spec), Some(message)) = (specs.first(), settings.static_transforms()) else {
-            return Ok(());
-        };
-        let session_id = self.session.zid().to_string();
-        let graph = GraphNode { domain: settings.domain, session_id, number: 0, spec };
-        let topic = Topic {
-            name: STATIC_TRANSFORMS_TOPIC,
-            message: &MessageType::TF_MESSAGE,
-            qos: Qos::Reliable,
-            depth: 1,
-            is_kept: true,
-            entity: 3,
-        };
-        let token = graph.publisher_token(&topic);
-        self.declare_token(&token)?;
-        let key = topic.key(settings.domain);
-        self._transforms = Some(Kept::publish(&self.session, key, message, gid(&token))?);
-        Ok(())
+/// Declares the nodes and their topics.
+fn declare(
+    session: &Session,
+    settings: &EngineSettings,
+    topics: &[Topic],
+) -> zenoh::Result<Declared> {
+    let mut declared = Declared::default();
+    let token = |key: &str| session.liveliness().declare_token(key.to_owned()).wait();
+    let session_id = &session.zid().to_string();
+    for (number, names) in settings.nodes.iter().enumerate() {
+        let node = GraphNode { domain: settings.domain, session_id, number, names };
+        declared.tokens.push(token(&node.node_token())?);
+        let own = topics.iter().filter(|topic| topic.node == number);
+        for (topic, entity) in own.zip(1..) {
+            let key = node.key(topic);
+            let publisher_token = node.publisher_token(topic, entity);
+            let gid = gid(&publisher_token);
+            if topic.is_kept {
+                declared.tokens.push(token(&publisher_token)?);
+                let message = settings.static_transforms();
+                declared.transforms = Some(Kept::publish(session, key, message, gid)?);
+                continue;
+            }
+            let publisher = session
+                .declare_publisher(key)
+                // With `Block`, the router would also wait for a reader that hangs.
+                .congestion_control(CongestionControl::Drop)
+                .wait()?;
+            declared.tokens.push(token(&publisher_token)?);
+            declared.publishers.push((publisher, gid));
+        }
     }
+    Ok(declared)
+}
 
-    /// Creates a publisher. `queue` is the topic's index in the sender's queue.
-    fn add_publisher(
-        &mut self,
-        graph: &GraphNode<'_>,
-        topic: &Topic<'_>,
-        queue: usize,
-        counts: Arc<ScanCounts>,
-    ) -> zenoh::Result<Box<dyn MessagePublisher>> {
-        let publisher = self
-            .session
-            .declare_publisher(topic.key(graph.domain))
-            // With `Block`, the router would also wait for a reader that hangs.
-            .congestion_control(CongestionControl::Drop)
-            .wait()?;
-        let token = graph.publisher_token(topic);
-        self.declare_token(&token)?;
-        Ok(self.sender.publisher(queue, publisher, gid(&token), counts))
-    }
-
-    fn declare_token(&mut self, key: &str) -> zenoh::Result<()> {
-        let token = self.session.liveliness().declare_token(key.to_owned()).wait()?;
-        self.tokens.push(token);
-        Ok(())
+fn send(queue: &SendQueue, publishers: &[(pubsub::Publisher<'static>, Gid)]) {
+    while let Some(message) = queue.pop() {
+        let Some((publisher, gid)) = publishers.get(message.topic) else { continue };
+        // Counted before `put`, so that a scan waiting there counts as in transit.
+        message.counts.add_published();
+        let metadata = attachment(message.sequence, message.published_at, *gid);
+        // Fails only after the session is closed.
+        let _ = publisher.put(message.payload).attachment(metadata).wait();
     }
 }
 
@@ -227,7 +182,7 @@ fn config(settings: &EngineSettings) -> zenoh::Result<Config> {
         |key: &str, value: serde_json::Value| config.insert_json5(key, &value.to_string());
     let router = match (settings.mode, settings.interface) {
         (Mode::Client, Some(address)) => {
-            format!("{}#bind={}", settings.router, std::net::SocketAddr::new(address, 0))
+            format!("{}#bind={}", settings.router, SocketAddr::new(address, 0))
         }
         _ => settings.router.clone(),
     };
@@ -250,7 +205,7 @@ fn config(settings: &EngineSettings) -> zenoh::Result<Config> {
         }
         Mode::Peer => {
             let listen = match settings.interface {
-                Some(address) => format!("tcp/{}", std::net::SocketAddr::new(address, 0)),
+                Some(address) => format!("tcp/{}", SocketAddr::new(address, 0)),
                 None => "tcp/localhost:0".to_owned(),
             };
             set("mode", "peer".into())?;

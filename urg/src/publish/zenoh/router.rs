@@ -8,7 +8,7 @@ use std::time::Duration;
 use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
-use crate::publish::counts::ScanCounts;
+use crate::publish::counts::Counts;
 
 /// Key that no program serves. Other programs' `**` does not match keys that start with `@`.
 const PROBE_KEY: &str = "@urg/probe";
@@ -26,34 +26,34 @@ pub(super) fn answers(session: &Session) -> bool {
     replies.recv().is_err() && session.info().routers_zid().wait().next().is_some()
 }
 
-/// Scans of one node that the router may not have received yet.
+/// Messages of one topic that the router may not have received yet.
 pub(super) struct InTransit {
-    counts: Arc<ScanCounts>,
-    /// Number of scans that the router has received for certain.
+    counts: Arc<Counts>,
+    /// Number of messages that the router has received for certain.
     arrived: u64,
-    /// Number of scans published before the last answer.
+    /// Number of messages published before the last answer.
     sent: u64,
 }
 
 impl InTransit {
-    /// Counts from the next published scan.
-    pub(super) fn new(counts: Arc<ScanCounts>) -> Self {
-        let published = counts.published();
-        Self { counts, arrived: published, sent: published }
+    /// Counts from the next published message.
+    pub(super) fn new(counts: &Arc<Counts>) -> Self {
+        let published = counts.lock().published;
+        Self { counts: Arc::clone(counts), arrived: published, sent: published }
     }
 
-    /// Notes an answer of the router. It confirms all scans published before the previous
-    /// answer. The probe may overtake later scans.
+    /// Notes an answer of the router. It confirms all messages published before the previous
+    /// answer. The probe may overtake later ones.
     pub(super) fn confirm(&mut self) {
         self.arrived = self.sent;
-        self.sent = self.counts.published();
+        self.sent = self.counts.lock().published;
     }
 
-    /// Counts the scans in transit as possibly lost.
+    /// Counts the messages in transit as possibly lost.
     pub(super) fn lose(&mut self) {
-        let published = self.counts.published();
-        self.counts.add_possibly_lost(published.saturating_sub(self.arrived));
-        (self.arrived, self.sent) = (published, published);
+        let mut counted = self.counts.lock();
+        counted.possibly_lost += counted.published.saturating_sub(self.arrived);
+        (self.arrived, self.sent) = (counted.published, counted.published);
     }
 }
 
@@ -61,26 +61,26 @@ impl InTransit {
 mod tests {
     use super::*;
 
-    fn publish(counts: &ScanCounts, scans: usize) {
+    fn publish(counts: &Counts, scans: usize) {
         (0..scans).for_each(|_| counts.add_published());
     }
 
     #[test]
     fn what_was_published_since_the_answer_before_the_last_is_possibly_lost_once() {
-        let counts = Arc::new(ScanCounts::default());
+        let counts = Arc::new(Counts::default());
         publish(&counts, 100);
-        let mut transit = InTransit::new(Arc::clone(&counts));
+        let mut transit = InTransit::new(&counts);
         publish(&counts, 10);
         transit.confirm();
         publish(&counts, 5);
         transit.confirm();
         publish(&counts, 3);
         transit.lose();
-        assert_eq!(counts.possibly_lost(), 8);
+        assert_eq!(counts.lock().possibly_lost, 8);
         transit.lose();
-        assert_eq!(counts.possibly_lost(), 8);
+        assert_eq!(counts.lock().possibly_lost, 8);
         publish(&counts, 2);
         transit.lose();
-        assert_eq!(counts.possibly_lost(), 10);
+        assert_eq!(counts.lock().possibly_lost, 10);
     }
 }
