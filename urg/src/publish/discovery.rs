@@ -1,6 +1,8 @@
 //! Discovery range of participants, from the environment variables of ROS 2.
 
 use std::env;
+use std::net::Ipv4Addr;
+use std::str::FromStr;
 
 use crate::failure::Failure;
 
@@ -20,8 +22,38 @@ pub(crate) enum Range {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Discovery {
     pub(crate) range: Range,
-    /// Host names or addresses in `ROS_STATIC_PEERS`.
-    pub(crate) static_peers: Vec<String>,
+    /// `ROS_STATIC_PEERS`.
+    pub(crate) static_peers: Vec<StaticPeer>,
+}
+
+/// Host to announce the participant to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct StaticPeer {
+    /// IPv4 address or name.
+    pub(crate) host: String,
+    /// Only this port, instead of those of the domain.
+    pub(crate) port: Option<u16>,
+}
+
+impl FromStr for StaticPeer {
+    type Err = ();
+
+    fn from_str(text: &str) -> Result<Self, ()> {
+        let (host, port) = match text.split_once(':') {
+            Some((host, port)) => (host, Some(port.parse::<u16>().map_err(drop)?)),
+            None => (text, None),
+        };
+        let is_name = |text: &str| {
+            let is_label = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+            // Digits alone are an address with a mistake.
+            text.chars().all(is_label) && text.contains(|c: char| c.is_ascii_alphabetic())
+        };
+        let is_host = host.parse::<Ipv4Addr>().is_ok() || (is_name(host) && host.len() <= 253);
+        if !is_host || port == Some(0) {
+            return Err(());
+        }
+        Ok(Self { host: host.to_owned(), port })
+    }
 }
 
 impl Discovery {
@@ -37,14 +69,15 @@ impl Discovery {
 
     fn resolve(variable: impl Fn(&str) -> Option<String>) -> Result<Self, Failure> {
         let peers = variable("ROS_STATIC_PEERS").unwrap_or_default();
-        let static_peers: Vec<String> =
-            peers.split(';').filter(|peer| !peer.is_empty()).map(str::to_owned).collect();
-        if let Some(peer) = static_peers.iter().find(|peer| !is_host(peer)) {
-            return Err(Failure::Usage(format!(
-                "invalid ROS_STATIC_PEERS {peer:?}: expected addresses or names of machines, \
-                 such as 192.168.1.10;robot.local"
-            )));
-        }
+        let peers = peers.split(';').filter(|peer| !peer.is_empty()).map(|peer| {
+            peer.parse().map_err(|()| {
+                Failure::Usage(format!(
+                    "invalid ROS_STATIC_PEERS {peer:?}: expected IPv4 addresses or names of \
+                     machines, such as 192.168.1.10;robot.local"
+                ))
+            })
+        });
+        let static_peers = peers.collect::<Result<Vec<StaticPeer>, _>>()?;
         // ROS ignores static peers if the older variable is set.
         if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {
             return Ok(Self { range: Range::Localhost, static_peers: Vec::new() });
@@ -61,10 +94,6 @@ impl Discovery {
             ))),
         }
     }
-}
-
-fn is_host(text: &str) -> bool {
-    text.chars().all(|c| c.is_ascii_alphanumeric() || ".:-_".contains(c))
 }
 
 #[cfg(test)]
@@ -85,7 +114,7 @@ mod tests {
     fn the_environment_is_read_as_ros_2_does() {
         let expect = |range, peers: &[&str]| Discovery {
             range,
-            static_peers: peers.iter().map(|&peer| peer.to_owned()).collect(),
+            static_peers: peers.iter().map(|peer| peer.parse().unwrap()).collect(),
         };
         for (range, peers, only, expected) in [
             ("", "", "", expect(Range::Subnet, &[])),
@@ -106,7 +135,17 @@ mod tests {
 
     #[test]
     fn what_ros_2_does_not_know_is_a_usage_error() {
-        for (range, peers) in [("subnet", ""), ("", "10.0.0.1 10.0.0.2"), ("", "<Peer/>")] {
+        let long = "x".repeat(300);
+        for (range, peers) in [
+            ("subnet", ""),
+            ("", "10.0.0.1 10.0.0.2"),
+            ("", "<Peer/>"),
+            ("", "10.0.0.256"),
+            ("", "::1"),
+            ("", "10.0.0.1:0"),
+            ("", "10.0.0.1:99999"),
+            ("", &long),
+        ] {
             let refused = resolved(range, peers, "");
             assert!(matches!(refused, Err(Failure::Usage(_))), "{range} {peers}: {refused:?}");
         }

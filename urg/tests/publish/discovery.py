@@ -64,12 +64,16 @@ class Hosts:
 
 
 def static_peers():
-    # Multicast leads to no reader: each side asks the other's address.
+    # Multicast leads to no reader: each side asks the other's address. Hosts that are down, and
+    # a name that nobody knows, do not matter.
+    absent = [f"10.4.0.{number}" for number in range(3, 100)]
+    peers = ";".join(["10.9.9.9", "robot.invalid", *absent, "10.4.0.2"])
     for settings in ((LOCALHOST,), ()):
         with Hosts() as hosts:
             reader = hosts.reader(hosts.far, *settings, "ROS_STATIC_PEERS=10.4.0.1")
-            with hosts.urg(LOCALHOST, "ROS_STATIC_PEERS=10.9.9.9;10.4.0.2"):
-                reader.more(20, 40)
+            with hosts.urg(LOCALHOST, f"ROS_STATIC_PEERS={peers}") as urg:
+                reader.more(100, 60)
+                assert "static peer robot.invalid has no address" in urg.stop()
     ok("a static peer on another host gets scans, without multicast")
 
 

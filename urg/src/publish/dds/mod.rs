@@ -9,6 +9,7 @@
 //! - `log` filters Cyclone's messages.
 //! - `neighbours` detects other participants that return after a pause.
 //! - `pulse` checks from outside whether the participant is alive.
+//! - `static_peers` repeats the participant's announcements to hosts beyond multicast.
 
 mod discovery_info;
 mod log;
@@ -17,6 +18,7 @@ mod network;
 mod participant;
 mod pulse;
 mod rtps;
+mod static_peers;
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -28,6 +30,7 @@ use self::neighbours::{Heard, Neighbours};
 use self::network::Network;
 use self::pulse::Pulse;
 use self::rtps::Prefix;
+use self::static_peers::StaticPeers;
 use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
 use super::names::NodeNames;
 use super::send_queue::{MAX_SILENT_LOOKS, SendQueue};
@@ -52,6 +55,7 @@ pub(super) struct Dds {
     pulse: Pulse,
     log: Log,
     neighbours: Neighbours,
+    static_peers: StaticPeers,
     prefix: Prefix,
     network: Network,
     looks: u32,
@@ -73,6 +77,9 @@ impl Engine for Dds {
         let domain = settings.domain;
         let neighbours = Neighbours::listen(domain, network.used(), heard)
             .map_err(|error| format!("cannot listen to other participants: {error}"))?;
+        let peers = &settings.discovery.static_peers;
+        let static_peers = StaticPeers::new(peers, domain, settings.interface)
+            .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
         let config = network.config(&settings.discovery, pulse.address());
         // Of the discovery information, only the last matters.
         let queues = topics.iter().map(Topic::queue).chain([(1, Arc::default())]);
@@ -89,13 +96,14 @@ impl Engine for Dds {
             })
             .map_err(|error| format!("cannot start the thread of DDS: {error}"))?;
         let opened = is_open.recv_timeout(OPEN_TIMEOUT);
-        let prefix = opened.is_ok().then(|| pulse.first(OPEN_TIMEOUT)).flatten();
-        let Some(prefix) = prefix else {
+        let first = opened.is_ok().then(|| pulse.first(OPEN_TIMEOUT)).flatten();
+        let Some(first) = first else {
             queue.close();
             // Joining a thread that hangs would hang too.
             let why = (opened != Err(RecvTimeoutError::Timeout)).then(|| ended(thread)).flatten();
             return Err(why.unwrap_or_else(|| "DDS does not announce itself".to_owned()));
         };
+        static_peers.announce(&first.bytes);
         let dds = Self {
             settings: Arc::clone(settings),
             topics: Arc::clone(topics),
@@ -104,7 +112,8 @@ impl Engine for Dds {
             pulse,
             log,
             neighbours,
-            prefix,
+            static_peers,
+            prefix: first.sender,
             network,
             looks: 0,
             changed_looks: 0,
@@ -127,7 +136,13 @@ impl Engine for Dds {
         if self.thread.is_finished() {
             return dead("the thread of DDS has ended");
         }
-        self.silent_looks = if self.pulse.beats() { 0 } else { self.silent_looks + 1 };
+        match self.pulse.latest() {
+            Some(announcement) => {
+                self.silent_looks = 0;
+                self.static_peers.announce(&announcement.bytes);
+            }
+            None => self.silent_looks += 1,
+        }
         if self.silent_looks > MAX_SILENT_LOOKS {
             return dead("DDS sends nothing any more");
         }
@@ -142,13 +157,18 @@ impl Engine for Dds {
         }
         // Readers on this machine still get scans: DDS has no central server.
         Ok(if self.network.is_absent() && self.settings.discovery.is_beyond_this_machine() {
-            Some("this machine is in no network: until it is, only readers on it get scans")
+            let text = "this machine is in no network: until it is, only readers on it get scans";
+            Some(text.to_owned())
         } else if self.log.is_failing() {
-            Some("DDS cannot send on some network: readers there get no scans until it can")
+            let text = "DDS cannot send on some network: readers there get no scans until it can";
+            Some(text.to_owned())
         } else {
-            None
-        }
-        .map(str::to_owned))
+            self.static_peers.missing().map(|name| {
+                format!(
+                    "the static peer {name} has no address: until it has one, only others get scans"
+                )
+            })
+        })
     }
 
     fn close(self) {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 
-use super::rtps::{Prefix, senders};
+use super::rtps::{Prefix, packets};
 
 /// Default multicast group of DDS for announcements.
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
@@ -66,7 +66,7 @@ impl Neighbours {
             return true;
         }
         // Takes all of them, also after one that is back.
-        senders(&self.socket).filter(|sender| self.hear(*sender, now)).count() > 0
+        packets(&self.socket).filter(|packet| self.hear(packet.sender, now)).count() > 0
     }
 
     /// Notes an announcement. True if the participant had been forgotten.

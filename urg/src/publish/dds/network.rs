@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
+use super::static_peers::MAX_PEER_INDEX;
 use crate::publish::discovery::{Discovery, Range};
 
 /// Maximum number of interfaces in Cyclone.
@@ -12,9 +13,6 @@ const MAX_INTERFACES: usize = 4;
 /// Highest index of a participant on this machine. The index selects its ports, and a domain
 /// has ports for 120 participants.
 const MAX_INDEX: u32 = 119;
-
-/// Highest participant index to try at a static peer, as in ROS 2: each index costs a packet.
-const MAX_PEER_INDEX: u32 = 32;
 
 /// Highest vendor number that Cyclone's configuration accepts. All DDS vendors have lower ones.
 const MAX_VENDOR: u32 = 32;
@@ -94,14 +92,12 @@ impl Network {
             let _ = write!(interfaces, "<NetworkInterface address=\"{address}\"{multicast}/>");
         }
         let mut peers = format!("<Peer address=\"{pulse}\" PruneDelay=\"inf\"/>");
-        let mut hosts: Vec<&str> = discovery.static_peers.iter().map(String::as_str).collect();
-        if !is_off && (is_local || !has_multicast) {
-            hosts.push("127.0.0.1");
+        let asks_this_machine = !is_off && (is_local || !has_multicast);
+        if asks_this_machine {
+            peers.push_str("<Peer address=\"127.0.0.1\" PruneDelay=\"inf\"/>");
         }
-        for host in &hosts {
-            let _ = write!(peers, "<Peer address=\"{host}\" PruneDelay=\"inf\"/>");
-        }
-        let max_index = if hosts.is_empty() { MAX_INDEX } else { MAX_PEER_INDEX };
+        let is_asked = asks_this_machine || !discovery.static_peers.is_empty();
+        let max_index = if is_asked { MAX_PEER_INDEX } else { MAX_INDEX };
         // A unique tag isolates the participant, as in ROS 2.
         let tag =
             if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };

@@ -6,7 +6,7 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use super::rtps::{Prefix, senders};
+use super::rtps::{Packet, packets};
 
 /// First bytes of the prefix of every participant of Cyclone: the number of the vendor.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
@@ -33,27 +33,22 @@ impl Pulse {
         self.address
     }
 
-    /// Blocks until the first announcement, for at most `timeout`. Returns the participant's
-    /// prefix.
-    pub(super) fn first(&self, timeout: Duration) -> Option<Prefix> {
+    /// Blocks until the first announcement, for at most `timeout`.
+    pub(super) fn first(&self, timeout: Duration) -> Option<Packet> {
         let end = Instant::now() + timeout;
         loop {
-            let prefix = self.arrived().next();
-            if prefix.is_some() || Instant::now() > end {
-                return prefix;
+            let first = self.latest();
+            if first.is_some() || Instant::now() > end {
+                return first;
             }
             std::thread::sleep(CHECK_INTERVAL);
         }
     }
 
-    /// Checks whether an announcement has arrived since the last call.
-    pub(super) fn beats(&self) -> bool {
-        self.arrived().count() > 0
-    }
-
-    /// Receives the announcements that have arrived. Skips packets that are not from Cyclone.
-    fn arrived(&self) -> impl Iterator<Item = Prefix> {
-        senders(&self.socket).filter(|prefix| prefix.starts_with(&CYCLONE))
+    /// Latest announcement, if one has arrived since the last call. Skips packets that are not
+    /// from Cyclone.
+    pub(super) fn latest(&self) -> Option<Packet> {
+        packets(&self.socket).filter(|packet| packet.sender.starts_with(&CYCLONE)).last()
     }
 }
 
@@ -65,14 +60,14 @@ mod tests {
     fn it_beats_once_for_each_look_at_what_arrived() {
         let pulse = Pulse::bind().unwrap();
         let sender = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-        assert!(!pulse.beats());
+        assert!(pulse.latest().is_none());
         sender.send_to(b"noise", pulse.address()).unwrap();
-        assert!(!pulse.beats());
+        assert!(pulse.latest().is_none());
+        let announcement = b"RTPS\x02\x05\x01\x10\x01\x10abcdefghij and more";
         for _ in 0..2 {
-            sender.send_to(b"RTPS\x02\x05\x01\x10\x01\x10abcdefghij", pulse.address()).unwrap();
+            sender.send_to(announcement, pulse.address()).unwrap();
         }
-        assert!(pulse.first(Duration::from_secs(10)).is_some());
-        assert!(pulse.beats());
-        assert!(!pulse.beats());
+        assert_eq!(pulse.first(Duration::from_secs(10)).unwrap().bytes, announcement);
+        assert!(pulse.latest().is_none());
     }
 }

@@ -1,4 +1,4 @@
-//! Senders of DDS packets: the receiver of announcements, and the parser of the RTPS header.
+//! Receiver of DDS packets, and the parser of the RTPS header.
 
 use std::iter;
 use std::net::UdpSocket;
@@ -6,17 +6,27 @@ use std::net::UdpSocket;
 /// GUID prefix, common to a participant and its entities.
 pub(super) type Prefix = [u8; 12];
 
-/// Receives the packets that have arrived, and returns their senders. Skips packets that are
-/// not RTPS.
-pub(super) fn senders(socket: &UdpSocket) -> impl Iterator<Item = Prefix> {
-    // Only the start of a packet matters.
-    let mut packet = [0; 2048];
-    let packets = iter::from_fn(move || match socket.recv(&mut packet) {
-        Ok(length) => Some(packet.get(..length).and_then(sender)),
-        // WSAEMSGSIZE: Windows returns it for a packet longer than the buffer.
-        Err(error) if error.raw_os_error() == Some(10_040) => Some(None),
-        Err(_) => None,
-    });
+/// Packet of a participant.
+#[derive(Debug)]
+pub(super) struct Packet {
+    pub(super) sender: Prefix,
+    pub(super) bytes: Vec<u8>,
+}
+
+/// Receives the packets that have arrived. Skips packets that are not RTPS, or longer than any
+/// announcement.
+pub(super) fn packets(socket: &UdpSocket) -> impl Iterator<Item = Packet> {
+    let mut packet = [0; 8192];
+    let packets =
+        iter::from_fn(move || match socket.recv(&mut packet) {
+            Ok(length) if length == packet.len() => Some(None),
+            Ok(length) => Some(packet.get(..length).and_then(|bytes| {
+                Some(Packet { sender: sender(bytes)?, bytes: bytes.to_owned() })
+            })),
+            // WSAEMSGSIZE: Windows returns it for a packet longer than the buffer.
+            Err(error) if error.raw_os_error() == Some(10_040) => Some(None),
+            Err(_) => None,
+        });
     packets.flatten()
 }
 
