@@ -55,12 +55,8 @@ impl FromStr for PlacedPort {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (named, pose) = match text.rsplit_once('@') {
-            // An earlier `@` belongs to the port. A pose begins like a number.
-            Some((named, pose))
-                if pose.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c)) =>
-            {
-                (named, pose::parse(pose)?)
-            }
+            // An earlier `@` belongs to the port.
+            Some((named, pose)) if is_meant_as_pose(pose) => (named, pose::parse(pose)?),
             _ => (text, Pose::default()),
         };
         let mut named: NamedPort = named.parse()?;
@@ -69,6 +65,14 @@ impl FromStr for PlacedPort {
         }
         Ok(Self { named, pose })
     }
+}
+
+/// Checks whether `text` begins like a number or has three parts, and so is a pose, even if an
+/// invalid one, and not part of a path.
+fn is_meant_as_pose(text: &str) -> bool {
+    let is_file = text.contains('/') || text.ends_with(".mcap");
+    text.starts_with(|c: char| c.is_ascii_digit() || "+-.".contains(c))
+        || (text.matches(',').count() == 2 && !is_file)
 }
 
 #[cfg(test)]
@@ -104,5 +108,11 @@ mod tests {
         assert_eq!((alone.named.name, alone.pose), (None, Pose::default()));
         let path: PlacedPort = "a=/dev/x@y".parse().unwrap();
         assert_eq!(path.named.port.to_string(), "/dev/x@y");
+        let file: PlacedPort = "a@b,c,d.mcap".parse().unwrap();
+        assert_eq!(file.named.port.to_string(), "a@b,c,d.mcap");
+        for text in ["emulated@nan,0,0", "emulated@x,0,0", "emulated@,,", "emulated@1"] {
+            let refused = text.parse::<PlacedPort>().unwrap_err();
+            assert!(refused.contains("invalid place") && refused.contains("X,Y,YAW"), "{refused}");
+        }
     }
 }
