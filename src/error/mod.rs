@@ -89,7 +89,7 @@ pub enum Error {
     #[error(
         "{} does not answer{}: check its power and the wiring (after power-up it is silent for some seconds){}",
         or_sensor(sensor),
-        match baud_rate { Some(baud_rate) => format!(" at {baud_rate} baud"), None if *searched => " at any baud rate".to_owned(), None => String::new() },
+        if *searched { " at any baud rate" } else { "" },
         if *bytes > 0 { format!("; found {bytes} bytes that are not a reply of SCIP 1.1") } else { String::new() },
     )]
     #[non_exhaustive]

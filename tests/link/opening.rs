@@ -268,6 +268,8 @@ async fn o11_a_bridge_has_one_baud_rate_and_the_sensor_keeps_it() {
         matches!(error, Error::NoAnswer { baud_rate: Some(BaudRate::B19200), .. }),
         "{error:?}"
     );
+    // Nothing here can set it.
+    assert!(!error.to_string().contains("baud"), "{error}");
 
     let sensor = builder().connect(bridge(BaudRate::B57600)).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();
