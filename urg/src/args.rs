@@ -24,7 +24,8 @@ pub(crate) struct LinkArgs {
     #[arg(long)]
     pub(crate) wait: bool,
     /// Fail if the sensor is not found within this time [default: 5s]
-    #[arg(long, value_name = "TIME", value_parser = duration, conflicts_with = "wait")]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
+        conflicts_with = "wait")]
     pub(crate) timeout: Option<Duration>,
     /// Firmware dialect of the sensor at PORT `emulated` [default: v3]
     #[arg(long, value_enum)]
@@ -111,7 +112,7 @@ pub(crate) struct PaceArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,
     /// Stop after this time: 10s, 500ms, 5m, 1h
-    #[arg(long, value_name = "TIME", value_parser = duration)]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
     pub(crate) duration: Option<Duration>,
 }
 

@@ -38,6 +38,7 @@ fn a_wrong_name_is_refused_with_what_was_expected() {
         (["--domain", "-1"], "-1 is not in 0..=232"),
         (["--domain", "233"], "233 is not in 0..=232"),
         (["--tf", "base_link"], "PARENT,X,Y,Z,YAW in metres and degrees"),
+        (["--tf", "laser,0,0,0,0"], "the parent `laser` is the frame of the sensor itself"),
         (["--depth", "0"], "0 is not in 1..=1000"),
         (["--interface", "eth0"], "expected the address of an interface"),
     ] {
@@ -98,6 +99,7 @@ fn an_argument_of_ros_is_checked_as_its_option_is() {
         (&["-r", ":=x"], "expected NAME:=VALUE, found `:=x`"),
         (&["-p", "use_sim_time:=true"], "use_sim_time is not supported"),
         (&["-r", "__node:=a-b"], "invalid name `a-b`"),
+        (&["--log-level"], "expected a value after --log-level"),
         (&["--params-file", "p.yaml"], "`--params-file` is not supported"),
     ] {
         let error = refused(&[&["--ros-args"], arguments].concat());

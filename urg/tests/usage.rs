@@ -151,6 +151,10 @@ fn a_misspelt_or_misplaced_word_gets_a_hint() {
         ("scan emulated --window half", "such as 44..725"),
         ("stream emulated --rate -1", "expected more than 0 and at most 1000 Hz"),
         ("emulate --faults noise=1:99999999999999", "up to 65536"),
+        ("stream emulated --duration -5s", "expected a time above 0 with its unit"),
+        ("stream emulated --timeout -5s", "expected a time above 0 with its unit"),
+        ("check emulated --duration -5s", "expected a time above 0 with its unit"),
+        ("record emulated never.mcap --sync -1s", "expected a time above 0 with its unit"),
     ] {
         let stderr = run(arguments, 2).stderr;
         assert!(stderr.contains(hint), "{arguments}: {stderr}");

@@ -29,7 +29,8 @@ pub(crate) struct Check {
     #[command(flatten)]
     port: PortArg,
     /// Duration of the stream of scans: 10s, 500ms, 5m, 1h
-    #[arg(long, value_name = "TIME", value_parser = duration, default_value = "5s")]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
+        default_value = "5s")]
     duration: Duration,
     #[command(flatten)]
     link: LinkArgs,

@@ -186,6 +186,15 @@ impl Publish {
                 self.tf.len()
             )));
         }
+        for (tf, names) in self.tf.iter().zip(&nodes) {
+            if tf.parent == names.frame {
+                return Err(Failure::Usage(format!(
+                    "--tf: the parent `{0}` is the frame of the sensor itself: expected another \
+                     frame, such as base_link",
+                    tf.parent
+                )));
+            }
+        }
         let transforms = self.tf.iter().cloned().zip(&nodes);
         let transforms =
             transforms.map(|(tf, names)| Transform { child: names.frame.clone(), ..tf });

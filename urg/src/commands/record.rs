@@ -74,7 +74,8 @@ pub(crate) struct Record {
     /// Sync the file to the disk this often; 0 leaves it to the system
     ///
     /// If the power fails, you lose at most this time and one more second.
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = SyncInterval::from_str)]
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = SyncInterval::from_str,
+        allow_hyphen_values = true)]
     sync: SyncInterval,
     /// Name of the sensor's coordinate frame, for ROS
     #[arg(long, value_name = "NAME", default_value = "laser", value_parser = frame_id)]

@@ -27,6 +27,13 @@ pub(crate) fn as_options(arguments: Vec<OsString>) -> Result<Vec<OsString>, Fail
             let option = match &*name {
                 "-r" | "--remap" => remapped(&value(&name, arguments.next())?)?,
                 "-p" | "--param" => parameter(&value(&name, arguments.next())?)?,
+                "--log-level" | "--log-config-file" | "--log-file-name" => {
+                    let value = arguments.next().ok_or_else(|| {
+                        Failure::Usage(format!("{BEGIN}: expected a value after {name}"))
+                    })?;
+                    unused_log_flag(&format!("{name} {}", value.to_string_lossy()))
+                }
+                _ if is_log_switch(&name) => unused_log_flag(&name),
                 _ => {
                     return Err(Failure::Usage(format!(
                         "{BEGIN}: `{name}` is not supported: expected -r FROM:=TO or -p NAME:=VALUE"
@@ -42,6 +49,18 @@ pub(crate) fn as_options(arguments: Vec<OsString>) -> Result<Vec<OsString>, Fail
 fn value(name: &str, argument: Option<OsString>) -> Result<String, Failure> {
     let text = argument.and_then(|argument| argument.into_string().ok());
     text.ok_or_else(|| Failure::Usage(format!("{BEGIN}: expected NAME:=VALUE after {name}")))
+}
+
+/// Checks for flags such as `--disable-stdout-logs`.
+fn is_log_switch(name: &str) -> bool {
+    let log = name.strip_prefix("--enable-").or_else(|| name.strip_prefix("--disable-"));
+    matches!(log, Some("rosout-logs" | "stdout-logs" | "external-lib-logs"))
+}
+
+/// Launch files pass flags for the log to all nodes.
+fn unused_log_flag(text: &str) -> Option<String> {
+    notice(format_args!("`{text}` changes nothing: set RUST_LOG for a log"));
+    None
 }
 
 /// Splits `NODE:NAME:=VALUE`. Ignores the optional `NODE:`, because all nodes are of one kind.
@@ -115,6 +134,8 @@ mod tests {
             ("publish --ros-args --ros-args -p urg_node:depth:=3", "publish --depth=3"),
             ("publish a --ros-args -p use_sim_time:=False -r /tf:=tf -p other:=1", "publish a"),
             ("publish a -- b", "publish a -- b"),
+            ("publish a --ros-args --log-level urg:=debug --disable-stdout-logs", "publish a"),
+            ("publish --ros-args --enable-rosout-logs --log-file-name x -- a", "publish a"),
         ] {
             assert_eq!(options(text).unwrap(), expected);
         }
