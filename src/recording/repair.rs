@@ -1,6 +1,7 @@
 //! [`repair`]: makes a complete file from a damaged or cut-off one, without a replay.
 
 use std::io::{self, Read, Write};
+use std::ops::AddAssign;
 
 use super::RecordingError;
 use super::mcap::{
@@ -8,6 +9,7 @@ use super::mcap::{
     kind, split_record,
 };
 use super::messages::{Messages, parse_channel};
+use super::record::Entry;
 
 /// Outcome of [`repair`].
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -18,6 +20,8 @@ pub struct Repaired {
     pub was_truncated: bool,
     /// Number of messages copied.
     pub messages: u64,
+    /// Number of scans among them.
+    pub scans: u64,
     /// Number of damaged parts left out. Each is a chunk, about a second of a recording, or the
     /// malformed records of a chunk without a checksum.
     pub damaged_parts: u64,
@@ -77,7 +81,7 @@ pub fn repair(
         _ => header("ros2", ""),
     };
     let writer = McapWriter::start_copy(output, &header).map_err(RecordingError::write)?;
-    let mut copy = Copy { writer, messages: Messages::default(), count: 0 };
+    let mut copy = Copy { writer, messages: Messages::default(), count: Count::default() };
     while let Some(section) = next {
         if !copy.section(&sections, section).map_err(RecordingError::write)? {
             repaired.add_damage(sections.offset());
@@ -86,7 +90,8 @@ pub fn repair(
     }
     copy.writer.finish().map_err(RecordingError::write)?;
     repaired.was_truncated = sections.is_truncated();
-    repaired.messages = copy.count;
+    repaired.messages = copy.count.messages;
+    repaired.scans = copy.count.scans;
     Ok(repaired)
 }
 
@@ -109,8 +114,22 @@ fn next_section(
 struct Copy<W> {
     writer: McapWriter<W>,
     messages: Messages,
-    /// Number of messages copied.
-    count: u64,
+    /// What was copied.
+    count: Count,
+}
+
+/// Number of messages, and of the scans among them.
+#[derive(Debug, Clone, Copy, Default)]
+struct Count {
+    messages: u64,
+    scans: u64,
+}
+
+impl AddAssign for Count {
+    fn add_assign(&mut self, other: Self) {
+        self.messages += other.messages;
+        self.scans += other.scans;
+    }
 }
 
 impl<W: Write> Copy<W> {
@@ -118,7 +137,7 @@ impl<W: Write> Copy<W> {
         match section {
             Section::Chunk { record, records } => {
                 let content = sections.bytes(records);
-                match self.messages_if_whole(content) {
+                match self.count_if_whole(content) {
                     Some(count) => {
                         self.add_lost_types(content);
                         self.writer.copy_chunk(sections.bytes(record), content)?;
@@ -142,25 +161,31 @@ impl<W: Write> Copy<W> {
 
     /// Counts the messages of a chunk. Returns `None` unless the chunk consists of whole,
     /// well-formed records that are allowed in it.
-    fn messages_if_whole(&mut self, mut records: &[u8]) -> Option<u64> {
-        let mut count = 0;
+    fn count_if_whole(&mut self, mut records: &[u8]) -> Option<Count> {
+        let mut count = Count::default();
         while let Some((kind, content, behind)) = split_record(records) {
-            if kind == kind::METADATA || !self.is_right(kind, content) {
+            if kind == kind::METADATA {
                 return None;
             }
-            count += u64::from(kind == kind::MESSAGE);
+            count += self.count_if_right(kind, content)?;
             records = behind;
         }
         records.is_empty().then_some(count)
     }
 
-    /// Judges a record as the reader does, and remembers its definitions.
-    fn is_right(&mut self, kind: u8, content: &[u8]) -> bool {
+    /// Judges a record as the reader does, remembers its definitions, and counts it if it is a
+    /// message. Returns `None` if it is malformed.
+    fn count_if_right(&mut self, kind: u8, content: &[u8]) -> Option<Count> {
         if !is_well_formed(kind, content) {
-            return false;
+            return None;
         }
         self.messages.define(kind, content);
-        kind != kind::MESSAGE || self.messages.parse(content).is_ok()
+        if kind != kind::MESSAGE {
+            return Some(Count::default());
+        }
+        let record = self.messages.parse(content).ok()?;
+        let is_scan = record.is_some_and(|record| matches!(record.entry, Entry::Scan(_)));
+        Some(Count { messages: 1, scans: is_scan.into() })
     }
 
     /// Writes the message types that were lost with a damaged part: other readers need them for the
@@ -193,9 +218,7 @@ impl<W: Write> Copy<W> {
     }
 
     fn record(&mut self, kind: u8, content: &[u8]) -> io::Result<bool> {
-        if !self.is_right(kind, content) {
-            return Ok(false);
-        }
+        let Some(count) = self.count_if_right(kind, content) else { return Ok(false) };
         match kind {
             kind::SCHEMA => self.writer.declare(kind, content),
             kind::CHANNEL => {
@@ -210,7 +233,7 @@ impl<W: Write> Copy<W> {
             kind::MESSAGE => {
                 if let Some((header, data)) = MessageHeader::parse(content) {
                     self.writer.message(header, data)?;
-                    self.count += 1;
+                    self.count += count;
                 }
             }
             _ => {}

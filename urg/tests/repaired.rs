@@ -55,6 +55,26 @@ async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repair
     }
 }
 
+#[tokio::test(start_paused = true)]
+async fn two_recordings_in_one_file_as_cat_writes_them_are_both_read_and_repaired() {
+    let (one, both) = (Scratch::mcap("repair-one"), Scratch::mcap("repair-both"));
+    recording(one.path(), Window::DETECTION, 20).await;
+    let bytes = fs::read(one.path()).unwrap();
+    fs::write(both.path(), [&bytes[..], &bytes].concat()).unwrap();
+    assert_eq!(count(both.path()), 40);
+    let info = run(&format!("info {}", both.path()), 0).stdout;
+    assert!(info.contains("40") && info.contains("`urg repair"), "{info}");
+    let stderr = run(&format!("repair {}", both.path()), 0).stderr;
+    assert!(stderr.contains(": 40 scans, complete ("), "{stderr}");
+    assert_eq!(count(&both.path().replace(".mcap", ".repaired.mcap")), 40);
+    // An existing file is not replaced, and nothing recommends to.
+    let (one, both) = (one.path(), both.path());
+    let stderr = failure(&format!("cut {one} {both}"));
+    assert!(stderr.contains(&format!("{both} exists: use another name")), "{stderr}");
+    let stderr = run(&format!("record {one} {one} --force"), 2).stderr;
+    assert!(stderr.contains(&format!("`urg cut {one} copy.mcap`")), "{stderr}");
+}
+
 #[cfg(unix)]
 #[tokio::test(start_paused = true)]
 async fn a_file_name_cannot_control_the_terminal() {

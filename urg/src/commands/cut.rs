@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use tokio_scip::recording::{CutOutcome, cut};
 
 use crate::failure::Failure;
+use crate::format::counted;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::recording::rewrite::{is_dash, rewrite};
@@ -47,10 +48,9 @@ impl Cut {
         if messages == 0 && !is_dash(&out) {
             return Err(Failure::Failed(format!("{name}: nothing in this part")));
         }
-        let noun = if scans == 1 { "scan" } else { "scans" };
-        let mut text = format!("{name}: {scans} {noun}");
+        let mut text = format!("{name}: {}", counted(scans, "scan"));
         if damaged_parts > 0 {
-            text.push_str(&format!(", {damaged_parts} damaged parts left out"));
+            text.push_str(&format!(", {} left out", counted(damaged_parts, "damaged part")));
         }
         if was_truncated {
             text.push_str(", the end of a file that was read is missing or damaged");

@@ -93,11 +93,13 @@ impl Record {
         let Some(file) = &self.file else { return Err(self.without_file().await) };
         let (port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         if let Some(recorded) = port.recorded() {
+            // `urg cut` does not overwrite its input.
+            let copy = if file == recorded.path() { Path::new("copy.mcap") } else { file };
             return Err(Failure::Usage(format!(
                 "{recorded} is a recording: `urg cut {} {}` copies it, or a part of it, \
                  with its times",
                 recorded.path().display(),
-                file.display()
+                copy.display()
             )));
         }
         let window = self.window.window(port.default_window())?;

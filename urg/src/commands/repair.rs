@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use tokio_scip::recording::{Repaired, repair};
 
 use crate::failure::Failure;
+use crate::format::counted;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::recording::rewrite::{Input, is_dash, rewrite};
@@ -57,17 +58,17 @@ impl Repair {
                     "{file}: no message in it can be read: nothing to repair, {out} not written"
                 )));
             }
-            Repaired { was_truncated, damaged_parts, damaged_at, .. } => {
+            Repaired { scans, was_truncated, damaged_parts, damaged_at, .. } => {
                 let mut found = Vec::new();
                 if was_truncated {
                     found.push("its end was missing or damaged".to_owned());
                 }
                 if let Some(first) = damaged_at.first() {
-                    found.push(format!(
-                        "{damaged_parts} damaged parts left out, the first at byte {first}"
-                    ));
+                    let parts = counted(damaged_parts, "damaged part");
+                    found.push(format!("{parts} left out, the first at byte {first}"));
                 }
-                notice(format_args!("{out}: complete ({file}: {})", found.join("; ")));
+                let scans = counted(scans, "scan");
+                notice(format_args!("{out}: {scans}, complete ({file}: {})", found.join("; ")));
             }
         }
         Ok(())

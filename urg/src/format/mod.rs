@@ -16,6 +16,12 @@ pub(crate) fn listed(counts: &[(u64, &str)]) -> String {
     counts.map(|(count, what)| format!("{count} {what}")).collect::<Vec<_>>().join(", ")
 }
 
+/// Formats a count with its noun, such as `1 scan` or `2 scans`.
+pub(crate) fn counted(count: u64, noun: &str) -> String {
+    let ending = if count == 1 { "" } else { "s" };
+    format!("{count} {noun}{ending}")
+}
+
 /// Serializes `data` as one line of JSON, which ends in LF.
 pub(crate) fn json_line(data: &impl Serialize) -> Result<String, Failure> {
     let mut line = json_text(data)?;

@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 use tokio_scip::recording::{Recording, RecordingError};
 use tokio_scip::{BaudRate, Version};
 
+use crate::format::counted;
 use crate::format::time::{self, clock};
 
 /// Property of a recording: name, value as JSON, value as text.
@@ -60,8 +61,8 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         end.push("its end is missing or damaged".to_owned());
     }
     if let Some(first) = damaged_at.first() {
-        let parts = damaged_at.len();
-        end.push(format!("{parts} damaged parts left out, the first at byte {first}"));
+        let parts = counted(damaged_at.len() as u64, "damaged part");
+        end.push(format!("{parts} left out, the first at byte {first}"));
     }
     let end = match complete {
         true => "yes".to_owned(),

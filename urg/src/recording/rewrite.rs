@@ -27,7 +27,7 @@ pub(crate) async fn rewrite<T: Send + 'static>(
 ) -> Result<T, Failure> {
     let created = match is_dash(out) {
         true => None,
-        false => Some(create(out).map_err(|error| failure(out, &error))?.into_parts()),
+        false => Some(create(out).map_err(|error| not_created(out, &error))?.into_parts()),
     };
     let (output, temporary) = created.unzip();
     let to = out.to_owned();
@@ -39,6 +39,10 @@ pub(crate) async fn rewrite<T: Send + 'static>(
             None => buffered(io::stdout().lock(), |output| copy(inputs, output)),
         };
         written.map_err(|error| match (&error, files.as_slice()) {
+            // The unfinished file is removed.
+            (RecordingError::Write { source }, _) if output.is_some() => {
+                Failure::of(&format!("{}: not written", to.display()), source)
+            }
             (RecordingError::Write { .. }, _) => failure(&to, &error),
             (_, [file]) => failure(file, &error),
             _ => Failure::of("one of the files", &error),
@@ -53,7 +57,7 @@ pub(crate) async fn rewrite<T: Send + 'static>(
         }
     };
     if let Some(temporary) = temporary.filter(|_| is_kept(&outcome)) {
-        keep(temporary, out).map_err(|error| failure(out, &error))?;
+        keep(temporary, out).map_err(|error| not_created(out, &error))?;
     }
     Ok(outcome)
 }
@@ -97,6 +101,16 @@ pub(crate) fn is_dash(path: &Path) -> bool {
 /// Describes an error of a file.
 pub(crate) fn failure(path: &Path, error: &dyn std::error::Error) -> Failure {
     Failure::at(&path.display().to_string(), error)
+}
+
+/// Describes why a file does not get its name.
+fn not_created(path: &Path, error: &io::Error) -> Failure {
+    match error.kind() {
+        io::ErrorKind::AlreadyExists => {
+            Failure::Failed(format!("{} exists: use another name", path.display()))
+        }
+        _ => failure(path, error),
+    }
 }
 
 fn open(path: &Path) -> Result<Input, Failure> {

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use tokio_scip::recording::Progress;
 
+use crate::format::counted;
 use crate::format::time::clock;
 use crate::stream::reporter::Reporter;
 
@@ -28,8 +29,8 @@ impl RecordTotals {
     pub(crate) fn after(self, elapsed: Duration) -> String {
         let Self { progress, missed, failed, disconnects } = self;
         let Progress { scans, bytes, files, lost_replies, late_syncs, .. } = progress;
-        let noun = if scans == 1 { "scan" } else { "scans" };
-        let mut text = format!("{scans} {noun} in {}, ", clock(elapsed.as_secs_f64()));
+        let scans = counted(scans, "scan");
+        let mut text = format!("{scans} in {}, ", clock(elapsed.as_secs_f64()));
         text.push_str(&match bytes {
             0..1_000_000 => format!("{} kB", bytes / 1000),
             _ => format!("{:.1} MB", bytes as f64 / 1e6),

@@ -62,4 +62,14 @@ impl Sections {
             return Ok(footer.is_some_and(is_right));
         }
     }
+
+    /// Skips the footer here and the magic bytes after it if another file begins there, as
+    /// after `cat a.mcap b.mcap`. Such a file has no complete end: no index covers both.
+    pub(super) fn skip_to_joined(&mut self) -> Result<bool, FileError> {
+        const JOINED: usize = FILE_END + MAGIC.len();
+        let bytes = self.peek(JOINED)?.get(..JOINED).unwrap_or_default();
+        let is_footer = record_head(bytes) == Some((kind::FOOTER, FOOTER_BYTES as u64));
+        let magics = bytes.get(RECORD_HEAD + FOOTER_BYTES..).unwrap_or_default();
+        Ok(is_footer && magics == [MAGIC, MAGIC].concat() && self.skip(JOINED as u64)?)
+    }
 }

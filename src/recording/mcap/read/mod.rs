@@ -163,8 +163,11 @@ impl Sections {
             let is_plausible = match kind {
                 kind::DATA_END | kind::FOOTER => {
                     if length == if kind == kind::FOOTER { FOOTER_BYTES as u64 } else { 4 } {
-                        self.is_truncated = !self.is_end_whole()?;
-                        return Ok(None);
+                        self.is_truncated |= !self.is_end_whole()?;
+                        match self.skip_to_joined()? {
+                            true => continue,
+                            false => return Ok(None),
+                        }
                     }
                     false
                 }
