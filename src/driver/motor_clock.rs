@@ -105,8 +105,8 @@ const SHARE_REPLIES: f64 = 256.0;
 /// Least time from a request to the end of a revolution that answers it, in revolutions.
 const LEAST_WAIT: f64 = 0.1;
 
-/// Middle of the range in which floats are the whole numbers, from 2⁵² to 2⁵³: adding it to a
-/// smaller number rounds that one.
+/// Adding this to a number rounds the sum: floats from 2⁵² to 2⁵³ have no fraction. The middle
+/// of that range leaves room for negative numbers.
 const WHOLE: f64 = 1.5 * (1_u64 << 52) as f64;
 
 /// What is known of the revolution that a reply shows.

@@ -1,4 +1,4 @@
-//! Counters of one topic's messages. Diagnostics report those of the scans.
+//! Counters of the messages on one topic, for diagnostics.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;

@@ -31,7 +31,7 @@ pub(crate) struct Discovery {
 pub(crate) struct StaticPeer {
     /// IPv4 address or name.
     pub(crate) host: String,
-    /// Only this port, instead of those of the domain.
+    /// Port to use instead of the ports of the domain.
     pub(crate) port: Option<u16>,
 }
 

@@ -145,7 +145,7 @@ mod tests {
 
     #[test]
     fn a_name_without_an_address_is_reported_and_the_others_get_announcements() {
-        // No label of a name has more than 63 characters, so that nobody is asked for it.
+        // The system refuses a label of more than 63 characters without asking a name server.
         let nobody = "x".repeat(64);
         let peers = peers(&["127.0.0.1", &nobody]);
         while lock(&peers.peers[1].address).eq(&Address::Unknown) {
