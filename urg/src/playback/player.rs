@@ -68,8 +68,12 @@ impl Player {
         let (commands, receiver) = mpsc::unbounded_channel();
         let (failed, failure) = watch::channel(None);
         let version = reel.version().clone();
+        let running = tokio::spawn(run(deck, reel, receiver, sender));
+        let name = recorded.to_string();
         tokio::spawn(async move {
-            failed.send_replace(run(deck, reel, receiver, sender).await.err());
+            // A panic is a failure, too: without it, the playback would seem to run.
+            let outcome = running.await.unwrap_or_else(|panic| Err(Failure::of(&name, &panic)));
+            failed.send_replace(outcome.err());
         });
         Ok(Self { commands, shown, failure, version })
     }
