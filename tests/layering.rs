@@ -1,6 +1,6 @@
-//! Checks that the modules of `src` depend on each other in the order of design.md's list,
-//! and those of each folder in some order, so that a file can be read without those above it.
-//! `protocol` uses no runtime, clock or log.
+//! Checks the modules of every package: those side by side depend on each other in one direction,
+//! so that you can read a file without the files above it. The library's also keep to the order
+//! of design.md's list, and `protocol` uses no runtime, clock or log.
 //!
 //! Reads imports and paths, not Rust: comments and `mod tests` do not count.
 
@@ -26,7 +26,7 @@ fn read(folder: &Path, prefix: &str, sources: &mut Sources) {
         let name = format!("{prefix}{}", path.file_name().unwrap().to_str().unwrap());
         if path.is_dir() {
             read(&path, &format!("{name}/"), sources);
-        } else if name.ends_with(".rs") && !name.ends_with("tests.rs") {
+        } else if name.ends_with(".rs") && !name.ends_with("tests.rs") && !name.contains("tests/") {
             let text = std::fs::read_to_string(&path).unwrap();
             let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
             let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -70,7 +70,7 @@ fn uses(sources: &Sources, folder: &str) -> BTreeMap<String, BTreeSet<String>> {
     let mut parent = "";
     let mut names = Vec::new();
     for (path, code) in inside {
-        if matches!(path, "lib.rs" | "mod.rs") {
+        if matches!(path, "lib.rs" | "main.rs" | "mod.rs") {
             parent = code;
             continue;
         }
@@ -115,15 +115,25 @@ fn circle(mut modules: BTreeMap<String, BTreeSet<String>>) -> Vec<String> {
     modules.into_keys().collect()
 }
 
-fn sources() -> Sources {
+/// Reads the sources of a package. `folder` is relative to the workspace: `.` is the library.
+fn sources(folder: &str) -> Sources {
     let mut sources = Sources::new();
-    read(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), "", &mut sources);
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    read(&root.join(folder).join("src"), "", &mut sources);
     sources
+}
+
+/// Lists the folders of the workspace's packages. The published library has no workspace.
+fn packages() -> Vec<String> {
+    let manifest = include_str!("../Cargo.toml");
+    let members = manifest.split("members = [").nth(1).and_then(|rest| rest.split(']').next());
+    let members = members.unwrap_or_default().split('"').skip(1).step_by(2).map(str::to_owned);
+    std::iter::once(".".to_owned()).chain(members.filter(|member| member != ".")).collect()
 }
 
 #[test]
 fn dependencies_point_down_only() {
-    let mut crates = uses(&sources(), "");
+    let mut crates = uses(&sources("."), "");
     crates.remove("guide");
     for (module, used) in crates.into_iter().filter(|(name, _)| !ASIDE.contains(&name.as_str())) {
         let place = |name: &str| ORDER.iter().position(|module| *module == name);
@@ -135,19 +145,22 @@ fn dependencies_point_down_only() {
 }
 
 #[test]
-fn no_modules_side_by_side_depend_on_each_other_in_a_circle() {
-    let sources = sources();
-    let folders: BTreeSet<&str> =
-        sources.keys().filter_map(|path| Some(&path[..=path.rfind('/')?])).collect();
-    assert!(folders.contains("driver/session/"), "{folders:?}");
-    for folder in folders {
-        assert_eq!(circle(uses(&sources, folder)), [""; 0], "in {folder}");
+fn modules_side_by_side_have_no_circles() {
+    let packages = packages();
+    for package in &packages {
+        let sources = sources(package);
+        let folders = sources.keys().filter_map(|path| Some(&path[..=path.rfind('/')?]));
+        let folders: BTreeSet<&str> = folders.chain([""]).collect();
+        assert!(folders.len() > 1, "{package}: {sources:?}");
+        for folder in folders.into_iter().filter(|folder| (&**package, *folder) != (".", "")) {
+            assert_eq!(circle(uses(&sources, folder)), [""; 0], "in {package}/src/{folder}");
+        }
     }
 }
 
 #[test]
 fn protocol_names_no_runtime_clock_or_log() {
-    for (path, code) in sources().iter().filter(|(path, _)| path.starts_with("protocol/")) {
+    for (path, code) in sources(".").iter().filter(|(path, _)| path.starts_with("protocol/")) {
         for word in words(code) {
             assert!(!NOT_IN_PROTOCOL.contains(&word), "{path} names {word}");
         }

@@ -4,6 +4,7 @@
 mod args;
 mod check;
 mod commands;
+mod delivery;
 mod failure;
 mod format;
 mod interrupt;
@@ -14,6 +15,7 @@ mod plot;
 mod port;
 #[cfg(any(feature = "ros2", feature = "zenoh", feature = "foxglove"))]
 mod publish;
+mod record;
 mod recording;
 mod stream;
 mod view;
@@ -38,7 +40,6 @@ use crate::commands::laser::Laser;
 use crate::commands::list::List;
 use crate::commands::packaging::{Completions, Manual};
 use crate::commands::publish::Publish;
-use crate::commands::record::Record;
 use crate::commands::repair::Repair;
 use crate::commands::scan::ScanOnce;
 use crate::commands::serve::Serve;
@@ -46,6 +47,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::{escaped, notice};
 use crate::output::stderr;
+use crate::record::Record;
 use crate::stream::command::Stream;
 use crate::view::View;
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
 
-use super::steps::{Step, Verdict};
+use super::finding::{Finding, Verdict};
 use crate::format::listed;
 use crate::port::open::ignored_baud_rate;
 use crate::stream::jitter::Jitter;
@@ -82,7 +82,7 @@ impl Measured {
         Ok(Self { window, baud_rate, asked, scans, outrun, before, after })
     }
 
-    pub(super) fn steps(&self) -> Vec<Step> {
+    pub(super) fn steps(&self) -> Vec<Finding> {
         let polls = self.polls();
         if self.scans.is_empty() {
             return vec![polls];
@@ -99,7 +99,7 @@ impl Measured {
         self.count(|stats| stats.polls).saturating_sub(self.count(|stats| stats.scans))
     }
 
-    fn polls(&self) -> Step {
+    fn polls(&self) -> Finding {
         let polls = self.count(|stats| stats.polls);
         let lost = self.lost();
         let reasons = listed(&[
@@ -124,17 +124,17 @@ impl Measured {
             // Writing to a `String` is infallible.
             let _ = write!(text, ": {reasons}; check cable, plugs and power");
         }
-        Step::new("polls", verdict, text)
+        Finding::new("polls", verdict, text)
     }
 
-    fn rate(&self) -> Step {
+    fn rate(&self) -> Finding {
         const NAME: &str = "rate";
         let (Some(first), Some(last)) = (self.scans.first(), self.scans.last()) else {
-            return Step::new(NAME, Verdict::Failed, "no scan came");
+            return Finding::new(NAME, Verdict::Failed, "no scan came");
         };
         let time = last.received_at.saturating_duration_since(first.received_at).as_secs_f64();
         if time <= 0.0 {
-            return Step::new(NAME, Verdict::Weak, "only one scan came: test for longer");
+            return Finding::new(NAME, Verdict::Weak, "only one scan came: test for longer");
         }
         let reached = (self.scans.len() - 1) as f64 / time;
         let asked = self.asked;
@@ -144,7 +144,7 @@ impl Measured {
             let _ = write!(text, "; {}", ignored_baud_rate(baud_rate));
         }
         if reached >= ENOUGH * asked {
-            return Step::new(NAME, Verdict::Ok, text);
+            return Finding::new(NAME, Verdict::Ok, text);
         }
         let carried = self
             .baud_rate
@@ -164,7 +164,7 @@ impl Measured {
             _ if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
             _ => "some revolutions of the motor brought no scan".to_owned(),
         };
-        Step::new(NAME, verdict, format!("{text}: {cause}"))
+        Finding::new(NAME, verdict, format!("{text}: {cause}"))
     }
 
     /// Describes the spread of the intervals between scans.
@@ -177,7 +177,7 @@ impl Measured {
         format!("one every {min:.0} to {max:.0} ms, standard deviation {deviation:.1} ms")
     }
 
-    fn latency(&self) -> Step {
+    fn latency(&self) -> Finding {
         let latency = |seen: &Seen| seen.received_at.saturating_duration_since(seen.requested_at);
         let longest = self.scans.iter().map(latency).max().unwrap_or_default();
         let mean =
@@ -187,18 +187,18 @@ impl Measured {
         let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
         let good = Duration::from_secs_f64(MAX_REVOLUTIONS / self.asked) + wire.unwrap_or_default();
         if longest <= good {
-            return Step::new("latency", Verdict::Ok, text);
+            return Finding::new("latency", Verdict::Ok, text);
         }
         let text = format!("{text}: expected at most {} ms", good.as_millis());
-        Step::new("latency", Verdict::Weak, text)
+        Finding::new("latency", Verdict::Weak, text)
     }
 
-    fn motor(&self) -> Step {
+    fn motor(&self) -> Finding {
         const NAME: &str = "motor";
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
             let text = "unknown: scans have the times of their arrivals";
-            return Step::new(NAME, Verdict::Ok, text);
+            return Finding::new(NAME, Verdict::Ok, text);
         };
         let mut text = match motor.rpm() {
             Some(rpm) => format!("{rpm:.2} rpm"),
@@ -211,16 +211,16 @@ impl Measured {
         let _ = write!(text, "; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if motor.jumps > 0 {
             let _ = write!(text, "; it jumped {} times: check the power", motor.jumps);
-            return Step::new(NAME, Verdict::Weak, text);
+            return Finding::new(NAME, Verdict::Weak, text);
         }
         if mean > MAX_LATENESS_MS {
             text.push_str(": this computer is busy, or its USB is");
-            return Step::new(NAME, Verdict::Weak, text);
+            return Finding::new(NAME, Verdict::Weak, text);
         }
-        Step::new(NAME, Verdict::Ok, text)
+        Finding::new(NAME, Verdict::Ok, text)
     }
 
-    fn sight(&self) -> Step {
+    fn sight(&self) -> Finding {
         const NAME: &str = "sight";
         let points = self.scans.iter().map(|seen| seen.points).max().unwrap_or_default();
         let distances = self.scans.iter().map(|seen| seen.distances).sum::<usize>();
@@ -228,16 +228,16 @@ impl Measured {
         let text = format!("{distances} of {points} points have a distance");
         let repeats = self.count(|stats| stats.repeats) as usize;
         if distances == 0 {
-            Step::new(
+            Finding::new(
                 NAME,
                 Verdict::Weak,
                 format!("{text}: is the sensor covered, or everything farther away than 4 m?"),
             )
         } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
             let text = format!("{text}, and all scans are equal: does the sensor measure at all?");
-            Step::new(NAME, Verdict::Weak, text)
+            Finding::new(NAME, Verdict::Weak, text)
         } else {
-            Step::new(NAME, Verdict::Ok, text)
+            Finding::new(NAME, Verdict::Ok, text)
         }
     }
 }

@@ -1,18 +1,20 @@
-//! `urg check`: a self-test of a sensor. `steps` defines the steps, and `measured` judges
-//! the stream of scans.
+//! `urg check`: a self-test of a sensor. `steps` defines the steps, `measured` judges the
+//! stream of scans, and `finding` is the result of a step.
 
+mod finding;
 mod measured;
 mod steps;
 
 use std::time::{Duration, Instant};
 
-use self::steps::{Step, Verdict};
+use self::finding::{Finding, Verdict};
 use crate::args::{LinkArgs, duration};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
-use crate::port::open::{Delivery, open};
+use crate::port::open::open;
 
 /// Test a sensor, with a verdict for each step
 ///
@@ -62,7 +64,7 @@ impl Check {
                 }
             }
             Err(Failure::Failed(line)) => {
-                report.add(Step::new("link", Verdict::Failed, line)).await?;
+                report.add(Finding::new("link", Verdict::Failed, line)).await?;
             }
             Err(other) => return Err(other),
         }
@@ -73,11 +75,11 @@ impl Check {
 /// Findings, written one by one as the steps finish.
 struct CheckReport {
     output: Output,
-    steps: Vec<Step>,
+    steps: Vec<Finding>,
 }
 
 impl CheckReport {
-    async fn add(&mut self, step: Step) -> Result<(), Failure> {
+    async fn add(&mut self, step: Finding) -> Result<(), Failure> {
         self.output.write(&format!("{step}\n")).await?;
         self.steps.push(step);
         Ok(())

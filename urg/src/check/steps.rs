@@ -1,93 +1,53 @@
-//! Steps of the self-test, and their verdicts.
+//! Steps of the self-test.
 
-use std::fmt;
 use std::time::Duration;
 
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::{Rate, Sensor, Window};
 
+use super::finding::{Finding, Verdict};
 use super::measured::Measured;
 use crate::failure::chain;
-use crate::output::notice::escaped;
-
-/// Outcome of a step.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Verdict {
-    Ok,
-    Weak,
-    Failed,
-}
-
-/// Step and its verdict.
-#[derive(Debug, Clone)]
-pub(crate) struct Step {
-    pub(crate) name: &'static str,
-    pub(crate) verdict: Verdict,
-    /// Findings, and the reason if the verdict is not ok.
-    text: String,
-}
-
-impl Step {
-    pub(crate) fn new(name: &'static str, verdict: Verdict, text: impl Into<String>) -> Self {
-        Self { name, verdict, text: text.into() }
-    }
-
-    pub(crate) fn failed(name: &'static str, error: &Error) -> Self {
-        Self::new(name, Verdict::Failed, chain(error))
-    }
-}
-
-impl fmt::Display for Step {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let verdict = match self.verdict {
-            Verdict::Ok => "ok",
-            Verdict::Weak => "weak",
-            Verdict::Failed => "FAILED",
-        };
-        // An error names the port, and the name of a file may hold anything.
-        write!(f, "{verdict:<7} {:<8} {}", self.name, escaped(&self.text))
-    }
-}
 
 /// Describes the link that was found `after` this time. Set `is_recording` for a replay.
-pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Step {
+pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Finding {
     let place = match sensor.state().get().baud_rate() {
         _ if is_recording => "in a recording".to_owned(),
         Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),
     };
-    Step::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
+    Finding::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
 }
 
 /// Reads the identity of the sensor.
-pub(crate) async fn version(sensor: &Sensor) -> Step {
+pub(crate) async fn version(sensor: &Sensor) -> Finding {
     const NAME: &str = "version";
     let version = match sensor.version().await {
         Ok(version) => version,
-        Err(error) => return Step::failed(NAME, &error),
+        Err(error) => return Finding::failed(NAME, &error),
     };
     let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
     let status = version.status.as_ref().map(ToString::to_string);
     match status {
         _ if version.product.is_empty() || version.serial_number.is_empty() => {
-            Step::new(NAME, Verdict::Weak, format!("product or serial number missing: {who}"))
+            Finding::new(NAME, Verdict::Weak, format!("product or serial number missing: {who}"))
         }
         Some(status) if !status.contains("Normal") => {
-            Step::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
+            Finding::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
         }
-        _ => Step::new(NAME, Verdict::Ok, who),
+        _ => Finding::new(NAME, Verdict::Ok, who),
     }
 }
 
 /// Switches the laser off and on. The driver confirms both by asking for a measurement.
-pub(crate) async fn laser(sensor: &Sensor) -> Step {
+pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     const NAME: &str = "laser";
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
         if let Err(error) = switched {
             let text = format!("cannot be switched {state}: {}", chain(&error));
-            return Step::new(NAME, Verdict::Failed, text);
+            return Finding::new(NAME, Verdict::Failed, text);
         }
     }
-    Step::new(NAME, Verdict::Ok, "goes off and on")
+    Finding::new(NAME, Verdict::Ok, "goes off and on")
 }
 
 /// Streams the window for `duration`, at the rate of the motor or at the recorded rate.
@@ -96,17 +56,17 @@ pub(crate) async fn scans(
     window: Window,
     recorded: Option<Rate>,
     duration: Duration,
-) -> Vec<Step> {
+) -> Vec<Finding> {
     match Measured::over(sensor, window, recorded, duration).await {
         Ok(measured) => measured.steps(),
-        Err(error) => vec![Step::failed("polls", &error)],
+        Err(error) => vec![Finding::failed("polls", &error)],
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::BaudRate;
     use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
+    use tokio_scip::{BaudRate, Error};
 
     use super::*;
 
@@ -129,7 +89,7 @@ mod tests {
     #[test]
     fn a_finding_cannot_control_the_terminal() {
         let error = Error::NoSuchPort { port: "\x1b[2J.mcap".to_owned() };
-        let text = Step::failed("laser", &error).to_string();
+        let text = Finding::failed("laser", &error).to_string();
         assert!(text.contains("\\u{1b}[2J.mcap") && !text.contains('\x1b'), "{text:?}");
     }
 

@@ -3,10 +3,11 @@
 use tokio_scip::BaudRate;
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortArg;
-use crate::port::open::{Delivery, open, proven_baud_rate};
+use crate::port::open::{open, proven_baud_rate};
 
 /// Set the baud rate of the sensor
 ///

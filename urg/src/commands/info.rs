@@ -7,12 +7,13 @@ use serde_json::{Value, json};
 use tokio_scip::{BaudRate, Version, Window};
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::format::json_line;
 use crate::output::notice::escaped;
 use crate::output::stdout::print;
 use crate::port::name::{PortArg, PortName};
-use crate::port::open::{Delivery, open, proven_baud_rate};
+use crate::port::open::{open, proven_baud_rate};
 use crate::recording::contents::Contents;
 
 /// Show the identity and settings of a sensor

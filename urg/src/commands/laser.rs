@@ -3,10 +3,11 @@
 use std::str::FromStr;
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::port::name::PortArg;
-use crate::port::open::{Delivery, open};
+use crate::port::open::open;
 
 /// Switch the laser on or off
 ///

@@ -1,4 +1,4 @@
-//! Commands, one file each. `check`, `stream` and `view` have their own modules.
+//! Commands, one file each. `check`, `record`, `stream` and `view` have their own modules.
 
 pub(crate) mod baud;
 pub(crate) mod cut;
@@ -12,7 +12,6 @@ pub(crate) mod packaging;
     path = "publish_absent.rs"
 )]
 pub(crate) mod publish;
-pub(crate) mod record;
 pub(crate) mod repair;
 pub(crate) mod scan;
 pub(crate) mod serve;

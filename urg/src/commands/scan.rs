@@ -4,12 +4,13 @@ use clap::ValueEnum;
 use tokio_scip::Scan;
 
 use crate::args::{LinkArgs, WindowArgs};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::format::csv::{self, Columns};
 use crate::format::{json_line, svg, table};
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
-use crate::port::open::{Delivery, open};
+use crate::port::open::open;
 
 /// Take one scan
 ///

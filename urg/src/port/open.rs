@@ -8,32 +8,13 @@ use tokio_scip::{BaudRate, Sensor, SensorBuilder, State, Window};
 
 use super::name::PortName;
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 use crate::plot::pose;
 
 /// Wait before a notice names what the program is waiting for.
 const SILENT_WAIT: Duration = Duration::from_secs(1);
-
-/// Which scans a consumer must receive.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Delivery {
-    /// Only the newest scan, for live display.
-    Newest,
-    /// All scans, for files. A slow consumer may fall nearly two minutes behind a sensor; a
-    /// replay waits for it.
-    All,
-}
-
-impl Delivery {
-    /// Number of scans that a stream buffers.
-    pub(crate) fn ring_depth(self) -> usize {
-        match self {
-            Self::Newest => 1,
-            Self::All => 1024,
-        }
-    }
-}
 
 pub(crate) async fn open(
     port: &PortName,

@@ -18,8 +18,8 @@ use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
 
 use super::contents::{self, Contents};
 use super::span::TimeSpan;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::port::open::Delivery;
 
 /// Number of scans that a replay may be ahead of a consumer of all scans.
 const MAX_SCANS_AHEAD: u64 = 256;

@@ -9,13 +9,14 @@ use super::follow::follow;
 use super::rate_watch::schedule;
 use super::reporter::Reporter;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::format::csv::{self, Columns};
 use crate::format::summary;
 use crate::interrupt::Interrupt;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
-use crate::port::open::{Delivery, open};
+use crate::port::open::open;
 use crate::recording::span::RangeArgs;
 
 /// Write scans to standard output as they come

@@ -9,10 +9,6 @@ use ratatui::widgets::canvas::{Context, Points};
 
 use crate::plot::{Anchor, Extent, Place};
 
-/// Symbol of the grid. Scans are Braille dots, which look different even without colours.
-pub(super) const GRID: &str = "·";
-/// Symbol of older scans on a terminal without colours.
-pub(super) const TRAIL: &str = ":";
 /// Number of dots across and down a Braille cell.
 const ACROSS: f64 = 2.0;
 const DOWN: f64 = 4.0;

@@ -4,12 +4,13 @@ use tokio_scip::Sensor;
 
 use super::Viewer;
 use super::screen::Screen;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::picture::{PictureArgs, PictureSource};
 use crate::playback::Player;
-use crate::port::open::{Delivery, begin, opened};
+use crate::port::open::{begin, opened};
 use crate::stream::follow::StreamEnd;
 
 /// Show a live radar in the terminal

@@ -11,6 +11,7 @@ use super::help::Subject;
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
+use super::symbols::sign;
 use super::{help, panel, radar, several};
 
 /// Minimum width and height. A smaller terminal only shows a message.
@@ -61,7 +62,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Op
 fn title_line(model: &Model) -> String {
     let who = model.selected().map(panel::who).unwrap_or_default();
     match model.has_several() {
-        true => format!(" urg view  {} {who}", several::sign(model.selected_number())),
+        true => format!(" urg view  {} {who}", sign(model.selected_number())),
         false => format!(" urg view  {who}"),
     }
 }

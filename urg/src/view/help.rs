@@ -6,7 +6,7 @@ use ratatui::text::{Line, Span};
 
 use super::model::Model;
 use super::palette::Palette;
-use super::radar::mark;
+use super::symbols::mark;
 use crate::plot::missing::MissingKind;
 
 /// Keys in the bottom line. A narrow screen keeps the first and the last.

@@ -15,6 +15,7 @@ mod save;
 mod screen;
 mod several;
 mod source;
+mod symbols;
 #[cfg(test)]
 mod tests;
 

@@ -7,7 +7,7 @@ use tokio_scip::{Point, Scan, State};
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
-use super::radar::mark;
+use super::symbols::mark;
 use crate::format::time::{self, clock};
 use crate::playback::PlaybackStatus;
 use crate::plot::colours::BAND;

@@ -15,11 +15,11 @@ use ratatui::widgets::canvas::{Canvas, Context};
 use ratatui::{Frame, buffer::Buffer};
 use tokio_scip::Scan;
 
-use super::chart::{Chart, GRID, LabelSpace, Margin, TRAIL};
+use super::chart::{Chart, LabelSpace, Margin};
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
-use super::several::sign;
+use super::symbols::{GRID, TRAIL, mark, sign};
 use crate::plot::missing::MissingKind;
 use crate::plot::{self, Anchor, Extent, Place, Sector, pose};
 
@@ -27,15 +27,6 @@ use crate::plot::{self, Anchor, Extent, Place, Sector, pose};
 const ALL_AROUND: Sector = Sector { from: -std::f64::consts::PI, to: std::f64::consts::PI };
 /// Arrows for the direction of a sensor, in eighths of a turn counter-clockwise from ahead.
 const ARROWS: [&str; 8] = ["▲", "◤", "◀", "◣", "▼", "◢", "▶", "◥"];
-
-/// Mark at the rim for a direction without a distance.
-pub(crate) fn mark(kind: MissingKind) -> &'static str {
-    match kind {
-        MissingKind::Far => "^",
-        MissingKind::Weak => "~",
-        MissingKind::Nothing => "x",
-    }
-}
 
 /// Draws all sensors into `area`.
 pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {

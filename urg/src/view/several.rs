@@ -10,14 +10,10 @@ use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
 use super::panel;
+use super::symbols::sign;
 
 /// Longer names are cut, to leave room for the state beside them.
 const MAX_NAME_CHARS: usize = 10;
-
-/// Label of a sensor: the key that selects it. `number` counts from 0.
-pub(super) fn sign(number: usize) -> String {
-    (number + 1).to_string()
-}
 
 /// Builds the panel, in at most `rows` lines if possible.
 pub(super) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {

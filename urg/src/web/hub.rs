@@ -9,9 +9,10 @@ use tokio_scip::event::Event;
 use tokio_scip::{Freshness, Scan, Sensor, State, Version};
 
 use crate::args::LinkArgs;
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::picture::PictureSource;
-use crate::port::open::{Delivery, begin, opened};
+use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::StreamEnd;
 use crate::stream::jitter::{Jitter, RecentTimes};

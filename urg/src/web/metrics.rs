@@ -9,7 +9,7 @@ use tokio_scip::stats::Metric;
 
 use super::Site;
 use super::hub::Hub;
-use super::routes::{Response, whole};
+use super::response::{Response, whole};
 use super::source::SiteSource;
 
 const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";

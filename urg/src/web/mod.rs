@@ -5,6 +5,7 @@ mod line;
 mod metrics;
 mod page;
 mod playback;
+mod response;
 mod routes;
 mod scans;
 mod server;

@@ -8,7 +8,7 @@ use hyper::header::{CONTENT_SECURITY_POLICY, HeaderValue};
 use serde_json::{Value, json};
 use tokio_scip::{ErrorCode, Measurement};
 
-use super::routes::{Response, text, whole};
+use super::response::{Response, text, whole};
 use crate::plot::REACH;
 use crate::plot::colours::{BAND, Colours, DISTANCES, SENSORS};
 use crate::plot::missing::MissingKind;

@@ -4,7 +4,7 @@ use hyper::header::{self, HeaderMap};
 use hyper::{Request, StatusCode};
 
 use super::Site;
-use super::routes::{Response, text};
+use super::response::{Response, text};
 use crate::playback::PlaybackCommand;
 
 /// Answers `POST /playback?COMMAND`. Sends the command to every recording.

@@ -1,20 +1,13 @@
 //! Routes, and the headers that protect the server and its page from other sites.
 
-use std::convert::Infallible;
 use std::net::IpAddr;
 use std::sync::Arc;
 
-use bytes::Bytes;
-use http_body_util::combinators::UnsyncBoxBody;
-use http_body_util::{BodyExt, Full};
-use hyper::body::Body;
 use hyper::header::{self, HeaderName, HeaderValue};
 use hyper::{Method, Request, StatusCode};
 
+use super::response::{Response, text};
 use super::{Site, metrics, page, playback, scans, state};
-
-/// Response with a complete or streaming body.
-pub(super) type Response = hyper::Response<UnsyncBoxBody<Bytes, Infallible>>;
 
 /// Headers of every response. The page adds a content security policy.
 const HEADERS: [(HeaderName, HeaderValue); 6] = [
@@ -73,32 +66,6 @@ fn refused<B>(site: &Site, request: &Request<B>) -> Option<Response> {
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
         response
     })
-}
-
-/// Creates a plain-text response.
-pub(super) fn text(status: StatusCode, text: impl Into<Bytes>) -> Response {
-    whole(status, "text/plain; charset=utf-8", text)
-}
-
-/// Creates a response with a complete body.
-pub(super) fn whole(
-    status: StatusCode,
-    content_type: &'static str,
-    body: impl Into<Bytes>,
-) -> Response {
-    response(status, content_type, Full::new(body.into()))
-}
-
-pub(super) fn response(
-    status: StatusCode,
-    content_type: &'static str,
-    body: impl Body<Data = Bytes, Error = Infallible> + Send + 'static,
-) -> Response {
-    let mut response = Response::new(body.boxed_unsync());
-    *response.status_mut() = status;
-    let content_type = HeaderValue::from_static(content_type);
-    response.headers_mut().insert(header::CONTENT_TYPE, content_type);
-    response
 }
 
 /// Checks whether a `Host` header names this machine. Any port passes, because a tunnel may

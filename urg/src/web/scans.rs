@@ -13,7 +13,7 @@ use hyper::{Request, StatusCode};
 
 use super::Site;
 use super::line::ViewerLine;
-use super::routes::{Response, response, text};
+use super::response::{Response, response, text};
 use super::source::Lines;
 use crate::interrupt::Interrupt;
 use crate::wait::first;

@@ -8,7 +8,7 @@ use tokio_scip::{Stats, Version, Window};
 
 use super::Site;
 use super::hub::Hub;
-use super::routes::{Response, text, whole};
+use super::response::{Response, text, whole};
 use super::source::SiteSource;
 use crate::format::json_line;
 use crate::playback::{PlaybackStatus, Player};

@@ -1,4 +1,8 @@
-//! `urg record`: records scans, and every reply of the sensor, into a file.
+//! `urg record`: records scans, and every reply of the sensor, into a file. `limits` parses its
+//! options, and `totals` formats its progress.
+
+mod limits;
+mod totals;
 
 use std::fmt;
 use std::io::{self, IsTerminal};
@@ -10,16 +14,17 @@ use tokio::time::Instant;
 use tokio_scip::State;
 use tokio_scip::recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
+use self::limits::{SplitLimit, SyncInterval};
+use self::totals::RecordTotals;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
+use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::output::stderr;
 use crate::port::name::{PortArg, missing_port};
-use crate::port::open::{Delivery, open};
+use crate::port::open::open;
 use crate::recording::recorded::Recorded;
-use crate::recording::split::{SplitLimit, SyncInterval};
-use crate::recording::totals::RecordTotals;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
 use crate::stream::reporter::Reporter;

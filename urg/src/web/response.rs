@@ -1,0 +1,39 @@
+//! Responses of the server, with their content type.
+
+use std::convert::Infallible;
+
+use bytes::Bytes;
+use http_body_util::combinators::UnsyncBoxBody;
+use http_body_util::{BodyExt, Full};
+use hyper::StatusCode;
+use hyper::body::Body;
+use hyper::header::{self, HeaderValue};
+
+/// Response with a complete or streaming body.
+pub(super) type Response = hyper::Response<UnsyncBoxBody<Bytes, Infallible>>;
+
+/// Creates a plain-text response.
+pub(super) fn text(status: StatusCode, text: impl Into<Bytes>) -> Response {
+    whole(status, "text/plain; charset=utf-8", text)
+}
+
+/// Creates a response with a complete body.
+pub(super) fn whole(
+    status: StatusCode,
+    content_type: &'static str,
+    body: impl Into<Bytes>,
+) -> Response {
+    response(status, content_type, Full::new(body.into()))
+}
+
+pub(super) fn response(
+    status: StatusCode,
+    content_type: &'static str,
+    body: impl Body<Data = Bytes, Error = Infallible> + Send + 'static,
+) -> Response {
+    let mut response = Response::new(body.boxed_unsync());
+    *response.status_mut() = status;
+    let content_type = HeaderValue::from_static(content_type);
+    response.headers_mut().insert(header::CONTENT_TYPE, content_type);
+    response
+}
