@@ -5,7 +5,7 @@ use std::time::SystemTime;
 
 use tokio::time::Instant;
 
-use crate::port::Port;
+use super::PromptPort;
 
 /// Number of bytes that may arrive between two commands. A sensor answers a command with at
 /// most 1,576. Without this limit, a line that always has more to read would keep the driver
@@ -22,7 +22,7 @@ pub(super) struct Arrival {
 }
 
 impl Arrival {
-    fn now(port: &mut dyn Port) -> Self {
+    fn now(port: &mut PromptPort) -> Self {
         let at = Instant::now();
         let recorded = port.hints().and_then(|hints| hints.wall_clock());
         let stamp = recorded.unwrap_or_else(SystemTime::now);
@@ -56,7 +56,7 @@ impl Arrivals {
     }
 
     /// Arrival of the first byte of the reply, or the current time if no byte has arrived.
-    pub(super) fn first_byte(&self, port: &mut dyn Port) -> Arrival {
+    pub(super) fn first_byte(&self, port: &mut PromptPort) -> Arrival {
         self.first_byte.unwrap_or_else(|| Arrival::now(port))
     }
 
@@ -66,7 +66,7 @@ impl Arrivals {
     }
 
     /// Counts received bytes, and fails if there are too many.
-    pub(super) fn count(&mut self, fresh: &[u8], port: &mut dyn Port) -> io::Result<()> {
+    pub(super) fn count(&mut self, fresh: &[u8], port: &mut PromptPort) -> io::Result<()> {
         if !fresh.is_empty() {
             if self.total < 2 {
                 let unset = self.first.iter_mut().skip(self.total as usize);
@@ -109,7 +109,8 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_nul_in_front_of_a_reply_is_not_its_first_byte() {
-        let mut port = ScriptedPort { baud_rate: Some(BaudRate::B19200), ..Default::default() };
+        let port = ScriptedPort { baud_rate: Some(BaudRate::B19200), ..Default::default() };
+        let mut port = PromptPort(Box::new(port));
         let mut arrivals = Arrivals::default();
         arrivals.begin_command();
         arrivals.count(&[0, 0], &mut port).unwrap();

@@ -3,11 +3,9 @@
 
 use std::future::poll_fn;
 use std::io;
-use std::pin::Pin;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use tokio::io::ReadBuf;
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use super::super::failure::{ExchangeError, LinkError};
@@ -26,7 +24,7 @@ impl Transport {
     }
 
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
-        self.port.baud_rate()
+        self.port.0.baud_rate()
     }
 
     /// Sets this side's baud rate, and drops the bytes received at another one.
@@ -37,7 +35,7 @@ impl Transport {
         self.outrun = false;
         self.telemetry.stats().baud_rate_outrun = false;
         self.pauses = Pauses::default();
-        let outcome = self.port.set_baud_rate(baud_rate);
+        let outcome = self.port.0.set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
@@ -132,11 +130,10 @@ impl Transport {
     /// Waits for bytes, drops them, and returns their number.
     fn poll_drop(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
         let mut scratch = [0; SCRATCH_BYTES];
-        let mut buffer = ReadBuf::new(&mut scratch);
-        let outcome = Pin::new(&mut *self.port).poll_read(cx, &mut buffer);
-        ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))?;
-        self.arrivals.count(buffer.filled(), &mut *self.port)?;
-        Poll::Ready(Ok(buffer.filled().len()))
+        let outcome = self.port.poll_read(cx, &mut scratch.as_mut_slice());
+        let read = ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))?;
+        self.arrivals.count(scratch.get(..read).unwrap_or_default(), &mut self.port)?;
+        Poll::Ready(Ok(read))
     }
 
     pub(super) fn drop_input(&mut self) {

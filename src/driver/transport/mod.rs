@@ -17,12 +17,12 @@ use std::future::{Future, poll_fn};
 use std::io;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll, Waker, ready};
 use std::time::Duration;
 
 use bytes::{Buf, BufMut, BytesMut};
-use tokio::io::{AsyncReadExt, ReadBuf};
-use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::task::coop::{consume_budget, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use self::arrivals::{Arrivals, flood};
@@ -53,7 +53,7 @@ const SCRATCH_BYTES: usize = 512;
 /// proves that they did. Flushing a serial port would block the thread until the port is
 /// drained.
 pub(crate) struct Transport {
-    port: Box<dyn Port>,
+    port: PromptPort,
     arrivals: Arrivals,
     codec: ScipCodec,
     /// Received bytes. Frames are judged in place: copying one out costs a fifth of decoding
@@ -96,7 +96,7 @@ impl Transport {
     ) -> Self {
         telemetry.stats().baud_rate_outrun = false;
         Self {
-            port,
+            port: PromptPort(port),
             arrivals: Arrivals::default(),
             codec: ScipCodec::default(),
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
@@ -123,17 +123,15 @@ impl Transport {
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
         self.remove_latest();
         let before = self.received();
-        let is_open = match self.drop_bytes(|port, bytes| port.hints()?.try_read(bytes)) {
+        let is_open = match self.drop_bytes(PromptPort::try_read) {
             Some(is_open) => is_open,
             None => {
                 // While this task yields, the runtime polls the system for new input.
                 tokio::task::yield_now().await;
                 let dropped = poll_fn(|cx| {
-                    Poll::Ready(self.drop_bytes(|port, bytes| read_if_ready(port, cx, bytes)))
+                    Poll::Ready(self.drop_bytes(|port, bytes| port.read_if_ready(cx, bytes)))
                 });
-                // Without budget, a read returns `Pending` even if there are bytes. That
-                // must not count as a quiet line.
-                unconstrained(dropped).await.unwrap_or(Ok(true))
+                dropped.await.unwrap_or(Ok(true))
             }
         };
         if !is_open.map_err(|error| self.lost(Some(error)))? {
@@ -172,7 +170,8 @@ impl Transport {
         command: &Command,
         latency: Duration,
     ) -> Result<Deadline, ExchangeError> {
-        // A port whose replies are ready at once would never let other tasks run.
+        // The calls on the port take none: if its replies are ready at once, the driver would
+        // never let other tasks run.
         consume_budget().await;
         self.remove_latest();
         self.frames = 0;
@@ -225,7 +224,7 @@ impl Transport {
         self.latest_at = Some(received);
         let wire_len = found.wire_len();
         self.pauses.end_reply(received, wire_len);
-        let first_byte = self.arrivals.first_byte(&mut *self.port);
+        let first_byte = self.arrivals.first_byte(&mut self.port);
         let timing = Timing {
             requested: deadline.requested,
             began: first_byte.at,
@@ -244,7 +243,7 @@ impl Transport {
     /// Writes the output from `written` on.
     fn poll_write(&mut self, cx: &mut Context<'_>, written: &mut usize) -> Poll<io::Result<()>> {
         while let Some(rest @ [_, ..]) = self.output.get(*written..) {
-            let outcome = Pin::new(&mut *self.port).poll_write(cx, rest);
+            let outcome = self.port.poll_write(cx, rest);
             match ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))? {
                 0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
                 more => *written += more,
@@ -266,12 +265,12 @@ impl Transport {
             {
                 return Poll::Ready(Ok(FrameStep::Frame(frame)));
             }
-            let outcome = pin!(port.read_buf(input)).poll(cx);
+            let outcome = port.poll_read(cx, input);
             match again_if_interrupted(outcome, retry_timer, cx) {
                 Poll::Ready(Ok(0)) => return Poll::Ready(Ok(FrameStep::End)),
                 Poll::Ready(Ok(read)) => {
                     let fresh = input.len().saturating_sub(read);
-                    arrivals.count(input.get(fresh..).unwrap_or_default(), &mut **port)?;
+                    arrivals.count(input.get(fresh..).unwrap_or_default(), port)?;
                 }
                 Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
                 Poll::Pending => break,
@@ -291,16 +290,16 @@ impl Transport {
     /// `None`.
     fn drop_bytes(
         &mut self,
-        mut read: impl FnMut(&mut dyn Port, &mut [u8]) -> Option<io::Result<usize>>,
+        mut read: impl FnMut(&mut PromptPort, &mut [u8]) -> Option<io::Result<usize>>,
     ) -> Option<io::Result<bool>> {
         let mut scratch = [0; SCRATCH_BYTES];
         let mut interrupted = 0;
         loop {
-            match read(&mut *self.port, &mut scratch)? {
+            match read(&mut self.port, &mut scratch)? {
                 Ok(0) => return Some(Ok(false)),
                 Ok(read) => {
                     let fresh = scratch.get(..read).unwrap_or_default();
-                    if let Err(flood) = self.arrivals.count(fresh, &mut *self.port) {
+                    if let Err(flood) = self.arrivals.count(fresh, &mut self.port) {
                         return Some(Err(flood));
                     }
                 }
@@ -324,11 +323,6 @@ impl Transport {
         mut work: impl FnMut(&mut Self, &mut Context<'_>) -> Poll<io::Result<T>>,
     ) -> Result<T, ExchangeError> {
         poll_fn(|cx| {
-            // Without budget, work returns `Pending` even if it is done.
-            if !has_budget_remaining() {
-                cx.waker().wake_by_ref();
-                return Poll::Pending;
-            }
             if let Poll::Ready(outcome) = work(self, cx) {
                 return Poll::Ready(outcome.map_err(|error| self.lost(Some(error))));
             }
@@ -364,6 +358,51 @@ impl Drop for Transport {
     }
 }
 
+/// Port whose calls have no part in tokio's budget. Without budget, a port that takes part returns
+/// `Pending` or `WouldBlock` even if it has bytes. The driver would take a flood for a quiet line,
+/// and a reply that is there for a missed deadline.
+struct PromptPort(Box<dyn Port>);
+
+impl PromptPort {
+    fn poll_read(
+        &mut self,
+        cx: &mut Context<'_>,
+        buffer: &mut impl BufMut,
+    ) -> Poll<io::Result<usize>> {
+        pin!(unconstrained(self.0.read_buf(buffer))).poll(cx)
+    }
+
+    fn poll_write(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        pin!(unconstrained(self.0.write(bytes))).poll(cx)
+    }
+
+    /// Reads the bytes that the port has, or returns `None` if it has no bytes.
+    fn read_if_ready(
+        &mut self,
+        cx: &mut Context<'_>,
+        mut bytes: &mut [u8],
+    ) -> Option<io::Result<usize>> {
+        match self.poll_read(cx, &mut bytes) {
+            Poll::Ready(outcome) => Some(outcome),
+            Poll::Pending => None,
+        }
+    }
+
+    /// Reads without waiting, or returns `None` if the port cannot.
+    fn try_read(&mut self, bytes: &mut [u8]) -> Option<io::Result<usize>> {
+        let hints = self.0.hints()?;
+        let read = pin!(unconstrained(poll_fn(|_| Poll::Ready(hints.try_read(bytes)))));
+        match read.poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(outcome) => outcome,
+            Poll::Pending => None,
+        }
+    }
+
+    fn hints(&mut self) -> Option<&mut dyn PortHints> {
+        self.0.hints()
+    }
+}
+
 /// Step towards a frame.
 enum FrameStep {
     Frame(Frame<usize>),
@@ -371,19 +410,6 @@ enum FrameStep {
     Pause(Instant),
     /// End of the stream.
     End,
-}
-
-/// Reads the bytes that the port has, or returns `None` if it has no bytes.
-fn read_if_ready(
-    port: &mut dyn Port,
-    cx: &mut Context<'_>,
-    bytes: &mut [u8],
-) -> Option<io::Result<usize>> {
-    let mut buffer = ReadBuf::new(bytes);
-    match Pin::new(port).poll_read(cx, &mut buffer) {
-        Poll::Ready(outcome) => Some(outcome.map(|()| buffer.filled().len())),
-        Poll::Pending => None,
-    }
 }
 
 /// Timer that is kept from one exchange to the next. With a new timer each time, tokio

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::task::coop::has_budget_remaining;
 
 use crate::BaudRate;
 use crate::port::{Port, PortHints};
@@ -20,12 +21,17 @@ pub(super) struct ScriptedPort {
     pub(super) baud_rate: Option<BaudRate>,
     /// True if it can be read only without waiting.
     pub(super) has_try_read: bool,
+    /// True if it takes part in tokio's budget: without budget, no read returns bytes.
+    pub(super) takes_budget: bool,
     /// Error of all further reads, with a count, in place of waiting.
     pub(super) refusal: Option<(ErrorKind, Arc<AtomicU64>)>,
 }
 
 impl ScriptedPort {
     fn next(&mut self, buffer: &mut ReadBuf<'_>) -> io::Result<()> {
+        if self.takes_budget && !has_budget_remaining() {
+            return Err(ErrorKind::WouldBlock.into());
+        }
         let next = self.reads.pop_front().unwrap_or_else(|| match &self.refusal {
             Some((kind, reads)) => {
                 reads.fetch_add(1, Ordering::Relaxed);

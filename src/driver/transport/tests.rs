@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
 use tokio::io::AsyncWriteExt;
+use tokio::task::coop::has_budget_remaining;
 use tokio::time::{advance, timeout};
 
 use super::super::failure::LinkError;
@@ -117,15 +118,30 @@ fn kind(outcome: Result<u64, Error>) -> ErrorKind {
     source.kind()
 }
 
+async fn use_up_budget() {
+    while has_budget_remaining() {
+        consume_budget().await;
+    }
+}
+
+#[tokio::test]
+async fn an_empty_budget_is_no_quiet_line() {
+    for has_try_read in [true, false] {
+        let reads = [Ok(vec![0; 100]), Ok(vec![0; 20])].into();
+        let port = ScriptedPort { reads, has_try_read, takes_budget: true, ..Default::default() };
+        let mut transport = on(port);
+        use_up_budget().await;
+        assert_eq!(discard(&mut transport).await.unwrap(), 120, "{has_try_read}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_late() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort::new(near));
     let deadline = transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
-    while has_budget_remaining() {
-        consume_budget().await;
-    }
+    use_up_budget().await;
     let received = transport.next_frame(deadline).await.unwrap();
     assert_eq!(received.frame, Frame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame(deadline).await;
