@@ -16,8 +16,8 @@ use instant_sensor::InstantSensor;
 use support::{cpu_time, percentile};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, sleep_until};
-use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
+use urg_emulator::{Emulator, Fixed, Pace};
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;

@@ -17,9 +17,9 @@ use support::{cpu_time, median, terminal, us};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::runtime::{Builder, Runtime};
 use tokio::time::timeout;
-use tokio_scip::emulator::{Emulator, Fixed, Pace, Pty};
 use tokio_scip::{Rate, Sensor, Window};
 use tokio_serial::SerialStream;
+use urg_emulator::{Emulator, Fixed, Pace, Pty};
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;

@@ -75,9 +75,10 @@ for name in bare service; do
 done
 
 echo "features     crates    build     CPU"
-for features in serial serial,serde serial,emulator serial,mcap urg urg,ros2 urg,zenoh; do
+for features in serial serial,serde serial,tcp urg-emulator urg-recording urg urg,dds urg,zenoh; do
     cd "$crate"
     case $features in
+    urg-*) with=(-p "$features") ;;
     urg*) with=(-p urg --features "${features#urg}") ;;
     *) with=(-p tokio-scip --no-default-features --features "$features") ;;
     esac

@@ -9,9 +9,9 @@ use std::process::{Child, Command};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pty};
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{BaudRate, Rate, Scan, Sensor, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pty};
 
 const HOUR: Duration = Duration::from_secs(3600);
 /// Measuring time on a pseudo-terminal. The driver finds the motor during `WARM_UP` before it.

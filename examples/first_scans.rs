@@ -4,8 +4,8 @@
 //! cargo run --example first_scans emulated
 //! ```
 
-use tokio_scip::emulator::Emulator;
 use tokio_scip::{Error, Rate, Sensor, Window};
+use urg_emulator::Emulator;
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Error> {

@@ -13,9 +13,9 @@ use std::sync::Arc;
 
 use tokio::io::{Join, join};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
-use tokio_scip::emulator::Emulator;
 use tokio_scip::port::{Connect, StreamPort};
 use tokio_scip::{Error, Rate, Sensor, Window};
+use urg_emulator::Emulator;
 
 /// A command of the shell, started for each link.
 pub(crate) struct Program {

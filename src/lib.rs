@@ -5,8 +5,7 @@
 //! the sensor, checks each scan against its request, and reconnects after a lost link.
 //!
 //! ```
-//! # #[cfg(feature = "emulator")] {
-//! use tokio_scip::emulator::Emulator;
+//! use urg_emulator::Emulator;
 //! use tokio_scip::{Rate, Sensor, Window};
 //!
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]
@@ -30,11 +29,9 @@
 //! # unreachable!("the stream ended");
 //! # }
 //! # main().unwrap();
-//! # }
 //! ```
 //!
-//! This runs without hardware, on the [emulated sensor](emulator::Emulator) (feature
-//! `emulator`). The URG-04LX and its contemporaries speak SCIP 1.1. Later models (UTM-30LX,
+//! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The URG-04LX and its contemporaries speak SCIP 1.1. Later models (UTM-30LX,
 //! UST-10LX) know only SCIP 2: opening one fails with [`Error::WrongProtocol`].
 //!
 //! # Where to find what
@@ -58,13 +55,18 @@
 //! | feature | adds |
 //! |---|---|
 //! | `serial` (default) | serial ports: RS-232 and USB |
+//! | `tcp` (default) | servers that pass bytes to and from a sensor, such as ser2net |
 //! | `serde` | `Serialize` for scans, windows, versions, states and counters |
-//! | `emulator` | an emulated sensor, to test your service without hardware |
-//! | `ros` | scans and diagnostics as ROS 2 messages (CDR), for your own middleware |
-//! | `mcap` | recordings that ROS 2's tools open, and their replay |
-//! | `compression` | recordings of other programs with zstd or lz4 (pure Rust); brings `mcap` |
 //!
-//! TCP, [`Sensor::attach`] and your own [`Connect`](port::Connect) need no feature.
+//! [`Sensor::attach`] and your own [`Connect`](port::Connect) need no feature.
+//!
+//! # Other crates
+//!
+//! | crate | what it is |
+//! |---|---|
+//! | `urg-emulator` | the sensor in software, to test your service without hardware |
+//! | `urg-recording` | recordings as MCAP files, their replay, and ROS 2 messages |
+//! | `urg` | the program: live view, recordings, a web page, a self-test, ROS 2 |
 //!
 //! # Cancel safety
 //!
@@ -94,14 +96,11 @@
 //!
 //! The minimum Rust version is 1.88. A Rust release becomes the minimum at the earliest half a
 //! year after it came out. That raises the second number of this crate's version.
-#![cfg_attr(not(feature = "emulator"), allow(rustdoc::broken_intra_doc_links))]
 // docs.rs builds with nightly and this cfg: each item shows the feature that it needs.
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod codec;
 mod driver;
-#[cfg(feature = "emulator")]
-pub mod emulator;
 mod error;
 pub mod event;
 #[cfg(any(doc, doctest))]
@@ -109,11 +108,7 @@ pub mod guide;
 pub mod port;
 pub mod protocol;
 mod rate;
-#[cfg(feature = "mcap")]
-pub mod recording;
 mod ring;
-#[cfg(feature = "ros")]
-pub mod ros;
 pub mod scan;
 mod sensor;
 pub mod state;

@@ -5,7 +5,6 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod common;
-mod emulator;
 mod examples;
 mod exhaustive;
 mod faults;
@@ -17,6 +16,4 @@ mod polling;
 mod ports;
 mod properties;
 mod protocol;
-#[cfg(feature = "mcap")]
-mod recording;
 mod simulation;

@@ -1,9 +1,10 @@
 //! Publishes scans over NATS as `sensor_msgs/LaserScan` in CDR, with the time of the first ray.
 //!
 //! Keeps at most one scan: while the server is away it waits, then continues with the newest.
-//! Needs async-nats 0.51, tokio, and tokio-scip with the feature `ros`.
+//! Needs async-nats 0.51, tokio, tokio-scip and urg-recording.
 
-use tokio_scip::{Rate, Sensor, Window, ros};
+use tokio_scip::{Rate, Sensor, Window};
+use urg_recording::ros;
 
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -1,8 +1,8 @@
 //! The sensor that an argument names: a port, or `emulated` for one in software. A service
 //! of yours needs only `builder.open(port)`.
 
-use tokio_scip::emulator::{Emulator, Room};
 use tokio_scip::{Error, Sensor, SensorBuilder};
+use urg_emulator::{Emulator, Room};
 
 /// Returns an argument of the program, without the program's name.
 #[allow(dead_code, reason = "not each example takes just one port")]

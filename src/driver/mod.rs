@@ -40,8 +40,6 @@ pub use self::observers::ReplyObservation;
 use self::observers::ReplyObservers;
 use self::request::{QueuedRequest, RequestQueue};
 pub(crate) use self::request::{Request, Responder};
-#[cfg(feature = "mcap")]
-pub(crate) use self::session::is_widened;
 use self::supervisor::Supervisor;
 use crate::Error;
 use crate::port::AnyConnect;

@@ -14,9 +14,8 @@
 //! 9. [`logging`]: what is logged, and what to attach to a report
 //! 10. [`common_issues`]: messages and symptoms, their causes and remedies
 //! 11. [`recipes`]: programs for common uses of a scanner
-//! 12. [`recording`]: how a service records a sensor and replays it
-//! 13. [`design`]: how the crate is built
-//! 14. [`rationale`]: why it is built so: decisions, alternatives, evidence
+//! 12. [`design`]: how the crate is built
+//! 13. [`rationale`]: why it is built so: decisions, alternatives, evidence
 
 macro_rules! chapters {
     ($($name:ident)*) => {
@@ -37,6 +36,6 @@ macro_rules! chapters {
 }
 
 chapters! {
-    polling trust recovery baud_rates geometry time testing operating logging common_issues recipes recording
-    design rationale
+    polling trust recovery baud_rates geometry time testing operating logging common_issues recipes design
+    rationale
 }

@@ -39,14 +39,12 @@ impl<C: Connect> AnyConnect for C {
 /// [`Connect`] of any type, made by [`Connect::boxed`].
 ///
 /// ```
-/// # #[cfg(feature = "emulator")] {
-/// use tokio_scip::emulator::Emulator;
+/// use urg_emulator::Emulator;
 /// use tokio_scip::port::{BoxConnect, Connect, Endpoint};
 ///
 /// let tcp: Endpoint = "tcp://robot:10940?baud=115200".parse()?;
 /// let connectors: [BoxConnect; 2] = [tcp.into_connector().boxed(), Emulator::default().boxed()];
 /// # assert_eq!(connectors[0].name(), Some("tcp://robot:10940?baud=115200"));
-/// # }
 /// # Ok::<(), tokio_scip::Error>(())
 /// ```
 pub struct BoxConnect(Box<dyn AnyConnect>);

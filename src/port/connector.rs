@@ -1,13 +1,17 @@
 //! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each
 //! loss of the link.
 
-use super::{Connect, ConnectHints, Endpoint, Port, TcpPort};
+#[cfg(feature = "tcp")]
+use super::TcpPort;
+use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
     serial::SerialOpener,
 };
-use crate::{BaudRate, Error};
+#[cfg(feature = "tcp")]
+use crate::BaudRate;
+use crate::Error;
 
 /// [`Connect`] for the port that an [`Endpoint`] names, made by
 /// [`Endpoint::into_connector`].
@@ -31,18 +35,22 @@ pub struct EndpointConnector {
 #[derive(Debug)]
 enum Route {
     #[cfg(feature = "serial")]
-    Serial {
-        path: String,
-        opener: SerialOpener,
-    },
+    Serial { path: String, opener: SerialOpener },
     #[cfg(feature = "serial")]
     SerialNumber(Search<SystemPorts>),
-    Tcp {
-        host: String,
-        port: u16,
-        baud_rate: BaudRate,
-    },
+    #[cfg(feature = "tcp")]
+    Tcp { host: String, port: u16, baud_rate: BaudRate },
+    /// This build cannot open the endpoint, for this reason.
+    #[cfg(not(all(feature = "serial", feature = "tcp")))]
+    Missing(&'static str),
 }
+
+#[cfg(not(feature = "serial"))]
+const NO_SERIAL: &str =
+    "this program was built without the feature `serial` of tokio-scip, which serial ports need";
+#[cfg(not(feature = "tcp"))]
+const NO_TCP: &str =
+    "this program was built without the feature `tcp` of tokio-scip, which TCP needs";
 
 impl Endpoint {
     /// Converts the endpoint into a connector, which reopens its port after each loss of
@@ -62,7 +70,12 @@ impl EndpointConnector {
             Endpoint::SerialNumber(number) => {
                 Route::SerialNumber(Search::new(number, SystemPorts::default()))
             }
+            #[cfg(not(feature = "serial"))]
+            Endpoint::Serial(_) | Endpoint::SerialNumber(_) => Route::Missing(NO_SERIAL),
+            #[cfg(feature = "tcp")]
             Endpoint::Tcp { host, port, baud_rate } => Route::Tcp { host, port, baud_rate },
+            #[cfg(not(feature = "tcp"))]
+            Endpoint::Tcp { .. } => Route::Missing(NO_TCP),
         };
         Self { route, name }
     }
@@ -77,8 +90,13 @@ impl Connect for EndpointConnector {
             Route::Serial { path, opener } => Ok(Box::new(opener.open(path).await?)),
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => Ok(Box::new(search.next_port().await?)),
+            #[cfg(feature = "tcp")]
             Route::Tcp { host, port, baud_rate } => {
                 Ok(Box::new(TcpPort::connect(host, *port, *baud_rate).await?))
+            }
+            #[cfg(not(all(feature = "serial", feature = "tcp")))]
+            Route::Missing(reason) => {
+                Err(Error::InvalidEndpoint { text: self.name.clone(), reason })
             }
         }
     }

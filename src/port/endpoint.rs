@@ -16,7 +16,8 @@ use crate::{BaudRate, Error};
 /// | `tcp://bridge:4001` | a raw TCP bridge to a serial port at 19,200 baud |
 /// | `tcp://[fe80::1%eth0]:4001?baud=115200` | the same by IPv6, with a port at 115,200 baud |
 ///
-/// The first two need the feature `serial`. [`Display`](fmt::Display) writes a parsed endpoint as
+/// Every endpoint can be named and parsed; opening it needs the feature `serial` or `tcp`.
+/// [`Display`](fmt::Display) writes a parsed endpoint as
 /// a text that parses to the same endpoint. Fields that you set yourself are not checked, and their
 /// text may not parse.
 ///
@@ -38,11 +39,9 @@ use crate::{BaudRate, Error};
 #[non_exhaustive]
 pub enum Endpoint {
     /// A serial port, by its path (Unix) or name (Windows).
-    #[cfg(feature = "serial")]
     Serial(String),
     /// Sensor with this serial number, on any port with the USB id of URG sensors. Skips busy
     /// ports.
-    #[cfg(feature = "serial")]
     SerialNumber(String),
     /// TCP server that passes bytes to and from a sensor unchanged.
     Tcp {
@@ -61,9 +60,7 @@ const DEFAULT_BRIDGE_BAUD_RATE: BaudRate = BaudRate::B19200;
 impl fmt::Display for Endpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            #[cfg(feature = "serial")]
             Self::Serial(path) => f.write_str(path),
-            #[cfg(feature = "serial")]
             Self::SerialNumber(number) => write!(f, "serial:{number}"),
             Self::Tcp { host, port, baud_rate } => {
                 if host.contains(':') {
@@ -123,14 +120,14 @@ impl TryFrom<&Path> for Endpoint {
     /// # Errors
     ///
     /// Fails with [`Error::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a control
-    /// character, and without the feature `serial`.
+    /// character.
     fn try_from(path: &Path) -> Result<Self, Error> {
         let endpoint = match path.to_str() {
             Some("") => Err(EMPTY),
             Some(path) if path.contains(char::is_control) => {
                 Err("remove the control characters from the path")
             }
-            Some(path) => device(path),
+            Some(path) => Ok(Self::Serial(path.to_owned())),
             None => Err("a path to a serial port must be UTF-8"),
         };
         let text = || path.display().to_string();
@@ -192,10 +189,9 @@ fn parse(text: &str) -> Parsed {
     if !text.contains(['/', '\\']) && text.rsplit_once(':').is_some_and(|(_, end)| is_number(end)) {
         return Err("expected tcp://HOST:PORT for a TCP address");
     }
-    device(text)
+    Ok(Endpoint::Serial(text.to_owned()))
 }
 
-#[cfg(feature = "serial")]
 fn serial_number(number: &str) -> Parsed {
     if number.is_empty() {
         return Err("expected a serial number after serial:, as in serial:H0713090");
@@ -205,25 +201,6 @@ fn serial_number(number: &str) -> Parsed {
     }
     Ok(Endpoint::SerialNumber(number.to_owned()))
 }
-
-#[cfg(feature = "serial")]
-fn device(path: &str) -> Parsed {
-    Ok(Endpoint::Serial(path.to_owned()))
-}
-
-#[cfg(not(feature = "serial"))]
-fn serial_number(_number: &str) -> Parsed {
-    Err(NO_SERIAL)
-}
-
-#[cfg(not(feature = "serial"))]
-fn device(_path: &str) -> Parsed {
-    Err(NO_SERIAL)
-}
-
-#[cfg(not(feature = "serial"))]
-const NO_SERIAL: &str =
-    "this program was built without the feature `serial` of tokio-scip, which serial ports need";
 
 fn parse_tcp(address: &str) -> Parsed {
     let (authority, baud_rate) = match address.split_once('?') {

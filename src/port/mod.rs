@@ -24,6 +24,7 @@
 mod any_connect;
 mod attached;
 mod connector;
+#[cfg(feature = "tcp")]
 mod dial;
 mod endpoint;
 mod hints;
@@ -36,6 +37,7 @@ mod search;
 #[cfg(feature = "serial")]
 mod serial;
 mod stream_port;
+#[cfg(feature = "tcp")]
 mod tcp;
 #[cfg(all(feature = "serial", unix))]
 mod tty;
@@ -59,6 +61,7 @@ pub use list::{PortInfo, UsbId, list};
 #[cfg(feature = "serial")]
 pub use serial::SerialPort;
 pub use stream_port::StreamPort;
+#[cfg(feature = "tcp")]
 pub use tcp::TcpPort;
 
 /// Byte stream to a sensor.
@@ -115,7 +118,7 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// Opens a port: at the start, and again after each loss of the link.
 ///
 /// ```
-/// # #[cfg(all(unix, feature = "emulator"))] {
+/// # #[cfg(unix)] {
 /// use std::path::PathBuf;
 /// use std::sync::Arc;
 /// use tokio::net::UnixStream;
@@ -144,7 +147,7 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// # let path = folder.join("sensor");
 /// # let listener = tokio::net::UnixListener::bind(&path)?;
 /// # tokio::spawn(async move {
-/// #     let emulator = tokio_scip::emulator::Emulator::default();
+/// #     let emulator = urg_emulator::Emulator::default();
 /// #     while let Ok((client, _)) = listener.accept().await {
 /// #         let _ = emulator.serve(client).await;
 /// #     }
@@ -196,10 +199,10 @@ pub trait Connect: Send + 'static {
 /// Closure that opens a port.
 ///
 /// ```
-/// # #[cfg(all(unix, feature = "emulator"))] {
+/// # #[cfg(unix)] {
 /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
 /// # async fn main() -> Result<(), tokio_scip::Error> {
-/// # let emulator = tokio_scip::emulator::Emulator::default();
+/// # let emulator = urg_emulator::Emulator::default();
 /// use tokio_scip::Sensor;
 ///
 /// let sensor = Sensor::builder().connect(move || {

@@ -84,7 +84,7 @@ impl Specification {
     /// URG-04LX it is [`Window::DETECTION`].
     ///
     /// ```
-    /// # use tokio_scip::emulator::Emulator;
+    /// # use urg_emulator::Emulator;
     /// use tokio_scip::{Sensor, Window};
     ///
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]

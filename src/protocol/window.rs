@@ -254,8 +254,33 @@ impl Window {
     }
 
     /// The driver adds at most this many points to a poll, so that it differs from the
-    /// previous ones. A replay recognises such polls.
+    /// previous ones.
     pub(crate) const MAX_EXTRA_POINTS: u16 = 3;
+
+    /// Returns true if the driver may poll `asked` to get the scans of this window: the same
+    /// steps, or up to three more points in front or at the end, which make the echoes of
+    /// successive polls differ. Finds the replies of a stream among all replies, as
+    /// [`on_reply`](crate::SensorBuilder::on_reply) observes them.
+    pub fn is_polled_as(&self, asked: Window) -> bool {
+        let mut widened = (0..=Self::MAX_EXTRA_POINTS).filter_map(|points| self.widened(points));
+        widened.any(|(window, _)| window == asked)
+    }
+
+    /// Adds `points` points in front or, without room there, at the end. Also returns the number
+    /// of points to skip in front. Returns `None` if neither side has room. The points of this
+    /// window are the same in the wider one.
+    pub(crate) fn widened(&self, points: u16) -> Option<(Self, usize)> {
+        let (start, end) = (self.start.number(), self.end.number());
+        let steps = points.saturating_mul(u16::from(self.cluster_count));
+        let (steps, first) = match start.checked_sub(steps) {
+            Some(start) => (start..=end, usize::from(points)),
+            // Steps after the end would fill up a partial last cluster.
+            None if !self.steps().is_multiple_of(self.cluster_count.into()) => return None,
+            None => (start..=end.saturating_add(steps), 0),
+        };
+        let window = Self::new(steps).ok()?.with_cluster_count(self.cluster_count).ok()?;
+        Some((window, first))
+    }
 
     /// Creates the window of one step.
     pub(crate) const fn single(step: u16) -> Self {
@@ -325,5 +350,58 @@ mod tests {
     fn a_single_step_is_a_window_of_one_point() {
         assert_eq!(Window::single(5), window(5, 5, 1));
         assert_eq!(Window::single(u16::MAX), window(768, 768, 1));
+    }
+
+    /// First and last step of every point.
+    fn points(window: Window) -> Vec<(u16, u16)> {
+        let (end, cluster) = (window.end().number(), u16::from(window.cluster_count()));
+        (window.start().number()..=end)
+            .step_by(usize::from(cluster))
+            .map(|first| (first, end.min(first + cluster - 1)))
+            .collect()
+    }
+
+    #[test]
+    fn a_widened_window_keeps_the_points() {
+        let mut refused = 0;
+        for start in 0..=768 {
+            for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
+                if end < start || end > 768 {
+                    continue;
+                }
+                for cluster_count in [1, 2, 4, 5, 99] {
+                    for added in 0..4 {
+                        let narrow = window(start, end, cluster_count);
+                        let Some((wide, skip)) = narrow.widened(added) else {
+                            refused += 1;
+                            continue;
+                        };
+                        assert_eq!(wide.points(), narrow.points() + usize::from(added));
+                        let kept = points(wide).into_iter().skip(skip).take(narrow.points());
+                        assert!(kept.eq(points(narrow)), "{narrow} by {added}");
+                    }
+                }
+            }
+        }
+        assert!(refused > 0);
+    }
+
+    #[test]
+    fn a_window_with_room_has_four_echoes() {
+        for narrow in [Window::DETECTION, window(0, 765, 1), window(12, 768, 4), window(3, 768, 1)]
+        {
+            let echoes: Vec<Window> =
+                (0..4).filter_map(|added| narrow.widened(added)).map(|(wide, _)| wide).collect();
+            assert_eq!(echoes.len(), 4, "{narrow}");
+            for (index, echo) in echoes.iter().enumerate() {
+                assert!(!echoes.iter().skip(index + 1).any(|other| other == echo), "{narrow}");
+            }
+        }
+        assert_eq!(Window::FULL.widened(1), None);
+        assert_eq!(window(2, 767, 1).widened(3), None);
+        // Steps after the end would fill up the partial last cluster.
+        assert_eq!(window(0, 10, 4).widened(1), None);
+        assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
+        assert_eq!(window(0, 98, 99).widened(u16::MAX), None);
     }
 }

@@ -189,7 +189,8 @@ impl SensorBuilder {
     /// set several; they are called in order. To observe a sensor that is already open, use [`Sensor::observe_replies`].
     ///
     /// ```
-    /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
+    /// # use tokio_scip::{Sensor, Window};
+    /// # use urg_emulator::Emulator;
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), tokio_scip::Error> {
     /// let (sender, mut replies) = tokio::sync::mpsc::unbounded_channel();

@@ -195,7 +195,8 @@ impl Sensor {
     /// on another thread may return after that.
     ///
     /// ```
-    /// # use tokio_scip::{Sensor, Window, emulator::Emulator};
+    /// # use tokio_scip::{Sensor, Window};
+    /// # use urg_emulator::Emulator;
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), tokio_scip::Error> {
     /// let sensor = Sensor::builder().connect(Emulator::default()).await?;

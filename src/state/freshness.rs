@@ -18,7 +18,7 @@ use crate::{Error, ErrorChain};
 /// `error`, the text of the error and its causes, or null.
 ///
 /// ```
-/// # use tokio_scip::emulator::Emulator;
+/// # use urg_emulator::Emulator;
 /// use std::time::Duration;
 /// use tokio_scip::{ErrorChain, Rate, Sensor, Window};
 ///

@@ -2,7 +2,7 @@
 //! change, and [`Freshness`] to check against a limit.
 //!
 //! ```
-//! # use tokio_scip::emulator::Emulator;
+//! # use urg_emulator::Emulator;
 //! use std::time::Duration;
 //! use tokio_scip::{Sensor, Window};
 //!

@@ -17,7 +17,7 @@ use crate::Error;
 /// final.
 ///
 /// ```
-/// # use tokio_scip::emulator::Emulator;
+/// # use urg_emulator::Emulator;
 /// use tokio_scip::{Sensor, State};
 ///
 /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
@@ -103,7 +103,7 @@ impl StateWatch {
     /// [`Sensor::close`](crate::Sensor::close) and after you drop the last handle.
     ///
     /// ```
-    /// # use tokio_scip::emulator::Emulator;
+    /// # use urg_emulator::Emulator;
     /// # use tokio_scip::Sensor;
     /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
     /// # async fn main() -> Result<(), tokio_scip::Error> {

@@ -2,7 +2,7 @@
 //! copy from [`Sensor::stats`](crate::Sensor::stats).
 //!
 //! ```
-//! # use tokio_scip::emulator::Emulator;
+//! # use urg_emulator::Emulator;
 //! use tokio_scip::{Rate, Sensor, Window};
 //!
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]

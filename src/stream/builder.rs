@@ -7,7 +7,7 @@ use crate::{Error, Rate, Window};
 /// Builder of a [`ScanStream`]; made by [`Sensor::stream`](crate::Sensor::stream).
 ///
 /// ```
-/// # use tokio_scip::emulator::Emulator;
+/// # use urg_emulator::Emulator;
 /// use tokio_scip::{Rate, Sensor, Window};
 ///
 /// # #[tokio::main(flavor = "current_thread", start_paused = true)]

@@ -1,7 +1,7 @@
 //! Streams of scans: [`ScanStream`], its settings, and the scans without the errors.
 //!
 //! ```
-//! # use tokio_scip::emulator::Emulator;
+//! # use urg_emulator::Emulator;
 //! use tokio_scip::{Rate, Sensor, Window};
 //!
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]

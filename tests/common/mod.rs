@@ -14,9 +14,9 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
 use tokio_scip::port::{Connect, Port};
 use tokio_scip::{Error, Scan, Sensor, SensorBuilder};
+use urg_emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
 
 /// The value at `step`: one of three digits, base 4000, of the request's number. The
 /// digits repeat every three steps, so any window of three steps holds the whole number.

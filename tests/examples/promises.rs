@@ -6,10 +6,8 @@ use std::time::Duration;
 
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep, timeout};
-use tokio_scip::emulator::{
-    Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, World, WorldTime,
-};
 use tokio_scip::{Sensor, State};
+use urg_emulator::{Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, World, WorldTime};
 
 use crate::common::{limit::limit, ms};
 

@@ -1,83 +1,9 @@
 //! Each program in `examples/` runs on emulated sensors, in real time, and prints or serves
 //! what it promises.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::Command;
 
-use crate::common::limit::limit;
-
-/// An example that runs, and is killed when it is dropped.
-struct Example {
-    child: Child,
-    lines: BufReader<ChildStdout>,
-}
-
-impl Example {
-    fn run(name: &str, arguments: &[&str]) -> Self {
-        limit();
-        // `cargo test` builds them before it runs tests, into the folder beside theirs.
-        let tests = std::env::current_exe().unwrap();
-        let examples = tests.parent().unwrap().parent().unwrap().join("examples");
-        let mut command = Command::new(examples.join(name));
-        let child = command.args(arguments).stdout(Stdio::piped()).spawn();
-        // `cargo test --test it` does not build them.
-        let mut child = child.expect("run `cargo build --examples --features mcap` first");
-        let lines = BufReader::new(child.stdout.take().unwrap());
-        Self { child, lines }
-    }
-
-    /// Returns the next line of its output.
-    fn line(&mut self) -> String {
-        let mut line = String::new();
-        assert!(self.lines.read_line(&mut line).unwrap() > 0, "no more lines");
-        line.trim_end().to_owned()
-    }
-
-    /// Returns the first line that contains `text`.
-    fn line_with(&mut self, text: &str) -> String {
-        std::iter::repeat_with(|| self.line()).find(|line| line.contains(text)).unwrap()
-    }
-
-    /// Waits for its end with success.
-    fn end(mut self) {
-        assert!(self.child.wait().unwrap().success());
-    }
-}
-
-impl Drop for Example {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// Returns the answer to a `GET` of an address such as `http://127.0.0.1:8081/nearest`, head
-/// and body.
-fn get(url: &str) -> String {
-    request("GET", url)
-}
-
-/// Returns the answer to a request.
-fn request(method: &str, url: &str) -> String {
-    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
-    let mut client = TcpStream::connect(host).unwrap();
-    write!(client, "{method} /{path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n")
-        .unwrap();
-    let mut answer = String::new();
-    client.read_to_string(&mut answer).unwrap();
-    answer
-}
-
-/// Asks until the answer contains `text`: the service may be waiting for its first scan.
-fn get_until(url: &str, text: &str) -> String {
-    std::iter::repeat_with(|| get(url)).find(|answer| answer.contains(text)).unwrap()
-}
-
-/// Returns the address at the end of a line.
-fn address(line: &str) -> &str {
-    line.rsplit(' ').next().unwrap()
-}
+use super::example::{Example, address, get, get_until};
 
 #[test]
 fn the_first_program_prints_a_line_for_each_scan() {
@@ -112,54 +38,6 @@ fn the_safety_stop_begins_with_a_stop_and_drives_in_a_clear_room() {
     let mut example = Example::run("safety_stop", &["emulated"]);
     assert_eq!(example.line(), "stops within 650ms of an obstacle, 500ms after the last good scan");
     assert_eq!([example.line(), example.line()], ["stop", "drive"]);
-}
-
-#[cfg(feature = "mcap")]
-#[test]
-fn what_was_recorded_is_read_back() {
-    let path = std::env::temp_dir().join(format!("scip-example-{}.mcap", std::process::id()));
-    let mut example = Example::run("record_and_read", &["emulated", path.to_str().unwrap()]);
-    let (live, recorded) = (example.line(), example.line());
-    assert!(live.contains(" 20 scans, "), "{live}");
-    assert_eq!(live.split_once(' ').unwrap().1.trim(), recorded.split_once(' ').unwrap().1);
-    example.end();
-    std::fs::remove_file(path).unwrap();
-}
-
-/// The client that streams is there before the recording and after it.
-#[cfg(feature = "mcap")]
-#[test]
-fn one_sensor_is_served_streamed_and_recorded_at_once() {
-    let folder = std::env::temp_dir().join(format!("scip-served-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let arguments = ["emulated", folder.to_str().unwrap(), "127.0.0.1:0"];
-    let mut example = Example::run("serve_and_record", &arguments);
-    let line = example.line();
-    let nearest = address(&line);
-    assert!(get_until(nearest, " 200 ").contains("\"nearest\":"));
-    let (host, _) = nearest.strip_prefix("http://").unwrap().split_once('/').unwrap();
-    let mut client = BufReader::new(TcpStream::connect(host).unwrap());
-    write!(client.get_mut(), "GET /scans HTTP/1.1\r\nHost: {host}\r\n\r\n").unwrap();
-    let mut scans = client.lines().map(Result::unwrap).filter(|line| line.starts_with("{\"scan"));
-    scans.next().unwrap();
-
-    let recording = nearest.replace("nearest", "recording");
-    let begun = request("POST", &recording);
-    assert!(begun.contains(" 200 "), "{begun}");
-    assert!(request("POST", &recording).contains(" 409 "));
-    scans.by_ref().take(5).for_each(drop);
-    assert!(get(nearest).contains(" 200 "));
-    let ended = request("DELETE", &recording);
-    assert!(ended.contains(" 200 "), "{ended}");
-    let count: usize = ended.trim_end().rsplit(['\n', ' ']).nth(1).unwrap().parse().unwrap();
-    scans.next().unwrap();
-
-    let path = begun.trim_end().rsplit('\n').next().unwrap();
-    let recorded = tokio_scip::recording::Recording::open(path).unwrap().scans();
-    let recorded = recorded.filter(Result::is_ok).count();
-    // The replies have scans that were on their way to the recorder when it ended.
-    assert!(count > 0 && recorded >= count, "{recorded} of {count}");
-    std::fs::remove_dir_all(folder).unwrap();
 }
 
 #[test]

@@ -18,8 +18,8 @@ use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use tokio::task::yield_now;
 use tokio::time::timeout;
-use tokio_scip::emulator::{Emulator, Pace};
 use tokio_scip::{Error, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Pace};
 
 use super::chooser::Chooser;
 use super::setting;

@@ -3,10 +3,10 @@
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
-use tokio_scip::emulator::{Emulator, Fault};
 use tokio_scip::protocol::{Command, Malformed, Reply};
 use tokio_scip::{Error, Rate, Window};
 use tokio_util::codec::Decoder;
+use urg_emulator::{Emulator, Fault};
 
 use super::rig::{Outcome, instant_sensor, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::FaultyLink;
@@ -118,7 +118,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
     let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
     scans(&mut stream, 1).await;
     let sent = emulator.counts().scans;
-    emulator.set_faults(tokio_scip::emulator::Faults::none().at(0, Fault::Flip(at, 1 << bit)));
+    emulator.set_faults(urg_emulator::Faults::none().at(0, Fault::Flip(at, 1 << bit)));
     let next = scans(&mut stream, 2).await;
     assert!(request_of(&next[1]).is_some(), "the scan after the damaged one is wrong, too");
     // The damaged reply is that of the first scan, or it was refused.
@@ -160,7 +160,7 @@ async fn w03_w04_w08_w11_w13_each_bit_flipped() {
 
 #[tokio::test(start_paused = true)]
 async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
-    use tokio_scip::emulator::{Faults, Fixed, Pace};
+    use urg_emulator::{Faults, Fixed, Pace};
     // 26 * 64 + 26 is sent as "JJ", and one flipped bit makes an LF of a 'J'.
     let emulator =
         Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
@@ -221,7 +221,7 @@ async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
-    let faults = tokio_scip::emulator::Faults::none();
+    let faults = urg_emulator::Faults::none();
     // Two places in the same line, 20 bytes or ten points apart.
     let faults = faults.at(0, Fault::Drop(20..21)).at(0, Fault::Insert(40, vec![b'0']));
     emulator.set_faults(faults);

@@ -5,9 +5,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{BaudRate, Error, Measurement, Rate, Window};
+use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 
 use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
 use crate::common::{builder, ms, request_of};

@@ -8,11 +8,11 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::port::Connect;
 use tokio_scip::{Driver, Error, Rate, Window};
 use tracing::field::{Field, Visit};
 use tracing::span;
+use urg_emulator::{Emulator, Fault, Faults, Link};
 
 use super::rig::{instant_sensor, open, scans, streaming};
 use crate::common::builder;

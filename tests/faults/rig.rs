@@ -1,7 +1,7 @@
 //! An emulated sensor, a stream of its scans, and a fault in the middle of the stream.
 
-use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Stats, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
 use crate::common::{Truth, builder, truthful};
 

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Link};
 
 use super::rig::{instant_sensor, scans, streaming, wrong_scans};
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};

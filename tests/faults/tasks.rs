@@ -7,9 +7,9 @@ use std::time::Duration;
 use futures::FutureExt;
 use tokio::io::AsyncWriteExt;
 use tokio::runtime::Builder;
-use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults};
 
 use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
 use crate::common::endless_port::EndlessPort;

@@ -3,9 +3,9 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Pace, Verdict};
 use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use urg_emulator::{EmptyCommand, Fault, Faults, Pace, Verdict};
 
 use super::rig::{instant_sensor, open, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
-use tokio_scip::emulator::{EmptyCommand, Fault, Faults, Mode};
 use tokio_scip::protocol::Malformed;
 use tokio_scip::{Error, Rate, State, Window};
+use urg_emulator::{EmptyCommand, Fault, Faults, Mode};
 
 use super::rig::{instant_sensor, scans, second_poll, streaming, wrong_scans};
 use crate::common::{builder, ms};

@@ -31,7 +31,7 @@ flags='["-Cpasses=sancov-module","-Cllvm-args=-sanitizer-coverage-level=4"'
 flags+=',"-Cllvm-args=-sanitizer-coverage-inline-8bit-counters"'
 flags+=',"-Cllvm-args=-sanitizer-coverage-pc-table"]'
 options=(--release --locked -Zprofile-rustflags)
-for crate in tokio-scip tokio-scip-fuzz mcap; do
+for crate in tokio-scip urg-emulator urg-recording tokio-scip-fuzz mcap; do
     options+=(--config "profile.release.package.$crate.rustflags=$flags")
 done
 for setting in debug-assertions=true overflow-checks=true codegen-units=1; do

@@ -4,7 +4,6 @@
 use std::fmt::Debug;
 
 use futures::stream::{FusedStream, Stream};
-use tokio_scip::emulator::Emulator;
 use tokio_scip::port::Connect;
 use tokio_scip::port::StreamPort;
 use tokio_scip::scan::Zone;
@@ -13,6 +12,7 @@ use tokio_scip::{
     Driver, Endpoint, Error, Point, Rate, Scan, ScanStream, Sensor, SensorBuilder, State, Stats,
     Version, Window,
 };
+use urg_emulator::Emulator;
 
 fn shared<T: Send + Sync + Unpin + Debug + 'static>() {}
 fn sent<T: Send + 'static>(_: &T) {}

@@ -10,8 +10,8 @@ use futures::FutureExt;
 use crate::common::limit::limit;
 use crate::link::reconnect::open;
 use tokio::runtime;
-use tokio_scip::emulator::Emulator;
 use tokio_scip::{Rate, Window};
+use urg_emulator::Emulator;
 
 #[test]
 fn scans_go_on_while_the_state_is_borrowed() {

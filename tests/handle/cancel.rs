@@ -5,8 +5,8 @@ use std::pin::pin;
 use std::task::Poll;
 
 use crate::common::{builder, truthful};
-use tokio_scip::emulator::{Emulator, Verdict};
 use tokio_scip::{BaudRate, Driver, Rate, Sensor, Window};
+use urg_emulator::{Emulator, Verdict};
 
 /// Runs the driver step by step, and drops the future that `ask` makes after `steps` of
 /// them. Returns whether it had finished by then.

@@ -2,9 +2,9 @@
 
 use std::process::Command as Process;
 
-use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::port::StreamPort;
 use tokio_scip::{Error, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults};
 
 use crate::common::{ConnectFn, builder, ms};
 

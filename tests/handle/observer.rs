@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex};
 
-use tokio_scip::emulator::{Emulator, Fault, Faults, Fixed};
 use tokio_scip::protocol::Command;
 use tokio_scip::{Sensor, Window};
+use urg_emulator::{Emulator, Fault, Faults, Fixed};
 
 #[tokio::test(start_paused = true)]
 async fn the_observer_receives_valid_malformed_and_foreign_replies_and_fences() {

@@ -8,8 +8,8 @@ use crate::common::limit::limit;
 use crate::common::{ConnectFn, builder};
 use crate::link::reconnect::open;
 use tokio::runtime;
-use tokio_scip::emulator::{Emulator, Pace};
 use tokio_scip::{Error, State, Window};
+use urg_emulator::{Emulator, Pace};
 
 /// Panics when a scan is asked for.
 struct PanicAtScan;

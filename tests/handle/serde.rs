@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
-use tokio_scip::emulator::{Emulator, Values, WorldTime};
 use tokio_scip::port::UsbId;
 use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
+use urg_emulator::{Emulator, Values, WorldTime};
 
 /// A distance, an error code for nothing in range, one for no echo, and saturation.
 async fn sensor() -> (Sensor, Emulator) {

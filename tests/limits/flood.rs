@@ -11,9 +11,9 @@ use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::timeout;
-use tokio_scip::emulator::{Emulator, Link};
 use tokio_scip::port::{Connect, PortHints};
 use tokio_scip::{Error, Rate, Window};
+use urg_emulator::{Emulator, Link};
 
 /// A link to a sensor. Once `open` is set, it delivers `pattern` without an end, and
 /// reading never waits.

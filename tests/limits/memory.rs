@@ -9,9 +9,9 @@ use crate::common::{ConnectFn, builder};
 use allocation_counter::{AllocationInfo, measure};
 use futures::StreamExt;
 use tokio::runtime::Runtime;
-use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::port::Connect;
 use tokio_scip::{Rate, Sensor, Window};
+use urg_emulator::{Emulator, Fixed, Pace};
 
 /// The limit for one sensor, including its task and streams.
 const LIMIT: u64 = 32 * 1024;

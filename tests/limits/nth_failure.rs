@@ -9,9 +9,9 @@ use std::time::Duration;
 use crate::common::faulty_link::{Call, CallCounter, FaultyLink, LinkFailure};
 use crate::common::{ConnectFn, builder, request_of, truthful};
 use tokio::time::{Instant, timeout};
-use tokio_scip::emulator::{Emulator, Pace};
 use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
+use urg_emulator::{Emulator, Pace};
 
 /// A small window, whose reply arrives in few reads.
 fn window() -> Window {

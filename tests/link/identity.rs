@@ -6,8 +6,8 @@ use std::time::Duration;
 use super::reconnect::open;
 use crate::common::{ConnectFn, builder, truthful};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 #[tokio::test(start_paused = true)]
 async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {

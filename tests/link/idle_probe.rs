@@ -5,9 +5,9 @@ use std::time::Duration;
 use crate::common::ConnectFn;
 use crate::common::hooked::{Hooked, Hooks};
 use tokio::time::{Instant, sleep};
-use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Link};
 
 const S: Duration = Duration::from_secs(1);
 

@@ -4,11 +4,11 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::time::sleep;
-use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{Error, Rate, State, Window};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
+use urg_emulator::{Emulator, Fault, Faults};
 
 use crate::common::{ConnectFn, builder};
 use crate::polling::fresh::sensor;

@@ -11,9 +11,9 @@ use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Mode};
 use tokio_scip::port::StreamPort;
 use tokio_scip::{BaudRate, Error, Sensor, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Mode};
 
 async fn fails(emulator: &Emulator) -> Error {
     builder().connect(emulator.clone()).await.unwrap_err()
@@ -239,7 +239,7 @@ async fn another_sensor_than_the_expected_one_is_refused() {
 
 #[tokio::test(start_paused = true)]
 async fn t05_o07_half_a_command_and_old_replies_of_the_last_program_are_harmless() {
-    use tokio_scip::emulator::EmptyCommand;
+    use urg_emulator::EmptyCommand;
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         let emulator = truthful().empty_command(empty).build();
         let mut link = emulator.link();
@@ -253,7 +253,7 @@ async fn t05_o07_half_a_command_and_old_replies_of_the_last_program_are_harmless
 
 #[tokio::test(start_paused = true)]
 async fn o11_a_bridge_has_one_baud_rate_and_the_sensor_keeps_it() {
-    use tokio_scip::emulator::Link;
+    use urg_emulator::Link;
     struct Bridge(Emulator, BaudRate);
     impl tokio_scip::port::Connect for Bridge {
         type Port = Link;
@@ -384,7 +384,7 @@ async fn several_ports_are_tried_in_turn_until_one_is_accepted() {
 async fn a_new_port_that_denies_permission_for_a_moment_is_opened() {
     struct Plugged(Emulator, usize);
     impl tokio_scip::port::Connect for Plugged {
-        type Port = tokio_scip::emulator::Link;
+        type Port = urg_emulator::Link;
         async fn connect(&mut self) -> Result<Self::Port, Error> {
             let port = || "/dev/ttyACM0".to_owned();
             self.1 += 1;

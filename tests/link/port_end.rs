@@ -11,9 +11,9 @@ use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{sleep, timeout};
-use tokio_scip::emulator::{Emulator, Fault, Faults, Link};
 use tokio_scip::port::{Connect, Port, PortHints};
 use tokio_scip::{BaudRate, Error, Rate, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Link};
 
 /// What a port that is over answers.
 #[derive(Clone, Copy)]

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::common::{Truth, builder, ms, truthful};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 pub(crate) async fn open(emulator: &Emulator) -> Sensor {
     builder().connect(emulator.clone()).await.unwrap()

@@ -1,9 +1,9 @@
 //! Laser and baud rate: set, confirmed, and restored.
 
 use crate::common::{builder, ms, truthful};
-use tokio_scip::emulator::{Emulator, Fault, Faults, Firmware, Pace};
 use tokio_scip::protocol::Command;
 use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Pace};
 
 async fn open(emulator: &Emulator) -> Sensor {
     builder().connect(emulator.clone()).await.unwrap()

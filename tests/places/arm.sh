@@ -34,9 +34,9 @@ fi
 export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUTES=60
 kinds=(--workspace --lib --bins --tests) names=("$@")
 if [ "${1-}" = core ]; then
-    kinds=(--features emulator --lib --test it)
+    kinds=(-p tokio-scip -p urg-emulator --lib --test it --test emulator)
     names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::at_least rate:: opening::
-        settings:: reconnect:: identity:: cancel:: fresh:: emulator::worlds simulation::seeds simulation::the_same)
+        settings:: reconnect:: identity:: cancel:: fresh:: worlds:: simulation::seeds simulation::the_same)
 fi
 version=$("$qemu" --version | sed -n '1s/.* version \([0-9]*\).*/\1/p')
 places=arm
@@ -62,6 +62,6 @@ if program=$(built '/urg$'); then
 fi
 failed=0
 for executable in $(built '/deps/'); do
-    "$qemu" -L "/usr/$gnu" "$executable" "${left_out[@]}" $([[ $executable != */@(it|program)-* ]] || echo "${names[@]}") || failed=1
+    "$qemu" -L "/usr/$gnu" "$executable" "${left_out[@]}" $([[ $executable != */@(it|emulator|recording|program)-* ]] || echo "${names[@]}") || failed=1
 done
 exit "$failed"

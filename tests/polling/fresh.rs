@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
-use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{Error, ErrorChain, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults};
 
 use crate::common::builder;
 

@@ -3,8 +3,8 @@
 
 use crate::common::{builder, ms};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
+use urg_emulator::{Emulator, Fixed, Pace};
 
 /// A day takes minutes without optimization.
 const MINUTES: u32 = if cfg!(debug_assertions) { 60 } else { 24 * 60 };

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use crate::common::{builder, truthful};
 use tokio::time::sleep;
-use tokio_scip::emulator::{Emulator, Fault, Faults};
 use tokio_scip::{Rate, ScanStream, Sensor, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Fault, Faults};
 
 /// Opens a sensor, and a stream that reaches its rate.
 async fn streaming(builder: SensorBuilder) -> (Emulator, Sensor, ScanStream) {

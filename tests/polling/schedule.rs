@@ -6,8 +6,8 @@ use crate::common::{builder, ms, request_of, truthful};
 use futures::StreamExt;
 use futures::stream::FusedStream;
 use tokio::time::{Instant, advance, timeout};
-use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{BaudRate, Error, Rate, Scan, ScanStream, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 async fn take(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
     let mut scans = Vec::new();
@@ -271,7 +271,7 @@ async fn the_time_that_replies_take_is_reported_with_its_mean() {
 
 #[tokio::test(start_paused = true)]
 async fn t11_the_same_data_again_is_marked_as_a_repeat() {
-    use tokio_scip::emulator::Fixed;
+    use urg_emulator::Fixed;
     let emulator = Emulator::builder().world(Fixed::filled(1234)).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

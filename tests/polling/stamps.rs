@@ -3,9 +3,9 @@
 use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pace};
 use tokio_scip::scan::StampQuality;
 use tokio_scip::{BaudRate, Rate, Scan, ScanStream, Sensor, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pace};
 
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};

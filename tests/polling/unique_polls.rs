@@ -3,8 +3,8 @@
 
 use crate::common::{Truth, builder, ms, truthful};
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fault, Faults, Pace};
 use tokio_scip::{BaudRate, Rate, Scan, Stats, Window};
+use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 /// Streams until the sensor has had `polls` polls. Returns the scans delivered, and the
 /// driver's counters.

@@ -3,8 +3,8 @@
 
 use crate::common::builder;
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, Fixed, Pace};
 use tokio_scip::{BaudRate, Rate, Window};
+use urg_emulator::{Emulator, Fixed, Pace};
 
 const SCANS: u32 = 200;
 

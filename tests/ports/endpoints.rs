@@ -9,11 +9,11 @@ use std::time::SystemTime;
 use futures::FutureExt;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadBuf};
 use tokio::net::TcpListener;
-use tokio_scip::emulator::Emulator;
 use tokio_scip::port::{
     Connect, ConnectHints, EndpointConnector, Port, PortHints, StreamPort, TcpPort,
 };
 use tokio_scip::{BaudRate, Endpoint, Error, Sensor, Window};
+use urg_emulator::Emulator;
 
 use crate::common::test_port::{FarEnd, TestPort};
 

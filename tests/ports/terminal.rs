@@ -9,10 +9,10 @@ use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{Truth, builder, truthful};
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
-use tokio_scip::emulator::{Emulator, Pty};
 use tokio_scip::port::Connect;
 use tokio_scip::port::SerialPort;
 use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use urg_emulator::{Emulator, Pty};
 
 /// Serves the emulated sensor on a terminal with a stable name.
 fn serve(emulator: &Emulator, name: &str) -> (PathBuf, JoinHandle<std::io::Result<()>>) {

@@ -7,11 +7,11 @@ use std::time::Duration;
 use futures::{FutureExt, SinkExt, StreamExt};
 use tokio::time::{Instant, timeout, timeout_at};
 use tokio_scip::codec::{Frame, ScipCodec};
-use tokio_scip::emulator::{Faults, Link};
 use tokio_scip::port::Connect;
 use tokio_scip::protocol::{Command, Reply, ReplyError};
 use tokio_scip::{Rate, Window};
 use tokio_util::codec::Framed;
+use urg_emulator::{Faults, Link};
 
 use super::loss::{Loss, sensor};
 use super::truth::{Timed, Truth};

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use tokio_scip::emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
 use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error};
+use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
 
 use super::random::Random;
 use super::truth::Truth;

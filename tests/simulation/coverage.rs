@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use tokio_scip::emulator::{Emulator, FaultCounts};
 use tokio_scip::{Error, State, Stats};
+use urg_emulator::{Emulator, FaultCounts};
 
 use super::case::Events;
 

@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 use tokio_scip::{Rate, Sensor, Window};
+use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
 use super::truth::{Timed, Truth};
 

@@ -18,8 +18,8 @@ use alternatives::Remedy;
 use coverage::Coverage;
 use loss::{Loss, bad_line, line_with_late_copies};
 use run::run;
-use tokio_scip::emulator::Faults;
 use tokio_scip::{Rate, Window};
+use urg_emulator::Faults;
 
 use crate::common::limit::limit;
 

@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use tokio::io::AsyncWriteExt;
 use tokio::time::{Instant, sleep, timeout};
-use tokio_scip::emulator::Faults;
 use tokio_scip::{Error, Rate, Sensor, State, Window};
+use urg_emulator::Faults;
 
 use super::case::{Case, SERIAL_NUMBER, SimulatedConnect};
 use super::coverage::Coverage;
@@ -93,7 +93,7 @@ impl Drop for PrintSeed {
             let seed = self.0;
             eprintln!(
                 "seed {seed} failed; to repeat it: SCIP_SIMULATION_SEED={seed} \
-                 SCIP_SIMULATION_TRACE=1 cargo test --test it --all-features \
+                 SCIP_SIMULATION_TRACE=1 cargo test --test it --features serde \
                  simulation::seeds -- --nocapture"
             );
         }

@@ -3,8 +3,8 @@
 use std::sync::{Arc, Mutex};
 
 use tokio::time::Instant;
-use tokio_scip::emulator::{Values, World, WorldTime};
 use tokio_scip::{Scan, Window};
+use urg_emulator::{Values, World, WorldTime};
 
 /// The times at which the sensor measured for each `G`.
 #[derive(Clone, Default)]

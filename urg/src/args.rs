@@ -4,8 +4,8 @@
 use std::time::Duration;
 
 use clap::{Args, ValueEnum};
-use tokio_scip::emulator::Firmware;
 use tokio_scip::{BaudRate, Rate, Window};
+use urg_emulator::Firmware;
 
 use crate::failure::Failure;
 

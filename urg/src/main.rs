@@ -13,7 +13,7 @@ mod picture;
 mod playback;
 mod plot;
 mod port;
-#[cfg(any(feature = "ros2", feature = "zenoh", feature = "foxglove"))]
+#[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 mod publish;
 mod record;
 mod recording;
@@ -158,7 +158,7 @@ fn arguments() -> Result<Vec<OsString>, Failure> {
     if arguments.get(1).is_some_and(|command| command == "help") {
         arguments.retain(|argument| argument != "--help" && argument != "-h");
     }
-    #[cfg(any(feature = "ros2", feature = "zenoh", feature = "foxglove"))]
+    #[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
     if arguments.get(1).is_some_and(|command| command == "publish") {
         return publish::ros_args::as_options(arguments);
     }

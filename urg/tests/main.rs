@@ -16,7 +16,7 @@ mod picture;
 mod pipes;
 mod playback;
 mod program;
-#[cfg(any(feature = "ros2", feature = "zenoh", feature = "foxglove"))]
+#[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 mod publish_arguments;
 mod recorded;
 mod repaired;

@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 use tokio_scip::Window;
-use tokio_scip::recording::Recording;
+use urg_recording::Recording;
 
 use super::formats::{check, scans, values};
 use super::program::{Running, Scratch, run, shell};

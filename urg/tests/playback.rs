@@ -4,7 +4,7 @@ use std::io::Cursor;
 
 use serde_json::Value;
 use tokio_scip::Window;
-use tokio_scip::recording::Recording;
+use urg_recording::Recording;
 
 use super::formats::values;
 use super::program::{Scratch, run};

@@ -6,10 +6,10 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use serde_json::Value;
-use tokio_scip::emulator::Emulator;
 use tokio_scip::event::Event;
-use tokio_scip::recording::{Entry, Recorder, Recording};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
+use urg_emulator::Emulator;
+use urg_recording::{Entry, Recorder, Recording};
 
 use super::formats::{check, scans, values};
 use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, send, shell};
@@ -281,7 +281,7 @@ fn opening_a_recording_that_hangs_can_be_interrupted() {
     let out = Scratch::mcap("hangs-out");
     let record = format!("record {} {}", pipe.path(), out.path());
     let mut others = vec!["stream", "info", "view", "serve", "scan", "check"];
-    if cfg!(any(feature = "ros2", feature = "zenoh")) {
+    if cfg!(any(feature = "dds", feature = "zenoh")) {
         others.push("publish");
     }
     let others = others.iter().map(|command| format!("{command} {}", pipe.path()));

@@ -1,7 +1,7 @@
 """Reads a recording with readers that others wrote, and holds what they read
 against what the driver delivered.
 
-    cargo test --all-features --test it recording::
+    cargo test -p urg-recording
     pip install mcap-ros2-support rosbags
     python3 tests/recording_readers.py target/tmp/recording.mcap
 

@@ -6,7 +6,7 @@ use std::process::Command;
 
 use serde_json::Value;
 use tokio_scip::Window;
-use tokio_scip::recording::{Entry, Recording};
+use urg_recording::{Entry, Recording};
 
 use super::formats::scans;
 use super::program::{Emulated, Scratch, failure, run, urg};

@@ -211,8 +211,7 @@ async fn a_stopped_terminal_delays_neither_a_recording_nor_its_end() {
     };
     let ended = tokio::time::timeout(STEP_LIMIT, ended).await;
     assert_eq!(ended.expect("the program waits for the terminal"), Some(0));
-    let mut recording =
-        tokio_scip::recording::Recording::read(std::io::Cursor::new(bytes)).unwrap();
+    let mut recording = urg_recording::Recording::read(std::io::Cursor::new(bytes)).unwrap();
     assert!(recording.by_ref().all(|record| record.is_ok()));
     assert!(!recording.is_truncated());
 }

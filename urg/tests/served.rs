@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::sync::mpsc;
 use std::time::Duration;
 
-use tokio_scip::emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 use tokio_scip::{Sensor, Window};
+use urg_emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 
 use super::formats::{check, event, scans, values};
 use super::program::{Emulated, Running, Scratch, run};

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::time::Instant;
 
 use serde_json::Value;
-use tokio_scip::emulator::{Emulator, Fault, Faults};
+use urg_emulator::{Emulator, Fault, Faults};
 
 use super::formats::{check, event, values};
 use super::http::{Client, Response};

@@ -17,8 +17,6 @@ use std::time::Duration;
 
 use self::exchange::EchoKind;
 pub(crate) use self::unique_requests::UniqueRequests;
-#[cfg(feature = "mcap")]
-pub(crate) use self::unique_requests::is_widened;
 use super::failure::ExchangeError;
 use super::observers::ReplyObservers;
 use super::transport::{Timing, Transport};

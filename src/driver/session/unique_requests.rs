@@ -55,7 +55,7 @@ impl UniqueRequests {
         // Of several equally old choices the last one wins, which has no points in front.
         (0..=self.recent.len() as u16)
             .rev()
-            .filter_map(|groups| widened(window, groups))
+            .filter_map(|points| window.widened(points))
             .max_by_key(|(asked, _)| age(asked))
             .unwrap_or((window, 0))
     }
@@ -99,90 +99,9 @@ impl UniqueRequests {
     }
 }
 
-/// Returns true if the driver may request `asked` in order to get `window`.
-#[cfg(feature = "mcap")]
-pub(crate) fn is_widened(window: Window, asked: Window) -> bool {
-    let widened = |groups| widened(window, groups);
-    (0..=Window::MAX_EXTRA_POINTS).filter_map(widened).any(|(widened, _)| widened == asked)
-}
-
-/// Widens `window` by `groups` points in front or, without room there, behind. Also returns the
-/// number of points to skip in front. Returns `None` if neither side has room. The points of the
-/// window are the same in the wider one.
-fn widened(window: Window, groups: u16) -> Option<(Window, usize)> {
-    let cluster_count = window.cluster_count();
-    let (start, end) = (window.start().number(), window.end().number());
-    let steps = groups.saturating_mul(u16::from(cluster_count));
-    let (steps, first) = match start.checked_sub(steps) {
-        Some(start) => (start..=end, usize::from(groups)),
-        // Steps after the end would fill up a partial last group.
-        None if !window.steps().is_multiple_of(cluster_count.into()) => return None,
-        None => (start..=end.saturating_add(steps), 0),
-    };
-    let window = Window::new(steps).ok()?.with_cluster_count(cluster_count).ok()?;
-    Some((window, first))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn window(start: u16, end: u16, cluster_count: u8) -> Window {
-        Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
-    }
-
-    /// First and last step of every point.
-    fn points(window: Window) -> Vec<(u16, u16)> {
-        let (end, group) = (window.end().number(), u16::from(window.cluster_count()));
-        (window.start().number()..=end)
-            .step_by(usize::from(group))
-            .map(|first| (first, end.min(first + group - 1)))
-            .collect()
-    }
-
-    #[test]
-    fn a_widened_window_has_the_points_of_the_narrow_one_at_the_place_it_says() {
-        let mut refused = 0;
-        for start in 0..=768 {
-            for end in [start, start + 1, start + 7, start + 41, 725, 764, 767, 768] {
-                if end < start || end > 768 {
-                    continue;
-                }
-                for cluster_count in [1, 2, 4, 5, 99] {
-                    for groups in 0..4 {
-                        let narrow = window(start, end, cluster_count);
-                        let Some((wide, skip)) = widened(narrow, groups) else {
-                            refused += 1;
-                            continue;
-                        };
-                        assert_eq!(wide.points(), narrow.points() + usize::from(groups));
-                        let kept = points(wide).into_iter().skip(skip).take(narrow.points());
-                        assert!(kept.eq(points(narrow)), "{narrow} by {groups}");
-                    }
-                }
-            }
-        }
-        assert!(refused > 0);
-    }
-
-    #[test]
-    fn four_successive_polls_have_four_echoes_where_there_is_room() {
-        for narrow in [Window::DETECTION, window(0, 765, 1), window(12, 768, 4), window(3, 768, 1)]
-        {
-            let echoes: Vec<Window> =
-                (0..4).filter_map(|groups| widened(narrow, groups)).map(|(wide, _)| wide).collect();
-            assert_eq!(echoes.len(), 4, "{narrow}");
-            for (index, echo) in echoes.iter().enumerate() {
-                assert!(!echoes.iter().skip(index + 1).any(|other| other == echo), "{narrow}");
-            }
-        }
-        assert_eq!(widened(Window::FULL, 1), None);
-        assert_eq!(widened(window(2, 767, 1), 3), None);
-        // Steps after the end would fill up the partial last group.
-        assert_eq!(widened(window(0, 10, 4), 1), None);
-        assert_eq!(widened(window(0, 11, 4), 1), Some((window(0, 15, 4), 0)));
-        assert_eq!(widened(window(0, 98, 99), u16::MAX), None);
-    }
 
     #[test]
     fn a_fence_is_no_step_that_was_asked_for_since_the_last_answered_one() {

@@ -1,7 +1,7 @@
-//! See `tests/properties/commands.rs`.
+//! See `emulator/tests/commands.rs`.
 #![no_main]
 
-#[path = "../../properties/commands.rs"]
+#[path = "../../../emulator/tests/commands.rs"]
 mod commands;
 #[path = "../../properties/script.rs"]
 mod script;

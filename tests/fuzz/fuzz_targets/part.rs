@@ -1,9 +1,9 @@
-//! See `tests/properties/parts.rs`.
+//! See `recording/tests/properties/parts.rs`.
 #![no_main]
 
-#[path = "../../properties/damaged_files.rs"]
+#[path = "../../../recording/tests/properties/damaged_files.rs"]
 mod damaged_files;
-#[path = "../../properties/parts.rs"]
+#[path = "../../../recording/tests/properties/parts.rs"]
 mod parts;
 #[path = "../../properties/script.rs"]
 mod script;

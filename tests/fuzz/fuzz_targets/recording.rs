@@ -1,9 +1,9 @@
-//! See `tests/properties/recordings.rs`.
+//! See `recording/tests/properties/recordings.rs`.
 #![no_main]
 
-#[path = "../../properties/damaged_files.rs"]
+#[path = "../../../recording/tests/properties/damaged_files.rs"]
 mod damaged_files;
-#[path = "../../properties/recordings.rs"]
+#[path = "../../../recording/tests/properties/recordings.rs"]
 mod recordings;
 #[path = "../../properties/script.rs"]
 mod script;

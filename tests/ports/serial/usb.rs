@@ -12,10 +12,10 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
-use tokio_scip::emulator::Pty;
 use tokio_scip::port::{Connect, Port};
 use tokio_scip::port::{SerialPort, UsbId, list};
 use tokio_scip::{BaudRate, Endpoint, Error, State};
+use urg_emulator::Pty;
 
 use super::{Scratch, line};
 use crate::common::{builder, truthful};

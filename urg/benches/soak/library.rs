@@ -8,8 +8,8 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep, timeout_at};
-use tokio_scip::recording::{Recorder, RecorderBuilder};
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
+use urg_recording::{Recorder, RecorderBuilder};
 
 /// 6.4 s at 10 Hz: nobody who reads at once misses a scan, also on a busy machine.
 const DEPTH: usize = 64;

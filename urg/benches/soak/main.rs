@@ -18,8 +18,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep};
-use tokio_scip::emulator::{Emulator, Pty};
-use tokio_scip::recording::{Entry, Recording};
+use urg_emulator::{Emulator, Pty};
+use urg_recording::{Entry, Recording};
 
 use self::process::{Library, Sample, Server};
 use self::verdict::Outcome;

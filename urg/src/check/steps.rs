@@ -65,8 +65,8 @@ pub(crate) async fn scans(
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
     use tokio_scip::{BaudRate, Error};
+    use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
 
     use super::*;
 

@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use tokio_scip::recording::{CutOutcome, cut};
+use urg_recording::{CutOutcome, cut};
 
 use crate::failure::Failure;
 use crate::format::counted;

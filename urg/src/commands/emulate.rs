@@ -8,8 +8,8 @@ use clap::ValueEnum;
 use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
-use tokio_scip::emulator::Pty;
-use tokio_scip::emulator::{Emulator, Faults, RepeatedLaser, Room};
+use urg_emulator::Pty;
+use urg_emulator::{Emulator, Faults, RepeatedLaser, Room};
 
 use crate::args::{FirmwareArg, duration, listen_address};
 use crate::failure::Failure;

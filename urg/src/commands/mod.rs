@@ -8,7 +8,7 @@ pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod packaging;
 #[cfg_attr(
-    not(any(feature = "ros2", feature = "zenoh", feature = "foxglove")),
+    not(any(feature = "dds", feature = "zenoh", feature = "foxglove")),
     path = "publish_absent.rs"
 )]
 pub(crate) mod publish;

@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_scip::Rate;
-use tokio_scip::ros::Transform;
+use urg_recording::ros::Transform;
 
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
@@ -24,7 +24,7 @@ use crate::publish::{
 const DEFAULT_ROUTER: &str = "tcp/localhost:7447";
 
 /// Default engine: the most common one in ROS 2, if built in.
-const DEFAULT_ENGINE: EngineName = if cfg!(feature = "ros2") {
+const DEFAULT_ENGINE: EngineName = if cfg!(feature = "dds") {
     EngineName::Dds
 } else if cfg!(feature = "foxglove") && !cfg!(feature = "zenoh") {
     EngineName::Foxglove

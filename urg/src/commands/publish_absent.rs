@@ -17,7 +17,7 @@ pub(crate) struct Publish {
 impl Publish {
     pub(crate) async fn run(self, _: &Interrupt) -> Result<(), Failure> {
         Err(Failure::Usage(
-            "`urg publish` is not in this build: build urg with the feature `ros2`, `zenoh` or `foxglove`"
+            "`urg publish` is not in this build: build urg with the feature `dds`, `zenoh` or `foxglove`"
                 .to_owned(),
         ))
     }

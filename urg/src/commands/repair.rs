@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use tokio_scip::recording::{Repaired, repair};
+use urg_recording::{Repaired, repair};
 
 use crate::failure::Failure;
 use crate::format::counted;

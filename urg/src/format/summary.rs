@@ -33,8 +33,8 @@ pub(crate) fn line(scan: &Scan, rate: Option<f64>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::{Emulator, Values, WorldTime};
     use tokio_scip::{Sensor, Window};
+    use urg_emulator::{Emulator, Values, WorldTime};
 
     use super::*;
 

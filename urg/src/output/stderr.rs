@@ -68,11 +68,11 @@ trait Sink: Sync + 'static {
 }
 
 /// Original standard error while [`super::capture`] redirects it.
-#[cfg(all(unix, feature = "ros2"))]
+#[cfg(all(unix, feature = "dds"))]
 static KEPT: std::sync::OnceLock<std::fs::File> = std::sync::OnceLock::new();
 
 /// Saves the current standard error for the program's own output.
-#[cfg(all(unix, feature = "ros2"))]
+#[cfg(all(unix, feature = "dds"))]
 pub(super) fn keep() -> io::Result<()> {
     use std::os::fd::AsFd;
 
@@ -85,7 +85,7 @@ pub(super) fn keep() -> io::Result<()> {
 }
 
 /// Gives libraries the original standard error again.
-#[cfg(all(unix, feature = "ros2"))]
+#[cfg(all(unix, feature = "dds"))]
 pub(super) fn restore() -> io::Result<()> {
     KEPT.get().map_or(Ok(()), |kept| Ok(rustix::stdio::dup2_stderr(kept)?))
 }
@@ -95,7 +95,7 @@ struct Stderr;
 
 impl Sink for Stderr {
     fn write(&self, bytes: &[u8]) {
-        #[cfg(all(unix, feature = "ros2"))]
+        #[cfg(all(unix, feature = "dds"))]
         if let Some(mut kept) = KEPT.get() {
             let _ = kept.write_all(bytes);
             return;

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use tokio_scip::emulator::{Emulator, Room};
 use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Sensor, SensorBuilder, State, Window};
+use urg_emulator::{Emulator, Room};
 
 use super::name::PortName;
 use crate::args::LinkArgs;

@@ -2,8 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use tokio_scip::ros::{DiagnosticLevel, DiagnosticStatus};
 use tokio_scip::{Rate, Sensor, State, Stats, Version, Window};
+use urg_recording::ros::{DiagnosticLevel, DiagnosticStatus};
 
 use super::engine::Outlet;
 use crate::failure::chain;

@@ -6,7 +6,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::SystemTime;
 
 use clap::ValueEnum;
-use tokio_scip::ros::{self, MessageType, Transform};
+use urg_recording::ros::{self, MessageType, Transform};
 
 use super::counts::Counts;
 use super::discovery::Discovery;
@@ -21,7 +21,7 @@ const NODE_TOPICS: usize = 2;
 /// Engines, whether built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum EngineName {
-    /// DDS, as ROS 2 uses it by default (feature `ros2`)
+    /// DDS, as ROS 2 uses it by default (feature `dds`)
     Dds,
     /// zenoh, as `rmw_zenoh` uses it (feature `zenoh`)
     Zenoh,

@@ -1,5 +1,5 @@
 //! `urg publish`: publishes scans as ROS 2 messages. The library encodes the messages
-//! (`tokio_scip::ros`); no other module knows the engines.
+//! (`urg_recording::ros`); no other module knows the engines.
 //!
 //! - `engine` defines the interface of engines. `dds`, `zenoh` and `foxglove` implement it.
 //! - `running` keeps an engine open, and reopens it after errors.
@@ -9,12 +9,12 @@
 //! - `names` and `mounting` are nodes, topics, frames and transforms.
 //! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
 #![cfg_attr(
-    not(all(feature = "ros2", feature = "zenoh", feature = "foxglove")),
+    not(all(feature = "dds", feature = "zenoh", feature = "foxglove")),
     expect(dead_code, reason = "some settings and counters are for one engine only")
 )]
 
 mod counts;
-#[cfg(feature = "ros2")]
+#[cfg(feature = "dds")]
 mod dds;
 mod diagnostics;
 mod discovery;
@@ -25,7 +25,7 @@ mod mounting;
 mod names;
 pub(crate) mod ros_args;
 mod running;
-#[cfg(any(feature = "ros2", feature = "zenoh"))]
+#[cfg(any(feature = "dds", feature = "zenoh"))]
 mod send_queue;
 mod source;
 #[cfg(feature = "zenoh")]

@@ -1,6 +1,6 @@
 //! `--tf`: where you mounted the sensor on the robot.
 
-use tokio_scip::ros::Transform;
+use urg_recording::ros::Transform;
 
 use crate::args::frame_id;
 

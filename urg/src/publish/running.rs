@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use tokio::sync::mpsc;
 
-#[cfg(feature = "ros2")]
+#[cfg(feature = "dds")]
 use super::dds::Dds;
 use super::engine::{Engine, EngineName, EngineSettings, Outlet, Publisher, Reopen, Shared, Topic};
 #[cfg(feature = "foxglove")]
@@ -52,13 +52,13 @@ impl RunningEngine {
         settings: EngineSettings,
     ) -> Result<(Self, Vec<Outlet>), Failure> {
         match engine {
-            #[cfg(feature = "ros2")]
+            #[cfg(feature = "dds")]
             EngineName::Dds => start::<Dds>(settings),
             #[cfg(feature = "zenoh")]
             EngineName::Zenoh => start::<Zenoh>(settings),
             #[cfg(feature = "foxglove")]
             EngineName::Foxglove => start::<Foxglove>(settings),
-            #[cfg(not(feature = "ros2"))]
+            #[cfg(not(feature = "dds"))]
             EngineName::Dds => Err(not_built_in("dds", "ros2")),
             #[cfg(not(feature = "zenoh"))]
             EngineName::Zenoh => Err(not_built_in("zenoh", "zenoh")),
@@ -81,7 +81,7 @@ impl RunningEngine {
     }
 }
 
-#[cfg(not(all(feature = "ros2", feature = "zenoh", feature = "foxglove")))]
+#[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
 fn not_built_in(engine: &str, feature: &str) -> Failure {
     Failure::Usage(format!(
         "`--engine {engine}` needs an urg that was built with the feature `{feature}`: \

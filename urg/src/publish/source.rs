@@ -6,7 +6,8 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_scip::event::Event;
-use tokio_scip::{Rate, Scan, Sensor, Window, ros};
+use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_recording::ros;
 
 use super::diagnostics::Condition;
 use super::engine::Outlet;

@@ -12,7 +12,7 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use tokio_scip::State;
-use tokio_scip::recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
+use urg_recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
 use self::limits::{SplitLimit, SyncInterval};
 use self::totals::RecordTotals;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use tokio_scip::recording::Progress;
+use urg_recording::Progress;
 
 use crate::format::counted;
 use crate::format::time::clock;

@@ -6,8 +6,8 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
-use tokio_scip::recording::{Recording, RecordingError};
 use tokio_scip::{BaudRate, Version};
+use urg_recording::{Recording, RecordingError};
 
 use crate::format::counted;
 use crate::format::time::{self, clock};

@@ -11,10 +11,10 @@ use std::task::Poll;
 use std::time::Duration;
 
 use tokio::sync::watch;
-use tokio_scip::emulator::Emulator;
 use tokio_scip::port::Connect;
-use tokio_scip::recording::{Recording, RecordingError, ReplayPace};
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
+use urg_emulator::Emulator;
+use urg_recording::{Recording, RecordingError, ReplayPace};
 
 use super::contents::{self, Contents};
 use super::span::TimeSpan;

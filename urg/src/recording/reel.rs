@@ -6,8 +6,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio_scip::recording::{RecordedScans, RecordingError};
 use tokio_scip::{Scan, Version};
+use urg_recording::{RecordedScans, RecordingError};
 
 use super::recorded::Recorded;
 use crate::failure::Failure;
@@ -129,9 +129,9 @@ fn next_scan(scans: &mut RecordedScans, recorded: &Recorded) -> Result<Option<Sc
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::{Emulator, Values, WorldTime};
-    use tokio_scip::recording::Recorder;
     use tokio_scip::{Rate, Sensor, Window};
+    use urg_emulator::{Emulator, Values, WorldTime};
+    use urg_recording::Recorder;
 
     use super::*;
 

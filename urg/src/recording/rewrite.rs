@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tempfile::{NamedTempFile, TempPath};
-use tokio_scip::recording::RecordingError;
+use urg_recording::RecordingError;
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;

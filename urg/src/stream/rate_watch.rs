@@ -174,8 +174,8 @@ fn losses(stats: &Stats) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::{Emulator, Fault, Faults};
     use tokio_scip::scan::Pose;
+    use urg_emulator::{Emulator, Fault, Faults};
 
     use super::*;
 

@@ -39,8 +39,8 @@ fn cannot(name: &str, error: &io::Error) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::emulator::Emulator;
     use tokio_scip::{Sensor, Window};
+    use urg_emulator::Emulator;
 
     use super::*;
 

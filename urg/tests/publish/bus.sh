@@ -24,7 +24,8 @@ async-nats = { version = "=0.51.0", default-features = false, features = ["ring"
 rumqttc = { version = "=0.25.1", default-features = false }
 serde_json = "1"
 tokio = { version = "1", features = ["rt-multi-thread", "macros"] }
-tokio-scip = { path = "$crate", features = ["ros", "serde"] }
+tokio-scip = { path = "$crate", features = ["serde"] }
+urg-recording = { path = "$crate/recording" }
 # Whatever is in a folder above.
 [workspace]
 END

@@ -10,8 +10,8 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
 use ratatui::style::Color;
-use tokio_scip::emulator::{Emulator, STEPS, Values, WorldTime};
 use tokio_scip::{BaudRate, Rate, Sensor, State, Window};
+use urg_emulator::{Emulator, STEPS, Values, WorldTime};
 
 use super::draw::draw;
 use super::layer::Layer;

@@ -1,0 +1,202 @@
+//! [`Delivery`]: a reply on its way, and what faults change about it.
+
+use std::ops::Range;
+use std::time::Duration;
+
+use super::Fault;
+use crate::random::Random;
+
+/// Reply on its way to the host.
+#[derive(Debug, Default)]
+pub(crate) struct Delivery {
+    pub(crate) bytes: Vec<u8>,
+    /// Delay of the first byte.
+    pub(crate) delay: Duration,
+    /// Pauses, each with the index of the byte after it.
+    pauses: Vec<(usize, Duration)>,
+    /// Time per byte, or `None` for the speed of the line.
+    pub(crate) byte_time: Option<Duration>,
+    /// What happens after the last byte.
+    pub(crate) then: Option<Aftermath>,
+}
+
+/// Event after the last byte of a reply.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Aftermath {
+    Reset,
+    HangUp,
+    Endless(Vec<u8>),
+}
+
+impl Delivery {
+    pub(crate) fn new(bytes: Vec<u8>) -> Self {
+        Self { bytes, ..Self::default() }
+    }
+
+    /// Applies a fault to the reply, on top of the earlier faults.
+    pub(crate) fn apply(&mut self, fault: Fault, random: &mut Random) {
+        let bytes = &mut self.bytes;
+        match fault {
+            // These two were applied to the command, before there was a reply.
+            Fault::CommandLost | Fault::Status(_) => {}
+            Fault::Lost => bytes.clear(),
+            Fault::Late(delay) => self.delay += delay,
+            Fault::Doubled => bytes.extend_from_within(..),
+            Fault::Drop(range) => drop(bytes.drain(clip(range, bytes.len()))),
+            Fault::Insert(at, more) if at <= bytes.len() => {
+                bytes.splice(at..at, more);
+            }
+            Fault::Insert(..) => {}
+            Fault::Flip(at, mask) => {
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= mask;
+                }
+            }
+            Fault::Repeat(range) => repeat(bytes, range),
+            Fault::Cut(length) => bytes.truncate(length),
+            Fault::Damaged => damage_one_byte(bytes, random),
+            Fault::Merged => drop(bytes.pop()),
+            Fault::Garbage(garbage) => drop(bytes.splice(0..0, garbage)),
+            Fault::Noise(length) => {
+                drop(bytes.splice(0..0, (0..length).map(|_| random.next() as u8)));
+            }
+            Fault::Pause(at, pause) => self.pauses.push((at, pause)),
+            Fault::Trickle(byte_time) => self.byte_time = Some(byte_time),
+            Fault::CrLf => {
+                *bytes = bytes
+                    .split_inclusive(|&byte| byte == b'\n')
+                    .flat_map(|line| match line {
+                        [text @ .., b'\n'] => [text, b"\r\n"],
+                        text => [text, b""],
+                    })
+                    .flatten()
+                    .copied()
+                    .collect();
+            }
+            Fault::Reset(after) => self.end(after, Aftermath::Reset),
+            Fault::HangUp(after) => self.end(after, Aftermath::HangUp),
+            Fault::Endless(pattern) => self.end(0, Aftermath::Endless(pattern)),
+        }
+    }
+
+    fn end(&mut self, after: usize, then: Aftermath) {
+        self.bytes.truncate(after);
+        self.then = Some(then);
+    }
+
+    /// Splits the reply at its pauses. Returns each part with the pause before it.
+    pub(crate) fn take_parts(&mut self) -> Vec<(Duration, Vec<u8>)> {
+        let mut rest = std::mem::take(&mut self.bytes);
+        let mut parts = Vec::with_capacity(1 + self.pauses.len());
+        // From the end, so that splitting leaves the remaining positions valid.
+        self.pauses.sort_by_key(|(at, _)| std::cmp::Reverse(*at));
+        for &(at, pause) in &self.pauses {
+            if at < rest.len() {
+                parts.push((pause, rest.split_off(at)));
+            }
+        }
+        parts.push((Duration::ZERO, rest));
+        parts.reverse();
+        parts
+    }
+}
+
+fn clip(range: Range<usize>, length: usize) -> Range<usize> {
+    let end = range.end.min(length);
+    range.start.min(end)..end
+}
+
+fn repeat(bytes: &mut Vec<u8>, range: Range<usize>) {
+    let range = clip(range, bytes.len());
+    let end = range.end;
+    let again = bytes.get(range).unwrap_or_default().to_vec();
+    bytes.splice(end..end, again);
+}
+
+fn damage_one_byte(bytes: &mut Vec<u8>, random: &mut Random) {
+    if bytes.is_empty() {
+        return;
+    }
+    let at = random.below(bytes.len() as u64) as usize;
+    match random.below(5) {
+        0 => drop(bytes.remove(at)),
+        1 => repeat(bytes, at..at + 1),
+        2 => bytes.insert(at, random.next() as u8),
+        3 => bytes.truncate(at),
+        _ => {
+            if let Some(byte) = bytes.get_mut(at) {
+                *byte ^= 1 << random.below(8);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Applies a fault to "ab", a line feed and "cd".
+    fn after(fault: Fault) -> Vec<u8> {
+        let mut delivery = Delivery::new(b"ab\ncd".to_vec());
+        delivery.apply(fault, &mut Random::new(1));
+        delivery.bytes
+    }
+
+    #[test]
+    fn each_fault_changes_the_bytes_as_documented() {
+        let cases: [(Fault, &[u8]); 16] = [
+            (Fault::Lost, b""),
+            (Fault::Doubled, b"ab\ncdab\ncd"),
+            (Fault::Drop(1..3), b"acd"),
+            (Fault::Drop(4..9), b"ab\nc"),
+            (Fault::Drop(8..9), b"ab\ncd"),
+            (Fault::Insert(0, b"x".to_vec()), b"xab\ncd"),
+            (Fault::Insert(5, b"x".to_vec()), b"ab\ncdx"),
+            (Fault::Insert(6, b"x".to_vec()), b"ab\ncd"),
+            (Fault::Flip(0, 0x20), b"Ab\ncd"),
+            (Fault::Repeat(0..3), b"ab\nab\ncd"),
+            (Fault::Cut(2), b"ab"),
+            (Fault::Merged, b"ab\nc"),
+            (Fault::Garbage(b"xy".to_vec()), b"xyab\ncd"),
+            (Fault::CrLf, b"ab\r\ncd"),
+            (Fault::Reset(3), b"ab\n"),
+            (Fault::HangUp(9), b"ab\ncd"),
+        ];
+        for (fault, left) in cases {
+            assert_eq!(after(fault.clone()), left, "{fault:?}");
+        }
+        assert_eq!(after(Fault::Noise(7)).len(), 12);
+    }
+
+    #[test]
+    fn random_damage_always_changes_the_reply_and_takes_every_form() {
+        let mut random = Random::new(3);
+        let mut lengths = std::collections::BTreeSet::new();
+        for _ in 0..200 {
+            let mut bytes = b"abcdefgh".to_vec();
+            damage_one_byte(&mut bytes, &mut random);
+            assert_ne!(bytes, b"abcdefgh");
+            lengths.insert(bytes.len());
+        }
+        assert_eq!(lengths.into_iter().collect::<Vec<_>>(), (0..=9).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_reply_is_split_at_its_pauses() {
+        let mut delivery = Delivery::new(b"abcdef".to_vec());
+        let second = Duration::from_secs(1);
+        for fault in [Fault::Pause(4, second), Fault::Pause(1, 2 * second), Fault::Pause(9, second)]
+        {
+            delivery.apply(fault, &mut Random::new(0));
+        }
+        let parts = delivery.take_parts();
+        assert_eq!(
+            parts,
+            [
+                (Duration::ZERO, b"a".to_vec()),
+                (2 * second, b"bcd".to_vec()),
+                (second, b"ef".to_vec())
+            ]
+        );
+    }
+}

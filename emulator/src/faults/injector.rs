@@ -1,0 +1,72 @@
+//! [`FaultInjector`]: decides which faults a reply has.
+
+use std::time::Duration;
+
+use super::{Fault, FaultCounts, Faults, RandomFault, Trigger};
+use crate::random::Random;
+
+/// Draws the faults of one reply after another.
+#[derive(Debug)]
+pub(crate) struct FaultInjector {
+    faults: Faults,
+    random: Random,
+    next_reply: u64,
+    /// Seed if the faults have no seed.
+    default_seed: u64,
+    pub(crate) counts: FaultCounts,
+}
+
+impl FaultInjector {
+    pub(crate) fn new(faults: Faults, default_seed: u64) -> Self {
+        let random = Random::new(faults.seed.unwrap_or(default_seed));
+        Self { faults, random, next_reply: 0, default_seed, counts: FaultCounts::default() }
+    }
+
+    /// Replaces the faults, but keeps the counts.
+    pub(crate) fn replace(&mut self, faults: Faults) {
+        *self = Self { counts: self.counts, ..Self::new(faults, self.default_seed) };
+    }
+
+    /// Draws the faults of the next reply, and a generator for their details.
+    pub(crate) fn draw(&mut self) -> (Vec<Fault>, Random) {
+        // One number for each reply, so that its faults do not depend on the length or
+        // the faults of an earlier reply.
+        let mut random = Random::new(self.random.next());
+        let number = self.next_reply;
+        self.next_reply += 1;
+        let mut drawn = Vec::new();
+        for (trigger, fault) in &self.faults.scripted {
+            if matches!(trigger, Trigger::EveryReply) || *trigger == Trigger::Reply(number) {
+                drawn.push(fault.clone());
+            }
+        }
+        for (probability, fault) in &self.faults.random {
+            if random.fraction() < *probability {
+                drawn.push(fault.draw(&mut random));
+            }
+        }
+        for fault in &drawn {
+            self.counts.add(fault);
+        }
+        (drawn, random)
+    }
+}
+
+impl RandomFault {
+    fn draw(&self, random: &mut Random) -> Fault {
+        // A full scan has 1,576 bytes. In a shorter reply, a position past the end means
+        // the end.
+        let mut up_to = |longest: &Duration| longest.mul_f64(random.fraction());
+        match self {
+            Self::Late(longest) => Fault::Late(up_to(longest)),
+            Self::Pause(longest) => {
+                let pause = up_to(longest);
+                Fault::Pause(random.below(64) as usize, pause)
+            }
+            Self::Noise(longest) => Fault::Noise(random.below(*longest as u64 + 1) as usize),
+            Self::Reset => Fault::Reset(random.below(1600) as usize),
+            Self::HangUp => Fault::HangUp(random.below(1600) as usize),
+            Self::Constant(fault) => fault.clone(),
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! Faults on demand: [`Fault`] and [`Faults`]. `parse` parses them, `injector` draws them for
+//! each reply, and `delivery` applies them to its bytes.
+
+mod delivery;
+mod injector;
+mod parse;
+
+use std::ops::Range;
+use std::time::Duration;
+
+pub(super) use self::delivery::{Aftermath, Delivery};
+pub(super) use self::injector::FaultInjector;
+pub use self::parse::InvalidFaults;
+
+/// Fault of one reply.
+///
+/// Positions are byte offsets in the reply as sent: 0 is the first byte of the echo, and a
+/// position past the end has no effect. If you add several faults to one reply,
+/// each applies to the result of the previous one.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Fault {
+    /// The command never reaches the sensor: it does nothing and sends nothing.
+    CommandLost,
+    /// The sensor executes the command, but the reply never arrives.
+    Lost,
+    /// The reply is delayed by this time, and so is everything after it: replies stay in order.
+    Late(Duration),
+    /// The reply arrives twice.
+    Doubled,
+    /// These bytes are lost.
+    Drop(Range<usize>),
+    /// These bytes are inserted before this position.
+    Insert(usize, Vec<u8>),
+    /// The mask's bits are inverted in the byte at this position.
+    Flip(usize, u8),
+    /// These bytes arrive twice.
+    Repeat(Range<usize>),
+    /// Only this number of bytes is sent.
+    Cut(usize),
+    /// One byte anywhere is lost, arrives twice, has one bit inverted, or has a random byte
+    /// inserted before it; or the reply ends there.
+    Damaged,
+    /// Without the last of its two line feeds, the reply runs into the next one.
+    Merged,
+    /// These bytes precede the reply.
+    Garbage(Vec<u8>),
+    /// This number of random bytes precedes the reply.
+    Noise(usize),
+    /// The reply pauses before the byte at this position.
+    Pause(usize, Duration),
+    /// Each byte of the reply takes this long.
+    Trickle(Duration),
+    /// Every line feed becomes CR LF, as on a line that is not raw.
+    CrLf,
+    /// Not executed: the command is refused with this status.
+    Status(u8),
+    /// After sending this number of bytes of the reply, the sensor restarts: 19,200 baud, laser
+    /// on, silent for its boot time.
+    Reset(usize),
+    /// Hangs up the link after this number of bytes of the reply: reads return the end of the
+    /// stream, and you have to open the link again.
+    HangUp(usize),
+    /// Instead of the reply these bytes repeat, as fast as the line carries them, until the
+    /// sensor is reset or you set other faults.
+    Endless(Vec<u8>),
+}
+
+/// Faults of an emulated sensor: scripted, drawn at random, or both.
+///
+/// Replies are numbered from 0 since you set the faults. A command that gets no answer anyway
+/// has no number. Opening a [`Sensor`](tokio_scip::Sensor) takes a fence and a `V`, and each faulty
+/// reply is followed by a fence: their replies are numbered, too. To count from the first scan,
+/// set the faults once the sensor is open
+/// ([`Emulator::set_faults`](super::Emulator::set_faults)). Random faults depend only on
+/// [`seed`](Self::seed): the same commands meet the same faults.
+///
+/// ```
+/// use std::time::Duration;
+/// use urg_emulator::{Fault, Faults};
+///
+/// let scripted = Faults::none().at(3, Fault::Late(Duration::from_secs(2))).at(5, Fault::Lost);
+/// let drawn: Faults = "late=0.01:3s,lost=0.005,damaged=0.005,doubled=0.001,seed=7".parse()?;
+/// # Ok::<(), urg_emulator::InvalidFaults>(())
+/// ```
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Faults {
+    scripted: Vec<(Trigger, Fault)>,
+    random: Vec<(f64, RandomFault)>,
+    seed: Option<u64>,
+}
+
+/// Replies that a scripted fault applies to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Trigger {
+    Reply(u64),
+    EveryReply,
+}
+
+/// Fault whose details are drawn for each reply, up to a limit.
+#[derive(Debug, Clone, PartialEq)]
+enum RandomFault {
+    Late(Duration),
+    Pause(Duration),
+    Noise(usize),
+    Reset,
+    HangUp,
+    Constant(Fault),
+}
+
+impl Faults {
+    /// No faults.
+    pub fn none() -> Self {
+        Self::default()
+    }
+
+    /// Adds a fault of one reply. The first reply is number 0.
+    #[must_use]
+    pub fn at(mut self, reply: u64, fault: Fault) -> Self {
+        self.scripted.push((Trigger::Reply(reply), fault));
+        self
+    }
+
+    /// Adds a fault of every reply. `Faults::none().every(Fault::Lost)` makes the sensor
+    /// silent.
+    #[must_use]
+    pub fn every(mut self, fault: Fault) -> Self {
+        self.scripted.push((Trigger::EveryReply, fault));
+        self
+    }
+
+    /// Adds a fault that each reply has with this probability, 0 to 1.
+    #[must_use]
+    pub fn rate(mut self, probability: f64, fault: Fault) -> Self {
+        self.random.push((probability, RandomFault::Constant(fault)));
+        self
+    }
+
+    /// Delays a reply by up to `longest`, with this probability.
+    #[must_use]
+    pub fn late(mut self, probability: f64, longest: Duration) -> Self {
+        self.random.push((probability, RandomFault::Late(longest)));
+        self
+    }
+
+    /// Interrupts a reply for up to `longest`, with this probability.
+    #[must_use]
+    pub fn paused(mut self, probability: f64, longest: Duration) -> Self {
+        self.random.push((probability, RandomFault::Pause(longest)));
+        self
+    }
+
+    /// Sends up to `longest` random bytes before a reply, with this probability.
+    #[must_use]
+    pub fn noise(mut self, probability: f64, longest: usize) -> Self {
+        self.random.push((probability, RandomFault::Noise(longest)));
+        self
+    }
+
+    /// Restarts the sensor during a reply, with this probability.
+    #[must_use]
+    pub fn reset(mut self, probability: f64) -> Self {
+        self.random.push((probability, RandomFault::Reset));
+        self
+    }
+
+    /// Hangs up the link during a reply, with this probability.
+    #[must_use]
+    pub fn hung_up(mut self, probability: f64) -> Self {
+        self.random.push((probability, RandomFault::HangUp));
+        self
+    }
+
+    /// Sets the seed of random faults. Default: the sensor's seed.
+    #[must_use]
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = Some(seed);
+        self
+    }
+}
+
+/// Number of injected faults, by kind, both scripted and random.
+///
+/// A fault counts when it is applied to a reply, even if it changes nothing there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
+pub struct FaultCounts {
+    /// [`Fault::CommandLost`].
+    pub command_lost: u64,
+    /// [`Fault::Lost`].
+    pub lost: u64,
+    /// [`Fault::Late`].
+    pub late: u64,
+    /// [`Fault::Doubled`].
+    pub doubled: u64,
+    /// [`Fault::Drop`].
+    pub dropped: u64,
+    /// [`Fault::Insert`].
+    pub inserted: u64,
+    /// [`Fault::Flip`].
+    pub flipped: u64,
+    /// [`Fault::Repeat`].
+    pub repeated: u64,
+    /// [`Fault::Cut`].
+    pub cut: u64,
+    /// [`Fault::Damaged`].
+    pub damaged: u64,
+    /// [`Fault::Merged`].
+    pub merged: u64,
+    /// [`Fault::Garbage`].
+    pub garbage: u64,
+    /// [`Fault::Noise`].
+    pub noise: u64,
+    /// [`Fault::Pause`].
+    pub paused: u64,
+    /// [`Fault::Trickle`].
+    pub trickled: u64,
+    /// [`Fault::CrLf`].
+    pub crlf: u64,
+    /// [`Fault::Status`].
+    pub status: u64,
+    /// [`Fault::Reset`].
+    pub reset: u64,
+    /// [`Fault::HangUp`].
+    pub hung_up: u64,
+    /// [`Fault::Endless`].
+    pub endless: u64,
+}
+
+impl FaultCounts {
+    /// Number of faults of all kinds.
+    pub fn total(&self) -> u64 {
+        let Self {
+            command_lost,
+            lost,
+            late,
+            doubled,
+            dropped,
+            inserted,
+            flipped,
+            repeated,
+            cut,
+            damaged,
+            merged,
+            garbage,
+            noise,
+            paused,
+            trickled,
+            crlf,
+            status,
+            reset,
+            hung_up,
+            endless,
+        } = self;
+        [command_lost, lost, late, doubled, dropped, inserted, flipped, repeated, cut, damaged]
+            .into_iter()
+            .chain([merged, garbage, noise, paused, trickled, crlf, status, reset, hung_up])
+            .chain([endless])
+            .sum()
+    }
+
+    fn add(&mut self, fault: &Fault) {
+        let counter = match fault {
+            Fault::CommandLost => &mut self.command_lost,
+            Fault::Lost => &mut self.lost,
+            Fault::Late(_) => &mut self.late,
+            Fault::Doubled => &mut self.doubled,
+            Fault::Drop(_) => &mut self.dropped,
+            Fault::Insert(..) => &mut self.inserted,
+            Fault::Flip(..) => &mut self.flipped,
+            Fault::Repeat(_) => &mut self.repeated,
+            Fault::Cut(_) => &mut self.cut,
+            Fault::Damaged => &mut self.damaged,
+            Fault::Merged => &mut self.merged,
+            Fault::Garbage(_) => &mut self.garbage,
+            Fault::Noise(_) => &mut self.noise,
+            Fault::Pause(..) => &mut self.paused,
+            Fault::Trickle(_) => &mut self.trickled,
+            Fault::CrLf => &mut self.crlf,
+            Fault::Status(_) => &mut self.status,
+            Fault::Reset(_) => &mut self.reset,
+            Fault::HangUp(_) => &mut self.hung_up,
+            Fault::Endless(_) => &mut self.endless,
+        };
+        *counter += 1;
+    }
+}

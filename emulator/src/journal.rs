@@ -1,0 +1,142 @@
+//! What the sensor has received and done, for tests.
+
+use std::collections::VecDeque;
+
+use tokio::time::Instant;
+
+use super::scip::{ArrivedCommand, HostCommand};
+
+/// Kind of a command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
+pub enum Verdict {
+    /// Complete command of SCIP 1.1 with valid parameters.
+    WellFormed,
+    /// Terminator without a command.
+    Empty,
+    /// Anything else.
+    Malformed,
+}
+
+/// Command line that reached the sensor.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
+pub struct Received {
+    /// When its terminator had arrived.
+    pub at: Instant,
+    /// Line without its terminator, at most 64 bytes.
+    pub line: Vec<u8>,
+    /// Result of parsing it as a command of SCIP 1.1.
+    pub verdict: Verdict,
+    /// True if the two ends of the line had different baud rates.
+    pub garbled: bool,
+    /// True if its first byte arrived before the reply to an earlier command had ended
+    /// (except for empty commands).
+    pub overlapping: bool,
+}
+
+/// Scan that the sensor sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct SentScan {
+    /// When the terminator of its `G` had arrived. Lies between
+    /// [`Scan::requested_at`](tokio_scip::Scan::requested_at) and
+    /// [`Scan::received_at`](tokio_scip::Scan::received_at).
+    pub requested_at: Instant,
+    /// End of the revolution that measured its distances.
+    pub revolution_end: Instant,
+}
+
+/// Counters since the emulated sensor was built.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+#[doc(hidden)] // For the tests of this crate.
+pub struct Counts {
+    /// Received command lines of any kind.
+    pub commands: u64,
+    /// Lines that were garbled because of a wrong baud rate.
+    pub garbled: u64,
+    /// Lines that were not garbled and are not a well-formed command.
+    pub malformed: u64,
+    /// Terminators without a command.
+    pub empty: u64,
+    /// Lines whose first byte arrived while an earlier command was unanswered.
+    pub overlapping: u64,
+    /// Lines that were dropped because the sensor's command queue was full.
+    pub overrun: u64,
+    /// `G` commands answered with distances.
+    pub scans: u64,
+    /// Replies of any kind, also those that a fault suppressed.
+    pub replies: u64,
+    /// Power-ups after the first one, by [`power_cycle`](super::Emulator::power_cycle)
+    /// or by a fault.
+    pub resets: u64,
+}
+
+/// Counters, latest command lines and latest scans.
+#[derive(Debug)]
+pub(super) struct Journal {
+    pub(super) counts: Counts,
+    log: VecDeque<Received>,
+    scans: VecDeque<SentScan>,
+    capacity: usize,
+}
+
+impl Journal {
+    pub(super) fn new(capacity: usize) -> Self {
+        Self { counts: Counts::default(), log: VecDeque::new(), scans: VecDeque::new(), capacity }
+    }
+
+    pub(super) fn record(&mut self, arrived: &ArrivedCommand) {
+        let verdict = match arrived.command {
+            HostCommand::Version
+            | HostCommand::Laser(_)
+            | HostCommand::BaudRate(_)
+            | HostCommand::Scan { .. } => Verdict::WellFormed,
+            HostCommand::Empty => Verdict::Empty,
+            HostCommand::Scip2 | HostCommand::Undefined | HostCommand::Invalid(_) => {
+                Verdict::Malformed
+            }
+        };
+        let counts = &mut self.counts;
+        counts.commands += 1;
+        counts.garbled += u64::from(arrived.garbled);
+        counts.malformed += u64::from(verdict == Verdict::Malformed && !arrived.garbled);
+        counts.empty += u64::from(verdict == Verdict::Empty);
+        counts.overlapping += u64::from(arrived.overlapping);
+        if self.capacity == 0 {
+            return;
+        }
+        if self.log.len() == self.capacity {
+            self.log.pop_front();
+        }
+        self.log.push_back(Received {
+            at: arrived.at,
+            line: arrived.bytes.clone(),
+            verdict,
+            garbled: arrived.garbled,
+            overlapping: arrived.overlapping,
+        });
+    }
+
+    pub(super) fn record_scan(&mut self, scan: SentScan) {
+        self.counts.scans += 1;
+        if self.capacity == 0 {
+            return;
+        }
+        if self.scans.len() == self.capacity {
+            self.scans.pop_front();
+        }
+        self.scans.push_back(scan);
+    }
+
+    pub(super) fn scans(&self) -> Vec<SentScan> {
+        self.scans.iter().copied().collect()
+    }
+
+    pub(super) fn log(&self) -> Vec<Received> {
+        self.log.iter().cloned().collect()
+    }
+}

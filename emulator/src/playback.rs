@@ -1,0 +1,127 @@
+//! [`Playback`]: sends replies to `G` that are known in advance, such as a recording,
+//! instead of measuring a world.
+//!
+//! The replies come from a [`Script`], such as `urg-recording`'s.
+
+use std::io;
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use super::scip::HostCommand;
+use super::world::Values;
+
+/// Longest time that the sensor holds back a reply until it is due. An earlier `G` gets
+/// no answer. Shorter than a driver's deadline.
+const MAX_HOLD: Duration = Duration::from_millis(400);
+
+/// Source of replies to `G` in a fixed order, such as a recording:
+/// [`EmulatorBuilder::script`](crate::EmulatorBuilder::script).
+pub trait Script: Send {
+    /// Reads the next reply, once a command has arrived. May block.
+    fn prepare(&mut self);
+
+    /// Time from the first reply to the next one, or `None` after the last one.
+    fn due(&self) -> Option<Duration>;
+
+    /// Returns true if a `G` for the single step `step` asks for the next reply, and is
+    /// not a fence.
+    fn is_single_step(&self, step: u16) -> bool;
+
+    /// Advances to the next reply. Returns its bytes, as an answer to `command`, if they
+    /// cannot be encoded from distances.
+    fn advance(&mut self, command: &[u8]) -> Option<Vec<u8>>;
+
+    /// Wall clock of the latest reply's arrival.
+    fn wall_clock(&self) -> SystemTime;
+
+    /// Error that ended the script early, if any.
+    fn failure(&self) -> Option<io::Error>;
+
+    /// Copies the latest value of each step that was ever measured.
+    fn measure(&self, values: &mut Values);
+}
+
+/// Speed of a replay.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum ReplayPace {
+    /// Recorded speed: no reply arrives before its time. Polls time out in a gap of the
+    /// recording.
+    #[default]
+    Recorded,
+    /// As fast as you poll. If your stream must not miss a scan, set a large depth
+    /// ([`depth`](tokio_scip::SensorBuilder::depth)).
+    Max,
+}
+
+/// Script being played.
+pub(super) struct Playback {
+    script: Box<dyn Script>,
+    pace: ReplayPace,
+    started_at: Option<Instant>,
+}
+
+/// Answer of the script to a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum NextReply {
+    /// The script does not answer the command, so the device does.
+    NotScripted,
+    /// Next reply of the script, not before this time.
+    At(Instant),
+    /// No reply, because the next one is due too far in the future.
+    TooEarly,
+    /// End of the script: the sensor is unplugged.
+    End,
+}
+
+impl Playback {
+    pub(super) fn new(script: Box<dyn Script>, pace: ReplayPace) -> Self {
+        Self { script, pace, started_at: None }
+    }
+
+    /// Reads the next reply of the script, if that was not done yet.
+    pub(super) fn prepare(&mut self) {
+        self.script.prepare();
+    }
+
+    /// Answer to `command` if it is served at `at`.
+    pub(super) fn next_reply(&self, command: &HostCommand, at: Instant) -> NextReply {
+        match *command {
+            HostCommand::Scan { start, end, .. }
+                if start < end || self.script.is_single_step(end) => {}
+            _ => return NextReply::NotScripted,
+        }
+        match (self.script.due(), self.started_at) {
+            (None, _) => NextReply::End,
+            (Some(due), Some(started_at)) if self.pace == ReplayPace::Recorded => {
+                let due = started_at + due;
+                if due <= at + MAX_HOLD { NextReply::At(due.max(at)) } else { NextReply::TooEarly }
+            }
+            (Some(_), _) => NextReply::At(at),
+        }
+    }
+
+    /// Plays the next reply at `at`. Returns its bytes if they cannot be encoded from
+    /// distances.
+    pub(super) fn advance(&mut self, command: &[u8], at: Instant) -> Option<Vec<u8>> {
+        if self.started_at.is_none() {
+            self.started_at = at.checked_sub(self.script.due().unwrap_or_default());
+        }
+        self.script.advance(command)
+    }
+
+    pub(super) fn measure(&self, values: &mut Values) {
+        self.script.measure(values);
+    }
+
+    /// Wall clock of the latest reply's arrival.
+    pub(super) fn wall_clock(&self) -> SystemTime {
+        self.script.wall_clock()
+    }
+
+    /// Result of reading from the sensor after the script's end.
+    pub(super) fn end(&self) -> io::Result<()> {
+        self.script.failure().map_or(Ok(()), Err)
+    }
+}

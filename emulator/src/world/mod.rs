@@ -1,0 +1,99 @@
+//! Surroundings that the sensor measures: the [`World`] trait, and [`Fixed`], whose
+//! values are known in advance.
+//!
+//! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
+//! turns into values. `sparse` removes distances of any world.
+
+mod room;
+mod scene;
+mod sparse;
+mod surface;
+mod sweep;
+mod walk;
+
+use std::fmt;
+use std::time::Duration;
+
+pub use self::room::Room;
+pub use self::scene::Scene;
+pub use self::sparse::Sparse;
+pub use self::walk::Walk;
+
+/// Number of steps in a full scan, 0..=768.
+pub const STEPS: usize = 769;
+
+/// One 12-bit value (0..=4095) for each step, at the step's index: a distance in
+/// millimetres from 20 on, an error code from 0 to 19 (C-42-3320-A p. 7).
+pub type Values = [u16; STEPS];
+
+/// Error code 19, "Non-Measurable Distance": what a sensor sends for the steps
+/// outside its detection window, 0..=43 and 726..=768.
+pub(crate) const NON_MEASURABLE: u16 = 19;
+
+/// When a world is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct WorldTime {
+    /// Revolution whose distances are sent, 0 for the first one after power-up: the last
+    /// one that had ended when the command was served.
+    pub revolution: u64,
+    /// Number of `G` commands that this sensor answered with distances before, over all
+    /// its power-ups. Use it to tell each reply in your test from every other.
+    pub request: u64,
+    /// Time from power-up to the end of that revolution.
+    pub at: Duration,
+}
+
+/// Surroundings of an emulated sensor.
+///
+/// A world is called only when a `G` command is served, while the emulated sensor is
+/// locked. It must not call the [`Emulator`](super::Emulator) that it belongs to, and
+/// should not take long.
+///
+/// Closures implement it, too:
+///
+/// ```
+/// use urg_emulator::{Emulator, Values, WorldTime};
+///
+/// // Every scan has its own number in its first point.
+/// let emulator = Emulator::builder()
+///     .world(|time: WorldTime, values: &mut Values| {
+///         values.fill(1234);
+///         values[44] = 20 + (time.request % 4000) as u16;
+///     })
+///     .build();
+/// ```
+pub trait World: Send {
+    /// Fills in the value of each step. All values are 19 ("non-measurable") before the
+    /// call. Only the low 12 bits are sent.
+    fn measure(&mut self, time: WorldTime, values: &mut Values);
+}
+
+impl<F: FnMut(WorldTime, &mut Values) + Send> World for F {
+    fn measure(&mut self, time: WorldTime, values: &mut Values) {
+        self(time, values);
+    }
+}
+
+/// World with the same values at any time.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Fixed(pub Values);
+
+impl Fixed {
+    /// Creates a world with the same value at every step.
+    pub fn filled(value: u16) -> Self {
+        Self([value; STEPS])
+    }
+}
+
+impl fmt::Debug for Fixed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Fixed").finish_non_exhaustive()
+    }
+}
+
+impl World for Fixed {
+    fn measure(&mut self, _: WorldTime, values: &mut Values) {
+        *values = self.0;
+    }
+}

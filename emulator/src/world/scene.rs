@@ -1,0 +1,114 @@
+//! [`Scene`]: surroundings put together from walls, discs and people, for tests of a
+//! service.
+
+use super::surface::{Echo, Surface, nearest};
+use super::sweep::{Noise, sweep};
+use super::walk::Walk;
+use super::{Values, World, WorldTime};
+
+/// Fraction of the light that surfaces of a scene reflect.
+const REFLECTS: f64 = 0.7;
+
+/// Surroundings made of walls, discs and people, some of which move.
+///
+/// Positions are in metres in the sensor's frame, x forward and y left. A direction without a
+/// surface has error code 0. As with a real sensor, each distance is off by some millimetres,
+/// and some points are missing, drawn from the seed. Call
+/// [`without_noise`](Self::without_noise) to make distances exact.
+///
+/// ```
+/// use std::time::Duration;
+/// use urg_emulator::{Emulator, Scene, Walk};
+///
+/// // A corridor 2 m wide; after 5 s a person walks by, 1 m in front of the sensor.
+/// let corridor = Scene::new(1).wall((-1.0, 1.0), (4.0, 1.0)).wall((-1.0, -1.0), (4.0, -1.0));
+/// let visitor = Walk::new((1.0, -0.8), (1.0, 0.8)).starting_at(Duration::from_secs(5));
+/// let emulator = Emulator::builder().world(corridor.person(visitor)).build();
+/// ```
+#[derive(Debug, Clone)]
+pub struct Scene {
+    noise: Noise,
+    surfaces: Vec<Surface>,
+    moving: Vec<Moving>,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Moving {
+    Disc { radius: f64, walk: Walk },
+    Person(Walk),
+}
+
+impl Scene {
+    /// Creates a scene without surfaces. The seed determines the noise.
+    pub fn new(seed: u64) -> Self {
+        Self { noise: Noise::Seeded(seed), surfaces: Vec::new(), moving: Vec::new() }
+    }
+
+    /// Makes distances exact, rounded to a millimetre, and measures every point in range.
+    #[must_use]
+    pub fn without_noise(mut self) -> Self {
+        self.noise = Noise::None;
+        self
+    }
+
+    /// Adds a wall between two positions.
+    #[must_use]
+    pub fn wall(mut self, from: (f64, f64), to: (f64, f64)) -> Self {
+        self.surfaces.push(Surface::wall(millimetres(from), millimetres(to), REFLECTS));
+        self
+    }
+
+    /// Adds the four walls of a rectangle between two opposite corners: a room if the
+    /// sensor is inside, a box if it is outside.
+    #[must_use]
+    pub fn rectangle(self, corner: (f64, f64), opposite: (f64, f64)) -> Self {
+        let ((x0, y0), (x1, y1)) = (corner, opposite);
+        self.wall((x0, y0), (x1, y0))
+            .wall((x1, y0), (x1, y1))
+            .wall((x1, y1), (x0, y1))
+            .wall((x0, y1), (x0, y0))
+    }
+
+    /// Adds a disc, such as a pillar. A disc around the sensor is not measured.
+    #[must_use]
+    pub fn disc(mut self, centre: (f64, f64), radius: f64) -> Self {
+        self.surfaces.push(Surface::disc(millimetres(centre), radius * 1000.0, REFLECTS));
+        self
+    }
+
+    /// Adds a disc whose centre moves, such as a robot.
+    #[must_use]
+    #[doc(hidden)] // For the tests of this crate.
+    pub fn moving_disc(mut self, radius: f64, walk: Walk) -> Self {
+        self.moving.push(Moving::Disc { radius: radius * 1000.0, walk });
+        self
+    }
+
+    /// Adds a person who walks: two legs of 13 cm, side by side and striding.
+    #[must_use]
+    pub fn person(mut self, walk: Walk) -> Self {
+        self.moving.push(Moving::Person(walk));
+        self
+    }
+}
+
+impl World for Scene {
+    fn measure(&mut self, time: WorldTime, values: &mut Values) {
+        let mut surfaces = self.surfaces.clone();
+        for moving in &self.moving {
+            match moving {
+                Moving::Disc { radius, walk } => surfaces.extend(
+                    walk.at(time.at).map(|at| Surface::disc(at.position, *radius, REFLECTS)),
+                ),
+                Moving::Person(walk) => {
+                    surfaces.extend(walk.at(time.at).iter().flat_map(|at| at.legs()));
+                }
+            }
+        }
+        sweep(self.noise, time, values, |direction| nearest(&surfaces, direction, Echo::NONE));
+    }
+}
+
+fn millimetres((x, y): (f64, f64)) -> (f64, f64) {
+    (x * 1000.0, y * 1000.0)
+}

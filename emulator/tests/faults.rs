@@ -1,0 +1,231 @@
+//! Faults on demand.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::time::{Instant, sleep};
+use tokio_scip::BaudRate;
+use tokio_scip::port::Port;
+use urg_emulator::{Emulator, Fault, Faults};
+
+use super::{ask, instant_sensor, listen, listen_bytes};
+
+const S: Duration = Duration::from_secs(1);
+
+/// Returns the bytes that arrive for `L0` if its reply, `L0\n0\n\n`, has the fault.
+async fn l0_with(fault: Fault) -> Vec<u8> {
+    let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
+    let mut link = emulator.link();
+    link.write_all(b"L0\n").await.unwrap();
+    let mut received = listen_bytes(&mut link).await;
+    received.extend(listen_bytes(&mut link).await);
+    assert_eq!(emulator.fault_counts().total(), 1);
+    received
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_fault_leaves_the_bytes_that_its_name_says() {
+    for (fault, received) in [
+        (Fault::CommandLost, &b""[..]),
+        (Fault::Lost, b""),
+        (Fault::Late(2 * S), b"L0\n0\n\n"),
+        (Fault::Doubled, b"L0\n0\n\nL0\n0\n\n"),
+        (Fault::Drop(1..2), b"L\n0\n\n"),
+        (Fault::Insert(2, vec![0xFF]), b"L0\xFF\n0\n\n"),
+        (Fault::Flip(3, 0x01), b"L0\n1\n\n"),
+        (Fault::Repeat(0..3), b"L0\nL0\n0\n\n"),
+        (Fault::Cut(4), b"L0\n0"),
+        (Fault::Merged, b"L0\n0\n"),
+        (Fault::Garbage(b"\0\0".to_vec()), b"\0\0L0\n0\n\n"),
+        (Fault::Pause(3, 5 * S), b"L0\n0\n\n"),
+        (Fault::Trickle(S), b"L0\n0\n\n"),
+        (Fault::CrLf, b"L0\r\n0\r\n\r\n"),
+        (Fault::Status(b'~'), b"L0\n~\n\n"),
+        (Fault::Reset(2), b"L0"),
+    ] {
+        assert_eq!(l0_with(fault.clone()).await, received, "{fault:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_command_whose_reply_is_lost_takes_effect_and_a_lost_command_does_not() {
+    for (fault, laser) in
+        [(Fault::Lost, false), (Fault::CommandLost, true), (Fault::Status(b'9'), true)]
+    {
+        let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
+        ask(&mut emulator.link(), "L0").await;
+        assert_eq!(emulator.is_laser_on(), laser);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn faults_affect_only_their_replies() {
+    let faults = Faults::none().at(1, Fault::Lost).at(3, Fault::Status(b'8'));
+    let emulator = instant_sensor().faults(faults).build();
+    let mut link = emulator.link();
+    for reply in ["L1\n2\n\n", "", "L1\n2\n\n", "L1\n8\n\n", "L1\n2\n\n"] {
+        assert_eq!(ask(&mut link, "L1").await, reply);
+    }
+    assert_eq!((emulator.fault_counts().lost, emulator.fault_counts().status), (1, 1));
+    emulator.set_faults(Faults::none().every(Fault::Lost));
+    assert_eq!(ask(&mut link, "L1").await, "");
+    assert_eq!(ask(&mut link, "L1").await, "");
+    emulator.set_faults(Faults::none());
+    assert_eq!(ask(&mut link, "L1").await, "L1\n2\n\n");
+    assert_eq!(emulator.fault_counts().lost, 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_late_reply_delays_those_behind_it() {
+    let emulator = instant_sensor().faults(Faults::none().at(0, Fault::Late(3 * S))).build();
+    let mut link = emulator.link();
+    let start = Instant::now();
+    link.write_all(b"L0\n").await.unwrap();
+    sleep(S).await;
+    link.write_all(b"L1\n").await.unwrap();
+    assert_eq!(listen(&mut link).await, "L0\n0\n\n");
+    assert_eq!(start.elapsed().as_millis() / 10, 300);
+    assert_eq!(listen(&mut link).await, "L1\n0\n\n");
+    assert_eq!(start.elapsed().as_millis() / 10, 300);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_trickle_and_a_pause_delay_the_reply() {
+    let faults = Faults::none().at(0, Fault::Trickle(S / 10)).at(1, Fault::Pause(5, 2 * S));
+    let mut link = instant_sensor().faults(faults).build().link();
+    let start = Instant::now();
+    ask(&mut link, "L0").await;
+    assert_eq!(start.elapsed().as_millis() / 10, 60);
+    link.write_all(b"L1\n").await.unwrap();
+    let mut part = [0; 5];
+    link.read_exact(&mut part).await.unwrap();
+    assert_eq!((&part, start.elapsed().as_millis() / 10), (b"L1\n0\n", 60));
+    assert_eq!(link.read_u8().await.unwrap(), b'\n');
+    assert_eq!(start.elapsed().as_millis() / 10, 260);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
+    let baud_rate = BaudRate::B115200;
+    for after in 0..=1399 {
+        let emulator = instant_sensor()
+            .baud_rate(baud_rate)
+            .boot_time(S)
+            .laser(false)
+            .faults(Faults::none().at(1, Fault::Reset(after)))
+            .build();
+        let mut link = emulator.link();
+        link.set_baud_rate(baud_rate).unwrap();
+        sleep(S).await;
+        assert_eq!(ask(&mut link, "L1").await, "L1\n0\n\n");
+        link.write_all(b"G04472501\n").await.unwrap();
+        let mut part = vec![0; after];
+        link.read_exact(&mut part).await.unwrap();
+        // Silent while it starts, then at another baud rate.
+        link.write_all(b"V\n").await.unwrap();
+        sleep(2 * S).await;
+        assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));
+        assert!(emulator.is_laser_on());
+        link.set_baud_rate(BaudRate::B19200).unwrap();
+        assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n", "after {after}");
+        assert_eq!((emulator.counts().resets, emulator.fault_counts().reset), (1, 1));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_hang_up_ends_the_link_after_its_byte() {
+    let emulator = instant_sensor().faults(Faults::none().at(0, Fault::HangUp(4))).build();
+    let mut link = emulator.link();
+    link.write_all(b"L0\n").await.unwrap();
+    let mut received = Vec::new();
+    link.read_to_end(&mut received).await.unwrap();
+    assert_eq!(received, b"L0\n0");
+    assert_eq!(link.read(&mut [0; 8]).await.unwrap(), 0);
+    assert!(link.write_all(b"V\n").await.is_err());
+    assert!(!emulator.is_connected());
+    // A new link reaches the same sensor.
+    assert_eq!(ask(&mut emulator.link(), "L0").await, "L0\n2\n\n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn endless_bytes_go_on_until_the_faults_change() {
+    let faults = Faults::none().at(0, Fault::Endless(b"\n\n".to_vec()));
+    let emulator = instant_sensor().baud_rate(BaudRate::B750000).faults(faults).build();
+    let mut link = emulator.link();
+    link.set_baud_rate(BaudRate::B750000).unwrap();
+    link.write_all(b"V\n").await.unwrap();
+    let start = Instant::now();
+    let mut flood = vec![0; 1_000_000];
+    link.read_exact(&mut flood).await.unwrap();
+    assert!(flood.iter().all(|&byte| byte == b'\n'));
+    // 75 kB/s, the rate of the line.
+    assert!((12..20).contains(&start.elapsed().as_secs()), "{:?}", start.elapsed());
+    emulator.set_faults(Faults::none());
+    let mut rest = Vec::new();
+    let _ = tokio::time::timeout(S, link.read_to_end(&mut rest)).await;
+    assert!(rest.len() < 20_000);
+    assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_flood_that_is_not_read_is_not_buffered() {
+    let faults = Faults::none().at(0, Fault::Endless(b"x".to_vec()));
+    let emulator = instant_sensor().faults(faults).build();
+    let mut link = emulator.link();
+    link.write_all(b"V\n").await.unwrap();
+    sleep(3600 * S).await;
+    emulator.set_faults(Faults::none());
+    let mut received = Vec::new();
+    let _ = tokio::time::timeout(S, link.read_to_end(&mut received)).await;
+    assert!((1000..20_000).contains(&received.len()), "{}", received.len());
+}
+
+/// Returns all bytes of 2,000 scans polled twice a second.
+async fn polled(emulator: &Emulator) -> Vec<u8> {
+    let mut link = emulator.link();
+    let mut received = Vec::new();
+    for _ in 0..2000 {
+        if link.write_all(b"G38438401\n").await.is_err() {
+            link = emulator.link();
+        }
+        let _ = tokio::time::timeout(S / 2, link.read_to_end(&mut received)).await;
+    }
+    received
+}
+
+#[tokio::test(start_paused = true)]
+async fn random_faults_occur_at_their_rate_and_repeat_with_the_seed() {
+    let spec = "late=0.05:3s,lost=0.05,command-lost=0.05,damaged=0.05,doubled=0.05,merged=0.05,\
+                noise=0.05:64,pause=0.05:1s,reset=0.05,hang-up=0.05";
+    let faults: Faults = spec.parse().unwrap();
+    let mut received = Vec::new();
+    for seed in [1, 1, 2] {
+        let emulator = instant_sensor().faults(faults.clone()).seed(seed).build();
+        received.push((polled(&emulator).await, emulator.fault_counts(), emulator.counts()));
+        let counts = emulator.fault_counts();
+        for count in [
+            counts.late,
+            counts.lost,
+            counts.command_lost,
+            counts.damaged,
+            counts.doubled,
+            counts.merged,
+            counts.noise,
+            counts.paused,
+            counts.reset,
+            counts.hung_up,
+        ] {
+            assert!((60..=140).contains(&count), "{counts:?}");
+        }
+    }
+    assert!(received[0] == received[1], "the same seed makes the same bytes");
+    assert!(received[0].0 != received[2].0, "another seed makes other bytes");
+}
+
+#[tokio::test(start_paused = true)]
+async fn faults_with_a_seed_do_not_depend_on_the_sensors() {
+    let faults: Faults = "damaged=0.5,seed=7".parse().unwrap();
+    let one = polled(&instant_sensor().faults(faults.clone()).seed(1).build()).await;
+    let two = polled(&instant_sensor().faults(faults).seed(2).build()).await;
+    assert!(one == two);
+}

@@ -1,0 +1,61 @@
+//! Any bytes as commands: the sensor answers in the form that the text requires.
+
+use std::time::Duration;
+
+use proptest::prelude::*;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use urg_emulator::{EmptyCommand, Emulator, Faults, Firmware};
+
+use super::instant_sensor;
+
+/// Returns the bytes that arrive for `bytes` within an hour.
+fn replies(emulator: &Emulator, bytes: &[u8]) -> Vec<u8> {
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+    runtime.unwrap().block_on(async {
+        let mut link = emulator.link();
+        link.write_all(bytes).await.unwrap();
+        let mut received = Vec::new();
+        let read = link.read_to_end(&mut received);
+        let _ = tokio::time::timeout(Duration::from_secs(3600), read).await;
+        received
+    })
+}
+
+/// Bytes that are likely to be commands, or almost.
+fn line() -> impl Strategy<Value = Vec<u8>> {
+    prop_oneof![
+        "[VLSGX][0-9]{0,14}".prop_map(String::into_bytes),
+        "G[0-7][0-9]{2}[0-7][0-9]{2}[0-9]{2}".prop_map(String::into_bytes),
+        proptest::collection::vec(any::<u8>(), 0..80),
+    ]
+    .prop_map(|line| line.into_iter().filter(|byte| !b"\r\n".contains(byte)).collect())
+}
+
+proptest! {
+    #[test]
+    fn a_reply_is_echo_and_status_and_ends_in_two_line_feeds(line in line()) {
+        let emulator = instant_sensor().firmware(Firmware::V3).empty_command(EmptyCommand::Status).build();
+        let reply = replies(&emulator, &[&line[..], b"\n"].concat());
+        let echo = &line[..line.len().min(64)];
+        prop_assert!(reply.starts_with(&[echo, b"\n"].concat()));
+        prop_assert!(reply.ends_with(b"\n\n"));
+        let rest = &reply[echo.len() + 1..];
+        prop_assert!(rest[1] == b'\n' && rest[0].is_ascii_graphic());
+        // An error reply has no data, and only its end has two LFs in a row.
+        prop_assert!(rest[0] == b'0' || rest.len() == 3);
+        prop_assert_eq!(rest.windows(2).position(|pair| pair == b"\n\n"), Some(rest.len() - 2));
+        prop_assert!(rest.split(|&byte| byte == b'\n').all(|line| line.len() <= 64));
+    }
+
+    #[test]
+    fn any_bytes_are_answered_without_a_panic(
+        bytes in proptest::collection::vec(any::<u8>(), 0..2000),
+        seed in any::<u64>(),
+    ) {
+        let faults: Faults =
+            "late=0.3,lost=0.1,damaged=0.5,doubled=0.3,merged=0.2,noise=0.3,reset=0.1".parse().unwrap();
+        let emulator = instant_sensor().faults(faults).seed(seed).build();
+        prop_assert!(replies(&emulator, &bytes).len() < 1_000_000);
+    }
+}

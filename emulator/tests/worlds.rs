@@ -1,0 +1,235 @@
+//! The surroundings that the emulated sensor measures.
+
+use std::time::Duration;
+
+use urg_emulator::{Emulator, Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};
+
+use super::ask;
+
+/// Returns the values of a world in a sensor's first revolutions, ten a second.
+fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
+    let (sender, receiver) = std::sync::mpsc::channel();
+    let world = move |look: WorldTime, codes: &mut Values| {
+        room.measure(look, codes);
+        sender.send(*codes).unwrap();
+    };
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
+    runtime.unwrap().block_on(async {
+        let mut link = Emulator::builder().world(world).build().link();
+        for _ in 0..count {
+            ask(&mut link, "G00000001").await;
+        }
+    });
+    receiver.try_iter().collect()
+}
+
+#[test]
+fn a_room_is_mostly_distances_with_errors_where_a_sensor_has_them() {
+    for seed in 0..20 {
+        for codes in looks(Room::new(seed), 50) {
+            assert!(codes[..44].iter().chain(&codes[726..]).all(|&code| code == 19));
+            assert!(codes.iter().all(|&code| code < 4095));
+            let window = &codes[44..=725];
+            let distances = window.iter().filter(|&&code| code >= 20).count();
+            assert!(distances > 682 * 75 / 100, "seed {seed}: {distances}");
+            // In front is a wall, an object before it, or a doorway.
+            assert!(window.iter().filter(|&&code| code >= 20).all(|&code| code > 100));
+        }
+    }
+}
+
+#[test]
+fn a_room_has_every_kind_of_error_that_it_promises() {
+    let mut seen = [0_u32; 20];
+    for codes in (0..20).flat_map(|seed| looks(Room::new(seed), 20)) {
+        for &code in codes[44..=725].iter().filter(|&&code| code < 20) {
+            seen[usize::from(code)] += 1;
+        }
+    }
+    for code in [0, 1, 2, 3, 4, 5, 6, 7, 9, 16] {
+        assert!(seen[code] > 0, "no code {code}: {seen:?}");
+    }
+}
+
+#[test]
+fn points_next_to_each_other_are_on_the_same_surface_mostly() {
+    let codes = looks(Room::new(1), 1)[0];
+    let near = codes[44..=725].windows(2).filter(|pair| pair[0].abs_diff(pair[1]) < 60).count();
+    assert!(near > 600, "{near}");
+}
+
+#[test]
+fn people_move_and_walls_do_not() {
+    let scans = looks(Room::new(3), 50);
+    let (first, last) = (scans[0], scans[49]);
+    let both = (44..=725).filter(|&step| first[step] >= 20 && last[step] >= 20);
+    let moved = both.filter(|&step| first[step].abs_diff(last[step]) > 100).count();
+    assert!((5..200).contains(&moved), "{moved}");
+    // Nobody moves faster than a person walks: most of what a scan shows is in the next
+    // one, too.
+    for pair in scans.windows(2) {
+        let jumps = (0..STEPS).filter(|&step| pair[0][step].abs_diff(pair[1][step]) > 100);
+        assert!(jumps.count() < 60);
+    }
+}
+
+#[test]
+fn a_big_room_is_mostly_out_of_range() {
+    let codes = looks(Room::sized(0, 16_000, 14_000, 0), 1)[0];
+    let errors = codes[44..=725].iter().filter(|&&code| code < 20).count();
+    assert!(errors > 682 / 2, "{errors}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_scans() {
+    assert!(looks(Room::new(5), 20) == looks(Room::new(5), 20));
+    assert!(looks(Room::new(5), 1) != looks(Room::new(6), 1));
+}
+
+#[test]
+fn a_room_is_the_same_on_every_machine() {
+    let checksum = |scans: Vec<Values>| {
+        scans.iter().flatten().fold(0_u64, |sum, &value| {
+            sum.wrapping_mul(0x0100_0000_01B3).wrapping_add(u64::from(value))
+        })
+    };
+    assert_eq!(
+        [checksum(looks(Room::new(0), 10)), checksum(looks(Room::hard(0), 10))],
+        [7576578781778081501, 9472447504408061105],
+        "the rooms have changed: recordings made of them no longer match"
+    );
+}
+
+/// The figures are those of six scans captured indoors from a real URG-04LX.
+#[test]
+fn sensors_at_two_places_measure_the_same_walls() {
+    let room = || Room::sized(3, 5000, 4400, 0);
+    let (x, y, yaw) = (0.5, -0.3, 90.0);
+    // In the room's frame, in metres.
+    let places = |values: &Values, (x, y, yaw): (f64, f64, f64)| -> Vec<(f64, f64)> {
+        let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
+        let place = |(step, &value): (usize, &u16)| {
+            let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0 + yaw.to_radians();
+            let range = f64::from(value) / 1000.0;
+            (x + range * angle.cos(), y + range * angle.sin())
+        };
+        measured.map(place).collect()
+    };
+    let ours = places(&looks(room(), 1)[0], (0.0, 0.0, 0.0));
+    let share_that_meets = |theirs: Vec<(f64, f64)>| {
+        let near = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).hypot(a.1 - b.1) < 0.06;
+        let meets = theirs.iter().filter(|place| ours.iter().any(|ours| near(*ours, **place)));
+        meets.count() as f64 / theirs.len() as f64
+    };
+    let moved = looks(room().seen_from(x, y, yaw), 1)[0];
+    // The rest is hidden from the other sensor, or out of its range.
+    assert!(share_that_meets(places(&moved, (x, y, yaw))) > 0.5);
+    assert!(share_that_meets(places(&looks(room(), 1)[0], (x, y, yaw))) < 0.2);
+    let outside = looks(room().seen_from(9.0, 0.0, 180.0), 1)[0];
+    assert!(outside.iter().all(|value| *value < 20));
+}
+
+#[test]
+fn a_hard_room_has_as_many_missing_points_as_a_real_one() {
+    let mut total = 0;
+    for seed in 0..20 {
+        let (mut counts, mut points) = ([0_u32; 20], 0);
+        let (mut nearest, mut farthest) = (u16::MAX, 0);
+        for values in looks(Room::hard(seed), 20) {
+            for &value in &values[44..=725] {
+                points += 1;
+                match counts.get_mut(usize::from(value)) {
+                    Some(count) => *count += 1,
+                    None => (nearest, farthest) = (nearest.min(value), farthest.max(value)),
+                }
+            }
+        }
+        let missing = counts.iter().sum::<u32>();
+        let usual = counts[0] + counts[6] + counts[16] + counts[7];
+        assert!((45..=65).contains(&(100 * missing / points)), "seed {seed}: {counts:?} {points}");
+        assert!(usual * 100 > missing * 85, "seed {seed}: {counts:?}");
+        assert!(nearest < 400 && farthest > 3700, "seed {seed}: {nearest} {farthest}");
+        total += 100 * missing / points;
+    }
+    assert!((52..=58).contains(&(total / 20)), "{total}");
+}
+
+#[test]
+fn a_scene_has_its_walls_discs_and_openings_where_they_were_put() {
+    let scene = Scene::new(0)
+        .without_noise()
+        .wall((2.0, -1.0), (2.0, 1.0))
+        .rectangle((-0.5, 1.5), (0.5, 2.5))
+        .disc((0.0, -3.0), 0.5);
+    let values = looks(scene, 1)[0];
+    let degrees = |angle: f64| values[(384.0 + angle * 1024.0 / 360.0).round() as usize];
+    assert_eq!(degrees(0.0), 2000);
+    // The wall ends at 26.6 degrees: a step before its end, and a step past it.
+    assert!(degrees(26.3).abs_diff(2231) < 5, "{}", degrees(26.3));
+    assert_eq!(degrees(27.0), 0, "nothing is there");
+    assert_eq!((degrees(90.0), degrees(-90.0)), (1500, 2500));
+    assert!(degrees(-89.0) < 2510 && degrees(-100.0) == 0);
+}
+
+#[test]
+fn a_person_walks_by_at_the_time_and_at_the_place_of_the_walk() {
+    let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).starting_at(Duration::from_secs(2)).speed(1.0);
+    assert_eq!(walk.duration(), Duration::from_secs(2));
+    let scans = looks(Scene::new(7).person(walk), 60);
+    let place = |values: &Values| {
+        let steps: Vec<usize> = (44..=725).filter(|&step| values[step] >= 20).collect();
+        (!steps.is_empty()).then(|| steps.iter().sum::<usize>() / steps.len())
+    };
+    let places: Vec<_> = scans.iter().map(place).collect();
+    // Scan n shows the revolution that ended n * 0.1 s after power-up.
+    assert!(places[..18].iter().chain(&places[41..]).all(Option::is_none), "{places:?}");
+    let walked: Vec<usize> = places[20..39].iter().map(|place| place.unwrap()).collect();
+    assert!(walked.windows(2).all(|pair| pair[0] < pair[1] + 6), "from right to left: {walked:?}");
+    assert!(walked[0] < 290 && walked[18] > 480, "{walked:?}");
+}
+
+#[test]
+fn a_disc_goes_back_and_forth() {
+    let walk = Walk::new((1.0, 0.0), (2.0, 0.0)).speed(1.0).back_and_forth();
+    let scans = looks(Scene::new(0).without_noise().moving_disc(0.2, walk), 45);
+    let ahead: Vec<u16> = scans.iter().map(|values| values[384]).collect();
+    let turns: Vec<usize> = (1..44)
+        .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
+        .collect();
+    assert_eq!(ahead.iter().max(), Some(&1800));
+    assert!(turns.windows(2).all(|pair| pair[1] - pair[0] == 10), "{turns:?}");
+}
+
+#[test]
+fn a_sparse_world_omits_the_requested_share_and_keeps_the_rest() {
+    for (share, from, to) in
+        [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
+    {
+        let scans = looks(Sparse::new(Fixed::filled(1234), share, 3), 20);
+        let values: Vec<u16> = scans.iter().flat_map(|values| values[44..=725].to_vec()).collect();
+        let missing = values.iter().filter(|&&value| value < 20).count() * 100 / values.len();
+        assert!((from..=to).contains(&missing), "{share}: {missing} %");
+        assert!(values.iter().all(|value| [0, 6, 16, 7, 1234].contains(value)));
+        // Missing points stay where they are, except at the ends of a run.
+        let changed = scans
+            .windows(2)
+            .map(|pair| (0..STEPS).filter(|&step| pair[0][step] != pair[1][step]).count());
+        assert!(changed.max() < Some(120));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn sensors_with_the_same_seed_send_the_same_bytes() {
+    let mut received = Vec::new();
+    for seed in [8, 8, 9] {
+        let mut link = Emulator::builder().seed(seed).build().link();
+        let mut all = String::new();
+        for _ in 0..10 {
+            all += &ask(&mut link, "G04472501").await;
+            tokio::time::sleep(Duration::from_millis(30)).await;
+        }
+        received.push(all);
+    }
+    assert!(received[0] == received[1] && received[0] != received[2]);
+}

@@ -1,0 +1,127 @@
+//! Recordings of Hokuyo URG laser range sensors: the scans of a stream and the replies of a sensor,
+//! in a file that you can open with robotics tools and replay. [`ros`] has the ROS 2 messages.
+//!
+//! [`Recorder`] writes [MCAP](https://mcap.dev) as ROS 2 does, so that `ros2 bag play`, Foxglove,
+//! Lichtblick, PlotJuggler and others read it. [`Recording`] reads such a file, returns its scans,
+//! and replays the sensor. To complete a file that was cut off use [`repair`]; to copy a part of
+//! one use [`cut`].
+//!
+//! ```
+//! use urg_recording::{Recorder, Recording, ReplayPace};
+//! use tokio_scip::{Rate, Sensor, Window};
+//! use urg_emulator::Emulator;
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = std::env::temp_dir().join(format!("recording-{}", std::process::id()));
+//! # std::fs::create_dir_all(&folder)?;
+//! # let path = folder.join("run.mcap");
+//! // Records ten scans; instead of the emulator, `open("/dev/ttyACM0")`.
+//! let mut recorder = Recorder::create(&path)?;
+//! let sensor = Sensor::builder().depth(1024).connect(Emulator::default()).await?;
+//! recorder.observe(&sensor);
+//! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+//! recorder.describe(&sensor, &scans).await?;
+//! for _ in 0..10 {
+//!     let Some(item) = scans.next().await else { break };
+//!     recorder.record(&item)?;
+//! }
+//! recorder.finish().await?;
+//!
+//! // And again, from the file.
+//! let recording = Recording::open(&path)?;
+//! let (Some(window), Some(rate)) = (recording.window(), recording.rate()) else { return Ok(()) };
+//! let emulator = recording.replay(ReplayPace::Recorded)?;
+//! let sensor = Sensor::builder().connect(emulator).await?;
+//! let mut replayed = sensor.scans(window, rate).await?;
+//! let mut count = 0;
+//! while let Some(scan) = replayed.next().await {
+//!     scan?;
+//!     count += 1;
+//! }
+//! assert_eq!(count, 10);
+//! # std::fs::remove_dir_all(&folder)?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # What is in the file
+//!
+//! | topic | ROS 2 type | a message is |
+//! |---|---|---|
+//! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
+//! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the command, empty for fences and unsolicited replies |
+//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`](tokio_scip::event::Event) |
+//!
+//! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
+//! steadily from the wall clock at the beginning of the recording. The publish time is the wall
+//! clock when a reply's first byte arrived ([`Scan::stamp`](tokio_scip::Scan::stamp)). The header of a
+//! scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata `tokio_scip`
+//! identifies the sensor. Nothing in a file is ever changed, so you can read it wherever it was cut
+//! off. After 65,000 chunks, or earlier on request, a recording continues in a further file
+//! ([`RecorderBuilder::split_duration`]).
+//!
+//! # Replaying
+//!
+//! [`Recording::replay`] returns an [`Emulator`](urg_emulator::Emulator) on USB. It answers `V`
+//! as the recorded sensor did. It answers each poll with the next reply recorded for the stream,
+//! byte for byte, including refused and malformed replies, and replies to scans that the
+//! recording's own consumer missed. Scans have the recorded stamps. If you ask for another window
+//! than the recorded one, each step has its latest known value, or error code 19. Fences use up no
+//! reply. To get the same scans without a replay, use [`Recording::scans`].
+//!
+//! A recording without replies is replayed from its `/scan` messages. Without a reply to `V`
+//! before the first scan, `V` is answered with what the metadata have.
+//!
+//! The poll after the last reply ends the driver. Streams then end as they do after
+//! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of the
+//! file could not be read, the driver ends with
+//! [`Error::Disconnected`](tokio_scip::Error::Disconnected), whose source contains the
+//! [`RecordingError`].
+//!
+//! A replay reads the recording on demand, in small pieces, on the runtime's thread.
+
+mod cut;
+mod error;
+mod file;
+mod from_ros;
+mod identity;
+mod mcap;
+mod messages;
+mod output;
+mod parts;
+mod polls;
+mod progress;
+mod queue;
+mod range;
+mod reader;
+mod record;
+mod recorder;
+mod repair;
+mod replay;
+pub mod ros;
+mod scans;
+mod sync;
+mod topics;
+mod writer;
+
+pub use self::cut::{CutOutcome, cut};
+pub use self::error::RecordingError;
+pub use self::file::RecordingFile;
+pub use self::progress::Progress;
+pub use self::reader::Recording;
+pub use self::record::{Entry, Record, RecordedReply};
+pub use self::recorder::{Recorder, RecorderBuilder};
+pub use self::repair::{Repaired, repair};
+#[doc(no_inline)]
+pub use self::ros::LaserScan;
+pub use self::scans::RecordedScans;
+#[doc(no_inline)]
+pub use urg_emulator::ReplayPace;
+
+/// Name of the metadata record.
+const METADATA: &str = "tokio_scip";
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,0 +1,92 @@
+//! Decompresses a chunk (feature `compression`): makes the plain chunk that the writer would have
+//! written without compression.
+//!
+//! The crates `ruzstd` and `lz4_flex` are pure Rust. `zstd` and `lz4` build C libraries, which takes
+//! a C compiler for each target. `ruzstd` returns bytes only once they have left the window: if a
+//! file is cut off within a chunk, this whole chunk may be lost.
+
+#[cfg(feature = "compression")]
+use std::io;
+use std::io::Read;
+
+use super::ChunkHead;
+use crate::mcap::{MAX_CHUNK_BYTES, RECORD_HEAD, kind, put_record};
+
+/// Largest window of zstd for a smaller chunk: a decoder reserves the window that the input claims.
+/// RFC 8878 recommends to support at least 8 MiB.
+#[cfg(feature = "compression")]
+const MAX_SMALL_WINDOW: u64 = 8 << 20;
+
+/// Reason why a chunk has no plain form.
+pub(super) enum Failure {
+    /// This build does not read the compression.
+    Compression,
+    Damaged(&'static str),
+}
+
+/// Appends the plain chunk to `out`. `chunk` may be cut off after its head; `out` then has what
+/// could be decompressed.
+pub(super) fn plain_chunk(
+    chunk: &[u8],
+    head: &ChunkHead,
+    out: &mut Vec<u8>,
+) -> Result<(), Failure> {
+    let compressed = chunk.get(head.records.start..).unwrap_or_default();
+    let Some(decoder) = decoder(&head.compression, compressed, head.size) else {
+        return Err(Failure::Compression);
+    };
+    if head.size > MAX_CHUNK_BYTES {
+        return Err(Failure::Damaged("a chunk claims more than 64 MiB after decompression"));
+    }
+    // Times, size and CRC, which are the same with and without compression.
+    let fields = chunk.get(RECORD_HEAD..RECORD_HEAD + 3 * 8 + 4).unwrap_or_default();
+    let mut outcome = Ok(());
+    put_record(out, kind::CHUNK, |out| {
+        out.extend_from_slice(fields);
+        out.extend_from_slice(&[0; 4]);
+        out.extend_from_slice(&head.size.to_le_bytes());
+        outcome = read_exactly(decoder, head.size, out);
+    });
+    outcome.map_err(Failure::Damaged)
+}
+
+/// Appends the decoder's bytes to `out`, at most `size`.
+fn read_exactly(decoder: impl Read, size: u64, out: &mut Vec<u8>) -> Result<(), &'static str> {
+    let before = out.len() as u64;
+    // One more byte shows that there are more.
+    let outcome = decoder.take(size + 1).read_to_end(out);
+    let found = out.len() as u64 - before;
+    if found > size {
+        out.pop();
+        return Err("a chunk decompresses to more bytes than it claims");
+    }
+    match outcome {
+        Ok(_) if found == size => Ok(()),
+        _ => Err("a chunk cannot be decompressed"),
+    }
+}
+
+/// Returns a decoder, or `None` if this build does not read the compression.
+#[cfg(feature = "compression")]
+fn decoder<'a>(compression: &str, bytes: &'a [u8], size: u64) -> Option<Box<dyn Read + 'a>> {
+    use lz4_flex::frame::FrameDecoder;
+    use ruzstd::decoding::StreamingDecoder;
+
+    match compression {
+        "lz4" => Some(Box::new(FrameDecoder::new(bytes))),
+        "zstd" => {
+            let max_window = size.clamp(MAX_SMALL_WINDOW, MAX_CHUNK_BYTES);
+            match StreamingDecoder::new_with_max_window_size(bytes, max_window) {
+                Ok(decoder) => Some(Box::new(decoder)),
+                // Without its head, nothing can be decompressed.
+                Err(_) => Some(Box::new(io::empty())),
+            }
+        }
+        _ => None,
+    }
+}
+
+#[cfg(not(feature = "compression"))]
+fn decoder(_compression: &str, _bytes: &[u8], _size: u64) -> Option<std::io::Empty> {
+    None
+}

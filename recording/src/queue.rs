@@ -1,0 +1,353 @@
+//! [`Queue`]: hands messages from async code to the thread that writes the file, and bounds
+//! the waiting bytes. Also contains the thread.
+
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::sync::{oneshot, watch};
+
+use super::RecordingError;
+use super::output::{Durable, Output};
+use super::parts::{Limits, Parts};
+use super::progress::Progress;
+use super::sync::Syncer;
+use super::writer::{LogClock, Times, Writer};
+use tokio_scip::Scan;
+
+/// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
+/// about four minutes.
+const HIGH_WATER_BYTES: usize = 8 << 20;
+/// [`Queue::ready`] waits until at most this many bytes wait.
+const LOW_WATER_BYTES: usize = 1 << 20;
+/// Bytes that a queued item takes besides its content.
+const ITEM_OVERHEAD_BYTES: usize = 128;
+
+/// Items on their way into the file.
+#[derive(Debug)]
+pub(super) struct Queue {
+    items: mpsc::Sender<WriteItem>,
+    /// Number of waiting bytes, or `None` once the thread has ended.
+    waiting: watch::Sender<Option<usize>>,
+    scans: AtomicU64,
+    replies: AtomicU64,
+    bytes: AtomicU64,
+    files: AtomicU64,
+    lost: AtomicU64,
+    lost_replies: AtomicU64,
+    failure: Mutex<Option<RecordingError>>,
+    /// `None` if nothing is synced.
+    syncer: Option<Syncer>,
+}
+
+#[derive(Debug)]
+pub(super) enum WriteItem {
+    Scan(Scan),
+    Reply {
+        command: String,
+        bytes: Box<[u8]>,
+        times: Times,
+    },
+    Event {
+        json: String,
+        times: Times,
+    },
+    Metadata(BTreeMap<String, String>),
+    /// Ends the file, and confirms that it was written.
+    Finish(oneshot::Sender<()>),
+}
+
+/// Settings that the threads of a recording need.
+#[derive(Debug, Clone)]
+pub(super) struct QueueSettings {
+    pub(super) limits: Limits,
+    pub(super) frame_id: String,
+    pub(super) sync_interval: Option<Duration>,
+}
+
+impl WriteItem {
+    /// Number of bytes that this item takes in the queue.
+    fn weight(&self) -> usize {
+        ITEM_OVERHEAD_BYTES
+            + match self {
+                Self::Scan(scan) => scan.len() * size_of::<u16>(),
+                Self::Reply { bytes, .. } => bytes.len(),
+                Self::Event { json, .. } => json.len(),
+                Self::Metadata(_) | Self::Finish(_) => 0,
+            }
+    }
+}
+
+impl Queue {
+    fn new(syncer: Option<Syncer>) -> (Self, mpsc::Receiver<WriteItem>) {
+        let (items, receiver) = mpsc::channel();
+        let queue = Self {
+            items,
+            waiting: watch::Sender::new(Some(0)),
+            scans: AtomicU64::new(0),
+            replies: AtomicU64::new(0),
+            bytes: AtomicU64::new(0),
+            files: AtomicU64::new(1),
+            lost: AtomicU64::new(0),
+            lost_replies: AtomicU64::new(0),
+            failure: Mutex::new(None),
+            syncer,
+        };
+        (queue, receiver)
+    }
+
+    /// Starts a file, and the threads that write and sync it. If there is a `path`, creates
+    /// further files beside it; `current` is the path of `out`. Without a `sync_interval`
+    /// nothing is synced.
+    pub(super) fn into_file(
+        out: Box<dyn Output>,
+        current: &Path,
+        path: Option<PathBuf>,
+        settings: QueueSettings,
+    ) -> Result<Arc<Self>, RecordingError> {
+        let QueueSettings { limits, frame_id, sync_interval } = settings;
+        let syncer = sync_interval.map(Syncer::start).transpose().map_err(RecordingError::write)?;
+        let (queue, receiver) = Self::new(syncer);
+        let queue = Arc::new(queue);
+        let first = Counted::wrap(out, &queue);
+        let further = {
+            let queue = Arc::clone(&queue);
+            move |out| {
+                queue.files.fetch_add(1, Ordering::Relaxed);
+                Counted::wrap(out, &queue)
+            }
+        };
+        let parts = Parts::new(limits, path, current, further);
+        let writer = Writer::new(first, parts, LogClock::starting_now(), frame_id)
+            .map_err(RecordingError::write)?;
+        let thread = {
+            let queue = Arc::clone(&queue);
+            move || queue.end(write_all(writer, &receiver, &queue))
+        };
+        std::thread::Builder::new()
+            .name("recorder".to_owned())
+            .spawn(thread)
+            .map_err(RecordingError::write)?;
+        Ok(queue)
+    }
+
+    /// Queues an item. If too many bytes wait already, or the thread has ended, the item is
+    /// lost and counted.
+    pub(super) fn push(&self, item: WriteItem) {
+        let weight = item.weight();
+        let counters = match &item {
+            WriteItem::Scan(_) => Some((&self.scans, &self.lost)),
+            WriteItem::Reply { .. } => Some((&self.replies, &self.lost_replies)),
+            _ => None,
+        };
+        let fits = self.waiting.send_if_modified(|waiting| {
+            let more =
+                waiting.map(|waiting| waiting + weight).filter(|more| *more <= HIGH_WATER_BYTES);
+            *waiting = more.or(*waiting);
+            more.is_some()
+        });
+        let queued = fits && self.items.send(item).is_ok();
+        if let Some((kept, lost)) = counters {
+            if queued { kept } else { lost }.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Waits until at most [`LOW_WATER_BYTES`] bytes wait, or the thread has ended.
+    pub(super) async fn ready(&self) {
+        let few =
+            |waiting: &Option<usize>| waiting.is_none_or(|waiting| waiting <= LOW_WATER_BYTES);
+        // Fails only without a sender, and `self` owns it.
+        let _ = self.waiting.subscribe().wait_for(few).await;
+    }
+
+    /// Ends the file after all queued items. The receiver resolves once the file is
+    /// written, or with an error if the thread has failed.
+    pub(super) fn finish(&self) -> oneshot::Receiver<()> {
+        let (done, finished) = oneshot::channel();
+        // Fails if the thread has ended, and the file with it.
+        let _ = self.items.send(WriteItem::Finish(done));
+        finished
+    }
+
+    pub(super) fn progress(&self) -> Progress {
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        Progress {
+            scans: count(&self.scans),
+            replies: count(&self.replies),
+            bytes: count(&self.bytes),
+            files: count(&self.files),
+            lost: count(&self.lost),
+            lost_replies: count(&self.lost_replies),
+            late_syncs: self.syncer.as_ref().map_or(0, Syncer::late),
+        }
+    }
+
+    /// Error of writing, if it failed.
+    pub(super) fn failure(&self) -> Option<RecordingError> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Waits until everything written is on the disk.
+    fn sync_rest(&self) -> io::Result<()> {
+        self.syncer.as_ref().map_or(Ok(()), Syncer::finish)
+    }
+
+    /// Marks the thread as ended, so that callers stop waiting for it.
+    fn end(&self, outcome: io::Result<()>) {
+        self.fail(outcome);
+        self.waiting.send_replace(None);
+    }
+
+    /// Stores and logs the error, if `outcome` is one.
+    fn fail(&self, outcome: io::Result<()>) {
+        if let Err(error) = outcome.map_err(RecordingError::write) {
+            let cause = std::error::Error::source(&error);
+            tracing::error!(cause = cause.map(tracing::field::display), "{error}");
+            *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+        }
+    }
+}
+
+/// Writes the file until it is finished.
+fn write_all(
+    mut writer: Writer,
+    items: &mpsc::Receiver<WriteItem>,
+    queue: &Queue,
+) -> io::Result<()> {
+    loop {
+        let item = match writer.until_flush() {
+            None => items.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            Some(time) => items.recv_timeout(time),
+        };
+        let weight = item.as_ref().map_or(0, WriteItem::weight);
+        match item {
+            Ok(WriteItem::Scan(scan)) => writer.scan(&scan)?,
+            Ok(WriteItem::Reply { command, bytes, times }) => {
+                writer.reply(&command, &bytes, times)?
+            }
+            Ok(WriteItem::Event { json, times }) => writer.event(&json, times)?,
+            Ok(WriteItem::Metadata(metadata)) => writer.metadata(metadata)?,
+            Ok(WriteItem::Finish(done)) => {
+                // First, because the waiting recorder looks for the error at once.
+                queue.fail(writer.finish().and_then(|()| queue.sync_rest()));
+                // Fails if the recorder's future was dropped.
+                let _ = done.send(());
+                return Ok(());
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                writer.flush()?;
+                continue;
+            }
+            Err(RecvTimeoutError::Disconnected) => {
+                return writer.finish().and_then(|()| queue.sync_rest());
+            }
+        }
+        queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
+        // While items keep arriving, the wait above never times out, so flush here when
+        // due.
+        if writer.until_flush() == Some(Duration::ZERO) {
+            writer.flush()?;
+        }
+    }
+}
+
+/// Counts the bytes written, and has them synced. A panic of the user's writer becomes an
+/// error that ends the recording but not this thread.
+struct Counted {
+    out: Box<dyn Output>,
+    queue: Arc<Queue>,
+}
+
+impl Counted {
+    fn wrap(out: Box<dyn Output>, queue: &Arc<Queue>) -> Box<dyn Output> {
+        if let (Some(syncer), Some(file)) = (&queue.syncer, out.durable()) {
+            syncer.begin(file);
+        }
+        Box::new(Self { out, queue: Arc::clone(queue) })
+    }
+
+    fn catch_panic<T>(
+        &mut self,
+        work: impl FnOnce(&mut dyn Output) -> io::Result<T>,
+    ) -> io::Result<T> {
+        let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
+        done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
+    }
+}
+
+impl Write for Counted {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let written = self.catch_panic(|out| out.write(bytes))?;
+        self.queue.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        Ok(written)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.catch_panic(|out| out.flush())?;
+        self.queue.syncer.as_ref().map_or(Ok(()), Syncer::written)
+    }
+}
+
+impl Output for Counted {
+    fn durable(&self) -> Option<Box<dyn Durable>> {
+        self.out.durable()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::{Instant, SystemTime};
+
+    use futures::FutureExt as _;
+
+    use super::super::output::Plain;
+    use super::*;
+
+    fn times() -> Times {
+        Times { steady: Instant::now(), wall: SystemTime::now() }
+    }
+
+    #[test]
+    fn an_item_takes_the_bytes_of_its_content_until_it_is_written() {
+        let scan = Scan::builder(tokio_scip::Window::DETECTION, [0; 682]).build().unwrap();
+        let (command, bytes) = (String::from("V"), Box::from([0; 1000]));
+        for (item, content) in [
+            (WriteItem::Scan(scan), 2 * 682),
+            (WriteItem::Reply { command, bytes, times: times() }, 1000),
+            (WriteItem::Event { json: "x".repeat(50), times: times() }, 50),
+            (WriteItem::Metadata(BTreeMap::new()), 0),
+        ] {
+            let (queue, items) = Queue::new(None);
+            queue.push(item);
+            assert_eq!(*queue.waiting.borrow(), Some(128 + content));
+            let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out);
+            let (out, clock) = (Box::new(Plain(io::sink())), LogClock::starting_now());
+            let writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
+            let _finished = queue.finish();
+            write_all(writer, &items, &queue).unwrap();
+            assert_eq!(*queue.waiting.borrow(), Some(0));
+        }
+    }
+
+    /// The thread is marked as ended before its end of the channel closes.
+    #[test]
+    fn ready_returns_for_items_pushed_while_the_thread_ends() {
+        let (queue, _receiver) = Queue::new(None);
+        let push = || {
+            let json = "x".repeat(LOW_WATER_BYTES);
+            queue.push(WriteItem::Event { json, times: times() });
+        };
+        push();
+        push();
+        assert!(queue.ready().now_or_never().is_none());
+        queue.end(Err(io::ErrorKind::StorageFull.into()));
+        push();
+        push();
+        assert!(queue.ready().now_or_never().is_some());
+    }
+}

@@ -1,0 +1,288 @@
+//! [`Recording`]: reads a file record by record, or a part of it, from its beginning to
+//! wherever it ends. Parses only the records that a recording needs.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::ops::RangeBounds;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime};
+
+use super::mcap::{Input, Records, kind, nanos, parse_metadata};
+use super::messages::{InvalidMessage, Messages};
+use super::range::{RecordPlace, TimeRange};
+use super::record::Record;
+use super::{METADATA, RecordingError};
+use crate::ros::since_1970;
+use tokio_scip::{Rate, Window};
+
+/// Number of records to search for the metadata. The search stops after the section that
+/// reaches this position: the metadata is near the beginning, and the records read before
+/// it stay in memory.
+const METADATA_SEARCH_RECORDS: usize = 256;
+const METADATA_SEARCH_BYTES: u64 = 1 << 20;
+/// Reason for damage that no checksum covers.
+const MALFORMED: &str = "a message is malformed, or its channel is not defined";
+
+/// Iterates over the records of a recording, in file order.
+///
+/// A missing end is no error: after the process died or the disk was full, you get
+/// everything recorded before, and then [`is_truncated`](Self::is_truncated) returns true.
+/// A damaged part is an item, [`RecordingError::Damaged`], and the records after it
+/// follow. Any other error is the last item. Reading blocks the thread.
+///
+/// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims. With
+/// feature `compression` the limit also applies to its decompressed bytes.
+///
+/// ```no_run
+/// use urg_recording::{Entry, Recording};
+///
+/// for record in Recording::open("run.mcap")? {
+///     if let Entry::Scan(scan) = record?.entry {
+///         println!("{:?} {:?}", scan.stamp, scan.ranges);
+///     }
+/// }
+/// # Ok::<(), urg_recording::RecordingError>(())
+/// ```
+pub struct Recording {
+    records: Records,
+    messages: Messages,
+    metadata: BTreeMap<String, String>,
+    /// Records read in advance.
+    ahead: VecDeque<Result<Record, RecordingError>>,
+    /// Part to read.
+    range: TimeRange,
+    /// Position of the last reported damage.
+    damaged_at: Option<u64>,
+    is_over: bool,
+}
+
+impl Recording {
+    /// Opens a recording and reads up to its metadata: at most 256 messages, and at most one
+    /// chunk beyond the first MiB.
+    ///
+    /// # Errors
+    ///
+    /// Fails with [`RecordingError::Open`] if the file cannot be opened,
+    /// [`RecordingError::NotMcap`] if it is no recording, [`RecordingError::Compressed`] if
+    /// this build does not read its compression, and [`RecordingError::Read`] if reading
+    /// fails. A damaged beginning is an item of the iterator.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, RecordingError> {
+        let path = path.as_ref();
+        let file = File::open(path).map_err(|error| RecordingError::Open {
+            path: path.to_owned(),
+            source: Arc::new(error),
+        })?;
+        Self::of(Input::File(file))
+    }
+
+    /// Reads a recording from any reader; otherwise the same as [`open`](Self::open).
+    ///
+    /// # Errors
+    ///
+    /// The same as for [`open`](Self::open).
+    pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
+        Self::of(Input::Stream(Box::new(input)))
+    }
+
+    fn of(input: Input) -> Result<Self, RecordingError> {
+        let mut recording = Self {
+            records: Records::new(input),
+            messages: Messages::default(),
+            metadata: BTreeMap::new(),
+            ahead: VecDeque::new(),
+            range: TimeRange::new(&..),
+            damaged_at: None,
+            is_over: false,
+        };
+        while recording.metadata.is_empty()
+            && recording.ahead.len() < METADATA_SEARCH_RECORDS
+            && recording.records.offset() < METADATA_SEARCH_BYTES
+        {
+            match recording.step() {
+                Ok(ReadStep::Record(record)) => recording.ahead.push_back(Ok(record)),
+                Ok(ReadStep::Other) => {}
+                Ok(ReadStep::End) => break,
+                Err(error @ RecordingError::Damaged { .. }) => {
+                    recording.ahead.push_back(Err(error));
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(recording)
+    }
+
+    /// Restricts the recording to a part: the records whose time since the first scan is
+    /// in `range`, and the first reply to `V`, which begins a replay.
+    ///
+    /// Reads nothing after the part. If you [`open`](Self::open) a complete file, it also
+    /// skips the chunks before the part, except the first ones, up to the metadata, a
+    /// reply to `V` and a scan. To do so it reads the file's index, which takes at most 16
+    /// MiB of memory and is proved by a checksum. Any other file is read from its
+    /// beginning.
+    ///
+    /// An `Entry::Scan` that its consumer recorded late comes after later replies, and may
+    /// be missing at the end of a part. Use [`scans`](Self::scans) to get it from its
+    /// reply.
+    ///
+    /// ```no_run
+    /// use std::time::Duration;
+    /// use urg_recording::Recording;
+    ///
+    /// let (from, to) = (Duration::from_secs(90), Duration::from_secs(120));
+    /// for scan in Recording::open("run.mcap")?.range(from..to).scans() {
+    ///     println!("{:?}", scan?.stamp());
+    /// }
+    /// # Ok::<(), urg_recording::RecordingError>(())
+    /// ```
+    #[must_use]
+    pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
+        self.range = TimeRange::new(&range);
+        self
+    }
+
+    /// Metadata of the sensor, as recorded by
+    /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`, `firmware`,
+    /// `protocol`, `serial_number`, `status`, `baud_rate` (`none` on USB), `start`, `end`,
+    /// `cluster`, `rate`. Empty if you did not call it.
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.metadata
+    }
+
+    /// Window of the recorded stream, or `None` if the metadata does not have it.
+    pub fn window(&self) -> Option<Window> {
+        let number = |key| self.metadata.get(key)?.parse().ok();
+        let window = Window::new(number("start")?..=number("end")?).ok()?;
+        window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
+    }
+
+    /// Rate of the recorded stream, or `None` if the metadata does not have it.
+    pub fn rate(&self) -> Option<Rate> {
+        self.metadata.get("rate")?.parse().ok()
+    }
+
+    /// Returns true if the whole file was read and its end is missing or damaged: the
+    /// recorder died, the disk was full, or it is still recording. Other readers need the
+    /// end, an index, to find the messages. Use [`repair`](super::repair) to make a
+    /// complete file.
+    pub fn is_truncated(&self) -> bool {
+        self.records.is_truncated()
+    }
+
+    /// Time from the first scan to a record.
+    pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
+        self.range.since_first_scan(at)
+    }
+
+    /// Leaves out the records before `begin`, if the file's index lists them.
+    fn leave_out_before(&mut self, begin: SystemTime) -> Result<(), RecordingError> {
+        let index = self.records.leave_out_before(nanos(since_1970(begin)))?;
+        // Other programs define a channel only once, in its first chunk.
+        for (kind, content) in index.definitions() {
+            self.messages.define(kind, content);
+        }
+        Ok(())
+    }
+
+    /// Reads the next record of a recording. After an error other than
+    /// [`RecordingError::Damaged`], no records follow.
+    fn advance(&mut self) -> Option<Result<Record, RecordingError>> {
+        loop {
+            return match self.step() {
+                Ok(ReadStep::Record(record)) => Some(Ok(record)),
+                Ok(ReadStep::Other) => continue,
+                Ok(ReadStep::End) => None,
+                Err(error) => Some(Err(error)),
+            };
+        }
+    }
+
+    /// Returns true if the error belongs to a part whose damage was already reported:
+    /// report a part once, however many of its records are malformed.
+    fn is_reported(&mut self, error: &RecordingError) -> bool {
+        let RecordingError::Damaged { offset, .. } = error else { return false };
+        self.damaged_at.replace(*offset) == Some(*offset)
+    }
+
+    fn step(&mut self) -> Result<ReadStep, RecordingError> {
+        if self.is_over {
+            return Ok(ReadStep::End);
+        }
+        let outcome = match self.next_step() {
+            Err(error) if self.is_reported(&error) => Ok(ReadStep::Other),
+            outcome => outcome,
+        };
+        let goes_on = matches!(
+            outcome,
+            Ok(ReadStep::Record(_) | ReadStep::Other) | Err(RecordingError::Damaged { .. })
+        );
+        self.is_over = !goes_on;
+        outcome
+    }
+
+    fn next_step(&mut self) -> Result<ReadStep, RecordingError> {
+        let Some((kind, content)) = self.records.next()? else { return Ok(ReadStep::End) };
+        match kind {
+            kind::SCHEMA | kind::CHANNEL => self.messages.define(kind, content),
+            kind::METADATA => {
+                if let Some((METADATA, pairs)) = parse_metadata(content) {
+                    let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
+                    self.metadata = pairs.into_iter().map(owned).collect();
+                }
+            }
+            kind::MESSAGE => match self.messages.parse(content) {
+                Ok(Some(record)) => return Ok(ReadStep::Record(record)),
+                Ok(None) => {}
+                Err(InvalidMessage) => {
+                    let (offset, reason) = (self.records.offset(), MALFORMED);
+                    return Err(RecordingError::Damaged { offset, reason });
+                }
+            },
+            _ => {}
+        }
+        Ok(ReadStep::Other)
+    }
+}
+
+/// Outcome of reading one record of the file.
+enum ReadStep {
+    Record(Record),
+    /// Record that is no item of a recording.
+    Other,
+    End,
+}
+
+impl Iterator for Recording {
+    type Item = Result<Record, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let item = self.ahead.pop_front().or_else(|| self.advance())?;
+            let Ok(record) = &item else { return Some(item) };
+            let place = self.range.place(record);
+            if let Some(begin) = self.range.take_begin()
+                && let Err(error) = self.leave_out_before(begin)
+            {
+                self.is_over = true;
+                return Some(Err(error));
+            }
+            match place {
+                RecordPlace::Inside => return Some(item),
+                RecordPlace::Outside => {}
+                RecordPlace::Behind => {
+                    self.is_over = true;
+                    self.ahead.clear();
+                    return None;
+                }
+            }
+        }
+    }
+}
+
+impl fmt::Debug for Recording {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Recording").field("metadata", &self.metadata).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,165 @@
+//! CDR as ROS 2 uses it: plain CDR (XCDR1), little-endian, after its encapsulation
+//! header. Knows no messages.
+//!
+//! Written by hand, because a message needs only a dozen primitives. The crates for CDR
+//! bring serde, which needs an owned struct for each message; this encodes a scan in
+//! place.
+
+/// Plain CDR, little-endian, no options.
+const HEADER: [u8; 4] = [0, 1, 0, 0];
+
+/// Writes one message. Alignment counts from the end of the header.
+#[derive(Debug)]
+pub(super) struct CdrWriter<'a> {
+    out: &'a mut Vec<u8>,
+}
+
+impl<'a> CdrWriter<'a> {
+    /// Starts a message in `out`, and drops the previous content.
+    pub(super) fn new(out: &'a mut Vec<u8>) -> Self {
+        out.clear();
+        out.extend_from_slice(&HEADER);
+        Self { out }
+    }
+
+    pub(super) fn u8(&mut self, value: u8) {
+        self.out.push(value);
+    }
+
+    pub(super) fn i32(&mut self, value: i32) {
+        self.align();
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
+    pub(super) fn u32(&mut self, value: u32) {
+        self.align();
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
+    pub(super) fn f32(&mut self, value: f32) {
+        self.align();
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
+    pub(super) fn f64(&mut self, value: f64) {
+        let written = self.out.len() - HEADER.len();
+        self.out.resize(HEADER.len() + written.next_multiple_of(8), 0);
+        self.out.extend_from_slice(&value.to_le_bytes());
+    }
+
+    /// Writes a string: its length with the NUL, its bytes, the NUL.
+    pub(super) fn string(&mut self, text: &str) {
+        self.length(text.len() + 1);
+        self.out.extend_from_slice(text.as_bytes());
+        self.out.push(0);
+    }
+
+    /// Writes the length of a sequence. Its elements follow.
+    pub(super) fn length(&mut self, elements: usize) {
+        self.u32(u32::try_from(elements).unwrap_or(u32::MAX));
+    }
+
+    pub(super) fn bytes(&mut self, parts: &[&[u8]]) {
+        self.length(parts.iter().map(|part| part.len()).sum());
+        parts.iter().for_each(|part| self.out.extend_from_slice(part));
+    }
+
+    /// Pads to a multiple of four, the size of every number here but `u8` and `f64`. The
+    /// header has four bytes, too.
+    fn align(&mut self) {
+        self.out.resize(self.out.len().next_multiple_of(4), 0);
+    }
+}
+
+/// Reads one message. Each method returns `None` if the message is too short or
+/// malformed.
+#[derive(Debug)]
+pub(super) struct CdrReader<'a> {
+    message: &'a [u8],
+    at: usize,
+}
+
+impl<'a> CdrReader<'a> {
+    pub(super) fn new(message: &'a [u8]) -> Option<Self> {
+        message.starts_with(&HEADER).then_some(Self { message, at: HEADER.len() })
+    }
+
+    pub(super) fn i32(&mut self) -> Option<i32> {
+        self.number().map(i32::from_le_bytes)
+    }
+
+    pub(super) fn u32(&mut self) -> Option<u32> {
+        self.number().map(u32::from_le_bytes)
+    }
+
+    pub(super) fn f32(&mut self) -> Option<f32> {
+        self.number().map(f32::from_le_bytes)
+    }
+
+    pub(super) fn string(&mut self) -> Option<&'a str> {
+        let (_, text) = self.bytes()?.split_last()?;
+        std::str::from_utf8(text).ok()
+    }
+
+    pub(super) fn bytes(&mut self) -> Option<&'a [u8]> {
+        let length = usize::try_from(self.u32()?).ok()?;
+        self.take(length)
+    }
+
+    /// Reads a sequence of numbers. Checks its length before it allocates.
+    pub(super) fn f32s(&mut self) -> Option<Vec<f32>> {
+        let length = usize::try_from(self.u32()?).ok()?;
+        let (numbers, _) = self.take(length.checked_mul(4)?)?.as_chunks::<4>();
+        Some(numbers.iter().map(|number| f32::from_le_bytes(*number)).collect())
+    }
+
+    fn number(&mut self) -> Option<[u8; 4]> {
+        self.at = self.at.next_multiple_of(4);
+        self.take(4)?.try_into().ok()
+    }
+
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let end = self.at.checked_add(count)?;
+        let taken = self.message.get(self.at..end)?;
+        self.at = end;
+        Some(taken)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_string_has_its_nul_and_numbers_are_aligned_behind_the_header() {
+        let mut out = vec![9; 3];
+        let mut cdr = CdrWriter::new(&mut out);
+        cdr.string("laser");
+        cdr.u32(7);
+        cdr.bytes(&[b"a", b"bc"]);
+        cdr.f32(1.0);
+        assert_eq!(out, b"\0\x01\0\0\x06\0\0\0laser\0\0\0\x07\0\0\0\x03\0\0\0abc\0\0\0\x80\x3f");
+        let mut cdr = CdrReader::new(&out).unwrap();
+        assert_eq!(cdr.string(), Some("laser"));
+        assert_eq!(cdr.u32(), Some(7));
+        assert_eq!(cdr.bytes(), Some(&b"abc"[..]));
+        assert_eq!((cdr.f32(), cdr.f32()), (Some(1.0), None));
+    }
+
+    #[test]
+    fn a_message_cut_short_anywhere_is_read_as_far_as_it_goes_and_no_further() {
+        let mut out = Vec::new();
+        let mut cdr = CdrWriter::new(&mut out);
+        cdr.length(2);
+        cdr.f32(1.0);
+        cdr.f32(2.0);
+        for length in 0..out.len() {
+            let read = CdrReader::new(&out[..length]).and_then(|mut cdr| cdr.f32s());
+            assert_eq!(read, None, "{length} bytes");
+        }
+        assert_eq!(CdrReader::new(&out).unwrap().f32s(), Some(vec![1.0, 2.0]));
+        // Length that no memory could hold.
+        out[4..8].fill(0xff);
+        assert_eq!(CdrReader::new(&out).unwrap().f32s(), None);
+    }
+}

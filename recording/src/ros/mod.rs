@@ -1,0 +1,198 @@
+//! ROS 2 messages of a sensor: scans, diagnostics and places as CDR, for any
+//! transport to ROS. Recordings and `urg publish` use them; you can pass them to your own
+//! middleware.
+//!
+//! ```
+//! use urg_emulator::Emulator;
+//! use urg_recording::ros::{self, MessageType};
+//! use tokio_scip::{Sensor, Window};
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), tokio_scip::Error> {
+//! let sensor = Sensor::builder().connect(Emulator::default()).await?;
+//! let scan = sensor.scan(Window::DETECTION).await?;
+//! let mut message = Vec::new();
+//! ros::write_scan(&mut message, &scan, scan.first_ray_stamp(), "laser");
+//! assert_eq!(MessageType::LASER_SCAN.dds_name(), "sensor_msgs::msg::dds_::LaserScan_");
+//! assert_eq!(message.len(), 4 + 8 + 12 + 28 + 4 + 4 * 682 + 4);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! A message is XCDR1, little-endian, with its encapsulation header of four bytes. DDS,
+//! `rmw_zenoh` and MCAP files all use this form. The module knows no topics, files or
+//! networks.
+
+/// Expands to the definition of the header that both messages begin with.
+macro_rules! header_definition {
+    () => {
+        "\
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"
+    };
+}
+
+mod cdr;
+mod diagnostics;
+mod laser_scan;
+mod std_msgs;
+mod transform;
+
+use std::time::{Duration, SystemTime};
+
+use self::cdr::CdrWriter;
+pub use self::diagnostics::{DiagnosticLevel, DiagnosticStatus, write_diagnostics};
+pub use self::laser_scan::LaserScan;
+pub use self::laser_scan::write_scan;
+pub use self::transform::{Transform, write_transforms};
+pub(crate) use self::{
+    laser_scan::read_scan,
+    std_msgs::{read_labelled_bytes, read_text, write_labelled_bytes, write_text},
+};
+
+/// Message type, as ROS 2 names and defines it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MessageType {
+    name: &'static str,
+    definition: &'static str,
+    hash: &'static str,
+}
+
+impl MessageType {
+    /// Scan, as every laser scanner publishes it.
+    pub const LASER_SCAN: Self = laser_scan::TYPE;
+    /// Condition of devices.
+    pub const DIAGNOSTIC_ARRAY: Self = diagnostics::TYPE;
+    /// Places of frames within others.
+    pub const TF_MESSAGE: Self = transform::TYPE;
+    /// Bytes with a label.
+    pub(crate) const LABELLED_BYTES: Self = std_msgs::BYTES_TYPE;
+    /// A text.
+    pub(crate) const TEXT: Self = std_msgs::TEXT_TYPE;
+
+    /// Full name, such as `sensor_msgs/msg/LaserScan`.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Definition (`ros2msg`), followed by the definitions of all messages in it.
+    pub fn definition(&self) -> &'static str {
+        self.definition
+    }
+
+    /// Hash of the definition (REP 2016), which Jazzy and later compare.
+    pub fn hash(&self) -> &'static str {
+        self.hash
+    }
+
+    /// Name on a network: `sensor_msgs::msg::dds_::LaserScan_`.
+    pub fn dds_name(&self) -> String {
+        let mut parts = self.name.split('/');
+        let (package, kind) = (parts.next().unwrap_or(""), parts.next().unwrap_or(""));
+        format!("{package}::{kind}::dds_::{}_", parts.next().unwrap_or(""))
+    }
+}
+
+/// Writes a `std_msgs/msg/Header`.
+fn write_header(cdr: &mut CdrWriter<'_>, stamp: SystemTime, frame_id: &str) {
+    let stamp = since_1970(stamp);
+    cdr.i32(i32::try_from(stamp.as_secs()).unwrap_or(i32::MAX));
+    cdr.u32(stamp.subsec_nanos());
+    cdr.string(frame_id);
+}
+
+/// Time since 1970, or zero for a time before 1970.
+pub(crate) fn since_1970(time: SystemTime) -> Duration {
+    time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use sha2::{Digest, Sha256};
+
+    use super::*;
+
+    /// Hash of REP 2016: SHA-256 over the definition as JSON, formatted as Python does.
+    fn hash(message: &MessageType) -> String {
+        let line = format!("{}\n", "=".repeat(80));
+        let mut parts = message.definition.split(&line);
+        let fields = fields(parts.next().unwrap());
+        let others: BTreeMap<String, String> = parts
+            .map(|part| {
+                let (name, definition) =
+                    part.strip_prefix("MSG: ").unwrap().split_once('\n').unwrap();
+                (name.replace('/', "/msg/"), self::fields(definition))
+            })
+            .collect();
+        let description = |name: &str, fields: &str| {
+            format!("{{\"type_name\": \"{name}\", \"fields\": [{fields}]}}")
+        };
+        let others: Vec<_> =
+            others.iter().map(|(name, fields)| description(name, fields)).collect();
+        let json = format!(
+            "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
+            description(message.name, &fields),
+            others.join(", ")
+        );
+        let digest = Sha256::digest(json.as_bytes());
+        let digits: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        format!("RIHS01_{digits}")
+    }
+
+    fn fields(definition: &str) -> String {
+        // Constants are not fields.
+        let fields = definition.lines().filter(|line| !line.is_empty() && !line.contains('='));
+        let fields = fields.map(|line| {
+            let (kind, name) = line.split_once(' ').unwrap();
+            // A default value is not part of the hash.
+            let name = name.split(' ').next().unwrap();
+            let element = kind.strip_suffix("[]").unwrap_or(kind);
+            let sequence = if element == kind { 0 } else { 144 };
+            let (id, nested) = match element {
+                "uint8" => (3, String::new()),
+                "int32" => (6, String::new()),
+                "uint32" => (7, String::new()),
+                "float32" => (10, String::new()),
+                "float64" => (11, String::new()),
+                "byte" => (16, String::new()),
+                "string" => (17, String::new()),
+                message => (1, message.replace('/', "/msg/")),
+            };
+            format!(
+                "{{\"name\": \"{name}\", \"type\": {{\"type_id\": {}, \"capacity\": 0, \
+                 \"string_capacity\": 0, \"nested_type_name\": \"{nested}\"}}}}",
+                id + sequence
+            )
+        });
+        fields.collect::<Vec<_>>().join(", ")
+    }
+
+    #[test]
+    fn a_type_has_the_names_and_the_hash_that_ros_2_knows_it_by() {
+        let scan = MessageType::LASER_SCAN;
+        assert_eq!(scan.name(), "sensor_msgs/msg/LaserScan");
+        assert_eq!(scan.dds_name(), "sensor_msgs::msg::dds_::LaserScan_");
+        assert_eq!(scan.hash(), hash(&scan));
+    }
+
+    #[test]
+    fn each_type_has_the_hash_of_its_definition() {
+        for message in
+            [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY, MessageType::TF_MESSAGE]
+        {
+            assert_eq!(hash(&message), message.hash, "{}", message.name);
+        }
+        for message in [MessageType::LABELLED_BYTES, MessageType::TEXT] {
+            assert_eq!(hash(&message), message.hash, "{}", message.name);
+        }
+    }
+}

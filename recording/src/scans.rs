@@ -1,0 +1,176 @@
+//! [`Recording::scans`]: the recorded scans as [`Scan`]s, so that one function
+//! serves live and recorded data.
+
+use std::fmt;
+use std::time::{Duration, SystemTime};
+
+use tokio::time::Instant;
+
+use super::identity::parse_version;
+use super::polls::{PollReply, Polls};
+use super::{Recording, RecordingError};
+use tokio_scip::{Scan, Version};
+
+impl Recording {
+    /// Reads the scans of the recorded stream, as the driver delivered them.
+    ///
+    /// They are decoded from the sensor's replies. So you also get scans that the
+    /// recording's own consumer missed, and the same ones as in a replay. Refused and
+    /// malformed replies are left out; find them in the events.
+    ///
+    /// If the recording has no replies, they are made of its `/scan` messages, also of ones that
+    /// another program recorded, if their directions are steps of a URG. Distances are the
+    /// recorded ones. Messages have no error codes: a value is 16 for `+Inf` and 19 for `NaN`.
+    ///
+    /// - `values`, `window` and `stamp` are the recorded ones.
+    /// - `sequence` numbers the scans from 0.
+    /// - `received_at` is the time of this call for the first scan; the others follow at
+    ///   their recorded intervals. `requested_at` is the same, because recordings do not
+    ///   contain the time of the request.
+    /// - `stamp_quality` is always [`Arrival`](tokio_scip::scan::StampQuality::Arrival), and
+    ///   `scan_time` the nominal one: replies are recorded with their arrivals. The time by
+    ///   the motor is in the header stamp of the recorded `LaserScan` message.
+    /// - `reconnects` is 0: a gap shows in the stamps.
+    ///
+    /// A damaged part of the file is an item, [`RecordingError::Damaged`], and more
+    /// scans follow. If the recording has neither replies nor such messages, the only item is
+    /// [`RecordingError::NoScans`].
+    ///
+    /// ```no_run
+    /// use tokio_scip::Scan;
+    /// use urg_recording::Recording;
+    ///
+    /// /// The same function as for `Sensor::scans`.
+    /// fn nearest(scan: &Scan) -> Option<f32> {
+    ///     scan.nearest().map(|point| point.range)
+    /// }
+    ///
+    /// for scan in Recording::open("run.mcap")?.scans() {
+    ///     println!("{:?}", nearest(&scan?));
+    /// }
+    /// # Ok::<(), urg_recording::RecordingError>(())
+    /// ```
+    pub fn scans(self) -> RecordedScans {
+        RecordedScans {
+            polls: Polls::new(self),
+            sequence: 0,
+            position: Duration::ZERO,
+            previous: None,
+            started: None,
+            has_polls: false,
+            is_over: false,
+        }
+    }
+}
+
+/// Scans of a recording; made by [`Recording::scans`].
+pub struct RecordedScans {
+    polls: Polls,
+    /// Number of the next scan.
+    sequence: u64,
+    position: Duration,
+    /// Values of the previous scan.
+    previous: Option<Vec<u16>>,
+    /// Log time of the first scan, and the instant it gets.
+    started: Option<(SystemTime, Instant)>,
+    has_polls: bool,
+    is_over: bool,
+}
+
+impl RecordedScans {
+    /// Returns true if the whole file was read and its end is missing; see
+    /// [`Recording::is_truncated`].
+    pub fn is_truncated(&self) -> bool {
+        self.polls.is_truncated()
+    }
+
+    /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
+    /// it.
+    pub fn position(&self) -> Duration {
+        self.position
+    }
+
+    /// Version of the recorded sensor: its first reply to `V` among the records read so far, or else
+    /// what the [metadata](Recording::metadata) have of it. Fields that the recording does not
+    /// have are empty.
+    pub fn version(&self) -> Version {
+        parse_version(&self.polls.version_frame()).unwrap_or_default()
+    }
+
+    /// Numbers the next scan `sequence`, and counts on from there. Use it for a
+    /// [part](Recording::range) whose position in the file you know.
+    ///
+    /// ```no_run
+    /// use urg_recording::Recording;
+    ///
+    /// // The place of the thousandth scan, to which one may want to return.
+    /// let mut scans = Recording::open("run.mcap")?.scans();
+    /// scans.by_ref().take(1000).for_each(drop);
+    /// let place = scans.position();
+    ///
+    /// let again = Recording::open("run.mcap")?.range(place..).scans().numbered_from(999);
+    /// # Ok::<(), urg_recording::RecordingError>(())
+    /// ```
+    #[must_use]
+    pub fn numbered_from(mut self, sequence: u64) -> Self {
+        self.sequence = sequence;
+        self
+    }
+
+    /// Decodes the scan of a reply to the stream's poll, if it has one.
+    fn scan(&mut self, poll: &PollReply) -> Option<Scan> {
+        let window = self.polls.window()?;
+        let mut values = poll.answer.values()?;
+        // The driver may have asked for extra points before or after the window.
+        let surplus = window.start().number().saturating_sub(poll.asked.start().number());
+        values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
+        values.truncate(window.points());
+        let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));
+        let since = poll.at.duration_since(first).unwrap_or_default();
+        let mut scan = Scan::builder(window, values.as_slice())
+            .sequence(self.sequence)
+            .received_at(began.checked_add(since).unwrap_or(began))
+            .stamp(poll.stamp)
+            .repeat(self.previous.as_ref() == Some(&values));
+        if let Some(revolution) = poll.scan_time.or(self.polls.revolution()) {
+            scan = scan.scan_time(revolution);
+        }
+        let scan = scan.build().ok()?;
+        self.sequence = self.sequence.wrapping_add(1);
+        self.position = self.polls.since_first_scan(poll);
+        self.previous = Some(values);
+        Some(scan)
+    }
+}
+
+impl Iterator for RecordedScans {
+    type Item = Result<Scan, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while !self.is_over {
+            match self.polls.next() {
+                None => {
+                    self.is_over = true;
+                    if !self.has_polls {
+                        return Some(Err(RecordingError::NoScans));
+                    }
+                }
+                Some(Err(error)) => return Some(Err(error)),
+                Some(Ok(poll)) => {
+                    self.has_polls = true;
+                    let is_of_stream = self.polls.is_of_stream(poll.asked);
+                    if let Some(scan) = is_of_stream.then(|| self.scan(&poll)).flatten() {
+                        return Some(Ok(scan));
+                    }
+                }
+            }
+        }
+        None
+    }
+}
+
+impl fmt::Debug for RecordedScans {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("RecordedScans").field("sequence", &self.sequence).finish_non_exhaustive()
+    }
+}

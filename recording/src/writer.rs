@@ -1,0 +1,307 @@
+//! [`Writer`]: turns scans, replies and events into messages of a file, and starts the
+//! next file at a split. Knows no threads.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::time::{Duration, Instant, SystemTime};
+
+use super::METADATA;
+use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader, nanos};
+use super::output::Output;
+use super::parts::Parts;
+use super::topics::Topic;
+use crate::ros::{self, since_1970};
+use tokio_scip::Scan;
+
+/// Name of the library in the file's header.
+const LIBRARY: &str = concat!("tokio-scip ", env!("CARGO_PKG_VERSION"));
+/// Longest time until a message is in the file: on the clock of the recording, which may
+/// be paused, and on the real one.
+const CHUNK_SPAN: Duration = Duration::from_secs(1);
+/// A file is split right after a scan, so that its reply is in the same file. If a
+/// consumer is always behind, there is no such point; after this time the file is split
+/// anywhere.
+const SEAM_PATIENCE: Duration = Duration::from_secs(1);
+
+/// Time of an event, on both clocks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Times {
+    pub(super) steady: Instant,
+    pub(super) wall: SystemTime,
+}
+
+/// Converts instants to times of the log: the wall clock at the start of the recording,
+/// continued by a steady clock.
+#[derive(Debug)]
+pub(super) struct LogClock {
+    began: Times,
+}
+
+impl LogClock {
+    pub(super) fn starting_now() -> Self {
+        // tokio's clock, which a simulation may have paused.
+        let steady = tokio::time::Instant::now().into_std();
+        Self { began: Times { steady, wall: SystemTime::now() } }
+    }
+
+    /// Converts to nanoseconds since 1970.
+    fn log_time(&self, at: Instant) -> u64 {
+        let since = at.saturating_duration_since(self.began.steady);
+        let before = self.began.steady.saturating_duration_since(at);
+        let began = since_1970(self.began.wall);
+        nanos((began + since).saturating_sub(before))
+    }
+}
+
+/// Writes a recording, in one file or several.
+pub(super) struct Writer {
+    mcap: McapWriter<Box<dyn Output>>,
+    parts: Parts,
+    clock: LogClock,
+    frame_id: String,
+    /// Numbers of replies and events.
+    numbers: [u32; 2],
+    message: Vec<u8>,
+    /// Time of the chunk's first message: its log time, and the real time.
+    chunk_began: Option<(u64, Instant)>,
+    part: Part,
+    carried: Carried,
+}
+
+/// State of the file being written.
+#[derive(Debug, Default)]
+struct Part {
+    /// Log time of its first message.
+    began: Option<u64>,
+    /// Log time of the first message that belongs in the next file.
+    full: Option<u64>,
+    /// Stamp of its latest reply.
+    reply: Option<SystemTime>,
+    /// True after a scan whose reply was the latest.
+    at_seam: bool,
+}
+
+/// Content that each file repeats, so that you can replay it alone.
+#[derive(Debug, Default)]
+struct Carried {
+    metadata: Option<BTreeMap<String, String>>,
+    /// Latest reply to `V`, and its stamp.
+    version: Option<(Box<[u8]>, SystemTime)>,
+}
+
+impl Writer {
+    pub(super) fn new(
+        out: Box<dyn Output>,
+        parts: Parts,
+        clock: LogClock,
+        frame_id: String,
+    ) -> io::Result<Self> {
+        let mut writer = Self {
+            mcap: start(out)?,
+            parts,
+            clock,
+            frame_id,
+            numbers: [0; 2],
+            message: Vec::with_capacity(4096),
+            chunk_began: None,
+            part: Part::default(),
+            carried: Carried::default(),
+        };
+        writer.flush()?;
+        Ok(writer)
+    }
+
+    pub(super) fn scan(&mut self, scan: &Scan) -> io::Result<()> {
+        let times = Times { steady: scan.received_at().into_std(), wall: scan.stamp() };
+        ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
+        // The field has 32 bits. A gap is still a gap.
+        self.write(Topic::Scans, scan.sequence() as u32, times)?;
+        self.part.at_seam = self.part.reply.is_none_or(|reply| reply <= scan.stamp());
+        Ok(())
+    }
+
+    /// `bytes` is a frame without its terminator.
+    pub(super) fn reply(&mut self, command: &str, bytes: &[u8], times: Times) -> io::Result<()> {
+        ros::write_labelled_bytes(&mut self.message, command, &[bytes, b"\n\n"]);
+        let [number, _] = &mut self.numbers;
+        let sequence = std::mem::replace(number, number.wrapping_add(1));
+        self.write(Topic::Replies, sequence, times)?;
+        self.part.reply = Some(times.wall);
+        self.part.at_seam = false;
+        if bytes.starts_with(b"V\n0\n") {
+            self.carried.version = Some((bytes.into(), times.wall));
+        }
+        Ok(())
+    }
+
+    pub(super) fn event(&mut self, json: &str, times: Times) -> io::Result<()> {
+        ros::write_text(&mut self.message, json);
+        let [_, number] = &mut self.numbers;
+        let sequence = std::mem::replace(number, number.wrapping_add(1));
+        self.write(Topic::Events, sequence, times)
+    }
+
+    pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
+        self.mcap.metadata(METADATA, &metadata)?;
+        self.carried.metadata = Some(metadata);
+        Ok(())
+    }
+
+    /// Time until the chunk must be ended, or `None` without a message.
+    pub(super) fn until_flush(&self) -> Option<Duration> {
+        let (_, began) = self.chunk_began?;
+        Some(CHUNK_SPAN.saturating_sub(began.elapsed()))
+    }
+
+    /// Ends the chunk: all messages so far are in the file and can be read.
+    pub(super) fn flush(&mut self) -> io::Result<()> {
+        self.chunk_began = None;
+        self.mcap.flush()?;
+        self.parts.remove_old(self.mcap.len());
+        Ok(())
+    }
+
+    /// Writes the index and the end of the file.
+    pub(super) fn finish(self) -> io::Result<()> {
+        self.mcap.finish().map(drop)
+    }
+
+    /// Writes the encoded message.
+    fn write(&mut self, topic: Topic, sequence: u32, times: Times) -> io::Result<()> {
+        let log_time = self.clock.log_time(times.steady);
+        if self.is_split_due(log_time) {
+            self.start_next_part(log_time)?;
+        }
+        let span = self.chunk_began.map(|(began, _)| log_time.saturating_sub(began));
+        if span.is_some_and(|span| span >= nanos(CHUNK_SPAN)) {
+            self.flush()?;
+        }
+        self.chunk_began.get_or_insert_with(|| (log_time, Instant::now()));
+        self.part.began.get_or_insert(log_time);
+        let publish_time = nanos(since_1970(times.wall));
+        let channel = topic.channel();
+        let header = MessageHeader { channel, sequence, log_time, publish_time };
+        self.mcap.message(header, &self.message)
+    }
+
+    /// Decides whether the message of this log time starts the next file.
+    fn is_split_due(&mut self, log_time: u64) -> bool {
+        let Part { began, full, at_seam, .. } = &mut self.part;
+        let Some(began) = *began else { return false };
+        let length = Duration::from_nanos(log_time.saturating_sub(began));
+        let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.index_entries());
+        if !is_full {
+            return false;
+        }
+        let full = *full.get_or_insert(log_time);
+        *at_seam || log_time.saturating_sub(full) >= nanos(SEAM_PATIENCE)
+    }
+
+    fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
+        // End the file first: if there is no room for another one, this one is complete.
+        self.mcap.end()?;
+        self.mcap = start(self.parts.next()?)?;
+        self.part = Part::default();
+        self.chunk_began = None;
+        // Not only with each chunk: a file may be full before its first one ends.
+        self.parts.remove_old(self.mcap.len());
+        if let Some(metadata) = &self.carried.metadata {
+            self.mcap.metadata(METADATA, metadata)?;
+        }
+        if let Some((bytes, stamp)) = &self.carried.version {
+            // Encoded separately, because the current message is encoded already.
+            let mut message = Vec::new();
+            ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);
+            let publish_time = nanos(since_1970(*stamp));
+            let channel = Topic::Replies.channel();
+            // Gets the number of the next reply, because it is not a reply of its own.
+            let [sequence, _] = self.numbers;
+            let header = MessageHeader { channel, sequence, log_time, publish_time };
+            self.mcap.message(header, &message)?;
+        }
+        Ok(())
+    }
+}
+
+/// Starts a file with the three channels.
+fn start(out: Box<dyn Output>) -> io::Result<McapWriter<Box<dyn Output>>> {
+    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_INDEX_ENTRIES)?;
+    for topic in Topic::ALL {
+        let message = topic.message_type();
+        mcap.add_schema(topic.schema(), message.name(), message.definition());
+        mcap.add_channel(topic.channel(), topic.schema(), topic.name());
+    }
+    Ok(mcap)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::file::RecordingFile;
+    use super::super::parts::{Limits, MAX_PART_ENTRIES};
+    use super::*;
+
+    #[test]
+    fn the_log_runs_steadily_from_the_wall_clock_and_knows_what_was_before() {
+        let wall = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000);
+        let steady = Instant::now();
+        let clock = LogClock { began: Times { steady, wall } };
+        let second = Duration::from_secs(1);
+        assert_eq!(clock.log_time(steady + second), 1_001_000_000_000);
+        // Scan received before the recorder was made.
+        assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
+    }
+
+    #[test]
+    fn a_wall_clock_that_is_set_moves_no_log_time() {
+        let path = std::env::temp_dir().join(format!("scip-clock-{}.mcap", std::process::id()));
+        let parts = Parts::new(Limits::default(), None, &path, |out| out);
+        let mut file = RecordingFile::open(&path, true).unwrap();
+        file.begin().unwrap();
+        let clock = LogClock::starting_now();
+        let Times { steady, wall } = clock.began;
+        let mut writer = Writer::new(file.output(), parts, clock, "laser".to_owned()).unwrap();
+        let (second, hour) = (Duration::from_secs(1), Duration::from_secs(3600));
+        for (number, wall) in (0..).zip([wall, wall + 72 * hour, wall - hour]) {
+            writer.event("{}", Times { steady: steady + number * second, wall }).unwrap();
+        }
+        writer.finish().unwrap();
+        let file = std::fs::read(&path).unwrap();
+        let messages = ::mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
+        let times: Vec<u64> = messages.map(|message| message.log_time).collect();
+        let began = nanos(since_1970(wall));
+        assert_eq!(times, [0, 1, 2].map(|number| began + number * 1_000_000_000));
+        std::fs::remove_file(&path).unwrap();
+    }
+
+    /// A file can only be split at a scan, and grows until one comes.
+    #[test]
+    fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
+        let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("run.mcap");
+        let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out);
+        let mut file = RecordingFile::open(&path, false).unwrap();
+        file.begin().unwrap();
+        let out = file.output();
+        let clock = LogClock::starting_now();
+        let mut times = clock.began;
+        let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
+        while writer.mcap.index_entries() < MAX_PART_ENTRIES - 4 {
+            writer.metadata(BTreeMap::new()).unwrap();
+        }
+        // Each is in a separate chunk.
+        for _ in 0..8 {
+            times.steady += CHUNK_SPAN;
+            writer.event("", times).unwrap();
+        }
+        writer.finish().unwrap();
+        let summary = |name| {
+            let file = std::fs::read(folder.join(name)).unwrap();
+            ::mcap::Summary::read(&file).unwrap().expect("no index").stats.unwrap()
+        };
+        let (first, second) = (summary("run.mcap"), summary("run_0002.mcap"));
+        assert_eq!(first.message_count + second.message_count, 8);
+        assert!(second.message_count > 0);
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

@@ -1,0 +1,4 @@
+//! Helpers that the tests of the driver have, too.
+
+#[path = "../../../tests/common/limit.rs"]
+pub(crate) mod limit;

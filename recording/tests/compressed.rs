@@ -1,0 +1,331 @@
+//! Recordings whose chunks another program compressed (feature `compression`).
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
+use ruzstd::encoding::{CompressionLevel, compress_to_vec};
+use tokio_scip::{Scan, Window};
+use urg_recording::{Recording, cut, repair};
+
+use super::raw::{MAGIC, channel, chunk_of, damaged_at, end, event, of_kind, read, text};
+use super::sink::{Sink, record, replayed, sensor, window};
+
+/// Chunk with this compression, which claims `size` bytes and has no checksum.
+fn compressed_chunk(compression: &str, size: u64, bytes: &[u8]) -> Vec<u8> {
+    let head = [&[0; 16][..], &size.to_le_bytes(), &[0; 4], &text(compression)].concat();
+    of_kind(0x06, &[&head[..], &(bytes.len() as u64).to_le_bytes(), bytes].concat())
+}
+
+fn compress(compression: &str, bytes: &[u8]) -> Vec<u8> {
+    match compression {
+        "zstd" => compress_to_vec(bytes, CompressionLevel::Fastest),
+        _ => {
+            let mut encoder = FrameEncoder::with_frame_info(
+                FrameInfo::new().block_size(BlockSize::Max64KB),
+                vec![],
+            );
+            encoder.write_all(bytes).unwrap();
+            encoder.finish().unwrap()
+        }
+    }
+}
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap())
+}
+
+/// Compresses the chunks of a file, and corrects its index.
+fn compressed(file: &[u8], compression: &str) -> Vec<u8> {
+    let mut out = MAGIC.to_vec();
+    // Where each record was, and where it is now.
+    let mut places = BTreeMap::from([(0, 0)]);
+    let mut at = MAGIC.len();
+    while at + MAGIC.len() < file.len() {
+        places.insert(at as u64, out.len() as u64);
+        let place = |old: u64| places[&old].to_le_bytes();
+        let kind = file[at];
+        let content = &file[at + 9..][..u64_at(file, at + 1) as usize];
+        let new = match kind {
+            0x06 => {
+                let records = compress(compression, &content[40..]);
+                let length = (records.len() as u64).to_le_bytes();
+                [&content[..28], &text(compression), &length, &records].concat()
+            }
+            // Index of a chunk: times, start, length, lists, length of the lists, compression
+            // and two sizes.
+            0x08 => {
+                let (start, length) = (u64_at(content, 16), u64_at(content, 24));
+                let length = places[&(start + length)] - places[&start];
+                let (lists, rest) = content[36..].split_at(content.len() - 36 - 8 - 4 - 16);
+                let moved = lists
+                    .chunks(10)
+                    .flat_map(|list| [&list[..2], &place(u64_at(list, 2))[..]].concat());
+                let head = 9 + 28 + 4 + compression.len() as u64 + 8;
+                [
+                    &content[..16],
+                    &place(start),
+                    &length.to_le_bytes(),
+                    &content[32..36],
+                    &moved.collect::<Vec<u8>>(),
+                    &rest[..8],
+                    &text(compression),
+                    &(length - head).to_le_bytes(),
+                    &rest[20..],
+                ]
+                .concat()
+            }
+            0x0d => [&place(u64_at(content, 0)), &content[8..]].concat(),
+            0x0e => {
+                let (start, length) = (u64_at(content, 1), u64_at(content, 9));
+                let length = places[&(start + length)] - places[&start];
+                [&content[..1], &place(start), &length.to_le_bytes()].concat()
+            }
+            0x02 => {
+                let positions = [place(u64_at(content, 0)), place(u64_at(content, 8))].concat();
+                let summary = places[&u64_at(content, 0)] as usize;
+                let checked = [&out[summary..], &of_kind(0x02, &[0; 20])[..9], &positions].concat();
+                [&positions[..], &crc32fast::hash(&checked).to_le_bytes()].concat()
+            }
+            _ => content.to_vec(),
+        };
+        out.extend(of_kind(kind, &new));
+        at += 9 + content.len();
+    }
+    out.extend(MAGIC);
+    out
+}
+
+/// Makes a recording, and its compressed forms.
+async fn recorded(window: Window, scans: usize) -> (Sink, [Vec<u8>; 2]) {
+    let sink = Sink::new();
+    record(sensor(), &sink, window, scans).await;
+    let file = sink.bytes();
+    let forms = ["zstd", "lz4"].map(|compression| compressed(&file, compression));
+    for form in &forms {
+        assert!(form.len() < file.len(), "{} of {}", form.len(), file.len());
+    }
+    (sink, forms)
+}
+
+/// File in the folder for tests' files.
+fn written(name: &str, bytes: &[u8]) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_compressed_recording_is_read_replayed_and_copied_as_the_original() {
+    let part = Duration::from_secs(3)..Duration::from_secs(7);
+    let (sink, forms) = recorded(Window::DETECTION, 100).await;
+    let scans: Vec<_> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+    let mut expected_part = Vec::new();
+    cut([Cursor::new(sink.bytes())], part.clone(), &mut expected_part).unwrap();
+    for form in forms {
+        let open = || Recording::read(Cursor::new(form.clone())).unwrap();
+        let mut recording = open();
+        assert_eq!(recording.metadata(), sink.open().metadata());
+        let records: Vec<_> = recording.by_ref().collect::<Result<_, _>>().unwrap();
+        assert_eq!(records, sink.records());
+        assert!(!recording.is_truncated());
+        let read: Vec<_> = open().scans().collect::<Result<_, _>>().unwrap();
+        assert_eq!(format!("{read:?}"), format!("{scans:?}"));
+
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(form.clone()), &mut repaired).unwrap();
+        assert_eq!((outcome.was_truncated, outcome.damaged_parts), (false, 0));
+        assert!(repaired == sink.bytes());
+        let mut cut_out = Vec::new();
+        cut([Cursor::new(form.clone())], part.clone(), &mut cut_out).unwrap();
+        assert!(cut_out == expected_part);
+
+        let replayed = replayed(open(), Window::DETECTION).await;
+        let told = |scan: &Scan| (scan.values().to_vec(), scan.stamp());
+        assert!(replayed.iter().map(told).eq(scans.iter().map(told)));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_compressed_recording_is_reached_through_its_index() {
+    let (sink, forms) = recorded(Window::DETECTION, 100).await;
+    let place = Duration::from_secs(7);
+    let expected: Vec<_> = sink.open().range(place..).collect::<Result<_, _>>().unwrap();
+    assert!(expected.len() > 20);
+    for (form, name) in forms.into_iter().zip(["part_zstd.mcap", "part_lz4.mcap"]) {
+        // Damage before the part shows whether it was read.
+        let mut damaged = form;
+        let middle = damaged.len() / 2;
+        damaged[middle] ^= 1;
+        let recording = Recording::open(written(name, &damaged)).unwrap();
+        let found: Vec<_> = recording.range(place..).collect::<Result<_, _>>().unwrap();
+        assert_eq!(found, expected);
+        let items: Vec<_> = Recording::read(Cursor::new(damaged)).unwrap().range(place..).collect();
+        assert_eq!(damaged_at(&items).len(), 1);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_damaged_byte_of_a_compressed_chunk_costs_at_most_this_chunk() {
+    let (sink, forms) = recorded(window(300, 310, 1), 50).await;
+    let records = sink.records();
+    for form in forms {
+        let chunks: Vec<usize> = chunks(&form);
+        let (from, to) = (chunks[1], chunks[2]);
+        for at in (from..to).step_by(3) {
+            // A wrong name is another compression.
+            if (from + 37..from + 49).contains(&at) {
+                continue;
+            }
+            let mut damaged = form.clone();
+            damaged[at] ^= 0x11;
+            let mut recording = Recording::read(Cursor::new(damaged.clone())).unwrap();
+            let items: Vec<_> = recording.by_ref().collect();
+            let damage = damaged_at(&items);
+            assert!(!recording.is_truncated(), "{at}");
+            let found: Vec<_> = items.into_iter().flatten().collect();
+            let outcome = repair(Cursor::new(damaged), &mut Vec::new()).unwrap();
+            assert_eq!(outcome.damaged_at, damage, "{at}");
+            match damage[..] {
+                // Times, which the reader does not use, and the lists after the chunk.
+                [] => assert_eq!(found, records, "{at}"),
+                [place] => {
+                    assert!(place >= from as u64 && place <= at as u64, "{at}: {place}");
+                    assert!(found.iter().all(|record| records.contains(record)), "{at}");
+                    assert!(found.len() * 2 > records.len(), "{at}: {}", found.len());
+                }
+                _ => panic!("{at}: {damage:?}"),
+            }
+        }
+    }
+}
+
+/// Positions of a file's chunks, and of its end.
+fn chunks(file: &[u8]) -> Vec<usize> {
+    let mut at = MAGIC.len();
+    let mut chunks = Vec::new();
+    while file[at] != 0x0f {
+        if file[at] == 0x06 {
+            chunks.push(at);
+        }
+        at += 9 + u64_at(file, at + 1) as usize;
+    }
+    chunks.push(at);
+    chunks
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_compressed_recording_that_is_cut_off_is_read_up_to_its_end() {
+    let (sink, forms) = recorded(window(300, 340, 1), 50).await;
+    let records = sink.records();
+    for form in forms {
+        let chunks = chunks(&form);
+        let mut most = 0;
+        for length in (9..form.len()).step_by(29) {
+            let cut_off = form[..length].to_vec();
+            let mut recording = Recording::read(Cursor::new(cut_off.clone())).unwrap();
+            let found: Vec<_> = recording.by_ref().collect::<Result<_, _>>().unwrap();
+            assert!(recording.is_truncated(), "{length} bytes");
+            assert_eq!(found, records[..found.len()], "{length} bytes");
+            // No whole chunk is lost.
+            assert!(found.len() >= most, "{length} bytes");
+            most = found.len();
+            let mut repaired = Vec::new();
+            let outcome = repair(Cursor::new(cut_off), &mut repaired).unwrap();
+            assert_eq!((outcome.was_truncated, outcome.damaged_parts), (true, 0));
+            let again: Vec<_> =
+                Sink::with_bytes(&repaired).open().collect::<Result<_, _>>().unwrap();
+            assert_eq!(again, found, "{length} bytes");
+        }
+        assert!(chunks.len() > 3);
+        assert_eq!(most, records.len());
+    }
+}
+
+/// Makes zstd of this number of blocks of 128 KiB of zeros, each of them 4 bytes, with a window of 2
+/// to the power of `window` KiB.
+fn zstd_of_zeros(blocks: usize, window: u8) -> Vec<u8> {
+    let block = |is_last: u32| ((128_u32 << 10) << 3) | (1 << 1) | is_last;
+    let block = |is_last| [&block(is_last).to_le_bytes()[..3], &[0]].concat();
+    let head = [0x28, 0xb5, 0x2f, 0xfd, 0, window << 3];
+    [&head[..], &block(0).repeat(blocks - 1), &block(1)].concat()
+}
+
+/// 32 KiB that become 1 GiB.
+fn zstd_bomb(window: u8) -> Vec<u8> {
+    zstd_of_zeros(8192, window)
+}
+
+#[test]
+fn a_chunk_that_decompresses_to_more_than_it_claims_is_damaged_and_takes_no_memory() {
+    const MIB: u64 = 1 << 20;
+    let small_chunk = compress("zstd", &[channel(), event(0)].concat());
+    let claimed = (channel().len() + event(0).len()) as u64;
+    for (name, chunk, most) in [
+        ("1 GiB of zstd", compressed_chunk("zstd", 1000, &zstd_bomb(10)), 4 * MIB),
+        ("8 MiB of lz4", compressed_chunk("lz4", 1000, &compress("lz4", &[0; 8 << 20])), MIB),
+        ("a window of 64 MiB", compressed_chunk("zstd", 1000, &zstd_bomb(16)), MIB),
+        ("a window of 1 TiB", compressed_chunk("zstd", 1000, &zstd_bomb(30)), MIB),
+        (
+            "64 MiB and a block",
+            compressed_chunk("zstd", 64 * MIB + (128 << 10), &zstd_of_zeros(513, 10)),
+            MIB,
+        ),
+        ("a claim of 2^64 - 1", compressed_chunk("lz4", u64::MAX, &[]), MIB),
+        ("a claim of 64 MiB", compressed_chunk("zstd", 64 * MIB, &small_chunk), MIB),
+        ("a byte more", compressed_chunk("zstd", claimed - 1, &small_chunk), MIB),
+        ("a byte less", compressed_chunk("zstd", claimed + 1, &small_chunk), MIB),
+        ("no head", compressed_chunk("zstd", claimed, b"zstd?"), MIB),
+        ("no bytes", compressed_chunk("lz4", claimed, &[]), MIB),
+        ("another compression", compressed_chunk("lz4", claimed, &small_chunk), MIB),
+    ] {
+        let plain = chunk_of(&[channel(), event(0)].concat());
+        let file = [MAGIC, &plain, &chunk, &plain, &end()].concat();
+        let place = 8 + plain.len() as u64;
+        let counted = allocation_counter::measure(|| {
+            assert_eq!(read(&file), (vec![place], 2, false), "{name}");
+            let outcome = repair(Cursor::new(file.clone()), &mut Vec::new()).unwrap();
+            assert_eq!((outcome.damaged_at, outcome.messages), (vec![place], 2), "{name}");
+        });
+        let most = most + 4 * file.len() as u64;
+        assert!(counted.bytes_max < most, "{name}: {} bytes in memory", counted.bytes_max);
+    }
+}
+
+#[test]
+fn a_small_chunk_may_have_a_window_of_8_mib() {
+    let event = event(0);
+    // One block, the last, as it is.
+    let records = [channel(), event].concat();
+    let block = ((records.len() as u32) << 3) | 1;
+    let frame =
+        [&[0x28, 0xb5, 0x2f, 0xfd, 0, 13 << 3][..], &block.to_le_bytes()[..3], &records].concat();
+    let chunk = compressed_chunk("zstd", records.len() as u64, &frame);
+    assert_eq!(read(&[MAGIC, &chunk, &end()].concat()), (vec![], 1, false));
+}
+
+#[test]
+fn a_compressed_chunk_with_a_wrong_checksum_is_damaged() {
+    let records = [channel(), event(0)].concat();
+    for compression in ["zstd", "lz4"] {
+        let bytes = compress(compression, &records);
+        let mut chunk = compressed_chunk(compression, records.len() as u64, &bytes);
+        chunk[9 + 24..][..4].copy_from_slice(&crc32fast::hash(&records).to_le_bytes());
+        assert_eq!(read(&[MAGIC, &chunk, &end()].concat()), (vec![], 1, false));
+        chunk[9 + 24] ^= 1;
+        assert_eq!(read(&[MAGIC, &chunk, &end()].concat()), (vec![8], 0, false));
+    }
+}
+
+#[test]
+fn a_cut_off_chunk_that_decompresses_to_more_than_it_claims_takes_no_memory() {
+    let chunk = compressed_chunk("zstd", 1000, &zstd_bomb(10));
+    let file = [MAGIC, &chunk[..chunk.len() - 1]].concat();
+    let counted = allocation_counter::measure(|| {
+        assert_eq!(read(&file), (vec![], 0, true));
+    });
+    assert!(counted.bytes_max < 4 << 20, "{} bytes in memory", counted.bytes_max);
+}

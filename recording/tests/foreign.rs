@@ -1,0 +1,74 @@
+//! Recordings that other programs wrote, or copied: with other topics, without chunks, and
+//! with records that this crate does not use.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Attachment, WriteOptions};
+use tokio_scip::Window;
+use urg_recording::{Recording, repair};
+
+use super::sink::{Sink, record, sensor};
+
+/// Writes the messages of a recording again, between an image of 2 MiB, an attachment of
+/// 3 MiB and a private record.
+fn written_again(recorded: &[u8], options: WriteOptions) -> Vec<u8> {
+    let mut writer = options.compression(None).create(Cursor::new(Vec::new())).unwrap();
+    let metadata = Sink::with_bytes(recorded).open().metadata().clone();
+    writer.write_metadata(&Metadata { name: "tokio_scip".to_owned(), metadata }).unwrap();
+    writer.add_channel_with_id(99, 0, "/camera", "raw", &BTreeMap::new()).unwrap();
+    for (number, message) in mcap::MessageStream::new(recorded).unwrap().enumerate() {
+        if number == 5 {
+            let image = vec![6; 2 << 20];
+            let header =
+                MessageHeader { channel_id: 99, sequence: 0, log_time: 1, publish_time: 1 };
+            writer.write_to_known_channel(&header, &image).unwrap();
+            let attachment = Attachment {
+                log_time: 1,
+                create_time: 1,
+                name: "map.png".to_owned(),
+                media_type: "image/png".to_owned(),
+                data: Cow::Owned(vec![6; 3 << 20]),
+            };
+            writer.attach(&attachment).unwrap();
+            writer.write_private_record(0x90, &[6; 100], Default::default()).unwrap();
+        }
+        writer.write(&message.unwrap()).unwrap();
+    }
+    writer.finish().unwrap();
+    writer.into_inner().into_inner()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_that_another_program_copied_is_read_and_repaired_as_the_original() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 20).await;
+    let recorded = sink.bytes();
+    for options in [
+        WriteOptions::new().use_chunks(false),
+        WriteOptions::new().chunk_size(Some(20_000)),
+        WriteOptions::new().chunk_size(Some(20_000)).calculate_chunk_crcs(false),
+    ] {
+        let copied = written_again(&recorded, options);
+        let mut copy = Recording::read(Cursor::new(copied.clone())).unwrap();
+        assert_eq!(copy.metadata(), sink.open().metadata());
+        let records: Vec<_> = copy.by_ref().collect::<Result<_, _>>().unwrap();
+        assert_eq!(records, sink.records());
+        assert!(!copy.is_truncated());
+
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(copied.clone()), &mut repaired).unwrap();
+        assert_eq!((outcome.was_truncated, outcome.damaged_parts), (false, 0));
+        let messages = |file: &[u8]| -> Vec<_> {
+            let messages = mcap::MessageStream::new(file).unwrap().map(Result::unwrap);
+            messages
+                .map(|message| (message.channel.topic.clone(), message.data.into_owned()))
+                .collect()
+        };
+        // With the image.
+        assert_eq!(messages(&repaired), messages(&copied));
+        assert_eq!(messages(&repaired).len(), records.len() + 1);
+    }
+}

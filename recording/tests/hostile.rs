@@ -1,0 +1,248 @@
+//! Hostile files: reading one takes no more memory than its own size.
+
+use std::io::Cursor;
+
+use urg_recording::{Recording, RecordingError, repair};
+
+use super::raw::{
+    MAGIC, channel, channel_content, chunk, chunk_of, claims, damaged_at, end, event, metadata,
+    of_kind, read, record, text,
+};
+
+#[test]
+fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
+    const G4: u64 = 4 << 30;
+    // The file, and the number of its damaged parts.
+    let cases = [
+        ("a header's string of 4 GB", record(0x01, 4, &claims(u32::MAX)), 1),
+        ("a header of 4 GB", record(0x01, G4 + 4, &claims(u32::MAX)), 1),
+        ("a short attachment", record(0x09, 24, &[0; 24]), 0),
+        ("an attachment of 2^63", record(0x09, 1 << 63, &[0; 24]), 0),
+        ("a record of 2^63", record(0x05, 1 << 63, &[0; 24]), 1),
+        ("a private record of 2^64 - 1", record(0x80, u64::MAX, &[0; 24]), 0),
+        ("a chunk of 4 GB", record(0x06, 40 + G4, &chunk(G4, G4)), 1),
+        ("a chunk of 32 MB", record(0x06, 40 + (32 << 20), &chunk(32 << 20, 32 << 20)), 0),
+        ("a chunk whose records claim 4 GB", record(0x06, 40, &chunk(0, G4)), 1),
+        ("a chunk that becomes 4 GB", record(0x06, 40, &chunk(G4, 0)), 1),
+        ("a chunk of 40 bytes with 4 GB in it", record(0x06, 40, &chunk(G4, G4)), 1),
+        (
+            "a record of 2^63 in a chunk",
+            record(0x06, 49, &[chunk(9, 9), record(0x05, 1 << 63, &[])].concat()),
+            1,
+        ),
+        (
+            "a map of 4 GB",
+            record(0x0c, 18, &[&claims(10)[..], b"tokio_scip", &claims(u32::MAX)].concat()),
+            1,
+        ),
+        // An empty name and an empty map, and six bytes behind them.
+        ("a record cut off behind its fields", record(0x0c, 20, &[0; 14]), 1),
+        (
+            "a message index of 4 GB",
+            record(0x07, G4, &[&[0; 2][..], &claims(u32::MAX)].concat()),
+            1,
+        ),
+        ("a schema of 4 GB", record(0x03, 6, &[&[0; 2][..], &claims(u32::MAX)].concat()), 1),
+        ("a record of an unknown kind", record(0x00, 0, &[]), 1),
+        ("zeros", vec![0; 1000], 1),
+    ];
+    for (name, bytes, errors) in cases {
+        let file = [MAGIC, &bytes].concat();
+        let most = file.len() as u64;
+        let counted = allocation_counter::measure(|| {
+            let mut recording = Recording::read(Cursor::new(file.clone())).unwrap();
+            let items: Vec<_> = recording.by_ref().collect();
+            assert_eq!(damaged_at(&items), vec![8; errors], "{name}: {items:?}");
+            assert_eq!((items.len(), recording.is_truncated()), (errors, true), "{name}");
+            let mut out = Vec::new();
+            let outcome = repair(Cursor::new(file), &mut out).unwrap();
+            assert_eq!(outcome.damaged_at, vec![8; errors], "{name}");
+            assert!(outcome.was_truncated, "{name}");
+            assert!(Recording::read(Cursor::new(out)).unwrap().next().is_none(), "{name}");
+        });
+        let (bytes, most) = (counted.bytes_max, 400_000 + 4 * most);
+        assert!(bytes < most, "{name}: {bytes} bytes in memory");
+    }
+}
+
+#[test]
+fn a_compressed_recording_is_reported_as_such() {
+    // 30 bytes, in 9.
+    let head = [&[0; 16][..], &30u64.to_le_bytes(), &[0; 4], &claims(3), b"lzo"].concat();
+    let chunk = [&head[..], &9u64.to_le_bytes(), &[0; 9]].concat();
+    let file = [MAGIC, &record(0x06, chunk.len() as u64, &chunk)].concat();
+    let error = Recording::read(Cursor::new(file)).unwrap_err();
+    let RecordingError::Compressed { compression } = &error else { panic!("{error:?}") };
+    assert_eq!(compression, "lzo");
+    assert!(error.to_string().contains("`lzo`"), "{error}");
+}
+
+#[test]
+fn the_error_of_a_compressed_recording_says_how_to_read_it() {
+    let text = |compression: &str| {
+        RecordingError::Compressed { compression: compression.to_owned() }.to_string()
+    };
+    for compression in ["zstd", "lz4"] {
+        let text = text(compression);
+        assert!(text.contains(compression) && text.contains("feature `compression`"), "{text}");
+        assert!(text.contains("mcap decompress"), "{text}");
+    }
+    assert!(text("lzo").contains("expected `zstd`, `lz4` or no compression"));
+}
+
+#[test]
+fn a_malformed_record_in_a_chunk_is_reported_by_the_reader_and_left_out_by_a_repair() {
+    for (name, malformed) in [
+        ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
+        ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
+        ("bytes behind a map", of_kind(0x0c, &[&text("a")[..], &[0; 4], b"more"].concat())),
+        (
+            "bytes behind a channel",
+            of_kind(0x04, &[&channel_content(0, "/scip/events")[..], b"more"].concat()),
+        ),
+        ("a short schema", of_kind(0x03, &[0; 4])),
+        ("a short message", of_kind(0x05, &[0; 21])),
+    ] {
+        let records = [channel(), event(0), malformed, event(0)].concat();
+        let file = [MAGIC, &chunk_of(&records), &end()].concat();
+        let mut repaired = Vec::new();
+        let outcome = repair(Cursor::new(file.clone()), &mut repaired).unwrap();
+        assert_eq!((outcome.was_truncated, outcome.damaged_at), (false, vec![8]), "{name}");
+        assert_eq!(read(&file), (vec![8], 2, false), "{name}");
+        assert_eq!(read(&repaired), (vec![], 2, false), "{name}");
+        assert_eq!(mcap::MessageStream::new(&repaired).unwrap().count(), 2, "{name}");
+    }
+}
+
+#[test]
+fn a_message_of_a_channel_that_is_not_defined_is_damage_of_its_chunk_once() {
+    let first = [MAGIC, &chunk_of(&[channel(), event(0)].concat())].concat();
+    let second = chunk_of(&[event(3), event(0), event(3)].concat());
+    let file = [&first[..], &second, &end()].concat();
+    assert_eq!(read(&file), (vec![first.len() as u64], 2, false));
+}
+
+#[test]
+fn a_wrong_length_of_metadata_costs_the_metadata_and_no_chunk() {
+    let content = [text("tokio_scip"), text("")].concat();
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    // Some end in the chunk behind, some in themselves.
+    for length in (0..content.len() + 80).filter(|length| *length != content.len()) {
+        let metadata = record(0x0c, length as u64, &content);
+        let file = [MAGIC, &metadata, &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![8], 1, false), "{length} in place of {}", content.len());
+    }
+}
+
+#[test]
+fn malformed_metadata_of_the_right_length_does_not_hide_the_chunk_that_begins_in_it() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    // Of a map of 40 bytes the last 31 are missing, and what is there is no pair.
+    let metadata = [&text("tokio_scip")[..], &claims(40), &[0xff; 9]].concat();
+    let metadata = record(0x0c, metadata.len() as u64 + 31, &metadata);
+    let file = [MAGIC, &metadata, &chunk, &chunk, &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
+}
+
+#[test]
+fn a_damaged_last_record_does_not_hide_the_end_of_the_file() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let mut damaged = chunk.clone();
+    // Its length.
+    damaged[1] ^= 1;
+    let file = [MAGIC, &chunk, &damaged, &end()].concat();
+    assert_eq!(read(&file), (vec![8 + chunk.len() as u64], 1, false));
+}
+
+#[test]
+fn a_file_that_lacks_one_byte_of_its_end_is_truncated() {
+    let file = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
+    assert_eq!(read(&file), (vec![], 1, false));
+    for missing in 1..=end().len() {
+        assert_eq!(read(&file[..file.len() - missing]), (vec![], 1, true), "{missing}");
+    }
+}
+
+#[test]
+fn metadata_is_read_from_a_file_that_ends_right_behind_it() {
+    let file = [MAGIC, &metadata()].concat();
+    let recording = Recording::read(Cursor::new(file)).unwrap();
+    assert_eq!(recording.metadata()["rate"], "10 Hz");
+}
+
+#[test]
+fn the_places_of_the_first_16_damaged_chunks_are_kept_and_all_are_counted() {
+    let mut chunk = chunk_of(&event(0));
+    // A checksum, and it is wrong.
+    chunk[9 + 24] = 1;
+    let file = [MAGIC, &chunk.repeat(20), &end()].concat();
+    let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+    assert_eq!(outcome.damaged_parts, 20);
+    let places: Vec<u64> = (0..16).map(|number| (8 + number * chunk.len()) as u64).collect();
+    assert_eq!(outcome.damaged_at, places);
+}
+
+/// Many channels with long names, and as many chunks as fit.
+#[test]
+fn a_repaired_file_is_a_small_multiple_of_a_hostile_one() {
+    let name = "x".repeat(1000);
+    let channels: Vec<u8> =
+        (0..200).flat_map(|number| of_kind(0x04, &channel_content(number, &name))).collect();
+    let message = of_kind(0x05, &[0; 22]);
+    let metadata = of_kind(0x0c, &[claims(0), claims(0)].concat());
+    let chunk = chunk_of(&message);
+    for (name, body) in [
+        ("metadata between messages", [&message[..], &metadata].concat().repeat(5_000)),
+        ("metadata in a chunk", chunk_of(&[&message[..], &metadata].concat().repeat(5_000))),
+        ("small chunks", chunk.repeat(5_000)),
+        ("empty chunks", chunk_of(&[]).repeat(5_000)),
+        ("metadata", metadata.repeat(5_000)),
+        (
+            "redefined channels",
+            [&channel()[..], &of_kind(0x04, &channel_content(0, "/x"))].concat().repeat(5_000),
+        ),
+    ] {
+        let file = [MAGIC, &channels, &body, &end()].concat();
+        let mut out = Vec::new();
+        let outcome = repair(Cursor::new(file.clone()), &mut out).unwrap();
+        assert_eq!(outcome.damaged_parts, 0, "{name}");
+        assert!(out.len() < 8 * file.len() + (8 << 10), "{name}: {} of {}", out.len(), file.len());
+    }
+}
+
+/// Another program's file may use the names of a recording's topics for anything.
+#[test]
+fn a_topic_of_another_type_is_none_of_a_recording() {
+    let schema =
+        |name: &str| of_kind(0x03, &[&[1, 0][..], &text(name), &text("ros2msg"), &[0; 4]].concat());
+    let channel =
+        of_kind(0x04, &[&[0, 0, 1, 0][..], &text("/scip/events"), &text("cdr"), &[0; 4]].concat());
+    let message = of_kind(0x05, &[&[0; 22][..], b"other"].concat());
+    for (name, expected) in
+        [("std_msgs/msg/String", (vec![8], 0, false)), ("my/msg/Other", (vec![], 0, false))]
+    {
+        let file =
+            [MAGIC, &chunk_of(&[schema(name), channel.clone(), message.clone()].concat()), &end()]
+                .concat();
+        assert_eq!(read(&file), expected, "{name}");
+        let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
+        assert_eq!(
+            (outcome.damaged_at, outcome.messages),
+            (expected.0.clone(), u64::from(expected.0.is_empty())),
+            "{name}"
+        );
+    }
+}
+
+/// One part, however many of its messages are malformed, for the reader and the repair.
+#[test]
+fn a_chunk_without_a_checksum_is_judged_alike_by_the_reader_and_a_repair() {
+    let bad = of_kind(0x05, &[&[0; 22][..], b"no event"].concat());
+    let records = [channel(), bad.clone(), event(0), bad, event(7), event(0)].concat();
+    let file = [MAGIC, &chunk_of(&records), &end()].concat();
+    assert_eq!(read(&file), (vec![8], 2, false));
+    let mut repaired = Vec::new();
+    let outcome = repair(Cursor::new(file), &mut repaired).unwrap();
+    assert_eq!((outcome.damaged_at, outcome.messages), (vec![8], 2));
+    assert_eq!(read(&repaired), (vec![], 2, false));
+}

@@ -1,0 +1,29 @@
+//! Recordings: everything delivered is in the file, even if the file is cut off or
+//! damaged, and a replay delivers it again byte for byte.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
+
+mod any_time;
+mod common;
+#[cfg(feature = "compression")]
+mod compressed;
+mod crash_and_full_disk;
+mod events;
+#[path = "../../tests/examples/example.rs"]
+mod example;
+mod examples;
+mod field;
+mod file;
+mod foreign;
+mod hostile;
+mod index;
+mod memory;
+mod parts;
+mod pieces;
+mod properties;
+mod raw;
+mod repair;
+mod replay;
+mod scans;
+mod sink;
+mod split;

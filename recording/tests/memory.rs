@@ -1,0 +1,128 @@
+//! The memory that reading a recording takes: that of a chunk, however long the file is.
+
+use std::io::{self, Read};
+
+use allocation_counter::measure;
+use tokio_scip::Rate;
+use urg_recording::{Recording, RecordingError};
+
+use super::raw::{MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, text};
+
+/// A file that consists of a beginning, and of one part many times.
+struct Endless {
+    beginning: Vec<u8>,
+    part: Vec<u8>,
+    times: usize,
+    at: usize,
+}
+
+impl Endless {
+    fn new(beginning: &[u8], part: Vec<u8>, times: usize) -> Self {
+        Self { beginning: beginning.to_vec(), part, times, at: 0 }
+    }
+}
+
+impl Read for Endless {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        if self.at == self.beginning.len() {
+            self.at = 0;
+            self.beginning.clear();
+            if self.times > 0 {
+                self.times -= 1;
+                self.beginning.extend_from_slice(&self.part);
+            }
+        }
+        let mut rest = &self.beginning[self.at..];
+        let count = rest.read(bytes)?;
+        self.at += count;
+        Ok(count)
+    }
+}
+
+/// Makes a message of a topic that is none of a recording.
+fn other_message(length: usize) -> Vec<u8> {
+    of_kind(0x05, &[&[1][..], &[0; 21], &vec![0; length]].concat())
+}
+
+/// Makes the record of a channel of another topic.
+fn other_channel() -> Vec<u8> {
+    of_kind(0x04, &channel_content(1, "/camera"))
+}
+
+#[test]
+fn a_recording_of_20_mb_is_read_in_the_memory_of_two_of_its_chunks() {
+    let part = chunk_of(&[channel(), other_channel(), event(0), other_message(200_000)].concat());
+    let file = Endless::new(MAGIC, part, 100);
+    let counted = measure(|| assert_eq!(Recording::read(file).unwrap().count(), 100));
+    assert!(counted.bytes_max < 900_000, "{} bytes in memory", counted.bytes_max);
+}
+
+/// Makes a reply of a sensor of this length.
+fn reply(length: usize) -> Vec<u8> {
+    let (command, length_field) = (text("\0"), (length as u32).to_le_bytes());
+    // The encapsulation, a dimension, the padded label, size, stride, offset, the bytes.
+    let layout = [&[0, 1, 0, 0, 1, 0, 0, 0][..], &command, &[0; 3], &[0; 12], &length_field];
+    let data = [&layout.concat()[..], &vec![0; length]].concat();
+    of_kind(0x05, &[&[0; 22][..], &data].concat())
+}
+
+fn reply_channel() -> Vec<u8> {
+    of_kind(0x04, &channel_content(0, "/scip/replies"))
+}
+
+/// Everything that is read in the search for metadata is kept, so the search has a limit.
+#[test]
+fn long_messages_without_metadata_do_not_fill_the_memory() {
+    let part = chunk_of(&[reply_channel(), reply(1_500_000)].concat());
+    let file = Endless::new(MAGIC, part, 20);
+    let counted = measure(|| {
+        let recording = Recording::read(file).unwrap();
+        assert_eq!(recording.map(Result::unwrap).count(), 20);
+    });
+    assert!(counted.bytes_max < 9_000_000, "{} bytes in memory", counted.bytes_max);
+}
+
+#[test]
+fn metadata_is_known_at_once_if_it_is_in_the_first_mebibyte_and_256_messages() {
+    let has_metadata = |parts: &[Vec<u8>]| {
+        let file = [MAGIC, &parts.concat()].concat();
+        let mut recording = Recording::read(io::Cursor::new(file)).unwrap();
+        let is_known = recording.rate().is_some();
+        // Later it is known behind its place.
+        recording.by_ref().for_each(|record| drop(record.unwrap()));
+        assert!(recording.rate().is_some());
+        is_known
+    };
+    let events = |count| event(0).repeat(count);
+    assert!(has_metadata(&[channel(), events(255), metadata(), events(1)]));
+    assert!(!has_metadata(&[channel(), events(256), metadata(), events(1)]));
+    // The message behind the long one begins so many bytes before the end of the mebibyte.
+    for (before, is_known) in [(1, true), (0, false)] {
+        let start = MAGIC.len() + reply_channel().len();
+        let long = reply((1 << 20) - start - reply(0).len() - before);
+        let parts = [reply_channel(), long, reply(0), metadata(), reply(0)];
+        assert_eq!(has_metadata(&parts), is_known, "{before}");
+    }
+}
+
+/// A file that cannot be read.
+struct Unreadable;
+
+impl Read for Unreadable {
+    fn read(&mut self, _: &mut [u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::Other.into())
+    }
+}
+
+#[test]
+fn opening_a_recording_reads_no_further_than_its_metadata() {
+    let others = other_message(2000).repeat(100);
+    let beginning = [MAGIC, &channel(), &other_channel(), &event(0), &metadata(), &others];
+    let file = io::Cursor::new(beginning.concat()).chain(Unreadable);
+    let mut recording = Recording::read(file).unwrap();
+    assert_eq!(recording.rate(), Some(Rate::hz(10.0)));
+    assert!(recording.next().unwrap().is_ok());
+    let error = recording.next().unwrap().unwrap_err();
+    assert!(matches!(error, RecordingError::Read { .. }), "{error:?}");
+    assert!(recording.next().is_none());
+}

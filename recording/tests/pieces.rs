@@ -1,0 +1,93 @@
+//! Recordings whose records begin and end where a read of 64 KiB does.
+
+use std::io::Cursor;
+
+use urg_recording::{Recording, RecordingError};
+
+use super::raw::{MAGIC, channel, chunk_of, end, event, of_kind, read, record};
+
+/// The bytes that are read at once.
+const READ_BYTES: usize = 64 << 10;
+
+/// Makes a record that readers skip and that ends `before` bytes before the end of the
+/// first read, if `start` bytes are before it.
+fn filler(start: usize, before: usize) -> Vec<u8> {
+    of_kind(0x80, &vec![0; READ_BYTES - before - start - 9])
+}
+
+#[test]
+fn the_head_of_a_chunk_may_lie_across_two_reads() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    for before in 0..80 {
+        let file = [MAGIC, &filler(8, before), &chunk, &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![], 2, false), "{before} bytes before");
+    }
+}
+
+#[test]
+fn the_name_of_a_compression_may_lie_across_two_reads() {
+    let head = [&[0; 16][..], &30_u64.to_le_bytes(), &[0; 4], &[4, 0, 0, 0], b"lzip"].concat();
+    let chunk = of_kind(0x06, &[&head[..], &9_u64.to_le_bytes(), &[0; 9]].concat());
+    for before in 0..80 {
+        let file = [MAGIC, &filler(8, before), &chunk].concat();
+        let error = Recording::read(Cursor::new(file)).unwrap_err();
+        let RecordingError::Compressed { compression } = error else { panic!("{error:?}") };
+        assert_eq!(compression, "lzip", "{before} bytes before");
+    }
+}
+
+#[test]
+fn the_end_of_a_file_may_lie_across_two_reads() {
+    let data = [chunk_of(&[channel(), event(0)].concat()), of_kind(0x0f, &[0; 4])].concat();
+    for before in 0..50 {
+        // Other programs' summaries have records of their own.
+        let filler = filler(8 + data.len(), before);
+        let footer = of_kind(0x02, &[0; 20]);
+        let file = [MAGIC, &data, &filler, &footer, MAGIC].concat();
+        assert_eq!(read(&file), (vec![], 1, false), "{before} bytes before");
+        assert_eq!(read(&file[..file.len() - 1]), (vec![], 1, true), "{before} bytes before");
+    }
+}
+
+#[test]
+fn metadata_may_lie_across_two_reads_or_end_with_one() {
+    let metadata = of_kind(0x0c, &[&[1, 0, 0, 0, b'x'][..], &[0; 4]].concat());
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    for before in 0..40 {
+        let file = [MAGIC, &filler(8, before), &metadata, &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![], 1, false), "{before} bytes before");
+    }
+}
+
+/// The search for the next chunk goes on where a read ends, also in the middle of its head.
+#[test]
+fn a_chunk_behind_a_long_damaged_part_is_found_wherever_it_begins() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    let shortest = 2 * READ_BYTES - 80;
+    for length in (shortest..shortest + 80).chain([5 * READ_BYTES]) {
+        let file = [MAGIC, &vec![0; length], &chunk, &chunk, &end()].concat();
+        assert_eq!(read(&file), (vec![8], 2, false), "{length} bytes");
+    }
+    // Behind the first damaged byte there is exactly what is read at once.
+    for before in 0..80 {
+        let damaged = vec![0; READ_BYTES + 1 - before];
+        let file = [MAGIC, &filler(8, 1), &damaged, &chunk, &chunk, &end()].concat();
+        let place = READ_BYTES as u64 - 1;
+        assert_eq!(read(&file), (vec![place], 2, false), "{before} bytes before");
+    }
+}
+
+#[test]
+fn a_record_of_any_length_is_skipped_whole() {
+    let chunk = chunk_of(&[channel(), event(0)].concat());
+    for length in [0, 1, READ_BYTES - 9, READ_BYTES, 2 * READ_BYTES - 9, 10 * READ_BYTES] {
+        for kind in [0x09, 0x80, 0xff] {
+            let skipped = of_kind(kind, &vec![6; length]);
+            let file = [MAGIC, &skipped, &chunk, &skipped, &end()].concat();
+            assert_eq!(read(&file), (vec![], 1, false), "{length} bytes of kind {kind}");
+        }
+    }
+    // Of a longer one the file has only the beginning.
+    let file = [MAGIC, &chunk, &record(0x80, 1 << 40, &[0; 100])].concat();
+    assert_eq!(read(&file), (vec![], 1, true));
+}

@@ -1,0 +1,255 @@
+//! The replay of a recording as an emulated sensor.
+
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::time::Instant;
+use tokio_scip::protocol::Command;
+use tokio_scip::{Error, Rate, Scan, Sensor, State, Window};
+use urg_emulator::{Emulator, Fault, Faults};
+use urg_recording::{Entry, Record, Recorder, ReplayPace};
+
+use super::sink::{Sink, observed, polls, record, sensor, window};
+
+/// Reads everything that a sensor delivers until its stream ends.
+async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Scan, Error>> {
+    let builder = Sensor::builder().depth(1 << 16);
+    let sensor = builder.connect(emulator).await.unwrap();
+    let mut scans = sensor.scans(window, rate).await.unwrap();
+    let mut items = Vec::new();
+    while let Some(item) = scans.next().await {
+        items.push(item);
+    }
+    assert!(matches!(sensor.state().get(), State::Closed { error: None, .. }));
+    assert_eq!(sensor.stats().disconnects, 0);
+    items
+}
+
+fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u16>> {
+    items.iter().flatten().map(|scan| scan.values().to_vec()).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_delivers_every_scan_again_for_every_kind_of_window() {
+    for window in [
+        Window::DETECTION,
+        Window::FULL,
+        window(44, 725, 4),
+        window(0, 768, 99),
+        window(2, 2, 1),
+        window(100, 103, 3),
+    ] {
+        let sink = Sink::new();
+        let recorded = record(sensor(), &sink, window, 20).await;
+        for (pace, rate) in [
+            (ReplayPace::Recorded, Rate::hz(10.0)),
+            (ReplayPace::Recorded, Rate::MAX),
+            (ReplayPace::Max, Rate::hz(10.0)),
+            (ReplayPace::Max, Rate::MAX),
+        ] {
+            let replayed = drain(sink.open().replay(pace).unwrap(), window, rate).await;
+            assert!(replayed.iter().all(Result::is_ok), "{window} {pace:?} {rate}: {replayed:?}");
+            assert_eq!(values(&replayed), values(&recorded), "{window} {pace:?} {rate}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_of_a_replay_has_the_same_bytes() {
+    let (first, second) = (Sink::new(), Sink::new());
+    record(sensor(), &first, Window::DETECTION, 40).await;
+    record(first.open().replay(ReplayPace::Recorded).unwrap(), &second, Window::DETECTION, 40)
+        .await;
+    let bytes = |sink: &Sink| {
+        polls(&sink.records()).into_iter().map(|reply| reply.bytes).collect::<Vec<_>>()
+    };
+    assert_eq!(bytes(&first), bytes(&second));
+    let stamps = |sink: &Sink| {
+        let stamp = |record: Record| match record.entry {
+            Entry::Scan(scan) => Some(scan.stamp),
+            Entry::Reply(reply) => reply.command.map(|_| reply.stamp),
+            _ => None,
+        };
+        sink.records().into_iter().filter_map(stamp).collect::<Vec<_>>()
+    };
+    // Opening asks for `V` twice, and a replay may answer the first with the second one's
+    // reply.
+    assert_eq!(stamps(&first)[2..], stamps(&second)[2..]);
+    assert_eq!(first.open().metadata(), second.open().metadata());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_takes_the_recorded_time_or_none() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 50).await;
+    let mut took = Vec::new();
+    for pace in [ReplayPace::Recorded, ReplayPace::Max] {
+        let began = Instant::now();
+        drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::MAX).await;
+        took.push(began.elapsed());
+    }
+    // 49 periods of 100 ms, and the time of opening.
+    assert!(
+        took[0] > Duration::from_millis(4890) && took[0] < Duration::from_millis(5100),
+        "{took:?}"
+    );
+    assert!(took[1] < Duration::from_millis(200), "{took:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn damaged_and_refused_replies_are_replayed_as_such() {
+    let kinds = |items: &[Result<Scan, Error>]| {
+        let kind = |item: &Result<Scan, Error>| match item {
+            Ok(_) => "scan",
+            Err(Error::Malformed { .. }) => "malformed",
+            Err(Error::Refused { .. } | Error::NotConfirmed { .. }) => "refused",
+            Err(_) => "other",
+        };
+        items.iter().map(kind).collect::<Vec<_>>()
+    };
+    // Replies 0 to 2 are those of opening; replies to fences count, too.
+    let faults = Faults::none()
+        .at(5, Fault::Drop(700..701))
+        // The poll, the `L1` that follows, its fence, and the repeated poll.
+        .at(9, Fault::Status(b'7'))
+        .at(10, Fault::Status(b'7'))
+        .at(11, Fault::Status(b'7'))
+        .at(12, Fault::Status(b'7'))
+        .at(14, Fault::Drop(14..16));
+    let sink = Sink::new();
+    let emulator = sensor();
+    emulator.set_faults(faults);
+    let recorded = record(emulator, &sink, Window::DETECTION, 30).await;
+    let expected = kinds(&recorded);
+    assert!(expected.contains(&"malformed") && expected.contains(&"refused"), "{expected:?}");
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let replayed = drain(replay, Window::DETECTION, Rate::hz(10.0)).await;
+    assert_eq!(kinds(&replayed), expected);
+    assert_eq!(values(&replayed), values(&recorded));
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_window_shows_the_recorded_part_of_it() {
+    let sink = Sink::new();
+    let recorded = record(sensor(), &sink, window(100, 199, 1), 10).await;
+    let open = || sink.open().replay(ReplayPace::Max).unwrap();
+
+    let part = drain(open(), window(120, 139, 1), Rate::MAX).await;
+    let expected: Vec<_> = values(&recorded).iter().map(|all| all[20..40].to_vec()).collect();
+    assert_eq!(values(&part), expected);
+
+    let groups = drain(open(), window(100, 199, 50), Rate::MAX).await;
+    let smallest =
+        |all: &Vec<u16>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
+    assert_eq!(values(&groups), values(&recorded).iter().map(smallest).collect::<Vec<Vec<_>>>());
+
+    // The recording has no values on the left.
+    let wider = drain(open(), window(90, 199, 1), Rate::MAX).await;
+    for (wide, all) in values(&wider).iter().zip(values(&recorded)) {
+        assert_eq!((&wide[..7], &wide[10..]), (&[19; 7][..], &all[..]));
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_polls() {
+    let sink = Sink::new();
+    let original = Emulator::builder().version_lines(["VEND:x", "FIRM:1", "SERI:42"]).build();
+    let recorded = record(original, &sink, Window::DETECTION, 5).await;
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+    assert_eq!(sensor.version().await.unwrap().serial_number.to_string(), "42");
+    // Fences do not consume a scan.
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.is_laser_on());
+    sensor.laser_on().await.unwrap();
+    for expected in values(&recorded) {
+        assert_eq!(sensor.scan(Window::DETECTION).await.unwrap().values(), expected);
+    }
+    // Then the recording is over.
+    let end = sensor.scan(Window::DETECTION).await;
+    assert!(matches!(end, Err(Error::Closed { .. })), "{end:?}");
+    let again = Sensor::builder().connect(emulator).await;
+    assert!(matches!(again, Err(Error::NoSuchPort { .. })), "{again:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_has_the_version_of_the_first_reply_that_is_one() {
+    let sink = Sink::new();
+    let emulator = sensor();
+    // Behind a fence. The line feed behind the status is lost.
+    emulator.set_faults(Faults::none().at(1, Fault::Drop(3..4)));
+    record(emulator, &sink, Window::DETECTION, 3).await;
+    let first = sink.records().into_iter().find_map(|record| match record.entry {
+        Entry::Reply(reply) if reply.command == Some(Command::Version) => Some(reply.bytes),
+        _ => None,
+    });
+    assert!(first.unwrap().starts_with(b"V\n0VEND"));
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let sensor = Sensor::builder().connect(replay).await.unwrap();
+    let version = sensor.version().await.unwrap();
+    assert_eq!(version.vendor.to_string(), sink.open().metadata()["vendor"]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_scan() {
+    let sink = Sink::new();
+    let recorded = record(sensor(), &sink, window(384, 385, 1), 2).await;
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let mut link = emulator.link();
+    let mut ask = async |command: &[u8], length: usize| {
+        link.write_all(command).await.unwrap();
+        let mut reply = vec![0; length];
+        link.read_exact(&mut reply).await.unwrap();
+        String::from_utf8(reply).unwrap()
+    };
+    assert_eq!(ask(b"L0\n", 6).await, "L0\n0\n\n");
+    assert_eq!(ask(b"G38438501\n", 13).await, "G38438501\n6\n\n");
+    assert_eq!(ask(b"L1\n", 6).await, "L1\n0\n\n");
+    drop(link);
+    let sensor = Sensor::builder().connect(emulator).await.unwrap();
+    for expected in values(&recorded) {
+        assert_eq!(sensor.scan(window(384, 385, 1)).await.unwrap().values(), expected);
+    }
+}
+
+/// One point of the wider window is lost, so that the reply has the length of the
+/// narrower one.
+#[tokio::test(start_paused = true)]
+async fn a_damaged_reply_is_never_replayed_as_a_scan_of_another_window() {
+    let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
+    let last_point = wide.reply_len() - 4..wide.reply_len() - 2;
+    let emulator = sensor();
+    // Behind a fence and two `V`s.
+    emulator.set_faults(Faults::none().at(3, Fault::Drop(last_point)));
+    let sink = Sink::new();
+    let recorded = record(emulator, &sink, wide, 5).await;
+    assert!(matches!(recorded[0], Err(Error::Malformed { .. })), "{:?}", recorded[0]);
+    let whole: Vec<_> = values(&recorded).iter().map(|all| all[1..].to_vec()).collect();
+    let replay = sink.open().replay(ReplayPace::Max).unwrap();
+    let replayed = values(&drain(replay, narrow, Rate::hz(10.0)).await);
+    assert_eq!(replayed, whole);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_replay_is_that_of_the_described_stream_and_has_the_polls_of_others() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let rate = Rate::hz(4.0);
+    let (original, mut scans) = observed(&recorder, sensor(), window(100, 199, 1), rate).await;
+    let mut others = original.scans(window(300, 309, 1), rate).await.unwrap();
+    recorder.describe(&original, &scans).await.unwrap();
+    let (mut expected, mut seen) = (Vec::new(), Vec::new());
+    for _ in 0..10 {
+        let item = scans.next().await.unwrap();
+        recorder.record(&item).unwrap();
+        expected.push(item.unwrap().values().to_vec());
+        seen.push(others.next().await.unwrap().unwrap().values().to_vec());
+    }
+    recorder.finish().await.unwrap();
+
+    let open = || sink.open().replay(ReplayPace::Max).unwrap();
+    assert_eq!(values(&drain(open(), window(100, 199, 1), rate).await), expected);
+    let others = values(&drain(open(), window(300, 309, 1), rate).await);
+    assert_eq!(others.len(), 10);
+    assert!(others[1..].iter().all(|values| seen.contains(values)), "{others:?}");
+}

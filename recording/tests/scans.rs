@@ -1,0 +1,381 @@
+//! Recorded scans as [`Scan`]s, without a replay.
+
+use std::io::{self, Cursor, Read};
+use std::path::Path;
+use std::time::Duration;
+
+use tokio_scip::event::RawReply;
+use tokio_scip::protocol::Command;
+use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_emulator::{Emulator, Fault, Faults, Values, WorldTime};
+use urg_recording::{
+    Entry, Record, RecordedScans, Recorder, Recording, RecordingError, ReplayPace,
+};
+
+use super::file::Folder;
+use super::sink::{Sink, next, record, replayed, sensor, values, window};
+
+/// An example of a function that is written for live scans.
+fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, Duration, bool) {
+    let values = scan.values().to_vec();
+    (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
+}
+
+#[tokio::test(start_paused = true)]
+async fn recorded_scans_are_those_that_the_driver_delivered() {
+    for window in [Window::DETECTION, Window::FULL, window(2, 2, 1), window(100, 103, 3)] {
+        let sink = Sink::new();
+        let delivered = record(sensor(), &sink, window, 20).await;
+        let delivered: Vec<Scan> = delivered.into_iter().map(Result::unwrap).collect();
+        let scans: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+        assert_eq!(
+            scans.iter().map(summary).collect::<Vec<_>>(),
+            delivered.iter().map(summary).collect::<Vec<_>>(),
+            "{window}"
+        );
+        let times: Vec<_> =
+            scans.windows(2).map(|pair| pair[1].received_at() - pair[0].received_at()).collect();
+        let live: Vec<_> = delivered
+            .windows(2)
+            .map(|pair| pair[1].received_at() - pair[0].received_at())
+            .collect();
+        let is_near = |(a, b): (&Duration, &Duration)| a.abs_diff(*b) < Duration::from_millis(1);
+        assert!(times.iter().zip(&live).all(is_near), "{times:?} {live:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_scans() {
+    let sink = Sink::new();
+    let emulator = sensor();
+    emulator.set_faults(Faults::none().at(5, Fault::Drop(700..701)).at(9, Fault::Status(b'7')));
+    let delivered = record(emulator, &sink, Window::DETECTION, 10).await;
+    assert!(delivered.iter().any(Result::is_err));
+    let mut scans = sink.open().scans();
+    let values: Vec<_> = scans.by_ref().map(|scan| scan.unwrap().values().to_vec()).collect();
+    let expected: Vec<_> = delivered.iter().flatten().map(|scan| scan.values().to_vec()).collect();
+    assert_eq!(values, expected);
+    assert!(scans.next().is_none() && !scans.is_truncated());
+}
+
+#[tokio::test(start_paused = true)]
+async fn recorded_scans_have_the_time_of_a_revolution_that_the_sensor_reports() {
+    for (firmware, milliseconds) in [("FIRM:1(300[rpm])", 200), ("FIRM:1", 100)] {
+        let time = Duration::from_millis(milliseconds);
+        let lines = ["VEND:x", firmware, "SERI:42"];
+        let sink = Sink::new();
+        let emulator = Emulator::builder().version_lines(lines).build();
+        let delivered = record(emulator, &sink, Window::DETECTION, 3).await;
+        let scans: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+        assert_eq!(delivered[2].as_ref().unwrap().scan_time(), time);
+        assert_eq!(scans.iter().map(Scan::scan_time).collect::<Vec<_>>(), [time; 3]);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_scans_of_a_file_without_its_end_are_read_and_the_missing_end_is_known() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 10).await;
+    let whole = sink.bytes();
+    for (missing, is_truncated) in [(0, false), (1, true), (30, true)] {
+        let file = whole[..whole.len() - missing].to_vec();
+        let mut scans = Recording::read(Cursor::new(file)).unwrap().scans();
+        assert_eq!(scans.by_ref().filter(Result::is_ok).count(), 10);
+        assert_eq!(scans.is_truncated(), is_truncated, "{missing} bytes");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_is_debugged_by_its_metadata_and_its_scans_by_their_number() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 3).await;
+    let recording = sink.open();
+    let text = format!("{recording:?}");
+    assert!(text.starts_with("Recording {") && text.contains("H0713090"), "{text}");
+    let mut scans = recording.scans();
+    scans.by_ref().take(2).for_each(drop);
+    assert_eq!(format!("{scans:?}"), "RecordedScans { sequence: 2, .. }");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_without_scans_is_an_error_and_not_an_empty_replay() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    recorder.observe(&sensor);
+    recorder.finish().await.unwrap();
+    let items: Vec<_> = sink.open().scans().collect();
+    assert!(matches!(items[..], [Err(RecordingError::NoScans)]), "{items:?}");
+    assert!(matches!(sink.open().replay(ReplayPace::Max), Err(RecordingError::NoScans)));
+}
+
+/// Sensor whose scans have distances and, in every seventh step, an error code.
+fn with_errors() -> Emulator {
+    let world = |look: WorldTime, values: &mut Values| {
+        for (step, value) in values.iter_mut().enumerate() {
+            *value = match step % 7 {
+                0 => 7,
+                _ => 20 + ((look.request * 7 + step as u64 * 3) % 4000) as u16,
+            };
+        }
+    };
+    Emulator::builder().world(world).build()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_without_replies_has_the_scans_of_its_messages() {
+    for window in [Window::DETECTION, window(100, 108, 3), window(2, 2, 1)] {
+        for is_described in [true, false] {
+            let sink = Sink::new();
+            let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+            let sensor = Sensor::builder().depth(64).connect(with_errors()).await.unwrap();
+            let mut stream = sensor.scans(window, Rate::hz(10.0)).await.unwrap();
+            if is_described {
+                recorder.describe(&sensor, &stream).await.unwrap();
+            }
+            let live = next(&mut recorder, &mut stream, 10).await;
+            recorder.finish().await.unwrap();
+
+            let mut recorded = sink.open().scans();
+            let scans: Vec<Scan> = recorded.by_ref().map(Result::unwrap).collect();
+            assert_eq!(scans.len(), live.len());
+            for (scan, live) in scans.iter().zip(&live) {
+                assert_eq!((scan.window(), scan.sequence()), (window, live.sequence()));
+                let range = |range: f32| (!range.is_nan()).then_some(range);
+                assert!(scan.ranges().map(range).eq(live.ranges().map(range)));
+                let error = scan.first_ray_stamp().duration_since(live.first_ray_stamp());
+                let error = error.unwrap_or_else(|before| before.duration());
+                assert!(error < Duration::from_micros(10), "{error:?}");
+            }
+            let version = recorded.version();
+            let known = sensor.version().await.unwrap();
+            let expected = if is_described { known.serial_number } else { "".into() };
+            assert_eq!(version.serial_number, expected);
+
+            let emulator = sink.open().replay(ReplayPace::Recorded).unwrap();
+            let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
+            assert_eq!(replay.version().await.unwrap().serial_number, expected);
+            let mut stream = replay.scans(window, Rate::hz(10.0)).await.unwrap();
+            let mut replayed = Vec::new();
+            while let Some(scan) = stream.next().await {
+                replayed.push(scan.unwrap().values().to_vec());
+            }
+            assert!(replayed.iter().eq(scans.iter().map(Scan::values)), "{window}");
+        }
+    }
+}
+
+/// The messages of a recording with replies are not read as scans a second time.
+#[tokio::test(start_paused = true)]
+async fn a_recording_is_replayed_without_its_reply_to_v() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let observer = recorder.observer();
+    let without_version = move |reply: RawReply<'_>| {
+        if reply.command != Some(Command::Version) {
+            observer(reply);
+        }
+    };
+    let builder = Sensor::builder().on_reply(without_version).depth(64);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let live = values(&next(&mut recorder, &mut stream, 10).await);
+    recorder.finish().await.unwrap();
+    let scans: Vec<Scan> = sink.open().scans().map(Result::unwrap).collect();
+    assert!(live.iter().eq(scans.iter().map(Scan::values)));
+    let emulator = sink.open().replay(ReplayPace::Max).unwrap();
+    let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
+    assert_eq!(replay.version().await.unwrap(), tokio_scip::Version::default());
+    let mut stream = replay.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut replayed = Vec::new();
+    while let Some(scan) = stream.next().await {
+        replayed.push(scan.unwrap().values().to_vec());
+    }
+    assert_eq!(replayed, live);
+}
+
+/// Pipe whose writer pauses behind the bytes.
+struct PausedPipe(Cursor<Vec<u8>>);
+
+impl Read for PausedPipe {
+    fn read(&mut self, bytes: &mut [u8]) -> io::Result<usize> {
+        match self.0.read(bytes)? {
+            0 => Err(io::ErrorKind::WouldBlock.into()),
+            read => Ok(read),
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_scans_that_a_pipe_has_are_returned_before_more_is_read() {
+    let sink = Sink::new();
+    let (mut recorder, mut length) =
+        (Recorder::builder().write_to(sink.clone()).unwrap(), sink.length());
+    let sensor = Sensor::builder().depth(64).connect(sensor()).await.unwrap();
+    recorder.observe(&sensor);
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    recorder.describe(&sensor, &stream).await.unwrap();
+    next(&mut recorder, &mut stream, 3).await;
+    // The writer ends the chunk by itself after a second of real time.
+    let began = *length.borrow_and_update();
+    while *length.borrow_and_update() < began + 3 * 1400 {
+        length.changed().await.unwrap();
+    }
+    let pipe = PausedPipe(Cursor::new(sink.bytes()));
+    let mut scans = Recording::read(pipe).unwrap().scans();
+    for _ in 0..3 {
+        assert!(matches!(scans.next(), Some(Ok(_))));
+    }
+    // The sensor went on meanwhile.
+    let error = scans.find_map(Result::err);
+    assert!(matches!(error, Some(RecordingError::Read { .. })), "{error:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_damaged_chunk_is_an_item_between_the_scans() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 600).await;
+    let mut file = sink.bytes();
+    let middle = file.len() / 2;
+    file[middle] ^= 1;
+    let recording = Recording::read(Cursor::new(file)).unwrap();
+    let items: Vec<_> = recording.scans().collect();
+    let at = items.iter().position(Result::is_err).unwrap();
+    assert!(matches!(items[at], Err(RecordingError::Damaged { .. })));
+    assert!(at > 0 && items.len() > at + 100, "{at} of {}", items.len());
+    assert_eq!(items.iter().filter(|item| item.is_err()).count(), 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 50).await;
+    let all: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
+    let (from, to) = (Duration::from_secs(1), Duration::from_secs(3));
+    let is_inside =
+        |scan: &&Scan| (from..to).contains(&(scan.received_at() - all[0].received_at()));
+    let expected: Vec<_> = all.iter().filter(is_inside).map(|scan| scan.values()).collect();
+    assert!((15..=25).contains(&expected.len()), "{}", expected.len());
+    let part: Vec<Scan> = sink.open().range(from..to).scans().collect::<Result<_, _>>().unwrap();
+    assert_eq!(part.iter().map(Scan::values).collect::<Vec<_>>(), expected);
+
+    let replayed = replayed(sink.open().range(from..to), Window::DETECTION).await;
+    assert_eq!(values(&replayed), expected);
+    // A part without a scan.
+    let mut none = sink.open().range(Duration::from_secs(99)..).scans();
+    assert!(matches!(none.next(), Some(Err(RecordingError::NoScans))));
+}
+
+fn scans_from(path: &Path, place: Duration) -> RecordedScans {
+    Recording::open(path).unwrap().range(place..).scans()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 600).await;
+    let mut all = sink.open().scans();
+    let (mut places, mut expected) = (Vec::new(), Vec::new());
+    while let Some(scan) = all.next() {
+        places.push(all.position());
+        expected.push(scan.unwrap());
+    }
+    assert_eq!(places[0], Duration::ZERO);
+    // Damage shows that it was read.
+    let mut bytes = sink.bytes();
+    let quarter = bytes.len() / 4;
+    bytes[quarter] ^= 1;
+    let folder = Folder::new("part");
+    let path = folder.write(&bytes);
+    for number in [300, 599, 301] {
+        let mut scans = scans_from(&path, places[number]).numbered_from(number as u64);
+        let first = scans.next().unwrap().unwrap();
+        assert_eq!((first.values(), first.sequence()), (expected[number].values(), number as u64));
+        assert_eq!(scans.position(), places[number]);
+        let rest: Vec<Scan> = scans.collect::<Result<_, _>>().unwrap();
+        let following = &expected[number + 1..];
+        assert!(rest.iter().map(Scan::values).eq(following.iter().map(Scan::values)), "{number}");
+    }
+    // Without its index the file is read from its beginning.
+    let path = folder.write(&bytes[..bytes.len() - 100]);
+    let items: Vec<_> = scans_from(&path, places[300]).collect();
+    assert!(matches!(items[0], Err(RecordingError::Damaged { .. })), "{:?}", items[0]);
+    assert_eq!(items.iter().filter(|item| item.is_ok()).count(), 300);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_is_read_whole_where_the_file_is_no_longer_as_its_index_says() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 200).await;
+    // Ten bytes are missing before the part, and ten too many behind its beginning.
+    let mut bytes = sink.bytes();
+    let quarter = bytes.len() / 4;
+    bytes.drain(quarter..quarter + 10);
+    bytes.splice(3 * quarter..3 * quarter, [0; 10]);
+    let place = Duration::from_secs(10);
+    let values = |recording: Recording| -> Vec<_> {
+        let scans = recording.range(place..).scans().filter_map(Result::ok);
+        scans.map(|scan| scan.values().to_vec()).collect()
+    };
+    let folder = Folder::new("shifted");
+    let found = values(Recording::open(folder.write(&bytes)).unwrap());
+    let expected = values(Recording::read(Cursor::new(bytes)).unwrap());
+    assert!((70..100).contains(&expected.len()), "{}", expected.len());
+    assert_eq!(found, expected);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_part_of_a_file_that_defines_its_channels_once_is_reached_through_its_index() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 100).await;
+    let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(10_000));
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    let metadata = sink.open().metadata().clone();
+    let metadata = mcap::records::Metadata { name: "tokio_scip".to_owned(), metadata };
+    writer.write_metadata(&metadata).unwrap();
+    // The channel of scans is defined where the first one is: in what is left out.
+    let messages = sink.bytes();
+    let messages = mcap::MessageStream::new(&messages).unwrap().map(Result::unwrap);
+    for message in
+        messages.filter(|message| message.channel.topic != "/scan" || message.sequence > 20)
+    {
+        writer.write(&message).unwrap();
+    }
+    writer.finish().unwrap();
+    let bytes = writer.into_inner().into_inner();
+    let place = Duration::from_secs(5);
+    let records = |recording: Recording| -> Vec<_> {
+        recording.range(place..).collect::<Result<_, _>>().unwrap()
+    };
+    let folder = Folder::new("channels");
+    let found = records(Recording::open(folder.write(&bytes)).unwrap());
+    let is_scan = |record: &&Record| matches!(record.entry, Entry::Scan(_));
+    assert!((45..=55).contains(&found.iter().filter(is_scan).count()), "{found:?}");
+    assert_eq!(found, records(Recording::read(Cursor::new(bytes)).unwrap()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_index_with_a_wrong_byte_or_without_a_checksum_is_not_believed() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 30).await;
+    let whole = sink.bytes();
+    let place = Duration::from_secs(2);
+    let values = |scans: RecordedScans| -> Vec<_> {
+        scans.filter_map(Result::ok).map(|scan| scan.values().to_vec()).collect()
+    };
+    let expected = values(sink.open().range(place..).scans());
+    assert!(expected.len() > 5);
+    let folder = Folder::new("index");
+    // The index is the end of the file, with some 40 bytes behind it.
+    for at in (whole.len() - 900..whole.len()).step_by(7) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 0x11;
+        let path = folder.write(&bytes);
+        assert_eq!(values(scans_from(&path, place)), expected, "{at}");
+        // Zero stands for no checksum. The magic is behind it.
+        let crc = bytes.len() - 12;
+        bytes[crc..crc + 4].fill(0);
+        let path = folder.write(&bytes);
+        assert_eq!(values(scans_from(&path, place)), expected, "{at}, without a checksum");
+    }
+}

@@ -1,0 +1,191 @@
+//! Recordings that are split into several files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use tokio::time::sleep;
+use tokio_scip::{Error, Rate, Sensor, Window};
+use urg_recording::{
+    Entry, Record, Recorder, RecorderBuilder, Recording, RecordingError, ReplayPace,
+};
+
+use super::file::{truth_of, write_truth};
+use super::sink::{next, observed, polls, sensor};
+
+/// Returns an empty folder for the files of a test.
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// Records 350 scans, 35 s, and returns them.
+async fn record(builder: RecorderBuilder, path: &Path) -> Vec<tokio_scip::Scan> {
+    let mut recorder = builder.create(path).unwrap();
+    let (sensor, mut scans) =
+        observed(&recorder, sensor(), Window::DETECTION, Rate::hz(10.0)).await;
+    recorder.describe(&sensor, &scans).await.unwrap();
+    let delivered = next(&mut recorder, &mut scans, 350).await;
+    assert_eq!(recorder.progress().lost, 0);
+    recorder.finish().await.unwrap();
+    delivered
+}
+
+/// Returns the files of a recording, in order.
+fn parts(path: &Path) -> Vec<PathBuf> {
+    let name = path.file_stem().unwrap().to_str().unwrap();
+    let numbered = (2..).map(|n| path.with_file_name(format!("{name}_{n:04}.mcap")));
+    [path.to_owned()].into_iter().chain(numbered.take_while(|path| path.exists())).collect()
+}
+
+fn read(path: &Path) -> Vec<Record> {
+    let mut recording = Recording::open(path).unwrap();
+    let records = recording.by_ref().collect::<Result<_, _>>().unwrap();
+    assert!(!recording.is_truncated());
+    records
+}
+
+/// Returns the numbers of the scans in a file.
+fn scans(records: &[Record]) -> Vec<u32> {
+    let scans = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_)));
+    scans.map(|record| record.sequence).collect()
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_replays_alone() {
+    let folder = folder("split");
+    for (name, builder, count) in [
+        ("duration", Recorder::builder().split_duration(Duration::from_secs(10)), 4),
+        ("bytes", Recorder::builder().split_bytes(400_000), 4),
+    ] {
+        let path = folder.join(format!("{name}.mcap"));
+        let delivered = record(builder, &path).await;
+        let parts = parts(&path);
+        assert_eq!(parts.len(), count, "{name}");
+        let mut all = Vec::new();
+        for part in &parts {
+            let records = read(part);
+            let scans = scans(&records);
+            assert_eq!(polls(&records).len(), scans.len(), "{part:?}");
+            let began = records.iter().map(|record| record.at).min().unwrap();
+            let ended = records.iter().map(|record| record.at).max().unwrap();
+            let seconds = ended.duration_since(began).unwrap().as_secs_f64();
+            assert!(seconds <= 12.0, "{part:?}: {seconds} s");
+            // Each file has the sensor's identity, so that it replays without the others.
+            let replay = Recording::open(part).unwrap().replay(ReplayPace::Max).unwrap();
+            let builder = Sensor::builder().depth(1 << 10);
+            let sensor = builder.connect(replay).await.unwrap();
+            let serial_number = sensor.version().await.unwrap().serial_number.clone();
+            assert_eq!(
+                serial_number.to_string(),
+                Recording::open(part).unwrap().metadata()["serial_number"]
+            );
+            let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+            let mut replayed = Vec::new();
+            while let Some(Ok(scan)) = stream.next().await {
+                replayed.push(scan.values().to_vec());
+            }
+            assert_eq!(replayed.len(), scans.len(), "{part:?}");
+            all.extend(replayed);
+            write_truth(&part.with_extension("txt"), &truth_of(&delivered, &scans));
+        }
+        let delivered: Vec<_> = delivered.iter().map(|scan| scan.values().to_vec()).collect();
+        assert!(all == delivered, "{name}: {} scans of {}", all.len(), delivered.len());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_file_is_overwritten_by_a_further_one() {
+    let path = folder("split-exists").join("run.mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();
+    let taken = path.with_file_name("run_0002.mcap");
+    fs::write(&taken, "precious").unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    for _ in 0..2 {
+        recorder.record(&sensor.scan(Window::DETECTION).await).unwrap();
+        sleep(Duration::from_secs(2)).await;
+    }
+    recorder.finish().await.unwrap();
+    assert_eq!(fs::read(&taken).unwrap(), b"precious");
+    let (first, second) = (read(&path), read(&path.with_file_name("run_0003.mcap")));
+    assert_eq!((scans(&first).len(), scans(&second).len()), (1, 1));
+}
+
+#[test]
+fn a_recording_is_not_begun_beside_the_further_files_of_another() {
+    let path = folder("split-older").join("run.mcap");
+    let taken = path.with_file_name("run_0003.mcap");
+    fs::write(&taken, "precious").unwrap();
+    for overwrite in [false, true] {
+        match Recorder::builder().overwrite(overwrite).create(&path).unwrap_err() {
+            RecordingError::Exists { path } => assert_eq!(path, taken),
+            other => panic!("{other:?}"),
+        }
+        assert!(!path.exists());
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_that_keeps_to_a_space_continues_after_a_restart_and_removes_the_oldest() {
+    let path = folder("split-keep").join("run.mcap");
+    let builder = || Recorder::builder().split_bytes(100_000).keep_bytes(300_000);
+    record(builder(), &path).await;
+    let names = || {
+        let files = fs::read_dir(path.parent().unwrap()).unwrap().flatten();
+        let mut names: Vec<_> = files.map(|file| file.file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    let (before, size) = (names(), || {
+        let files = fs::read_dir(path.parent().unwrap()).unwrap().flatten();
+        files.map(|file| file.metadata().unwrap().len()).sum::<u64>()
+    });
+    assert!(!path.exists() && before.len() >= 2, "{before:?}");
+    assert!(size() < 350_000, "{}", size());
+    record(builder(), &path).await;
+    let after = names();
+    assert!(after.first() > before.last(), "{before:?} {after:?}");
+    assert!(size() < 350_000, "{}", size());
+}
+
+/// The consumer is always one scan behind, so that a scan is outstanding at each place
+/// where the file could be split.
+#[tokio::test(start_paused = true)]
+async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
+    let path = folder("split-behind").join("run.mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(5)).create(&path).unwrap();
+    let builder = Sensor::builder().on_reply(recorder.observer()).depth(64);
+    let sensor = builder.connect(sensor()).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let mut before = stream.next().await.unwrap();
+    for _ in 0..100 {
+        let item = stream.next().await.unwrap();
+        recorder.record(&std::mem::replace(&mut before, item)).unwrap();
+    }
+    recorder.finish().await.unwrap();
+    let numbers: Vec<_> = parts(&path).iter().flat_map(|part| scans(&read(part))).collect();
+    assert_eq!(parts(&path).len(), 2);
+    assert_eq!(numbers, (0..100).collect::<Vec<_>>());
+}
+
+/// Its name is too long.
+#[tokio::test(start_paused = true)]
+async fn a_further_file_that_cannot_be_created_ends_the_recording_behind_a_complete_file() {
+    let path = folder("split-long").join("x".repeat(248) + ".mcap");
+    let mut recorder =
+        Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();
+    let sensor = Sensor::builder().connect(sensor()).await.unwrap();
+    let mut item: Result<_, Error> = sensor.scan(Window::DETECTION).await;
+    recorder.record(&item).unwrap();
+    sleep(Duration::from_secs(2)).await;
+    item = sensor.scan(Window::DETECTION).await;
+    let _ = recorder.record(&item);
+    let error = recorder.finish().await.unwrap_err();
+    let cause = std::error::Error::source(&error).unwrap().to_string();
+    assert!(cause.contains("_0002.mcap"), "{cause}");
+    assert_eq!(scans(&read(&path)).len(), 1);
+}
