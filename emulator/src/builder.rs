@@ -106,7 +106,6 @@ impl EmulatorBuilder {
 
     /// Sets the lines of the reply to `V`, without line feeds. They replace the lines of
     /// the firmware and the serial number.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn version_lines<L: Into<Vec<u8>>>(mut self, lines: impl IntoIterator<Item = L>) -> Self {
         self.device.version_lines = Some(lines.into_iter().map(Into::into).collect());
         self
@@ -139,7 +138,6 @@ impl EmulatorBuilder {
     }
 
     /// Sets the protocol to speak until the next power cycle. Default: [`Mode::Scip1`].
-    #[doc(hidden)] // For the tests of this crate.
     pub fn mode(mut self, mode: Mode) -> Self {
         self.device.mode = mode;
         self
@@ -147,7 +145,6 @@ impl EmulatorBuilder {
 
     /// Sets the answer to a terminator without a command. Default:
     /// [`EmptyCommand::Silence`].
-    #[doc(hidden)] // For the tests of this crate.
     pub fn empty_command(mut self, answer: EmptyCommand) -> Self {
         self.device.empty_command = answer;
         self
@@ -155,7 +152,6 @@ impl EmulatorBuilder {
 
     /// Sets the number of excess points (or, negative, missing points) at the end of a
     /// scan, before clustering. Default: 0.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn miscount(mut self, points: i8) -> Self {
         self.device.miscount = points;
         self
@@ -196,7 +192,6 @@ impl EmulatorBuilder {
 
     /// Sets how long the sensor is silent after each power-up, including the first. A
     /// real sensor needs some seconds. Default: zero.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn boot_time(mut self, boot: Duration) -> Self {
         self.timing.boot = boot;
         self
@@ -204,7 +199,6 @@ impl EmulatorBuilder {
 
     /// Sets whether the sensor sends one byte 0x00 when its baud rate has changed.
     /// Default: true.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn stray_byte(mut self, stray_byte: bool) -> Self {
         self.timing.stray_byte = stray_byte;
         self
@@ -229,7 +223,6 @@ impl EmulatorBuilder {
     }
 
     /// Sets the number of command lines that [`Emulator::log`] keeps. Default: 32.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn log_capacity(mut self, commands: usize) -> Self {
         self.log_capacity = commands;
         self

@@ -45,7 +45,6 @@ impl Emulator {
 
     /// Opens a link like [`link`](Self::link), through a bridge whose baud rate the host cannot
     /// change.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn bridge(&self, baud_rate: BaudRate) -> Link {
         self.open(HostBaudRate::Fixed(baud_rate))
     }
@@ -124,7 +123,6 @@ impl Emulator {
     }
 
     /// Changes the protocol that the sensor speaks.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn set_mode(&self, mode: Mode) {
         self.change(|plugged, now| plugged.sensor.set_mode(mode, now));
     }
@@ -145,27 +143,23 @@ impl Emulator {
     }
 
     /// Returns true if a link is open and not hung up.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn is_connected(&self) -> bool {
         let plugged = self.shared.lock_now();
         plugged.link.is_some() && !plugged.sensor.is_hung_up
     }
 
     /// Counters of commands and replies.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn counts(&self) -> Counts {
         self.shared.lock_now().sensor.journal.counts
     }
 
     /// Number of faults injected so far, by kind.
-    #[doc(hidden)] // For the tests of this crate.
     pub fn fault_counts(&self) -> FaultCounts {
         self.shared.lock_now().sensor.faults.counts
     }
 
     /// Latest command lines received, oldest first. Set their number with
     /// [`EmulatorBuilder::log_capacity`](super::EmulatorBuilder::log_capacity).
-    #[doc(hidden)] // For the tests of this crate.
     pub fn log(&self) -> Vec<Received> {
         self.shared.lock_now().sensor.journal.log()
     }

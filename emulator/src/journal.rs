@@ -9,7 +9,6 @@ use super::scip::{ArrivedCommand, HostCommand};
 /// Kind of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub enum Verdict {
     /// Complete command of SCIP 1.1 with valid parameters.
     WellFormed,
@@ -22,7 +21,6 @@ pub enum Verdict {
 /// Command line that reached the sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub struct Received {
     /// When its terminator had arrived.
     pub at: Instant,
@@ -52,7 +50,6 @@ pub struct SentScan {
 /// Counters since the emulated sensor was built.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub struct Counts {
     /// Received command lines of any kind.
     pub commands: u64,

@@ -184,7 +184,6 @@ impl Faults {
 /// A fault counts when it is applied to a reply, even if it changes nothing there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub struct FaultCounts {
     /// [`Fault::CommandLost`].
     pub command_lost: u64,

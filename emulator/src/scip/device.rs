@@ -25,7 +25,6 @@ pub enum Firmware {
 /// so your driver has to work with all three.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub enum EmptyCommand {
     /// No answer.
     #[default]
@@ -51,7 +50,6 @@ pub enum RepeatedLaser {
 /// Protocol that the sensor speaks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
-#[doc(hidden)] // For the tests of this crate.
 pub enum Mode {
     /// SCIP 1.1, as after every power-up.
     #[default]

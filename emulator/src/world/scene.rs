@@ -78,7 +78,6 @@ impl Scene {
 
     /// Adds a disc whose centre moves, such as a robot.
     #[must_use]
-    #[doc(hidden)] // For the tests of this crate.
     pub fn moving_disc(mut self, radius: f64, walk: Walk) -> Self {
         self.moving.push(Moving::Disc { radius: radius * 1000.0, walk });
         self
