@@ -9,12 +9,11 @@
 //! The driver calls `connect` again after each loss of the link.
 
 use std::process::Stdio;
-use std::sync::Arc;
 
 use tokio::io::{Join, join};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use tokio_scip::port::{Connect, StreamPort};
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::Emulator;
 
 /// A command of the shell, started for each link.
@@ -38,10 +37,10 @@ impl Connect for Program {
         command.arg("-c").arg(&self.command).kill_on_drop(true);
         let child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
         // An error that is transient is tried again, see `Error::is_transient`.
-        let failed = |error| Error::Open { port: self.command.clone(), source: Arc::new(error) };
+        let failed = |error| Error::open(&self.command, error);
         let child = self.child.insert(child.map_err(failed)?);
         let (Some(from), Some(to)) = (child.stdout.take(), child.stdin.take()) else {
-            return Err(Error::NoSuchPort { port: self.command.clone() });
+            return Err(ErrorKind::NoSuchPort { port: self.command.clone() }.into());
         };
         Ok(StreamPort::new(join(from, to)))
     }

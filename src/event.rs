@@ -23,7 +23,7 @@ use std::time::SystemTime;
 use tokio::time::Instant;
 
 use crate::protocol::Command;
-use crate::{Error, Scan};
+use crate::{Error, ErrorKind, Scan};
 
 /// Event in the life of a stream. `Display` writes a JSON object, such as
 /// `{"event":"disconnected","error":"..."}`, as in recordings. `FromStr` parses
@@ -76,8 +76,8 @@ pub struct InvalidEvent;
 impl From<&Error> for Event {
     fn from(error: &Error) -> Self {
         let text = error.chain().to_string();
-        match error {
-            Error::Disconnected { .. } => Self::Disconnected { error: text },
+        match error.kind() {
+            ErrorKind::Disconnected { .. } => Self::Disconnected { error: text },
             _ => Self::Error { error: text },
         }
     }
@@ -112,7 +112,7 @@ impl Events {
                 ]
             }
             Err(error) => {
-                self.is_disconnected |= matches!(error, Error::Disconnected { .. });
+                self.is_disconnected |= matches!(error.kind(), ErrorKind::Disconnected { .. });
                 [Some(Event::from(error)), None]
             }
         };
@@ -228,22 +228,17 @@ mod tests {
             let values = vec![0; Window::DETECTION.points()];
             Ok(Scan::builder(Window::DETECTION, values).sequence(sequence).build().unwrap())
         };
-        let lost = || Error::Disconnected { sensor: None, source: None };
+        let lost = || Error::from(ErrorKind::disconnected(None));
+        let closed = || Error::from(ErrorKind::Closed);
         let mut events = Events::new();
         let mut of = |item| events.of(&item).collect::<Vec<_>>();
         assert_eq!(of(scan(7)), []); // a stream of which no scan was read misses none
         assert_eq!(of(scan(8)), []);
         assert_eq!(of(scan(11)), [Event::Missed { scans: 2 }]);
-        assert_eq!(
-            of(Err(Error::Closed { sensor: None })),
-            [Event::from(&Error::Closed { sensor: None })]
-        );
+        assert_eq!(of(Err(closed())), [Event::from(&closed())]);
         assert_eq!(of(scan(12)), []);
         assert_eq!(of(Err(lost())), [Event::Disconnected { error: lost().to_string() }]);
-        assert_eq!(
-            of(Err(Error::Closed { sensor: None })),
-            [Event::Error { error: Error::Closed { sensor: None }.to_string() }]
-        );
+        assert_eq!(of(Err(closed())), [Event::Error { error: closed().to_string() }]);
         assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
         assert_eq!(of(scan(15)), []);
     }

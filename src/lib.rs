@@ -31,8 +31,9 @@
 //! # main().unwrap();
 //! ```
 //!
-//! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The URG-04LX and its contemporaries speak SCIP 1.1. Later models (UTM-30LX,
-//! UST-10LX) know only SCIP 2: opening one fails with [`Error::WrongProtocol`].
+//! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The URG-04LX and
+//! its contemporaries speak SCIP 1.1. Later models (UTM-30LX, UST-10LX) know only SCIP 2: opening
+//! one fails with [`ErrorKind::WrongProtocol`].
 //!
 //! # Where to find what
 //!
@@ -117,7 +118,7 @@ pub mod stream;
 
 pub use driver::Driver;
 pub use driver::ReplyObservation;
-pub use error::{Error, ErrorChain};
+pub use error::{Error, ErrorChain, ErrorKind};
 #[doc(inline)]
 pub use port::Endpoint;
 #[doc(inline)]

@@ -12,7 +12,7 @@ use super::scip::Mode;
 use super::shared::{Plugged, Shared};
 use super::timed_device::TimedDevice;
 use tokio_scip::port::Connect;
-use tokio_scip::{BaudRate, Error};
+use tokio_scip::{BaudRate, Error, ErrorKind};
 
 /// Handle to an emulated sensor.
 ///
@@ -80,7 +80,7 @@ impl Emulator {
         }
     }
 
-    /// Pulls the cable. The open link is hung up, connecting fails with [`Error::NoSuchPort`],
+    /// Pulls the cable. The open link is hung up, connecting fails with [`ErrorKind::NoSuchPort`],
     /// and bytes on their way are lost. The sensor keeps its power. If its cable powers it,
     /// also call [`power_cycle`](Self::power_cycle).
     pub fn unplug(&self) {
@@ -190,8 +190,8 @@ impl Emulator {
 
 /// Opens a new [`Link`] to the same sensor each time.
 ///
-/// Fails with [`Error::NoSuchPort`] while the sensor is unplugged and with
-/// [`Error::Busy`] while another link is open. Cancel-safe.
+/// Fails with [`ErrorKind::NoSuchPort`] while the sensor is unplugged and with
+/// [`ErrorKind::Busy`] while another link is open. Cancel-safe.
 impl Connect for Emulator {
     type Port = Link;
 
@@ -202,8 +202,8 @@ impl Connect for Emulator {
             (plugged.plugged_in && !plugged.sensor.is_gone, plugged.link.is_some())
         };
         match (is_there, is_busy) {
-            (false, _) => Err(Error::NoSuchPort { port: port() }),
-            (true, true) => Err(Error::Busy { port: port() }),
+            (false, _) => Err(ErrorKind::NoSuchPort { port: port() }.into()),
+            (true, true) => Err(ErrorKind::Busy { port: port() }.into()),
             (true, false) => Ok(self.link()),
         }
     }

@@ -76,7 +76,7 @@
 //! The poll after the last reply ends the driver. Streams then end as they do after
 //! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of the
 //! file could not be read, the driver ends with
-//! [`Error::Disconnected`](tokio_scip::Error::Disconnected), whose source contains the
+//! [`Disconnected`](tokio_scip::ErrorKind::Disconnected), whose source contains the
 //! [`RecordingError`].
 //!
 //! A replay reads the recording on demand, in small pieces, on the runtime's thread.

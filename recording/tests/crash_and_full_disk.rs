@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use tokio_scip::{Error, Rate, Sensor, Window};
+use tokio_scip::{ErrorKind, Rate, Sensor, Window};
 use urg_recording::{Entry, Record, Recorder, Recording, RecordingError, ReplayPace};
 
 use super::sink::{Sink, observed, polls, record, sensor, window};
@@ -304,7 +304,10 @@ async fn a_replay_that_ends_at_damage_reports_it() {
             assert!(end.is_none(), "{end:?}");
             continue;
         }
-        let Some(Error::Disconnected { source: Some(source), .. }) = end else { panic!("{end:?}") };
+        let end = end.unwrap();
+        let ErrorKind::Disconnected { source: Some(source), .. } = end.kind() else {
+            panic!("{end:?}")
+        };
         let cause = source.get_ref().and_then(|error| error.downcast_ref());
         assert!(matches!(cause, Some(RecordingError::Damaged { .. })), "{source:?}");
     }

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep};
 use super::failure::{ExchangeError, LinkError};
 use super::session::Session;
 use crate::protocol::{Command, Malformed};
-use crate::{BaudRate, Error, Window};
+use crate::{BaudRate, ErrorKind, Window};
 
 /// Time limit of a fence during the baud rate search, in addition to the wire time of its
 /// bytes.
@@ -50,10 +50,10 @@ pub(crate) async fn find(
             session.transport.discard_pending().await?;
             match session.fence_once(latency).await {
                 Ok(_) => return Ok(()),
-                Err(ExchangeError::Command(Error::Timeout { .. })) => {}
+                Err(ExchangeError::Command(ErrorKind::Timeout { .. })) => {}
                 // One malformed answer may be noise. Report it only if no attempt does
                 // better.
-                Err(ExchangeError::Command(error @ Error::Malformed { .. }))
+                Err(ExchangeError::Command(error @ ErrorKind::Malformed { .. }))
                     if !is_not_raw(&error) =>
                 {
                     malformed = Some(error);
@@ -67,7 +67,7 @@ pub(crate) async fn find(
                     session.transport.is_adjustable() && session.transport.baud_rate().is_some();
                 let baud_rate = session.transport.baud_rate().filter(|_| !searched);
                 let bytes = session.transport.received() - before;
-                let silence = Error::NoAnswer { sensor: None, baud_rate, searched, bytes };
+                let silence = ErrorKind::NoAnswer { baud_rate, searched, bytes };
                 return Err(LinkError::Silent(malformed.unwrap_or(silence)).into());
             }
         }
@@ -97,11 +97,7 @@ pub(crate) async fn change(
         if let Some(old) = old.filter(|_| session.transport.is_adjustable()) {
             session.transport.set_baud_rate(old).map_err(lost)?;
         }
-        return Err(ExchangeError::Command(Error::UnsupportedBaudRate {
-            sensor: None,
-            baud_rate,
-            source,
-        }));
+        return Err(ExchangeError::Command(ErrorKind::UnsupportedBaudRate { baud_rate, source }));
     }
     let Some(old) = old else {
         // Over USB the sensor accepts `S` without effect (C-42-3320-A p. 5).
@@ -111,10 +107,12 @@ pub(crate) async fn change(
     let status = match session.command(command, &mut |_| ()).await {
         Ok((status, _)) => Some(status),
         // Without a reply, nothing tells whether the sensor has changed.
-        Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => None,
+        Err(ExchangeError::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })) => {
+            None
+        }
         Err(error) => return Err(error),
     };
-    let not_confirmed = Error::NotConfirmed { sensor: None, command, status, refusal: None };
+    let not_confirmed = ErrorKind::NotConfirmed { command, status, refusal: None };
     if status.is_none() && session.is_closing() {
         return Err(LinkError::Silent(not_confirmed).into());
     }
@@ -144,10 +142,10 @@ async fn answers(session: &mut Session, tries: usize) -> Result<bool, ExchangeEr
     Ok(false)
 }
 
-fn is_not_raw(error: &Error) -> bool {
-    matches!(error, Error::Malformed { source: Malformed::NotRaw, .. })
+fn is_not_raw(error: &ErrorKind) -> bool {
+    matches!(error, ErrorKind::Malformed { source: Malformed::NotRaw, .. })
 }
 
 fn lost(error: io::Error) -> ExchangeError {
-    LinkError::Lost(Error::disconnected(Some(error))).into()
+    LinkError::Lost(ErrorKind::disconnected(Some(error))).into()
 }

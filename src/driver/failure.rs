@@ -1,13 +1,13 @@
 //! [`ExchangeError`]: failure of a command, or of the link it was sent on ([`LinkError`]).
 
-use crate::Error;
+use crate::ErrorKind;
 use crate::protocol::Command;
 
 /// Failure of an exchange, sorted by what the driver has to do next.
 #[derive(Debug)]
 pub(crate) enum ExchangeError {
     /// This command failed; the next one may succeed.
-    Command(Error),
+    Command(ErrorKind),
     /// The link failed: no further command can succeed on it.
     Link(LinkError),
 }
@@ -16,19 +16,19 @@ pub(crate) enum ExchangeError {
 #[derive(Debug)]
 pub(crate) enum LinkError {
     /// The sensor stopped answering, on a port that seems to work.
-    Silent(Error),
+    Silent(ErrorKind),
     /// The link is lost. The port is useless from now on.
-    Lost(Error),
-    /// The port has ended permanently: [`Error::Closed`], or the error of its last read
+    Lost(ErrorKind),
+    /// The port has ended permanently: [`ErrorKind::Closed`], or the error of its last read
     /// or write.
-    Ended(Error),
+    Ended(ErrorKind),
 }
 
 impl ExchangeError {
-    pub(crate) fn error(&self) -> &Error {
+    pub(crate) fn kind(&self) -> &ErrorKind {
         match self {
-            Self::Command(error) => error,
-            Self::Link(failure) => failure.error(),
+            Self::Command(kind) => kind,
+            Self::Link(failure) => failure.kind(),
         }
     }
 
@@ -37,10 +37,8 @@ impl ExchangeError {
     pub(crate) fn of(self, command: Command) -> Self {
         match self {
             Self::Link(LinkError::Silent(error)) => LinkError::Silent(match error {
-                Error::Timeout { after, .. } => Error::Timeout { sensor: None, command, after },
-                Error::Malformed { source, .. } => {
-                    Error::Malformed { sensor: None, command, source }
-                }
+                ErrorKind::Timeout { after, .. } => ErrorKind::Timeout { command, after },
+                ErrorKind::Malformed { source, .. } => ErrorKind::Malformed { command, source },
                 error => error,
             })
             .into(),
@@ -66,15 +64,15 @@ impl From<ExchangeError> for LinkError {
 }
 
 impl LinkError {
-    pub(crate) fn error(&self) -> &Error {
+    pub(crate) fn kind(&self) -> &ErrorKind {
         match self {
-            Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => error,
+            Self::Silent(kind) | Self::Lost(kind) | Self::Ended(kind) => kind,
         }
     }
 
-    pub(crate) fn into_error(self) -> Error {
+    pub(crate) fn into_kind(self) -> ErrorKind {
         match self {
-            Self::Silent(error) | Self::Lost(error) | Self::Ended(error) => error,
+            Self::Silent(kind) | Self::Lost(kind) | Self::Ended(kind) => kind,
         }
     }
 }

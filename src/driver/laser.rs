@@ -8,7 +8,7 @@ use tokio::time::Instant;
 use super::backoff::Backoff;
 use super::failure::ExchangeError;
 use super::session::Session;
-use crate::Error;
+use crate::ErrorKind;
 use crate::protocol::{Command, Status};
 
 /// Shortest and longest delay between attempts to switch on a laser that stays off.
@@ -29,8 +29,7 @@ pub(crate) async fn set_laser(session: &mut Session, on: bool) -> Result<(), Exc
         }
         if tries == 0 {
             let (status, refusal) = (Some(status), Some(measured).filter(|_| on));
-            return Err(ExchangeError::Command(Error::NotConfirmed {
-                sensor: None,
+            return Err(ExchangeError::Command(ErrorKind::NotConfirmed {
                 command,
                 status,
                 refusal,
@@ -45,7 +44,7 @@ pub(crate) struct LaserRecovery {
     backoff: Backoff,
     /// Result of the last attempt, and time of the next one. `Some(error)`: the laser
     /// stays off. `None`: the sensor refuses to measure although its laser is on.
-    failed: Option<(Option<Error>, Instant)>,
+    failed: Option<(Option<ErrorKind>, Instant)>,
 }
 
 impl LaserRecovery {
@@ -65,7 +64,7 @@ impl LaserRecovery {
     ///
     /// # Errors
     ///
-    /// [`Error::NotConfirmed`] with both statuses if the laser stays off. Before the next
+    /// [`ErrorKind::NotConfirmed`] with both statuses if the laser stays off. Before the next
     /// attempt is due, the last error again, or `refusal` if the laser was on.
     pub(crate) async fn switch_on(
         &mut self,
@@ -84,11 +83,11 @@ impl LaserRecovery {
                 tracing::info!(%status, "the sensor refused a poll: switched its laser on");
                 return Ok(());
             }
-            Err(ExchangeError::Command(Error::Refused { command, status, .. })) => {
+            Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) => {
                 let (status, refusal) = (Some(status), Some(refusal.status));
-                Error::NotConfirmed { sensor: None, command, status, refusal }
+                ErrorKind::NotConfirmed { command, status, refusal }
             }
-            Err(ExchangeError::Command(error @ Error::NotConfirmed { .. })) => error,
+            Err(ExchangeError::Command(error @ ErrorKind::NotConfirmed { .. })) => error,
             // The laser's state is unknown.
             Err(error) => return Err(error),
         };
@@ -109,9 +108,9 @@ pub(crate) struct Refusal {
     pub(crate) status: Status,
 }
 
-impl From<Refusal> for Error {
+impl From<Refusal> for ErrorKind {
     fn from(Refusal { command, status }: Refusal) -> Self {
-        Self::Refused { sensor: None, command, status }
+        Self::Refused { command, status }
     }
 }
 
@@ -142,9 +141,15 @@ mod tests {
         let mut recovery = LaserRecovery::new(7);
         recovery.failed = Some((None, Instant::now() + Duration::from_nanos(1)));
         let early = recovery.switch_on(&mut session, refusal).await;
-        assert!(matches!(early, Err(ExchangeError::Command(Error::Refused { .. }))), "{early:?}");
+        assert!(
+            matches!(early, Err(ExchangeError::Command(ErrorKind::Refused { .. }))),
+            "{early:?}"
+        );
         advance(Duration::from_nanos(1)).await;
         let tried = recovery.switch_on(&mut session, refusal).await;
-        assert!(!matches!(tried, Err(ExchangeError::Command(Error::Refused { .. }))), "{tried:?}");
+        assert!(
+            !matches!(tried, Err(ExchangeError::Command(ErrorKind::Refused { .. }))),
+            "{tried:?}"
+        );
     }
 }

@@ -14,7 +14,7 @@ use super::session::{Session, UniqueRequests};
 use crate::port::{AnyConnect, Port};
 use crate::protocol::Text;
 use crate::state::{Telemetry, VersionReply};
-use crate::{BaudRate, Error};
+use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
 /// One revolution of a URG's motor at 600 rpm.
 const REVOLUTION: Duration = Duration::from_millis(100);
@@ -101,29 +101,22 @@ impl Opener {
                     Err(ended @ LinkError::Ended(_)) => {
                         return Err(ended);
                     }
-                    Err(failure) => failure.into_error(),
+                    Err(failure) => failure.into_kind(),
                 },
-                Ok(Err(error)) => return Err(self.fail(error)),
+                Ok(Err(error)) => return Err(fail(error.into_kind())),
                 Err(_) => {
                     let port = self.connect.name().unwrap_or("the port");
-                    Error::open(port, io::ErrorKind::TimedOut.into())
+                    Error::open(port, io::ErrorKind::TimedOut.into()).into_kind()
                 }
             };
             let has_more = self.connect.hints().is_some_and(|hints| hints.has_more());
             if candidates == MAX_CANDIDATES || !has_more {
-                return Err(self.fail(error));
+                return Err(fail(error));
             }
-            tracing::trace!(error = %error.chain(), "port skipped");
+            tracing::trace!(error = %ErrorChain::new(&error), "port skipped");
             candidates += 1;
             sleep_until(started + CANDIDATE_TIME).await;
         }
-    }
-
-    /// Logs the error of an attempt, at trace: the default back-off makes one attempt a
-    /// second, and the state logs each reason once.
-    fn fail(&self, error: Error) -> LinkError {
-        tracing::trace!(error = %error.chain(), "opening failed");
-        LinkError::Lost(error)
     }
 
     async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, LinkError> {
@@ -217,7 +210,7 @@ impl Opener {
         let found = &reply.version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
-            let error = Error::AnotherSensor { sensor: None, expected, found };
+            let error = ErrorKind::AnotherSensor { expected, found };
             return Err(LinkError::Lost(error).into());
         }
         Ok((reply, is_confirmed))
@@ -255,7 +248,8 @@ impl Opener {
             match baud_rate::change(session, baud_rate).await {
                 // Scans at another baud rate are better than no scans.
                 Err(ExchangeError::Command(error)) if self.opened => {
-                    tracing::warn!(error = %error.chain(), "the baud rate is not restored");
+                    let error = ErrorChain::new(&error);
+                    tracing::warn!(%error, "the baud rate is not restored");
                 }
                 outcome => outcome?,
             }
@@ -265,4 +259,11 @@ impl Opener {
         }
         Ok(())
     }
+}
+
+/// Logs the error of an attempt, at trace: the default back-off makes one attempt a
+/// second, and the state logs each reason once.
+fn fail(error: ErrorKind) -> LinkError {
+    tracing::trace!(error = %ErrorChain::new(&error), "opening failed");
+    LinkError::Lost(error)
 }

@@ -8,10 +8,10 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::protocol::Version;
 use crate::ring::Cursor;
-use crate::{BaudRate, Error, Rate, Scan, Window};
+use crate::{BaudRate, ErrorKind, Rate, Scan, Window};
 
 /// Sender for the answer to a request.
-pub(crate) type Responder<T> = oneshot::Sender<Result<T, Error>>;
+pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
 
 /// Request from a handle.
 #[derive(Debug)]
@@ -37,7 +37,7 @@ impl Request {
         }
     }
 
-    fn fail(self, error: Error) {
+    fn fail(self, error: ErrorKind) {
         // Drops the answer if no caller waits for it.
         match self {
             Self::Version(responder) => drop(responder.send(Err(error))),
@@ -153,7 +153,7 @@ impl RequestQueue {
         let now = Instant::now();
         while self.waiting.front().is_some_and(|queued| queued.expires <= now) {
             if let Some(queued) = self.waiting.pop_front() {
-                queued.request.fail(Error::disconnected(None));
+                queued.request.fail(ErrorKind::disconnected(None));
             }
         }
     }

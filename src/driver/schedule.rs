@@ -16,7 +16,7 @@ use crate::ring::{Cursor, Pushed, Ring};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::ScheduleStats;
-use crate::{Error, Rate, Window};
+use crate::{Error, ErrorKind, Rate, Window};
 
 /// All schedules of a driver.
 #[derive(Debug, Default)]
@@ -43,7 +43,7 @@ struct Schedule {
     /// Number of scans that readers had missed by the latest poll.
     missed: u64,
     /// Kind of the last error since the last scan.
-    condition: Option<Discriminant<Error>>,
+    condition: Option<Discriminant<ErrorKind>>,
     speed: RateMeter,
 }
 
@@ -297,7 +297,7 @@ impl Schedule {
     /// Passes `error` on unless it is of the same kind as the last error since the last
     /// scan.
     fn report(&mut self, error: &Error) {
-        let kind = discriminant(error);
+        let kind = discriminant(error.kind());
         if self.condition.replace(kind) != Some(kind) {
             self.ring.report(error.clone());
         }

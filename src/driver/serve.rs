@@ -21,7 +21,7 @@ use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::ScheduleStats;
-use crate::{Error, Window};
+use crate::{ErrorKind, Window};
 
 /// Why a session is no longer served.
 #[derive(Debug)]
@@ -127,7 +127,7 @@ impl Service<'_> {
         match request {
             Request::Version(responder) => {
                 // The version was read when the sensor was found.
-                let known = self.telemetry.version().ok_or(Error::Closed { sensor: None });
+                let known = self.telemetry.version().ok_or(ErrorKind::Closed);
                 let _ = responder.send(known);
                 Ok(())
             }
@@ -176,7 +176,7 @@ impl Service<'_> {
 
     async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
         if self.wanted.laser == Some(false) {
-            return Err(ExchangeError::Command(Error::LaserOff { sensor: None }));
+            return Err(ExchangeError::Command(ErrorKind::LaserOff));
         }
         let mut tries = 2;
         loop {
@@ -186,8 +186,9 @@ impl Service<'_> {
                 Ok(Polled { timing, first }) => {
                     return Ok(Scan::new(window, values, first, self.meta(timing)));
                 }
-                Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
-                    if tries > 0 && !self.telemetry.is_closing() => {}
+                Err(ExchangeError::Command(
+                    ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+                )) if tries > 0 && !self.telemetry.is_closing() => {}
                 Err(failure) => return Err(failure),
             }
         }
@@ -208,7 +209,7 @@ impl Service<'_> {
                 (Ok(()), self.schedules.deliver(poll, values, first, meta))
             }
             Err(failure) => match command_error(failure) {
-                Ok(error) => (Ok(()), self.schedules.fail(poll, &error)),
+                Ok(kind) => (Ok(()), self.schedules.fail(poll, &self.telemetry.error(kind))),
                 Err(failure) => (Err(failure.into()), Delivered::default()),
             },
         };
@@ -239,7 +240,7 @@ impl Service<'_> {
             Ok(Polled { timing, .. }) => {
                 self.telemetry.stats().scanned(timing.requested, timing.received);
             }
-            Err(failure) => self.telemetry.stats().failed(failure.error()),
+            Err(failure) => self.telemetry.fail(failure.kind().clone()),
         }
         outcome
     }
@@ -254,7 +255,7 @@ impl Service<'_> {
         values: &mut Arc<[u16]>,
     ) -> Result<Polled, ExchangeError> {
         let refusal = match session.poll(window, can_wait, values).await {
-            Err(ExchangeError::Command(Error::Refused { command, status, .. })) => {
+            Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) => {
                 Refusal { command, status }
             }
             outcome => {
@@ -266,7 +267,7 @@ impl Service<'_> {
         };
         self.laser_recovery.switch_on(session, refusal).await?;
         let outcome = session.poll(window, can_wait, values).await;
-        if let Err(ExchangeError::Command(Error::Refused { .. })) = &outcome {
+        if let Err(ExchangeError::Command(ErrorKind::Refused { .. })) = &outcome {
             self.laser_recovery.note_refusal();
         }
         outcome
@@ -277,8 +278,8 @@ impl Service<'_> {
         let (answer, stop) = match outcome {
             Ok(answer) => (Ok(answer), Ok(())),
             Err(failure) => match command_error(failure) {
-                Ok(error) => (Err(error), Ok(())),
-                Err(failure) => (Err(failure.error().clone()), Err(failure.into())),
+                Ok(kind) => (Err(kind), Ok(())),
+                Err(failure) => (Err(failure.kind().clone()), Err(failure.into())),
             },
         };
         // Drops the answer if no caller waits for it.
@@ -320,9 +321,9 @@ impl Service<'_> {
 }
 
 /// Separates the error of a command from the failure of the link.
-fn command_error(failure: ExchangeError) -> Result<Error, LinkError> {
+fn command_error(failure: ExchangeError) -> Result<ErrorKind, LinkError> {
     match failure {
-        ExchangeError::Command(error) => Ok(error),
+        ExchangeError::Command(kind) => Ok(kind),
         ExchangeError::Link(failure) => Err(failure),
     }
 }

@@ -22,9 +22,9 @@ use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
-use crate::Error;
 use crate::port::AnyConnect;
 use crate::state::{State, Telemetry};
+use crate::{Error, ErrorChain, ErrorKind};
 
 /// Runs the whole driver: opens a session, serves it, and replaces it when it is lost.
 pub(crate) struct Supervisor {
@@ -75,18 +75,19 @@ impl Supervisor {
                 let _ = responder.send(Ok(()));
                 Ok(())
             }
-            Ok(Stop::Abandoned | Stop::Link(LinkError::Ended(Error::Closed { .. }))) => {
+            Ok(Stop::Abandoned | Stop::Link(LinkError::Ended(ErrorKind::Closed))) => {
                 self.end(None);
                 Ok(())
             }
             Ok(Stop::Link(failure)) => {
-                let error = failure.into_error();
+                let error = self.telemetry.error(failure.into_kind());
                 self.end(Some(&error));
-                Err(self.telemetry.named(error))
+                Err(error)
             }
             Err(payload) => {
                 let message = panic::message(&*payload);
-                self.end(Some(&Error::Panicked { sensor: None, message }));
+                let error = self.telemetry.error(ErrorKind::Panicked { message });
+                self.end(Some(&error));
                 resume_unwind(payload)
             }
         }
@@ -112,12 +113,8 @@ impl Supervisor {
             let stop = self.serve(&mut session).await;
             self.backoff.note_uptime(since.elapsed());
             let next = match stop {
-                Stop::Link(LinkError::Silent(error)) => {
-                    Box::pin(self.recover(session, error)).await
-                }
-                Stop::Link(LinkError::Lost(error)) => {
-                    Box::pin(self.reconnect(session, error)).await
-                }
+                Stop::Link(LinkError::Silent(kind)) => Box::pin(self.recover(session, kind)).await,
+                Stop::Link(LinkError::Lost(kind)) => Box::pin(self.reconnect(session, kind)).await,
                 _ => return stop,
             };
             session = match next {
@@ -156,31 +153,33 @@ impl Supervisor {
     }
 
     async fn open_first(&mut self) -> Result<Session, Stop> {
-        let mut latest: Option<Error> = None;
+        let mut latest: Option<ErrorKind> = None;
         loop {
             // Streams see no error yet; the state has the reason.
-            let error = match self.offline.attend(None, self.opener.open()).await? {
+            let kind = match self.offline.attend(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
-                Err(failure) => failure.into_error(),
+                Err(failure) => failure.into_kind(),
             };
             // Give up only if the error repeats: udev may not have set the owner of a new
             // port yet. The wrong sensor may still be replaced by the right one.
-            let again = latest.is_some_and(|last| discriminant(&last) == discriminant(&error));
-            let may_pass = error.is_transient() || matches!(error, Error::AnotherSensor { .. });
+            let again = latest.is_some_and(|last| discriminant(&last) == discriminant(&kind));
+            let may_pass = kind.is_transient() || matches!(kind, ErrorKind::AnotherSensor { .. });
             if !self.config.wait_for_sensor || again && !may_pass {
-                return Err(LinkError::Lost(error).into());
+                return Err(LinkError::Lost(kind).into());
             }
-            self.telemetry.enter(State::Connecting { error: Some(error.clone()) });
+            let error = self.telemetry.error(kind.clone());
+            self.telemetry.enter(State::Connecting { error: Some(error) });
             self.offline.attend(None, sleep(self.backoff.next())).await?;
-            latest = Some(error);
+            latest = Some(kind);
         }
     }
 
     /// Looks for a silent sensor on the open port. It may have been reset to
     /// another baud rate.
-    async fn recover(&mut self, mut session: Session, error: Error) -> Result<Session, Stop> {
+    async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
+        let error = self.telemetry.error(kind.clone());
         let found = self.offline.attend(Some(&error), self.opener.find_again(&mut session)).await?;
         match found {
             Ok(()) => {
@@ -189,23 +188,25 @@ impl Supervisor {
             }
             Err(ended @ LinkError::Ended(_)) => Err(ended.into()),
             Err(failure) => {
-                tracing::debug!(error = %failure.error().chain(), "the sensor was not found at any baud rate");
-                self.reconnect(session, error).await
+                let failure = failure.kind();
+                tracing::debug!(error = %ErrorChain::new(failure), "the sensor was not found at any baud rate");
+                self.reconnect(session, kind).await
             }
         }
     }
 
-    async fn reconnect(&mut self, session: Session, cause: Error) -> Result<Session, Stop> {
+    async fn reconnect(&mut self, session: Session, cause: ErrorKind) -> Result<Session, Stop> {
         // First, because the system cannot reuse the name of a port that is still open.
         self.opener.close(session);
-        let error = match cause {
-            Error::Disconnected { .. } => cause,
-            _ => Error::disconnected(None),
+        let kind = match cause {
+            ErrorKind::Disconnected { .. } => cause,
+            _ => ErrorKind::disconnected(None),
         };
         self.telemetry.stats().disconnects += 1;
         if !self.config.reconnect {
-            return Err(LinkError::Lost(error).into());
+            return Err(LinkError::Lost(kind).into());
         }
+        let error = self.telemetry.error(kind);
         self.offline.schedules.fail_all(&error);
         let since = Instant::now();
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
@@ -218,9 +219,10 @@ impl Supervisor {
                     return Ok(session);
                 }
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
-                Err(failure) => failure.into_error(),
+                Err(failure) => self.telemetry.error(failure.into_kind()),
             };
-            if discriminant(&error) == discriminant(&latest) && !error.is_transient() {
+            let repeats = discriminant(error.kind()) == discriminant(latest.kind());
+            if repeats && !error.is_transient() {
                 // The error repeats, and waiting cannot cure it: tell the streams.
                 self.offline.schedules.fail_all(&error);
             }

@@ -5,7 +5,7 @@ use std::io;
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::{Connect, StreamPort};
-use crate::Error;
+use crate::{Error, ErrorKind};
 
 /// [`Connect`] that returns its stream once, and then fails.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ where
     type Port = StreamPort<T>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
-        let gone = || Error::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
-        self.0.take().map(StreamPort::new).ok_or_else(gone)
+        let gone = || ErrorKind::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
+        Ok(self.0.take().map(StreamPort::new).ok_or_else(gone)?)
     }
 }

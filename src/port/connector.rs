@@ -18,13 +18,14 @@ use crate::Error;
 ///
 /// # Serial numbers
 ///
-/// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port
-/// with the USB id of URG sensors. Check whether it has the right sensor. If not, and
-/// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next
-/// candidate. It skips ports that cannot be opened within 2 s, and retries busy
-/// ones four times, every half second. After the last candidate the error is
-/// [`Error::NoSuchSensor`], or [`Error::PermissionDenied`] if you may not open one of the
-/// ports. The next call lists the ports again.
+/// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with the
+/// USB id of URG sensors. Check whether it has the right sensor. If not, and
+/// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate. It
+/// skips ports that cannot be opened within 2 s, and retries busy ones four times, every half
+/// second. After the last candidate the error is
+/// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
+/// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of
+/// the ports. The next call lists the ports again.
 #[derive(Debug)]
 pub struct EndpointConnector {
     route: Route,

@@ -5,7 +5,7 @@ use std::net::Ipv6Addr;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use crate::{BaudRate, Error};
+use crate::{BaudRate, Error, ErrorKind};
 
 /// Name of the port that a sensor is connected to.
 ///
@@ -82,10 +82,11 @@ impl FromStr for Endpoint {
 
     /// # Errors
     ///
-    /// Fails with [`Error::InvalidEndpoint`] and the reason. Does not check whether the port
+    /// Fails with [`ErrorKind::InvalidEndpoint`] and the reason. Does not check whether the port
     /// exists.
     fn from_str(text: &str) -> Result<Self, Error> {
-        parse(text).map_err(|reason| Error::InvalidEndpoint { text: text.to_owned(), reason })
+        let invalid = |reason| ErrorKind::InvalidEndpoint { text: text.to_owned(), reason };
+        Ok(parse(text).map_err(invalid)?)
     }
 }
 
@@ -119,8 +120,8 @@ impl TryFrom<&Path> for Endpoint {
 
     /// # Errors
     ///
-    /// Fails with [`Error::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a control
-    /// character.
+    /// Fails with [`ErrorKind::InvalidEndpoint`] if the path is empty, is not UTF-8 or has a
+    /// control character.
     fn try_from(path: &Path) -> Result<Self, Error> {
         let endpoint = match path.to_str() {
             Some("") => Err(EMPTY),
@@ -131,7 +132,7 @@ impl TryFrom<&Path> for Endpoint {
             None => Err("a path to a serial port must be UTF-8"),
         };
         let text = || path.display().to_string();
-        endpoint.map_err(|reason| Error::InvalidEndpoint { text: text(), reason })
+        Ok(endpoint.map_err(|reason| ErrorKind::InvalidEndpoint { text: text(), reason })?)
     }
 }
 

@@ -78,7 +78,7 @@ impl PortInfo {
 ///
 /// # Errors
 ///
-/// Fails with [`Error::Open`] if the system cannot list its ports.
+/// Fails with [`Open`](crate::ErrorKind::Open) if the system cannot list its ports.
 pub async fn list() -> Result<Vec<PortInfo>, Error> {
     match spawn_blocking(list_blocking).await {
         Ok(ports) => ports,

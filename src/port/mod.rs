@@ -132,7 +132,7 @@ impl<P: Port + ?Sized> Port for Box<P> {
 ///     type Port = StreamPort<UnixStream>;
 ///
 ///     async fn connect(&mut self) -> Result<StreamPort<UnixStream>, Error> {
-///         let stream = UnixStream::connect(&self.0).await.map_err(|error| Error::Open {
+///         let stream = UnixStream::connect(&self.0).await.map_err(|error| ErrorKind::Open {
 ///             port: self.0.display().to_string(),
 ///             source: Arc::new(error),
 ///         })?;
@@ -171,9 +171,10 @@ pub trait Connect: Send + 'static {
     ///
     /// # Errors
     ///
-    /// Fails with an error of opening, such as [`Error::NoSuchPort`] or [`Error::Open`]. A
-    /// driver that waits for its first sensor gives up if an error that is not
-    /// [transient](Error::is_transient) repeats.
+    /// Fails with an error of opening, such as
+    /// [`NoSuchPort`](crate::ErrorKind::NoSuchPort) or
+    /// [`Open`](crate::ErrorKind::Open). A driver that waits for its first sensor gives
+    /// up if an error that is not [transient](Error::is_transient) repeats.
     fn connect(&mut self) -> impl Future<Output = Result<Self::Port, Error>> + Send;
 
     /// Name of the port for logs and error messages, if it has one.

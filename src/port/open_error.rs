@@ -1,11 +1,12 @@
-//! Converts a failure to open a serial port into an [`Error`] that names the remedy, from
+//! Converts a failure to open a serial port into an [`ErrorKind`] that names the remedy, from
 //! the system's error and the state of the device file.
 
 use std::io;
+use std::sync::Arc;
 
-use tokio_serial::ErrorKind;
+use tokio_serial::ErrorKind as Cause;
 
-use crate::Error;
+use crate::ErrorKind;
 
 /// Device file at a port's path.
 #[derive(Debug, Clone)]
@@ -21,20 +22,20 @@ struct Node {
 
 /// Fails if `port` is not a serial port. Runs before opening, because opening another
 /// kind of file or device can have side effects.
-pub(super) fn check_before_opening(port: &str) -> Result<(), Error> {
+pub(super) fn check_before_opening(port: &str) -> Result<(), ErrorKind> {
     match node(port) {
         Ok(node) if node.is_device => Ok(()),
-        Ok(_) => Err(Error::NotASerialPort { port: port.to_owned() }),
+        Ok(_) => Err(ErrorKind::NotASerialPort { port: port.to_owned() }),
         Err(error) => Err(not_found(port, error)),
     }
 }
 
 /// Converts the error of opening `port`.
-pub(super) fn explain(port: &str, error: tokio_serial::Error) -> Error {
+pub(super) fn explain(port: &str, error: tokio_serial::Error) -> ErrorKind {
     explain_with(port, error, node(port))
 }
 
-fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) -> Error {
+fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) -> ErrorKind {
     let node = match node {
         Ok(node) => node,
         // Unplugged while being opened: the first error does not matter.
@@ -46,33 +47,33 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
     match (error.kind(), error.description.as_str()) {
         // EBUSY, or TIOCEXCL set by another process. On Windows access denied, which for
         // an existing port means that it is open.
-        (ErrorKind::NoDevice, _) => Error::Busy { port },
-        (ErrorKind::Io(io::ErrorKind::NotFound), _)
-        | (ErrorKind::Unknown, "No such device" | "No such device or address") => {
-            Error::NoSuchPort { port }
+        (Cause::NoDevice, _) => ErrorKind::Busy { port },
+        (Cause::Io(io::ErrorKind::NotFound), _)
+        | (Cause::Unknown, "No such device" | "No such device or address") => {
+            ErrorKind::NoSuchPort { port }
         }
-        (ErrorKind::Unknown, "Not a typewriter") => Error::NotASerialPort { port },
-        (ErrorKind::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
-            Error::PermissionDenied { port, group: node.group }
+        (Cause::Unknown, "Not a typewriter") => ErrorKind::NotASerialPort { port },
+        (Cause::Io(io::ErrorKind::PermissionDenied), _) if !node.is_new => {
+            ErrorKind::PermissionDenied { port, group: node.group }
         }
         // EPERM: a container or a sandbox without access to the device. Joining a group
         // does not help there.
-        (ErrorKind::Unknown, "Operation not permitted") => {
-            Error::PermissionDenied { port, group: None }
+        (Cause::Unknown, "Operation not permitted") => {
+            ErrorKind::PermissionDenied { port, group: None }
         }
-        _ => Error::open(port, error.into()),
+        _ => ErrorKind::Open { port, source: Arc::new(error.into()) },
     }
 }
 
-fn not_found(port: &str, error: io::Error) -> Error {
+fn not_found(port: &str, error: io::Error) -> ErrorKind {
     match error.kind() {
         io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => {
-            Error::NoSuchPort { port: port.to_owned() }
+            ErrorKind::NoSuchPort { port: port.to_owned() }
         }
         io::ErrorKind::PermissionDenied => {
-            Error::PermissionDenied { port: port.to_owned(), group: None }
+            ErrorKind::PermissionDenied { port: port.to_owned(), group: None }
         }
-        _ => Error::open(port, error),
+        _ => ErrorKind::Open { port: port.to_owned(), source: Arc::new(error) },
     }
 }
 
@@ -142,21 +143,18 @@ mod tests {
     }
 
     fn unknown(text: &str) -> tokio_serial::Error {
-        tokio_serial::Error::new(ErrorKind::Unknown, text)
+        tokio_serial::Error::new(Cause::Unknown, text)
     }
 
     fn denied() -> tokio_serial::Error {
-        tokio_serial::Error::new(
-            ErrorKind::Io(io::ErrorKind::PermissionDenied),
-            "Permission denied",
-        )
+        tokio_serial::Error::new(Cause::Io(io::ErrorKind::PermissionDenied), "Permission denied")
     }
 
     #[test]
     fn o05_permission_denied_names_the_group_to_join() {
         let error = explain_with(PORT, denied(), Ok(device()));
         let text = error.to_string();
-        assert!(matches!(error, Error::PermissionDenied { .. }), "{text}");
+        assert!(matches!(error, ErrorKind::PermissionDenied { .. }), "{text}");
         assert!(text.contains("usermod -aG dialout"), "{text}");
         assert!(!error.is_transient(), "waiting does not help");
     }
@@ -164,39 +162,39 @@ mod tests {
     #[test]
     fn permission_denied_on_a_device_that_appeared_just_now_may_pass() {
         let error = explain_with(PORT, denied(), Ok(Node { is_new: true, ..device() }));
-        assert!(matches!(error, Error::Open { .. }), "{error}");
+        assert!(matches!(error, ErrorKind::Open { .. }), "{error}");
         assert!(error.is_transient(), "udev is about to give it to its group");
     }
 
     #[test]
     fn a_device_that_a_container_may_not_use_is_no_matter_of_groups() {
         let error = explain_with(PORT, unknown("Operation not permitted"), Ok(device()));
-        assert!(matches!(error, Error::PermissionDenied { group: None, .. }), "{error}");
+        assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
     }
 
     #[test]
     fn o04_a_port_locked_by_another_program_is_busy() {
         let text = "Unable to acquire exclusive lock on serial port";
-        let error = tokio_serial::Error::new(ErrorKind::NoDevice, text);
-        assert!(matches!(explain_with(PORT, error, Ok(device())), Error::Busy { .. }));
+        let error = tokio_serial::Error::new(Cause::NoDevice, text);
+        assert!(matches!(explain_with(PORT, error, Ok(device())), ErrorKind::Busy { .. }));
     }
 
     #[test]
     fn a_port_unplugged_while_it_is_opened_is_no_such_port() {
         for text in ["I/O error", "No such device"] {
             let error = explain_with(PORT, unknown(text), Err(io::ErrorKind::NotFound.into()));
-            assert!(matches!(error, Error::NoSuchPort { .. }), "{error}");
+            assert!(matches!(error, ErrorKind::NoSuchPort { .. }), "{error}");
         }
         let error = explain_with(PORT, unknown("No such device"), Ok(device()));
-        assert!(matches!(error, Error::NoSuchPort { .. }), "{error}: a name without a device");
+        assert!(matches!(error, ErrorKind::NoSuchPort { .. }), "{error}: a name without a device");
     }
 
     #[test]
     fn a_path_through_a_folder_that_may_not_be_searched_is_no_matter_of_groups() {
         let error = not_found(PORT, io::ErrorKind::PermissionDenied.into());
-        assert!(matches!(error, Error::PermissionDenied { group: None, .. }), "{error}");
+        assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
         let error = not_found(PORT, io::ErrorKind::TimedOut.into());
-        assert!(matches!(error, Error::Open { .. }), "{error}");
+        assert!(matches!(error, ErrorKind::Open { .. }), "{error}");
     }
 
     #[test]

@@ -10,7 +10,7 @@ use tokio::time::{Instant, sleep_until, timeout};
 
 use super::list::{self, PortInfo};
 use super::serial::{SerialOpener, SerialPort};
-use crate::Error;
+use crate::{Error, ErrorKind};
 
 /// Delay before the busy ports are retried.
 ///
@@ -60,7 +60,7 @@ impl Ports for SystemPorts {
         self.hanging.retain(|(_, opener)| opener.is_opening());
         if self.hanging.iter().any(|(hanging, _)| hanging == path) {
             // One thread for it is enough.
-            return Err(Error::Busy { port: path.to_owned() });
+            return Err(ErrorKind::Busy { port: path.to_owned() }.into());
         }
         let (_, opener) = self.latest.insert((path.to_owned(), SerialOpener::default()));
         opener.open(path).await
@@ -151,16 +151,16 @@ impl<P: Ports> Search<P> {
             pass.retries += 1;
         }
         let denied = self.pass.take().and_then(|pass| pass.denied);
-        Err(denied
-            .unwrap_or_else(|| Error::NoSuchSensor { serial_number: self.serial_number.clone() }))
+        let missing = || ErrorKind::NoSuchSensor { serial_number: self.serial_number.clone() };
+        Err(denied.unwrap_or_else(|| missing().into()))
     }
 }
 
 impl Pass {
     fn note(&mut self, path: String, error: Error) {
-        match error {
-            Error::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
-            Error::PermissionDenied { .. } => self.denied = Some(error),
+        match error.kind() {
+            ErrorKind::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
+            ErrorKind::PermissionDenied { .. } => self.denied = Some(error),
             _ => {}
         }
     }
@@ -202,10 +202,10 @@ mod tests {
             let port = path.to_owned();
             match plan.chars().nth(tries).or(plan.chars().last()) {
                 Some('o') => Ok(port),
-                Some('b') => Err(Error::Busy { port }),
-                Some('d') => Err(Error::PermissionDenied { port, group: None }),
+                Some('b') => Err(ErrorKind::Busy { port }.into()),
+                Some('d') => Err(ErrorKind::PermissionDenied { port, group: None }.into()),
                 Some('h') => std::future::pending().await,
-                _ => Err(Error::NoSuchPort { port }),
+                _ => Err(ErrorKind::NoSuchPort { port }.into()),
             }
         }
     }
@@ -235,7 +235,7 @@ mod tests {
             let port = path.to_owned();
             match self.held.lock().unwrap().insert(port.clone()) {
                 true => Ok(Held(port, Arc::clone(&self.held))),
-                false => Err(Error::Busy { port }),
+                false => Err(ErrorKind::Busy { port }.into()),
             }
         }
     }
@@ -273,8 +273,10 @@ mod tests {
     async fn next(search: &mut Search<Fake>) -> String {
         match search.next_port().await {
             Ok(port) => port,
-            Err(Error::NoSuchSensor { serial_number }) => format!("no {serial_number}"),
-            Err(error) => error.to_string(),
+            Err(error) => match error.kind() {
+                ErrorKind::NoSuchSensor { serial_number } => format!("no {serial_number}"),
+                _ => error.to_string(),
+            },
         }
     }
 
@@ -337,9 +339,8 @@ mod tests {
     async fn a_port_that_may_not_be_opened_is_named_when_the_sensor_is_not_elsewhere() {
         let mut search = search(&[("a", "d"), ("b", "o")]);
         assert_eq!(next(&mut search).await, "b");
-        assert!(
-            matches!(search.next_port().await, Err(Error::PermissionDenied { port, .. }) if port == "a")
-        );
+        let error = search.next_port().await.unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::PermissionDenied { port, .. } if port == "a"));
         assert!(!search.has_more());
     }
 
@@ -377,8 +378,8 @@ mod tests {
             let mut ports = SystemPorts::default();
             let mut open = async |path: &str| ports.open(path).await.map(drop);
             assert!(open("/dev/gone").now_or_never().is_none());
-            let again = open("/dev/gone").now_or_never();
-            assert!(matches!(again, Some(Err(Error::Busy { .. }))), "{again:?}");
+            let again = open("/dev/gone").now_or_never().unwrap().unwrap_err();
+            assert!(matches!(again.kind(), ErrorKind::Busy { .. }), "{again:?}");
             assert!(open("/dev/lost").now_or_never().is_none(), "another port waits for itself");
             drop(hang);
             assert!(hanging.await.unwrap().is_err());
@@ -386,7 +387,7 @@ mod tests {
             spawn_blocking(|| ()).await.unwrap();
             for path in ["/dev/gone", "/dev/lost"] {
                 let error = open(path).await.unwrap_err();
-                assert!(matches!(error, Error::NoSuchPort { .. }), "{error}");
+                assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
             }
         });
     }

@@ -51,14 +51,17 @@ impl SerialPort {
     ///
     /// Fails with
     ///
-    /// - [`Error::NoSuchPort`] if there is no such port, or it was unplugged while it
-    ///   was opened;
-    /// - [`Error::NotASerialPort`] for a file, a directory, or another device;
-    /// - [`Error::PermissionDenied`], with the group that may open it;
-    /// - [`Error::Busy`] if it is open already, in this program or another;
-    /// - [`Error::Open`] with the cause, otherwise. That includes missing permission on
-    ///   a device that appeared within the last seconds, because udev may not have set
-    ///   its group yet, and a tokio runtime without I/O.
+    /// - [`NoSuchPort`](crate::ErrorKind::NoSuchPort) if there is no such port, or it
+    ///   was unplugged while it was opened;
+    /// - [`NotASerialPort`](crate::ErrorKind::NotASerialPort) for a file, a directory,
+    ///   or another device;
+    /// - [`PermissionDenied`](crate::ErrorKind::PermissionDenied), with the group that
+    ///   may open it;
+    /// - [`Busy`](crate::ErrorKind::Busy) if it is open already, in this program or
+    ///   another;
+    /// - [`Open`](crate::ErrorKind::Open) with the cause, otherwise. That includes
+    ///   missing permission on a device that appeared within the last seconds, because udev may not
+    ///   have set its group yet, and a tokio runtime without I/O.
     ///
     /// # Panics
     ///

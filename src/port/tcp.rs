@@ -65,9 +65,9 @@ impl TcpPort {
     ///
     /// # Errors
     ///
-    /// Fails with [`Error::Open`], which is transient. Its source is the system's error
-    /// (refused, unreachable, no such host), or the list of addresses with the error of
-    /// each.
+    /// Fails with [`Open`](crate::ErrorKind::Open), which is transient. Its source is
+    /// the system's error (refused, unreachable, no such host), or the list of addresses with the
+    /// error of each.
     pub async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
         match connect(host, port).await {
             Ok(stream) => Ok(Self { stream, baud_rate }),

@@ -13,7 +13,7 @@ use std::task::{Context, Poll, Wake, Waker};
 
 use super::tests::scan;
 use super::{Cursor, ReaderState, Ring};
-use crate::Error;
+use crate::{Error, ErrorKind};
 
 thread_local! {
     /// How often the current step has taken the lock of a ring.
@@ -26,7 +26,7 @@ pub(super) fn count_lock() {
 }
 
 fn cause() -> Error {
-    Error::Loopback { sensor: None }
+    ErrorKind::Loopback.into()
 }
 
 /// Operation of a writer.
@@ -59,7 +59,7 @@ impl ModelWriter {
                 self.writes = rest;
                 match *write {
                     Write::Push(sequence) => drop(inner.push(scan(sequence))),
-                    Write::Report => inner.report(Error::LaserOff { sensor: None }),
+                    Write::Report => inner.report(ErrorKind::LaserOff.into()),
                     Write::End => inner.end(Some(cause())),
                 }
                 0

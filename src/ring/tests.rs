@@ -7,8 +7,8 @@ use std::task::{Context, Wake, Waker};
 use tokio::time::Instant;
 
 use super::*;
-use crate::Window;
 use crate::scan::ScanMeta;
+use crate::{ErrorKind, Window};
 
 pub(super) fn scan(sequence: u64) -> Scan {
     let now = Instant::now();
@@ -48,9 +48,9 @@ fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
 fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
-    ring.report(Error::LaserOff { sensor: None });
+    ring.report(ErrorKind::LaserOff.into());
     (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
-    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
+    assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
 }
@@ -60,16 +60,16 @@ fn an_error_comes_behind_the_scans_from_before_it() {
     let ring = Ring::new();
     let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
     (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
-    ring.report(Error::LaserOff { sensor: None });
+    ring.report(ErrorKind::LaserOff.into());
     assert_eq!(take(&mut reader), Some(Some(Ok(1))));
     assert_eq!(take(&mut reader), Some(Some(Ok(2))));
-    assert_eq!(take(&mut reader), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
+    assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
     assert_eq!(take(&mut reader), None);
     ring.push(scan(3));
     assert_eq!(take(&mut reader), Some(Some(Ok(3))));
     // One of the two kept scans is from before the error.
     assert_eq!(take(&mut slow), Some(Some(Ok(2))));
-    assert_eq!(take(&mut slow), Some(Some(Err(Error::LaserOff { sensor: None }.to_string()))));
+    assert_eq!(take(&mut slow), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
     assert_eq!(take(&mut slow), Some(Some(Ok(3))));
     assert_eq!((take(&mut slow), slow.missed()), (None, 2));
 }
@@ -79,11 +79,11 @@ fn the_end_comes_after_what_is_left_and_its_cause() {
     let ring = Ring::new();
     let (mut reader, mut other) = (ring.subscribe(1), ring.subscribe(1));
     ring.push(scan(0));
-    ring.end(Some(Error::Loopback { sensor: None }));
-    ring.end(Some(Error::Closed { sensor: None }));
+    ring.end(Some(ErrorKind::Loopback.into()));
+    ring.end(Some(ErrorKind::Closed.into()));
     for reader in [&mut reader, &mut other] {
         assert_eq!(take(reader), Some(Some(Ok(0))));
-        assert_eq!(take(reader), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
+        assert_eq!(take(reader), Some(Some(Err(ErrorKind::Loopback.to_string()))));
         assert!(!reader.is_finished());
         assert_eq!(take(reader), Some(None));
         assert_eq!(take(reader), Some(None));
@@ -94,9 +94,9 @@ fn the_end_comes_after_what_is_left_and_its_cause() {
 #[test]
 fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since() {
     let ring = Ring::new();
-    ring.report(Error::Loopback { sensor: None });
+    ring.report(ErrorKind::Loopback.into());
     let (mut during, kept) = (ring.subscribe(1), ring.subscribe(1));
-    assert_eq!(take(&mut during), Some(Some(Err(Error::Loopback { sensor: None }.to_string()))));
+    assert_eq!(take(&mut during), Some(Some(Err(ErrorKind::Loopback.to_string()))));
     assert_eq!(take(&mut during), None);
     (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
     let mut after = kept.resubscribe();
@@ -105,19 +105,16 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
     assert_eq!(take(&mut after), Some(Some(Ok(5))));
     // Nor does it count earlier scans as missed. `during` never read them.
     assert_eq!((after.missed(), kept.missed(), ring.missed()), (0, 0, 0));
-    assert_eq!(
-        take(&mut kept.clone()),
-        Some(Some(Err(Error::Loopback { sensor: None }.to_string())))
-    );
+    assert_eq!(take(&mut kept.clone()), Some(Some(Err(ErrorKind::Loopback.to_string()))));
 }
 
 #[test]
 fn a_reader_that_comes_late_begins_with_the_latest_of_two_errors() {
     let ring = Ring::new();
-    ring.report(Error::LaserOff { sensor: None });
+    ring.report(ErrorKind::LaserOff.into());
     let mut reader = ring.subscribe(1);
-    ring.report(Error::Loopback { sensor: None });
-    let latest = Error::Loopback { sensor: None }.to_string();
+    ring.report(ErrorKind::Loopback.into());
+    let latest = ErrorKind::Loopback.to_string();
     assert_eq!((take(&mut reader), take(&mut reader)), (Some(Some(Err(latest))), None));
 }
 
@@ -149,8 +146,9 @@ fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
     let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
     assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
-    ring.report(Error::LaserOff { sensor: None });
-    assert!(matches!(reader.next_if_ready(), Some(Err(Error::LaserOff { .. }))));
+    ring.report(ErrorKind::LaserOff.into());
+    let error = reader.next_if_ready().unwrap().unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::LaserOff));
     ring.end(None);
     assert!(reader.next_if_ready().is_none() && reader.is_finished());
 }
@@ -160,16 +158,13 @@ fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
     let ring = Ring::new();
     let reader = ring.subscribe(1);
     let error = || reader.freshness().1.map(|error| error.to_string());
-    ring.report(Error::LaserOff { sensor: None });
-    assert_eq!(
-        (reader.freshness().0, error()),
-        (None, Some(Error::LaserOff { sensor: None }.to_string()))
-    );
+    ring.report(ErrorKind::LaserOff.into());
+    assert_eq!((reader.freshness().0, error()), (None, Some(ErrorKind::LaserOff.to_string())));
     let scan = scan(0);
     ring.push(scan.clone());
     assert_eq!((reader.freshness().0, error()), (Some(scan.received_at()), None));
-    ring.report(Error::Loopback { sensor: None });
-    assert_eq!(error(), Some(Error::Loopback { sensor: None }.to_string()));
+    ring.report(ErrorKind::Loopback.into());
+    assert_eq!(error(), Some(ErrorKind::Loopback.to_string()));
 }
 
 #[test]

@@ -71,8 +71,8 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets how long a request waits for a link before it fails with [`Error::Disconnected`].
-    /// Default: 5 s. At most a day.
+    /// Sets how long a request waits for a link before it fails with
+    /// [`Disconnected`](crate::ErrorKind::Disconnected). Default: 5 s. At most a day.
     pub fn request_timeout(mut self, timeout: Duration) -> Self {
         self.config.request_timeout = timeout.min(LONGEST);
         self
@@ -88,15 +88,16 @@ impl SensorBuilder {
 
     /// Sets whether opening waits, without a time limit, until the port exists and is free and the
     /// sensor answers. Default: `false`, opening fails. An error that waiting cannot remedy, such
-    /// as [`Error::PermissionDenied`], still fails when it repeats. The driver logs each reason for
-    /// waiting at level info: once, and again every ten minutes.
+    /// as [`PermissionDenied`](crate::ErrorKind::PermissionDenied), still fails when it
+    /// repeats. The driver logs each reason for waiting at level info: once, and again every ten
+    /// minutes.
     pub fn wait_for_sensor(mut self, wait: bool) -> Self {
         self.config.wait_for_sensor = wait;
         self
     }
 
     /// Sets whether to reopen the port after the link was lost. Default: `true`. With `false` the
-    /// driver ends with [`Error::Disconnected`].
+    /// driver ends with [`Disconnected`](crate::ErrorKind::Disconnected).
     pub fn reconnect(mut self, reconnect: bool) -> Self {
         self.config.reconnect = reconnect;
         self
@@ -121,8 +122,9 @@ impl SensorBuilder {
     }
 
     /// Sets the serial number that you expect, as in the sensor's `SERI:` line. The driver refuses
-    /// any other sensor with [`Error::AnotherSensor`]. By default it accepts the first sensor that
-    /// it finds, and after a reconnect expects the same one.
+    /// any other sensor with [`AnotherSensor`](crate::ErrorKind::AnotherSensor). By
+    /// default it accepts the first sensor that it finds, and after a reconnect expects the same
+    /// one.
     ///
     /// Pass a string, or the [`serial_number`](crate::Version::serial_number) of a sensor. To
     /// search all ports for a sensor, open [`Endpoint::SerialNumber`] (`serial:H0713090`) instead.
@@ -134,8 +136,8 @@ impl SensorBuilder {
     /// Sets whether to accept any sensor after a reconnect, such as a spare in place of a broken
     /// one. The driver applies the same settings to it, and
     /// [`State::Connected`](crate::State::Connected) has its serial number. Default: `false`, the
-    /// driver refuses it with [`Error::AnotherSensor`]. No effect if you set
-    /// [`serial_number`](Self::serial_number).
+    /// driver refuses it with [`AnotherSensor`](crate::ErrorKind::AnotherSensor). No
+    /// effect if you set [`serial_number`](Self::serial_number).
     pub fn any_sensor(mut self, any: bool) -> Self {
         self.config.any_sensor = any;
         self
@@ -185,8 +187,9 @@ impl SensorBuilder {
     /// Sets an observer of every reply, to record or log the bytes that the sensor sent.
     ///
     /// The driver calls your observer in its task, once for each frame, including fences and
-    /// malformed replies, and before it delivers a scan. The observer must not block. You can
-    /// set several; they are called in order. To observe a sensor that is already open, use [`Sensor::observe_replies`].
+    /// malformed replies, and before it delivers a scan. The observer must not block. You can set
+    /// several; they are called in order. To observe a sensor that is already open, use
+    /// [`Sensor::observe_replies`].
     ///
     /// ```
     /// # use tokio_scip::{Sensor, Window};
@@ -201,7 +204,7 @@ impl SensorBuilder {
     /// let sensor = builder.connect(Emulator::default()).await?;
     /// // A sensor is opened with a fence, and then `V`.
     /// assert!(matches!(replies.recv().await, Some((None, _))));
-    /// let (_, version) = replies.recv().await.ok_or(tokio_scip::Error::Closed { sensor: None })?;
+    /// let (_, version) = replies.recv().await.ok_or(tokio_scip::ErrorKind::Closed)?;
     /// assert!(version.starts_with(b"V\n0\nVEND:Hokuyo"));
     /// # Ok(())
     /// # }

@@ -33,11 +33,14 @@ use crate::{BaudRate, Error, Rate, Scan, Window};
 ///
 /// # Errors
 ///
-/// While there is no link, a request waits for one. It fails with [`Error::Disconnected`] after the
-/// [request timeout](SensorBuilder::request_timeout); [`state`](Self::state) has the reason. A
-/// command without a complete reply is repeated once if that is harmless, and then fails with
-/// [`Error::Timeout`] or [`Error::Malformed`]. A status other than success is [`Error::Refused`].
-/// Once the driver has ended, every call fails with the cause, or [`Error::Closed`].
+/// While there is no link, a request waits for one. It fails with
+/// [`Disconnected`](crate::ErrorKind::Disconnected) after the [request
+/// timeout](SensorBuilder::request_timeout); [`state`](Self::state) has the reason. A command
+/// without a complete reply is repeated once if that is harmless, and then fails with
+/// [`Timeout`](crate::ErrorKind::Timeout) or
+/// [`Malformed`](crate::ErrorKind::Malformed). A status other than success is
+/// [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every call fails
+/// with the cause, or [`Closed`](crate::ErrorKind::Closed).
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,
@@ -53,8 +56,8 @@ impl Sensor {
     /// # Errors
     ///
     /// Fails at once if the port does not exist, is not a serial port, is in use or may not be
-    /// opened, and on SCIP 2 or a loopback. Fails with [`Error::NoAnswer`] after the open timeout
-    /// (5 s).
+    /// opened, and on SCIP 2 or a loopback. Fails with
+    /// [`NoAnswer`](crate::ErrorKind::NoAnswer) after the open timeout (5 s).
     ///
     /// # Panics
     ///
@@ -142,10 +145,12 @@ impl Sensor {
     ///
     /// # Errors
     ///
-    /// [`Error::UnsupportedBaudRate`] if the port cannot be set to this baud rate; nothing is sent
-    /// then. A TCP connection supports only the baud rate of its endpoint. [`Error::NotConfirmed`]
-    /// if the sensor accepted but stayed at the old baud rate. [`Error::NotConfirmed`] with `L0` as
-    /// its command if you had switched the laser off and it is on at the new baud rate.
+    /// [`UnsupportedBaudRate`](crate::ErrorKind::UnsupportedBaudRate) if the port cannot
+    /// be set to this baud rate; nothing is sent then. A TCP connection supports only the baud rate
+    /// of its endpoint. [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if the sensor
+    /// accepted but stayed at the old baud rate.
+    /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) with `L0` as its command if you
+    /// had switched the laser off and it is on at the new baud rate.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
@@ -155,8 +160,8 @@ impl Sensor {
     ///
     /// # Errors
     ///
-    /// [`Error::LaserOff`] after [`laser_off`](Self::laser_off), and the errors of [every
-    /// request](Self#errors).
+    /// [`LaserOff`](crate::ErrorKind::LaserOff) after [`laser_off`](Self::laser_off),
+    /// and the errors of [every request](Self#errors).
     pub async fn scan(&self, window: Window) -> Result<Scan, Error> {
         self.client.ask(|responder| Request::Scan { window, responder }).await
     }
@@ -171,9 +176,10 @@ impl Sensor {
     /// predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
-    /// [`Error::Disconnected`] or the reason of the latest attempt, and continues when the link is
-    /// back. While the driver waits for its first link, only [`state`](Self::state) has the reason.
-    /// After [`laser_off`](Self::laser_off) the stream pauses, without an error.
+    /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest
+    /// attempt, and continues when the link is back. While the driver waits for its first link,
+    /// only [`state`](Self::state) has the reason. After [`laser_off`](Self::laser_off) the stream
+    /// pauses, without an error.
     ///
     /// # Errors
     ///
@@ -187,7 +193,8 @@ impl Sensor {
         StreamBuilder::new(self.client.clone(), window, rate)
     }
 
-    /// Observes every reply from now on, to record or log the bytes of a sensor that is open already.
+    /// Observes every reply from now on, to record or log the bytes of a sensor that is open
+    /// already.
     ///
     /// Before this method returns, it calls your observer with the latest reply to `V`, if there is
     /// a link. From then on the driver calls it in its task, as it calls the observers of
@@ -240,9 +247,9 @@ impl Sensor {
     }
 
     /// Closes the port and stops the driver. If there is a link, earlier requests are answered
-    /// first. Later requests fail with [`Error::Closed`], and streams end. Returns at once if the
-    /// driver has ended already. Leaves the laser as it is: to switch it off, call
-    /// [`laser_off`](Self::laser_off) first.
+    /// first. Later requests fail with [`Closed`](crate::ErrorKind::Closed), and streams
+    /// end. Returns at once if the driver has ended already. Leaves the laser as it is: to switch
+    /// it off, call [`laser_off`](Self::laser_off) first.
     ///
     /// If the sensor does not answer, this waits for the deadlines of the current command and of
     /// one fence: 1.5 s and their time on the wire, unless you set

@@ -129,6 +129,7 @@ impl fmt::Debug for Stale {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ErrorKind;
 
     const LIMIT: Duration = Duration::from_millis(500);
 
@@ -146,7 +147,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn before_the_first_scan_nothing_is_fresh_and_the_reason_is_the_cause() {
-        let none = Freshness::new(None, Some(Error::LaserOff { sensor: None }));
+        let none = Freshness::new(None, Some(ErrorKind::LaserOff.into()));
         let stale = none.check(LIMIT).map_err(|stale| ErrorChain::new(&stale).to_string());
         let text = "expected a scan within 500.0ms, but none has arrived yet: \
                     the laser of the sensor is switched off: switch it on before asking for scans";

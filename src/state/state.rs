@@ -71,18 +71,6 @@ impl State {
             _ => None,
         }
     }
-
-    /// Returns the state with its error, if it has one, replaced by what `change` returns.
-    pub(super) fn map_error(self, change: impl Fn(Error) -> Error) -> Self {
-        match self {
-            Self::Connecting { error } => Self::Connecting { error: error.map(change) },
-            Self::Disconnected { since, error } => {
-                Self::Disconnected { since, error: change(error) }
-            }
-            Self::Closed { error } => Self::Closed { error: error.map(change) },
-            Self::Connected { .. } | Self::Recovering => self,
-        }
-    }
 }
 
 /// Serialises an error and its causes as one text.

@@ -14,7 +14,7 @@ use super::{Freshness, State, StateWatch};
 use crate::protocol::Version;
 use crate::ring::Ring;
 use crate::stats::{ScheduleStats, Stats};
-use crate::{BaudRate, Error};
+use crate::{BaudRate, Error, ErrorKind};
 
 /// A driver that waits for its sensor repeats each reason in the log after this time.
 const WAITING_INTERVAL: Duration = Duration::from_secs(600);
@@ -57,12 +57,12 @@ pub(crate) struct Counters {
 
 /// Kinds of reasons logged since there was a link, each with the time of its last log line.
 #[derive(Debug, Default)]
-struct LoggedReasons(Vec<(Discriminant<Error>, Instant)>);
+struct LoggedReasons(Vec<(Discriminant<ErrorKind>, Instant)>);
 
 impl LoggedReasons {
     /// Returns true once for each kind, and again after `interval`.
     fn is_due(&mut self, error: &Error, interval: Duration) -> bool {
-        let (kind, now) = (discriminant(error), Instant::now());
+        let (kind, now) = (discriminant(error.kind()), Instant::now());
         match self.0.iter_mut().find(|(known, _)| *known == kind) {
             Some((_, at)) if now - *at < interval => return false,
             Some((_, at)) => *at = now,
@@ -85,9 +85,9 @@ impl Telemetry {
         }
     }
 
-    /// Adds the name of the sensor to `error`.
-    pub(crate) fn named(&self, error: Error) -> Error {
-        error.named(self.name.as_ref())
+    /// Creates an error with the name of the sensor. Every error of a driver is made here.
+    pub(crate) fn error(&self, kind: ErrorKind) -> Error {
+        Error::new(kind, self.name.as_ref())
     }
 
     pub(crate) fn watch(&self) -> StateWatch {
@@ -97,19 +97,18 @@ impl Telemetry {
     /// Enters a state, and logs it. Does nothing if an attempt failed for the same reason as
     /// the previous one.
     pub(crate) fn enter(&self, state: State) {
-        let state = state.map_error(|error| self.named(error));
         self.log(&state);
         let link_error = match &state {
             State::Connecting { error } => error.clone(),
             State::Disconnected { error, .. } => Some(error.clone()),
             State::Closed { error } => {
-                Some(error.clone().unwrap_or(Error::Closed { sensor: None }))
+                Some(error.clone().unwrap_or_else(|| self.error(ErrorKind::Closed)))
             }
             State::Connected { .. } | State::Recovering => None,
         };
         let mut counters = self.stats();
-        if let Some(error) = &link_error {
-            counters.failed(error);
+        if link_error.is_some() {
+            counters.error.clone_from(&link_error);
         }
         counters.link_error = link_error;
         drop(counters);
@@ -175,7 +174,7 @@ impl Telemetry {
     pub(crate) fn cause(&self) -> Error {
         match &*self.state.borrow() {
             State::Closed { error: Some(error) } => error.clone(),
-            _ => self.named(Error::Closed { sensor: None }),
+            _ => self.error(ErrorKind::Closed),
         }
     }
 
@@ -232,16 +231,23 @@ impl Telemetry {
         self.stats().is_laser_off = is_off;
     }
 
+    /// Records why a poll has no scan.
+    pub(crate) fn fail(&self, kind: ErrorKind) {
+        self.stats().error = Some(self.error(kind));
+    }
+
     /// Freshness of all scans.
     pub(crate) fn freshness(&self) -> Freshness {
+        let reason = self.pause_reason();
         let counters = self.stats();
-        let error = counters.pause_reason().or_else(|| counters.error.clone());
-        Freshness::new(counters.last_scan, error.map(|error| self.named(error)))
+        Freshness::new(counters.last_scan, reason.or_else(|| counters.error.clone()))
     }
 
     /// Why nothing is polled now, if so.
     pub(crate) fn pause_reason(&self) -> Option<Error> {
-        self.stats().pause_reason()
+        let counters = self.stats();
+        let laser_off = || counters.is_laser_off.then(|| self.error(ErrorKind::LaserOff));
+        counters.link_error.clone().or_else(laser_off)
     }
 
     pub(crate) fn version(&self) -> Option<Version> {
@@ -279,18 +285,6 @@ impl Counters {
         self.stats.reply_latency.add(received_at - requested_at);
         self.last_scan = Some(received_at);
         self.error = None;
-    }
-
-    /// Why nothing is polled now, if so.
-    fn pause_reason(&self) -> Option<Error> {
-        self.link_error
-            .clone()
-            .or_else(|| self.is_laser_off.then_some(Error::LaserOff { sensor: None }))
-    }
-
-    /// Records why there is no scan.
-    pub(crate) fn failed(&mut self, error: &Error) {
-        self.error = Some(error.clone());
     }
 }
 

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use tokio::sync::watch;
 
 use super::State;
-use crate::Error;
+use crate::{Error, ErrorKind};
 
 /// Watch of a sensor's [`State`], returned by [`Sensor::state`](crate::Sensor::state).
 ///
@@ -71,7 +71,7 @@ impl StateWatch {
     ///
     /// # Errors
     ///
-    /// The cause, or [`Error::Closed`], if the driver has ended in another state.
+    /// The cause, or [`ErrorKind::Closed`], if the driver has ended in another state.
     pub async fn wait_for(
         &mut self,
         mut is_wanted: impl FnMut(&State) -> bool,
@@ -86,7 +86,7 @@ impl StateWatch {
         match state {
             Ok(state) if wanted => Ok(state),
             Ok(State::Closed { error: Some(error) }) => Err(error),
-            _ => Err(Error::Closed { sensor: self.name.clone() }),
+            _ => Err(Error::new(ErrorKind::Closed, self.name.as_ref())),
         }
     }
 
@@ -94,7 +94,7 @@ impl StateWatch {
     ///
     /// # Errors
     ///
-    /// The cause, or [`Error::Closed`], if the driver has ended.
+    /// The cause, or [`ErrorKind::Closed`], if the driver has ended.
     pub async fn connected(&mut self) -> Result<(), Error> {
         self.wait_for(|state| matches!(state, State::Connected { .. })).await.map(drop)
     }
@@ -121,7 +121,7 @@ impl StateWatch {
     ///
     /// # Errors
     ///
-    /// The cause, if there is one, such as [`Error::Disconnected`] of a driver that does not
+    /// The cause, if there is one, such as [`ErrorKind::Disconnected`] of a driver that does not
     /// [reconnect](crate::SensorBuilder::reconnect).
     pub async fn closed(&mut self) -> Result<(), Error> {
         match self.wait_for(|state| matches!(state, State::Closed { .. })).await? {

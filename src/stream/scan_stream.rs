@@ -46,21 +46,13 @@ impl ScanStream {
     ///
     /// Cancel-safe: you lose no item by dropping this future.
     pub async fn next(&mut self) -> Option<Result<Scan, Error>> {
-        poll_fn(|cx| self.poll_item(cx)).await
+        poll_fn(|cx| self.cursor.poll_next(cx)).await
     }
 
     /// Takes the next scan or error without waiting. `None` means that nothing new has arrived, or
     /// that the stream has ended: [`is_terminated`](FusedStream::is_terminated) tells which.
     pub fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
-        self.cursor.next_if_ready().map(|item| self.named(item))
-    }
-
-    fn poll_item(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Scan, Error>>> {
-        self.cursor.poll_next(cx).map(|item| item.map(|item| self.named(item)))
-    }
-
-    fn named(&self, item: Result<Scan, Error>) -> Result<Scan, Error> {
-        item.map_err(|error| self.client.telemetry().named(error))
+        self.cursor.next_if_ready()
     }
 
     /// Newest scan, read or not, or `None` before the first. Reads nothing: [`next`](Self::next)
@@ -74,9 +66,7 @@ impl ScanStream {
     pub fn freshness(&self) -> Freshness {
         let (last_scan, error) = self.cursor.freshness();
         // Errors of other streams' polls do not matter here.
-        let telemetry = self.client.telemetry();
-        let error = telemetry.pause_reason().or(error).map(|error| telemetry.named(error));
-        Freshness::new(last_scan, error)
+        Freshness::new(last_scan, self.client.telemetry().pause_reason().or(error))
     }
 
     /// Creates a stream of the same scans that starts with the next one, like
@@ -120,7 +110,7 @@ impl Stream for ScanStream {
     type Item = Result<Scan, Error>;
 
     fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
-        self.poll_item(cx)
+        self.cursor.poll_next(cx)
     }
 }
 

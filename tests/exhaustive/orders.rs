@@ -18,7 +18,7 @@ use std::time::Duration;
 use tokio::sync::{Notify, oneshot};
 use tokio::task::yield_now;
 use tokio::time::timeout;
-use tokio_scip::{Error, Rate, Sensor, State, Window};
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Pace};
 
 use super::chooser::Chooser;
@@ -46,9 +46,12 @@ impl End {
     /// Fails unless a call may return this error after such an end.
     fn check(self, error: &Error) {
         let expected = match self {
-            Self::Close | Self::Abort => matches!(error, Error::Closed { .. }),
+            Self::Close | Self::Abort => matches!(error.kind(), ErrorKind::Closed),
             // Also before the driver has opened the port.
-            Self::Unplug => matches!(error, Error::Disconnected { .. } | Error::NoSuchPort { .. }),
+            Self::Unplug => matches!(
+                error.kind(),
+                ErrorKind::Disconnected { .. } | ErrorKind::NoSuchPort { .. }
+            ),
             Self::Drop => false,
         };
         assert!(expected, "{self:?}: {error:?}");

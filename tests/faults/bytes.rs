@@ -4,7 +4,7 @@
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{Command, Malformed, Reply};
-use tokio_scip::{Error, Rate, Window};
+use tokio_scip::{ErrorKind, Rate, Window};
 use tokio_util::codec::Decoder;
 use urg_emulator::{Emulator, Fault};
 
@@ -23,7 +23,8 @@ fn length() -> usize {
 
 /// Asserts that the poll brought no scan, and exactly one error.
 fn assert_refused(outcome: &Outcome, what: &str) {
-    let one = matches!(outcome.errors[..], [Error::Timeout { .. } | Error::Malformed { .. }]);
+    let one =
+        matches!(outcome.errors[..], [ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }]);
     assert!(!outcome.accepted && one, "{what}: {outcome:?}");
     assert!(outcome.stats.fences >= 2, "{what}: no fence was raised: {outcome:?}");
 }
@@ -83,7 +84,7 @@ async fn w10_each_block_of_64_bytes_lost_or_doubled() {
         for fault in [Fault::Drop(block.clone()), Fault::Repeat(block.clone())] {
             let outcome = second_poll(WINDOW, std::slice::from_ref(&fault)).await;
             assert_refused(&outcome, &format!("{fault:?}"));
-            assert!(matches!(outcome.errors[..], [Error::Malformed { .. }]), "{fault:?}");
+            assert!(matches!(outcome.errors[..], [ErrorKind::Malformed { .. }]), "{fault:?}");
         }
     }
 }
@@ -175,7 +176,7 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
                 Err(error) => break error,
             }
         };
-        assert!(matches!(error, Error::Malformed { .. }), "at {at}: {error:?}");
+        assert!(matches!(error.kind(), ErrorKind::Malformed { .. }), "at {at}: {error:?}");
         assert_eq!(sensor.stats().scans, before, "at {at}");
     }
 }
@@ -245,6 +246,6 @@ fn emulator_number(scan: &tokio_scip::Scan) -> u64 {
 #[tokio::test(start_paused = true)]
 async fn a_malformed_reply_is_reported_with_its_place() {
     let outcome = second_poll(WINDOW, &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
-    let [Error::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
+    let [ErrorKind::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
     assert_eq!(*source, Malformed::LineLength { line: 3, expected: 64, found: 63 });
 }

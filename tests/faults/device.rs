@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 use tokio_scip::protocol::Malformed;
-use tokio_scip::{BaudRate, Error, Measurement, Rate, Window};
+use tokio_scip::{BaudRate, ErrorKind, Measurement, Rate, Window};
 use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 
 use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
@@ -137,8 +137,8 @@ async fn d07_a_refusal_with_any_status_is_reported_and_the_link_stays_clean() {
         let fault = Fault::Status(status);
         emulator.set_faults(Faults::none().at(0, fault.clone()).at(3, fault));
         let error = sensor.scan(WINDOW).await.unwrap_err();
-        let Error::Refused { status: found, .. } = error else { panic!("{error:?}") };
-        assert_eq!(char::from(found), char::from(status));
+        let ErrorKind::Refused { status: found, .. } = error.kind() else { panic!("{error:?}") };
+        assert_eq!(char::from(*found), char::from(status));
     }
     let stats = sensor.stats();
     assert_eq!(stats.fence_timeouts, 0);
@@ -234,8 +234,10 @@ async fn d10_a_sensor_that_counts_its_points_differently_is_malformed_and_not_si
     for (miscount, told) in [(1, two_points), (-1, Malformed::NoData)] {
         let error =
             builder().connect(instant_sensor().miscount(miscount).build()).await.unwrap_err();
-        let Error::Malformed { source, .. } = error else { panic!("{miscount}: {error:?}") };
-        assert_eq!(source, told, "{miscount}");
+        let ErrorKind::Malformed { source, .. } = error.kind() else {
+            panic!("{miscount}: {error:?}")
+        };
+        assert_eq!(*source, told, "{miscount}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! An emulated sensor, a stream of its scans, and a fault in the middle of the stream.
 
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Stats, Window};
+use tokio_scip::{ErrorKind, Rate, Scan, ScanStream, Sensor, Stats, Window};
 use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
 use crate::common::{Truth, builder, truthful};
@@ -44,7 +44,7 @@ pub(crate) fn wrong_scans(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
 #[derive(Debug)]
 pub(crate) struct Outcome {
     /// The errors that the stream yielded.
-    pub(crate) errors: Vec<Error>,
+    pub(crate) errors: Vec<ErrorKind>,
     /// True if a scan answers the poll that had the fault.
     pub(crate) accepted: bool,
     pub(crate) stats: Stats,
@@ -63,7 +63,7 @@ pub(crate) async fn second_poll(window: Window, faults: &[Fault]) -> Outcome {
     while delivered.len() < 3 {
         match stream.next().await.unwrap() {
             Ok(scan) => delivered.push(scan),
-            Err(error) => errors.push(error),
+            Err(error) => errors.push(error.kind().clone()),
         }
     }
     assert_eq!(wrong_scans(&emulator, &delivered), [""; 0], "{faults:?}");

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Link};
 
 use super::rig::{instant_sensor, scans, streaming, wrong_scans};
@@ -72,7 +72,7 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
         opened += 1;
         // Absent at first, then back under another name, which is the connector's concern.
         if opened == 2 {
-            return Err(Error::NoSuchPort { port: "/dev/ttyACM0".to_owned() });
+            return Err(ErrorKind::NoSuchPort { port: "/dev/ttyACM0".to_owned() }.into());
         }
         Ok(Hooked { port: inner.link(), hooks: Count::new(&links) })
     });
@@ -83,7 +83,10 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
         delivered.extend(scans(&mut stream, 2).await);
         emulator.unplug();
         emulator.plug_in();
-        assert!(matches!(stream.next().await.unwrap(), Err(Error::Disconnected { .. })));
+        assert!(matches!(
+            stream.next().await.unwrap().unwrap_err().kind(),
+            ErrorKind::Disconnected { .. }
+        ));
         tokio::task::yield_now().await;
         assert_eq!((counts.open.load(Relaxed), counts.discarded.load(Relaxed)), (0, rounds));
     }
@@ -94,22 +97,22 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
 
 #[tokio::test(start_paused = true)]
 async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
-    let denied = || Error::PermissionDenied {
+    let denied = || ErrorKind::PermissionDenied {
         port: "/dev/ttyACM0".to_owned(),
         group: Some("dialout".to_owned()),
     };
     assert!(denied().to_string().contains("usermod -aG dialout"), "{}", denied());
     // At opening it ends the attempt, even with `wait_for_sensor`.
-    let refused = ConnectFn(move || Err::<Link, _>(denied()));
+    let refused = ConnectFn(move || Err::<Link, _>(denied().into()));
     let error = builder().wait_for_sensor(true).connect(refused).await.unwrap_err();
-    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::PermissionDenied { .. }), "{error:?}");
 
     // Later a stream reports it once, and the state shows it.
     let emulator = instant_sensor().build();
     let (inner, mut opened) = (emulator.clone(), 0);
     let connect = ConnectFn(move || {
         opened += 1;
-        if (2..50).contains(&opened) { Err(denied()) } else { Ok(inner.link()) }
+        if (2..50).contains(&opened) { Err(denied().into()) } else { Ok(inner.link()) }
     });
     let sensor = builder().connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -120,11 +123,11 @@ async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     while let Ok(Some(Err(error))) = tokio::time::timeout(ms(5000), stream.next()).await {
         errors.push(error);
     }
-    let reported = matches!(errors.last(), Some(Error::PermissionDenied { .. }));
+    let reported = matches!(errors.last().unwrap().kind(), ErrorKind::PermissionDenied { .. });
     assert!(reported && errors.len() <= 2, "{errors:?}");
     let state = sensor.state().get();
     let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
-    assert!(matches!(error, Error::PermissionDenied { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::PermissionDenied { .. }), "{error:?}");
     scans(&mut stream, 1).await;
 }
 
@@ -149,7 +152,10 @@ async fn o12_a_baud_rate_that_the_port_refuses_is_an_error_before_s_is_sent() {
     });
     let sensor = builder().connect(connect).await.unwrap();
     let error = sensor.set_baud_rate(BaudRate::B750000).await.unwrap_err();
-    assert!(matches!(error, Error::UnsupportedBaudRate { source: Some(_), .. }), "{error:?}");
+    assert!(
+        matches!(error.kind(), ErrorKind::UnsupportedBaudRate { source: Some(_), .. }),
+        "{error:?}"
+    );
     assert!(emulator.log().iter().all(|line| !line.line.starts_with(b"S")));
     sensor.scan(WINDOW).await.unwrap();
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
@@ -200,7 +206,9 @@ async fn o13_a_write_that_stalls_times_out_and_the_port_is_reopened() {
     loop {
         match stream.next().await.unwrap() {
             Ok(scan) => delivered.push(scan),
-            Err(error) => break assert!(matches!(error, Error::Timeout { .. }), "{error:?}"),
+            Err(error) => {
+                break assert!(matches!(error.kind(), ErrorKind::Timeout { .. }), "{error:?}");
+            }
         }
     }
     delivered.extend(scans(&mut stream, 3).await);
@@ -248,7 +256,7 @@ async fn o15_an_interrupted_call_is_retried_and_not_reported() {
 #[test]
 fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
     // The driver cannot prevent that they probe; messages and guide name them.
-    let busy = Error::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
+    let busy = ErrorKind::Busy { port: "/dev/ttyACM0".to_owned() }.to_string();
     assert!(busy.contains("ModemManager") && busy.contains("fuser /dev/ttyACM0"), "{busy}");
     let guide = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/src/guide/operating.md"));
     assert!(guide.contains("ENV{ID_MM_DEVICE_IGNORE}=\"1\""), "the guide has no udev rule");

@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
 use tokio_scip::protocol::Malformed;
-use tokio_scip::{Error, Rate, State, Window};
+use tokio_scip::{ErrorKind, Rate, State, Window};
 use urg_emulator::{EmptyCommand, Fault, Faults, Mode};
 
 use super::rig::{instant_sensor, scans, second_poll, streaming, wrong_scans};
@@ -28,7 +28,10 @@ async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_accepted() {
     for lost in [10..11, 10..12, 9..11] {
         let outcome = second_poll(WINDOW, &[Fault::Drop(lost.clone())]).await;
         assert!(!outcome.accepted, "without {lost:?}");
-        assert!(matches!(outcome.errors[..], [Error::Malformed { .. } | Error::Timeout { .. }]));
+        assert!(matches!(
+            outcome.errors[..],
+            [ErrorKind::Malformed { .. } | ErrorKind::Timeout { .. }]
+        ));
         if lost == (10..11) {
             assert!(outcome.stats.bytes_skipped > 1300, "the data are not skipped");
         }
@@ -75,7 +78,7 @@ async fn w17_unrequested_replies_before_the_right_one_are_not_accepted() {
     for others in [&few[..], alike.as_bytes()] {
         let outcome = second_poll(WINDOW, &[Fault::Garbage(others.to_vec())]).await;
         assert!(!outcome.accepted, "{outcome:?}");
-        let [Error::Malformed { source: Malformed::Echo { found }, .. }] = &outcome.errors[..]
+        let [ErrorKind::Malformed { source: Malformed::Echo { found }, .. }] = &outcome.errors[..]
         else {
             panic!("{outcome:?}")
         };
@@ -154,7 +157,9 @@ async fn endless(pattern: &[u8]) -> Duration {
     // Cloned at once, because `wait_for` returns a lock on the state.
     let lost = lost.expect("the link stays open").unwrap().clone();
     let State::Disconnected { error, .. } = lost else { unreachable!() };
-    let Error::Disconnected { source: Some(source), .. } = error else { panic!("{error:?}") };
+    let ErrorKind::Disconnected { source: Some(source), .. } = error.kind() else {
+        panic!("{error:?}")
+    };
     assert!(source.to_string().contains("expected at most 64 KiB"), "{source}");
     let took = start.elapsed();
     tokio::time::sleep(Duration::from_secs(60)).await;
@@ -209,11 +214,14 @@ async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_afte
             while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
                 errors.extend(item.unwrap().err());
             }
-            let named = errors.iter().filter(|e| matches!(e, Error::WrongProtocol { .. })).count();
+            let named = errors
+                .iter()
+                .filter(|e| matches!(e.kind(), ErrorKind::WrongProtocol { .. }))
+                .count();
             assert!((1..=2).contains(&named) && errors.len() <= 4, "{mode:?}: {errors:?}");
             let state = sensor.state().get();
             let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
-            assert!(matches!(error, Error::WrongProtocol { .. }), "{mode:?}: {error:?}");
+            assert!(matches!(error.kind(), ErrorKind::WrongProtocol { .. }), "{mode:?}: {error:?}");
             // The driver never sends the command that leaves SCIP 2, because some models lock up.
             assert_eq!(emulator.counts().malformed, 0, "{:?}", emulator.log());
             emulator.power_cycle();

@@ -8,7 +8,7 @@ use crate::common::limit::limit;
 use crate::common::{ConnectFn, builder};
 use crate::link::reconnect::open;
 use tokio::runtime;
-use tokio_scip::{Error, State, Window};
+use tokio_scip::{ErrorKind, State, Window};
 use urg_emulator::{Emulator, Pace};
 
 /// Panics when a scan is asked for.
@@ -36,7 +36,7 @@ fn a06_the_request_under_way_gets_the_panic_of_the_driver_on_another_thread() {
         errors
     });
     let _ = std::panic::take_hook();
-    let others = errors.iter().filter(|error| !matches!(error, Error::Panicked { .. }));
+    let others = errors.iter().filter(|error| !matches!(error.kind(), ErrorKind::Panicked { .. }));
     assert_eq!((errors.len(), others.count()), (300, 0));
 }
 

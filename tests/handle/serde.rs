@@ -1,6 +1,5 @@
 //! Scans and related types as data (feature `serde`), in the documented shape.
 
-use std::sync::Arc;
 use std::time::{Duration, UNIX_EPOCH};
 
 use serde_json::{Value, json};
@@ -157,7 +156,7 @@ async fn measurements_version_and_stats_are_data() {
 #[test]
 fn an_error_in_a_state_is_serialized_with_all_its_causes() {
     let refused = std::io::Error::new(std::io::ErrorKind::NotFound, "no such device");
-    let error = Error::Open { port: "/dev/ttyACM0".to_owned(), source: Arc::new(refused) };
+    let error = Error::open("/dev/ttyACM0", refused);
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
     let text = data["error"].as_str().unwrap();
     assert!(text.ends_with(": no such device"), "{text}");

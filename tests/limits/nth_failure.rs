@@ -10,7 +10,7 @@ use crate::common::faulty_link::{Call, CallCounter, FaultyLink, LinkFailure};
 use crate::common::{ConnectFn, builder, request_of, truthful};
 use tokio::time::{Instant, timeout};
 use tokio_scip::port::Connect;
-use tokio_scip::{BaudRate, Error, Rate, Sensor, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::{Emulator, Pace};
 
 /// A small window, whose reply arrives in few reads.
@@ -57,7 +57,7 @@ async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result
                             scans += 1;
                         }
                         Some(Err(error)) => first = first.or(Some(error)),
-                        None => return Err(first.unwrap_or(Error::Closed { sensor: None })),
+                        None => return Err(first.unwrap_or(ErrorKind::Closed.into())),
                     }
                 }
                 if round == 0 && matches!(scenario, Scenario::Reconnect) {
@@ -121,9 +121,9 @@ async fn with_failure(
     let outcome = timeout(Duration::from_secs(60), run(scenario, &sensor, &emulator)).await;
     let outcome = outcome.unwrap_or_else(|_| panic!("{scenario:?} hangs after {failure:?}"));
     if let Err(error) = &outcome {
-        use Error::{Disconnected, NoAnswer, NotConfirmed, Timeout, UnsupportedBaudRate};
+        use ErrorKind::{Disconnected, NoAnswer, NotConfirmed, Timeout, UnsupportedBaudRate};
         let typed = matches!(
-            error,
+            error.kind(),
             Disconnected { .. }
                 | Timeout { .. }
                 | NoAnswer { .. }
@@ -131,7 +131,7 @@ async fn with_failure(
                 | UnsupportedBaudRate { .. }
         );
         assert!(
-            typed && !matches!(error, Error::Closed { .. }),
+            typed && !matches!(error.kind(), ErrorKind::Closed),
             "{scenario:?} {failure:?}: {error:?}"
         );
         assert!(failure.is_some() || matches!(scenario, Scenario::Reconnect), "{error:?}");

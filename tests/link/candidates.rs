@@ -8,8 +8,8 @@ use std::time::Duration;
 use crate::common::{builder, ms};
 use tokio::io::DuplexStream;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
-use tokio_scip::Error;
 use tokio_scip::port::{Connect, ConnectHints, StreamPort};
+use tokio_scip::{Error, ErrorKind};
 
 /// Always promises another candidate.
 #[derive(Default)]
@@ -80,7 +80,7 @@ impl Connect for Busy {
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let since = *self.since.get_or_insert_with(Instant::now);
         sleep_until(since + ms(2000)).await;
-        Err(Error::Busy { port: "the last one".to_owned() })
+        Err(ErrorKind::Busy { port: "the last one".to_owned() }.into())
     }
 
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
@@ -98,6 +98,7 @@ impl ConnectHints for Busy {
 async fn a_pass_is_long_enough_for_a_busy_port_however_short_the_time_limit_is() {
     for open_timeout in [Duration::ZERO, ms(1), ms(400)] {
         let opened = builder().open_timeout(open_timeout).connect(Busy::default()).await;
-        assert!(matches!(opened, Err(Error::Busy { .. })), "{open_timeout:?}: {opened:?}");
+        let error = opened.unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::Busy { .. }), "{open_timeout:?}: {error:?}");
     }
 }

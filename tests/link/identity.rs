@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::reconnect::open;
 use crate::common::{ConnectFn, builder, truthful};
 use tokio::time::Instant;
-use tokio_scip::{BaudRate, Error, Rate, State, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 #[tokio::test(start_paused = true)]
@@ -22,16 +22,17 @@ async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken
     while let Ok(item) = tokio::time::timeout_at(end, stream.next()).await {
         errors.extend(item.unwrap().err());
     }
+    let kinds: Vec<_> = errors.iter().map(Error::kind).collect();
     assert!(
         matches!(
-            &errors[..],
-            [Error::Disconnected { .. }, Error::AnotherSensor { .. }]
-                | [Error::AnotherSensor { .. }]
+            kinds[..],
+            [ErrorKind::Disconnected { .. }, ErrorKind::AnotherSensor { .. }]
+                | [ErrorKind::AnotherSensor { .. }]
         ),
         "{errors:?}"
     );
-    let state = sensor.state().get();
-    assert!(matches!(state, State::Disconnected { error: Error::AnotherSensor { .. }, .. }));
+    let State::Disconnected { error, .. } = sensor.state().get() else { panic!("{errors:?}") };
+    assert!(matches!(error.kind(), ErrorKind::AnotherSensor { .. }), "{error:?}");
     emulator.set_serial_number("H0000001");
     stream.next().await.unwrap().unwrap();
 }
@@ -124,7 +125,8 @@ async fn w25_a_serial_number_that_is_damaged_differently_each_time_is_requested_
     assert_eq!(emulator.fault_counts().flipped, 3);
     // One for each time that the port was opened.
     assert_eq!(sensor.stats().fences, 2);
-    assert!(matches!(&errors[..], [Error::Disconnected { .. }]), "{errors:?}");
+    let [error] = &errors[..] else { panic!("{errors:?}") };
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -136,7 +138,7 @@ async fn a_serial_number_is_requested_twice_also_if_it_is_empty_or_another_one_i
     builder().connect(nameless.clone()).await.unwrap();
     let other = truthful().serial_number("H0000001").build();
     let error = builder().serial_number("H0000002").connect(other.clone()).await.unwrap_err();
-    assert!(matches!(error, Error::AnotherSensor { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::AnotherSensor { .. }), "{error:?}");
     assert_eq!((requests(&nameless), requests(&other)), (2, 2));
 }
 
@@ -171,8 +173,12 @@ async fn a_sensor_that_refuses_the_wanted_baud_rate_is_not_the_expected_one_ever
     let builder = builder().wait_for_sensor(true).baud_rate(BaudRate::B115200);
     let (sensor, driver) = builder.build(emulator.clone());
     tokio::spawn(driver);
-    let refused =
-        |state: &State| matches!(state, State::Connecting { error: Some(Error::Refused { .. }) });
+    let refused = |state: &State| match state {
+        State::Connecting { error: Some(error) } => {
+            matches!(error.kind(), ErrorKind::Refused { .. })
+        }
+        _ => false,
+    };
     sensor.state().wait_for(refused).await.map(drop).unwrap();
     emulator.unplug();
     emulator.set_serial_number("H0000002");

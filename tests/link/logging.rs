@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::time::sleep;
-use tokio_scip::{Error, Rate, State, Window};
+use tokio_scip::{ErrorKind, Rate, State, Window};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
@@ -129,8 +129,8 @@ async fn a_lost_link_is_logged_once_for_each_reason_why_it_stays_lost() {
         let port = port.clone();
         match opened {
             1 => Ok(port.link()),
-            n if n % 2 == 0 => Err(Error::NoSuchPort { port: "left".to_owned() }),
-            _ => Err(Error::PermissionDenied { port: "left".to_owned(), group: None }),
+            n if n % 2 == 0 => Err(ErrorKind::NoSuchPort { port: "left".to_owned() }.into()),
+            _ => Err(ErrorKind::PermissionDenied { port: "left".to_owned(), group: None }.into()),
         }
     };
     let sensor = builder().connect(ConnectFn(connect)).await.unwrap();

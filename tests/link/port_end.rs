@@ -12,7 +12,7 @@ use crate::common::{builder, ms, truthful};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{sleep, timeout};
 use tokio_scip::port::{Connect, Port, PortHints};
-use tokio_scip::{BaudRate, Error, Rate, SensorBuilder, State, Window};
+use tokio_scip::{BaudRate, Error, ErrorKind, Rate, SensorBuilder, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Link};
 
 /// What a port that is over answers.
@@ -105,11 +105,15 @@ async fn ends(builder: SensorBuilder, port: Ending, opened: u64, before: impl Fu
             assert!(matches!(state, State::Closed { error: None }), "{state:?}");
         }
         End::Failure => {
+            let error = outcome.unwrap_err();
             assert!(
-                matches!(outcome, Err(Error::Disconnected { source: Some(_), .. })),
-                "{outcome:?}"
+                matches!(error.kind(), ErrorKind::Disconnected { source: Some(_), .. }),
+                "{error:?}"
             );
-            assert!(matches!(items.last(), Some(Error::Disconnected { .. })), "{items:?}");
+            assert!(
+                matches!(items.last().unwrap().kind(), ErrorKind::Disconnected { .. }),
+                "{items:?}"
+            );
         }
     }
     assert!(port.connects.load(Relaxed) <= connects + opened, "it was opened again");

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::common::{Truth, builder, ms, truthful};
 use tokio::time::Instant;
-use tokio_scip::{BaudRate, Error, Rate, Sensor, State, Window};
+use tokio_scip::{BaudRate, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 pub(crate) async fn open(emulator: &Emulator) -> Sensor {
@@ -24,7 +24,7 @@ async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
             break error;
         }
     };
-    assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
     assert!(matches!(state.get(), State::Disconnected { .. }));
     tokio::time::sleep(Duration::from_secs(60)).await;
     let late = sensor.scans(Window::FULL, Rate::hz(1.0)).await;
@@ -51,7 +51,7 @@ async fn a_baud_rate_that_the_sensor_refuses_fails_the_first_opening_and_no_late
     // and another fence.
     emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
     let error = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap_err();
-    assert!(matches!(error, Error::Refused { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error:?}");
 
     let sensor = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap();
     let mut state = sensor.state();
@@ -74,7 +74,7 @@ async fn d03_a10_an_hour_unplugged_costs_little_and_every_call_is_answered_in_ti
     for _ in 0..10 {
         let start = Instant::now();
         let error = sensor.scan(Window::FULL).await.unwrap_err();
-        assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+        assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
         assert!(start.elapsed() <= ms(5001), "{:?}", start.elapsed());
     }
     tokio::time::sleep(Duration::from_secs(3600)).await;
@@ -162,10 +162,13 @@ async fn without_reconnecting_a_lost_link_ends_the_driver() {
         assert!(last.is_none());
         last = item.err();
     }
-    assert!(matches!(last, Some(Error::Disconnected { .. })));
-    assert!(matches!(sensor.scan(Window::FULL).await, Err(Error::Disconnected { .. })));
-    let state = sensor.state().get();
-    assert!(matches!(state, State::Closed { error: Some(Error::Disconnected { .. }) }));
+    assert!(matches!(last.unwrap().kind(), ErrorKind::Disconnected { .. }));
+    assert!(matches!(
+        sensor.scan(Window::FULL).await.unwrap_err().kind(),
+        ErrorKind::Disconnected { .. }
+    ));
+    let State::Closed { error: Some(error) } = sensor.state().get() else { panic!("no cause") };
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -175,7 +178,7 @@ async fn the_end_of_an_attached_stream_ends_the_driver() {
     sensor.scan(Window::FULL).await.unwrap();
     emulator.unplug();
     let error = sensor.scan(Window::FULL).await.unwrap_err();
-    assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
 }
 
 #[tokio::test(start_paused = true)]
@@ -209,7 +212,8 @@ async fn a_stream_that_joins_another_without_a_link_reports_the_loss() {
     while first.next().await.unwrap().is_ok() {}
     let mut second = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     let item = tokio::time::timeout(ms(100), second.next()).await;
-    assert!(matches!(item, Ok(Some(Err(Error::Disconnected { .. })))), "{item:?}");
+    let error = item.unwrap().unwrap().unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
     // The first stream has reported the loss before.
     assert!(tokio::time::timeout(Duration::from_secs(60), first.next()).await.is_err());
 }
@@ -262,9 +266,12 @@ async fn closing_and_subscribing_need_no_link_and_never_expire() {
     let sensor = builder().request_timeout(Duration::ZERO).connect(emulator.clone()).await.unwrap();
     emulator.unplug();
     let error = sensor.scan(Window::FULL).await.unwrap_err();
-    assert!(matches!(error, Error::Disconnected { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
     let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
-    assert!(matches!(stream.next().await, Some(Err(Error::Disconnected { .. }))));
+    assert!(matches!(
+        stream.next().await.unwrap().unwrap_err().kind(),
+        ErrorKind::Disconnected { .. }
+    ));
     sensor.close().await;
     assert!(matches!(sensor.state().get(), State::Closed { error: None }));
     assert!(stream.next().await.is_none());

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::time::{sleep, timeout};
-use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, State, Window};
+use tokio_scip::{ErrorKind, Rate, Scan, ScanStream, Sensor, State, Window};
 
 use super::peer::Peer;
 use super::script::Script;
@@ -91,7 +91,7 @@ impl User {
                         assert_eq!(scan.values().len(), window.points());
                         self.peer.lock().check(&scan);
                     }
-                    Err(error) => assert!(!matches!(error, Error::Closed { .. })),
+                    Err(error) => assert!(!matches!(error.kind(), ErrorKind::Closed)),
                 }
             }
             2 | 3 => self.read(parameter).await,

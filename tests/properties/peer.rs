@@ -16,7 +16,7 @@ use std::time::Duration;
 use tokio::io::ReadBuf;
 use tokio::time::{Instant, Sleep, sleep_until};
 use tokio_scip::port::Connect;
-use tokio_scip::{Error, Scan};
+use tokio_scip::{Error, ErrorKind, Scan};
 
 use super::script::Script;
 use super::test_port::{FarEnd, TestPort};
@@ -262,7 +262,7 @@ impl Connect for Peer {
         let mut state = self.lock();
         if state.refused > 0 {
             state.refused -= 1;
-            return Err(Error::NoSuchPort { port: "scripted".to_owned() });
+            return Err(ErrorKind::NoSuchPort { port: "scripted".to_owned() }.into());
         }
         state.link += 1;
         (state.ending, state.stalled, state.torn) = (None, None, true);

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use tokio_scip::{Error, State, Stats};
+use tokio_scip::{Error, ErrorKind, State, Stats};
 use urg_emulator::{Emulator, FaultCounts};
 
 use super::case::Events;
@@ -55,13 +55,13 @@ impl Coverage {
     }
 
     pub(crate) fn error(&mut self, error: &Error) {
-        let kind = match error {
-            Error::AnotherSensor { .. } => "AnotherSensor",
-            Error::Disconnected { .. } => "Disconnected",
-            Error::LaserOff { .. } => "LaserOff",
-            Error::Malformed { .. } => "Malformed",
-            Error::NotConfirmed { .. } => "NotConfirmed",
-            Error::Timeout { .. } => "Timeout",
+        let kind = match error.kind() {
+            ErrorKind::AnotherSensor { .. } => "AnotherSensor",
+            ErrorKind::Disconnected { .. } => "Disconnected",
+            ErrorKind::LaserOff => "LaserOff",
+            ErrorKind::Malformed { .. } => "Malformed",
+            ErrorKind::NotConfirmed { .. } => "NotConfirmed",
+            ErrorKind::Timeout { .. } => "Timeout",
             _ => "of another kind",
         };
         self.count(format!("error {kind}"), 1);

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use tokio::io::AsyncWriteExt;
 use tokio::time::{Instant, sleep, timeout};
-use tokio_scip::{Error, Rate, Sensor, State, Window};
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::Faults;
 
 use super::case::{Case, SERIAL_NUMBER, SimulatedConnect};
@@ -68,7 +68,7 @@ impl Run {
             Ok(_) => self.note(format_args!("{name}: done")),
             Err(error) => {
                 self.note(format_args!("{name}: {error}"));
-                assert!(!matches!(error, Error::Closed { .. }), "the driver ended");
+                assert!(!matches!(error.kind(), ErrorKind::Closed), "the driver ended");
                 self.coverage.lock().unwrap().error(error);
             }
         }

@@ -48,7 +48,6 @@ pub(crate) fn chain(error: &dyn Error) -> String {
 #[cfg(test)]
 mod tests {
     use std::io;
-    use std::sync::Arc;
 
     use super::*;
 
@@ -61,11 +60,9 @@ mod tests {
 
     #[test]
     fn a_failure_names_its_port_once_and_each_cause_once() {
-        let source = || Arc::new(io::Error::other("on fire"));
-        let port = "/dev/ttyACM0".to_owned();
-        let open = tokio_scip::Error::Open { port, source: source() };
+        let open = tokio_scip::Error::open("/dev/ttyACM0", io::Error::other("on fire"));
         assert_eq!(line(open), "cannot open /dev/ttyACM0: on fire");
         let ended = "/dev/ttyACM0: the driver of the sensor has ended";
-        assert_eq!(line(tokio_scip::Error::Closed { sensor: None }), ended);
+        assert_eq!(line(tokio_scip::ErrorKind::Closed.into()), ended);
     }
 }

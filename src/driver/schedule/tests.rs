@@ -149,11 +149,11 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
         errors += items.filter(|item| matches!(item, Some(Err(_)))).count();
         errors
     };
-    assert_eq!(count(&mut schedules, Some(Error::LaserOff { sensor: None })), 1);
-    assert_eq!(count(&mut schedules, Some(Error::LaserOff { sensor: None })), 1);
-    assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 2);
+    assert_eq!(count(&mut schedules, Some(ErrorKind::LaserOff.into())), 1);
+    assert_eq!(count(&mut schedules, Some(ErrorKind::LaserOff.into())), 1);
+    assert_eq!(count(&mut schedules, Some(ErrorKind::Loopback.into())), 2);
     assert_eq!(count(&mut schedules, None), 2);
-    assert_eq!(count(&mut schedules, Some(Error::Loopback { sensor: None })), 3);
+    assert_eq!(count(&mut schedules, Some(ErrorKind::Loopback.into())), 3);
 }
 
 #[test]

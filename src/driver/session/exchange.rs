@@ -8,7 +8,7 @@ use super::super::failure::ExchangeError;
 use super::super::observers::ReplyObservers;
 use super::super::transport::{TimedFrame, Timing};
 use super::{Read, Session};
-use crate::Error;
+use crate::ErrorKind;
 use crate::codec::Frame;
 use crate::event::RawReply;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
@@ -68,8 +68,8 @@ impl Session {
             Err(ExchangeError::Command(error)) => {
                 tracing::trace!(parent: &span, %error, "no answer");
                 match error {
-                    Error::Refused { .. } => telemetry.stats().refused += 1,
-                    Error::Timeout { .. } => telemetry.stats().timeouts += 1,
+                    ErrorKind::Refused { .. } => telemetry.stats().refused += 1,
+                    ErrorKind::Timeout { .. } => telemetry.stats().timeouts += 1,
                     _ => transport.mark_dirty(),
                 }
             }
@@ -108,13 +108,13 @@ fn judge<'a>(
 }
 
 /// Converts a malformed or refused reply into its error.
-fn failure(command: Command, outcome: Result<Reply<'_>, ReplyError>) -> Error {
+fn failure(command: Command, outcome: Result<Reply<'_>, ReplyError>) -> ErrorKind {
     match outcome {
-        Ok(reply) => Error::Refused { sensor: None, command, status: reply.status() },
-        Err(ReplyError::Malformed(source)) => Error::Malformed { sensor: None, command, source },
-        Err(ReplyError::Scip2 { status }) => Error::WrongProtocol { sensor: None, status },
+        Ok(reply) => ErrorKind::Refused { command, status: reply.status() },
+        Err(ReplyError::Malformed(source)) => ErrorKind::Malformed { command, source },
+        Err(ReplyError::Scip2 { status }) => ErrorKind::WrongProtocol { status },
         Err(ReplyError::Foreign { found }) => {
-            Error::Malformed { sensor: None, command, source: Malformed::Echo { found } }
+            ErrorKind::Malformed { command, source: Malformed::Echo { found } }
         }
     }
 }

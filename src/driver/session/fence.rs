@@ -14,7 +14,7 @@ use super::Session;
 use crate::codec::Frame;
 use crate::event::RawReply;
 use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
-use crate::{Error, Window};
+use crate::{ErrorKind, Window};
 
 /// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
 /// may have restarted at another baud rate.
@@ -29,7 +29,7 @@ impl Session {
     ///
     /// [`LinkError::Silent`] if the sensor answers no fence.
     pub(crate) async fn fence(&mut self) -> Result<Status, ExchangeError> {
-        let mut failure = LinkError::Silent(Error::disconnected(None));
+        let mut failure = LinkError::Silent(ErrorKind::disconnected(None));
         let searchable = self.transport.is_adjustable() && self.transport.baud_rate().is_some();
         let latency = self.transport.latency(&Command::Distances(Window::FULL));
         for _ in 0..if searchable { FENCES_AT_A_BAUD_RATE } else { FENCES } {
@@ -54,7 +54,7 @@ impl Session {
         let mut malformed = None;
         let answer = self.answer_to_fence(&command, latency, &mut malformed).instrument(span).await;
         let answer = match answer {
-            Err(timeout @ ExchangeError::Command(Error::Timeout { .. })) => {
+            Err(timeout @ ExchangeError::Command(ErrorKind::Timeout { .. })) => {
                 let explained = explain_silence(&self.transport, &command);
                 Err(explained.or(malformed).unwrap_or(timeout))
             }
@@ -65,7 +65,9 @@ impl Session {
                 self.transport.mark_clean();
                 self.unique_requests.clear();
             }
-            Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. })) => {
+            Err(ExchangeError::Command(
+                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+            )) => {
                 self.telemetry.stats().fence_timeouts += 1;
             }
             Err(_) => {}
@@ -95,7 +97,7 @@ impl Session {
             }
             let error = match judge(command, frame) {
                 Ok(_) if is_echoed(&sent, command, frame) => {
-                    return Err(LinkError::Lost(Error::Loopback { sensor: None }).into());
+                    return Err(LinkError::Lost(ErrorKind::Loopback).into());
                 }
                 Ok(status) => {
                     if timing.disproves_baud_rate(command, status) {
@@ -104,14 +106,14 @@ impl Session {
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {
-                    let error = Error::WrongProtocol { sensor: None, status };
+                    let error = ErrorKind::WrongProtocol { status };
                     return Err(ExchangeError::Command(error));
                 }
                 Err(error) => error,
             };
             self.telemetry.stats().malformed.count(&error);
             if let ReplyError::Malformed(source) = error {
-                let error = Error::Malformed { sensor: None, command: *command, source };
+                let error = ErrorKind::Malformed { command: *command, source };
                 *malformed = Some(ExchangeError::Command(error));
             }
         }
@@ -136,7 +138,7 @@ fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
 fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeError> {
     let pending = transport.unfinished_frame();
     if pending.starts_with(b"\n") && pending == transport.sent() {
-        return Some(LinkError::Lost(Error::Loopback { sensor: None }).into());
+        return Some(LinkError::Lost(ErrorKind::Loopback).into());
     }
     // A wrong baud rate can produce any bytes. So look for telnet only on a port without
     // a settable baud rate.
@@ -145,6 +147,6 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     let translated = pending.windows(echo.len()).any(|part| part == echo);
     (telnet || translated).then(|| {
         let (command, source) = (*command, Malformed::NotRaw);
-        ExchangeError::Command(Error::Malformed { sensor: None, command, source })
+        ExchangeError::Command(ErrorKind::Malformed { command, source })
     })
 }

@@ -23,7 +23,7 @@ use super::transport::{Timing, Transport};
 use crate::port::Port;
 use crate::protocol::{Command, Reply, Status, Version};
 use crate::state::{Telemetry, VersionReply};
-use crate::{Error, Window};
+use crate::{ErrorKind, Window};
 
 /// Reader of a reply. A trait object, so that the driver is compiled only once.
 type Read<'a> = dyn FnMut(&Reply<'_>) + Send + 'a;
@@ -124,7 +124,7 @@ impl Session {
     ///
     /// # Errors
     ///
-    /// Any status but success is [`Error::Refused`].
+    /// Any status but success is [`ErrorKind::Refused`].
     pub(crate) async fn command(
         &mut self,
         command: Command,
@@ -142,11 +142,9 @@ impl Session {
         read: &mut Read<'_>,
     ) -> Result<(Status, Timing), ExchangeError> {
         match self.command(command, read).await {
-            Err(ExchangeError::Command(Error::Timeout { .. } | Error::Malformed { .. }))
-                if !self.telemetry.is_closing() =>
-            {
-                self.command(command, read).await
-            }
+            Err(ExchangeError::Command(
+                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+            )) if !self.telemetry.is_closing() => self.command(command, read).await,
             outcome => outcome,
         }
     }

@@ -13,7 +13,7 @@ use super::pause::Pauses;
 use super::{SCRATCH_BYTES, Transport, again_if_interrupted};
 use crate::port::PortHints;
 use crate::protocol::Command;
-use crate::{BaudRate, Error};
+use crate::{BaudRate, ErrorKind};
 
 /// How long after a reply a faulty line may deliver a copy of it.
 pub(super) const QUIET_TIME: Duration = Duration::from_millis(20);
@@ -146,9 +146,9 @@ impl Transport {
     pub(super) fn lost(&mut self, error: Option<io::Error>) -> ExchangeError {
         let is_over = self.port.hints().is_some_and(PortHints::is_over);
         match (is_over, error) {
-            (false, error) => LinkError::Lost(Error::disconnected(error)),
-            (true, None) => LinkError::Ended(Error::Closed { sensor: None }),
-            (true, error) => LinkError::Ended(Error::disconnected(error)),
+            (false, error) => LinkError::Lost(ErrorKind::disconnected(error)),
+            (true, None) => LinkError::Ended(ErrorKind::Closed),
+            (true, error) => LinkError::Ended(ErrorKind::disconnected(error)),
         }
         .into()
     }

@@ -164,7 +164,7 @@ impl Transport {
     ///
     /// # Errors
     ///
-    /// [`Error::Timeout`](crate::Error::Timeout) at the deadline.
+    /// [`Timeout`](crate::ErrorKind::Timeout) at the deadline.
     pub(crate) async fn send(
         &mut self,
         command: &Command,
@@ -197,7 +197,7 @@ impl Transport {
     ///
     /// # Errors
     ///
-    /// [`Error::Timeout`](crate::Error::Timeout) at the deadline.
+    /// [`Timeout`](crate::ErrorKind::Timeout) at the deadline.
     pub(crate) async fn next_frame(
         &mut self,
         deadline: Deadline,

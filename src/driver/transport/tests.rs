@@ -1,6 +1,5 @@
 //! Tests of a transport on a line in memory, to the byte and to the nanosecond.
 
-use std::io::ErrorKind;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
@@ -15,7 +14,7 @@ use super::scripted_port::ScriptedPort;
 use super::*;
 use crate::port::StreamPort;
 use crate::protocol::Status;
-use crate::{BaudRate, Error, Window};
+use crate::{BaudRate, ErrorKind, Window};
 
 const LATENCY: Duration = Duration::from_millis(100);
 const NANOSECOND: Duration = Duration::from_nanos(1);
@@ -33,7 +32,7 @@ fn transport(input: &[u8]) -> Transport {
 
 /// Creates two transports with reads of these lengths: the port of one can be read
 /// without waiting, the port of the other cannot.
-fn transports(reads: &[Result<usize, ErrorKind>]) -> [Transport; 2] {
+fn transports(reads: &[Result<usize, io::ErrorKind>]) -> [Transport; 2] {
     [true, false].map(|has_try_read| {
         let reads = reads.iter().map(|read| read.map(|length| vec![0; length])).collect();
         on(ScriptedPort { reads, has_try_read, ..ScriptedPort::default() })
@@ -41,30 +40,30 @@ fn transports(reads: &[Result<usize, ErrorKind>]) -> [Transport; 2] {
 }
 
 /// Drops pending bytes, and returns their number.
-async fn discard(transport: &mut Transport) -> Result<u64, Error> {
+async fn discard(transport: &mut Transport) -> Result<u64, ErrorKind> {
     let before = transport.received();
-    transport.discard_pending().await.map_err(|failure| LinkError::from(failure).into_error())?;
+    transport.discard_pending().await.map_err(|failure| LinkError::from(failure).into_kind())?;
     Ok(transport.received() - before)
 }
 
 #[tokio::test]
 async fn o15_bytes_behind_an_interrupted_read_are_dropped_and_each_time_counted_anew() {
-    let quiet = Err(ErrorKind::WouldBlock);
-    let interrupted = Err(ErrorKind::Interrupted);
+    let quiet = Err(io::ErrorKind::WouldBlock);
+    let interrupted = Err(io::ErrorKind::Interrupted);
     let reads = [Ok(100), interrupted, Ok(20), quiet, Ok(7), quiet, interrupted, Ok(0)];
     for mut transport in transports(&reads) {
         assert_eq!(discard(&mut transport).await.unwrap(), 120);
         assert_eq!(discard(&mut transport).await.unwrap(), 7);
         assert!(matches!(
             discard(&mut transport).await,
-            Err(Error::Disconnected { source: None, .. })
+            Err(ErrorKind::Disconnected { source: None, .. })
         ));
         assert_eq!(transport.received(), 127);
     }
 }
 
 /// Creates a transport whose port fails each read with this error, and counts the reads.
-fn refusing(kind: ErrorKind, has_try_read: bool) -> (Transport, Arc<AtomicU64>) {
+fn refusing(kind: io::ErrorKind, has_try_read: bool) -> (Transport, Arc<AtomicU64>) {
     let (port, reads) = (ScriptedPort { has_try_read, ..ScriptedPort::default() }, Arc::default());
     (on(ScriptedPort { refusal: Some((kind, Arc::clone(&reads))), ..port }), reads)
 }
@@ -72,18 +71,21 @@ fn refusing(kind: ErrorKind, has_try_read: bool) -> (Transport, Arc<AtomicU64>) 
 #[tokio::test(start_paused = true)]
 async fn o15_a_port_that_is_interrupted_for_ever_blocks_nobody() {
     for has_try_read in [true, false] {
-        let (mut transport, reads) = refusing(ErrorKind::Interrupted, has_try_read);
+        let (mut transport, reads) = refusing(io::ErrorKind::Interrupted, has_try_read);
         assert_eq!(discard(&mut transport).await.unwrap(), 0);
         assert_eq!(reads.load(Ordering::Relaxed), 16);
     }
-    let (mut transport, _) = refusing(ErrorKind::Interrupted, false);
+    let (mut transport, _) = refusing(io::ErrorKind::Interrupted, false);
     let outcome = transport.ask(&Command::LaserOff, LATENCY).await;
-    assert!(matches!(outcome, Err(ExchangeError::Command(Error::Timeout { .. }))), "{outcome:?}");
+    assert!(
+        matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))),
+        "{outcome:?}"
+    );
 }
 
 #[tokio::test(start_paused = true)]
 async fn o15_a_port_that_refuses_to_read_while_idle_is_asked_200_times_a_second() {
-    let (mut transport, reads) = refusing(ErrorKind::WouldBlock, false);
+    let (mut transport, reads) = refusing(io::ErrorKind::WouldBlock, false);
     let second = Duration::from_secs(1);
     assert!(timeout(second, transport.idle()).await.is_err());
     assert!((195..=201).contains(&reads.load(Ordering::Relaxed)), "{reads:?}");
@@ -91,28 +93,28 @@ async fn o15_a_port_that_refuses_to_read_while_idle_is_asked_200_times_a_second(
 
 #[tokio::test]
 async fn a_read_that_fails_ends_the_dropping_of_bytes_with_its_error() {
-    for mut transport in transports(&[Ok(100), Err(ErrorKind::BrokenPipe), Ok(20)]) {
-        assert_eq!(kind(discard(&mut transport).await), ErrorKind::BrokenPipe);
+    for mut transport in transports(&[Ok(100), Err(io::ErrorKind::BrokenPipe), Ok(20)]) {
+        assert_eq!(kind(discard(&mut transport).await), io::ErrorKind::BrokenPipe);
     }
 }
 
 #[tokio::test]
 async fn one_byte_more_than_64_kib_after_a_command_is_a_flood() {
     let all_but_one: Vec<_> = (0..127).map(|_| Ok(512)).chain([Ok(511)]).collect();
-    let quiet = Err(ErrorKind::WouldBlock);
+    let quiet = Err(io::ErrorKind::WouldBlock);
     let reads = [all_but_one.as_slice(), &[Ok(1), quiet]].concat();
     for mut transport in transports(&reads) {
         assert_eq!(discard(&mut transport).await.unwrap(), FLOOD_BYTES);
     }
     let reads = [all_but_one.as_slice(), &[Ok(2), quiet]].concat();
     for mut transport in transports(&reads) {
-        assert_eq!(kind(discard(&mut transport).await), ErrorKind::InvalidData);
+        assert_eq!(kind(discard(&mut transport).await), io::ErrorKind::InvalidData);
     }
 }
 
 /// Kind of the I/O error of a lost link.
-fn kind(outcome: Result<u64, Error>) -> ErrorKind {
-    let Err(Error::Disconnected { source: Some(source), .. }) = outcome else {
+fn kind(outcome: Result<u64, ErrorKind>) -> io::ErrorKind {
+    let Err(ErrorKind::Disconnected { source: Some(source), .. }) = outcome else {
         panic!("{outcome:?}")
     };
     source.kind()
@@ -145,7 +147,7 @@ async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_lat
     let received = transport.next_frame(deadline).await.unwrap();
     assert_eq!(received.frame, Frame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame(deadline).await;
-    assert!(matches!(outcome, Err(ExchangeError::Command(Error::Timeout { .. }))));
+    assert!(matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))));
 }
 
 #[tokio::test(start_paused = true)]
@@ -157,7 +159,7 @@ async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_
         let limit = Duration::from_nanos(wire) + LATENCY;
         let (mut transport, start) = (transport(b""), Instant::now());
         let outcome = transport.ask(&command, LATENCY).await;
-        let Err(ExchangeError::Command(Error::Timeout { after, .. })) = outcome else {
+        let Err(ExchangeError::Command(ErrorKind::Timeout { after, .. })) = outcome else {
             panic!("{outcome:?}")
         };
         assert_eq!(after, limit);

@@ -6,7 +6,7 @@ use tokio::time::Instant;
 
 use crate::codec::Frame;
 use crate::protocol::{Command, Status};
-use crate::{BaudRate, Error};
+use crate::{BaudRate, ErrorKind};
 
 /// Absolute deadline of an exchange: the wire time of the command and its reply at the
 /// port's baud rate, and a latency.
@@ -29,8 +29,8 @@ impl Deadline {
     }
 
     /// Error of an exchange that has reached its deadline.
-    pub(super) fn error(&self) -> Error {
-        Error::Timeout { sensor: None, command: self.command, after: self.after }
+    pub(super) fn error(&self) -> ErrorKind {
+        ErrorKind::Timeout { command: self.command, after: self.after }
     }
 }
 

@@ -65,7 +65,7 @@ pub(crate) async fn scans(
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::{BaudRate, Error};
+    use tokio_scip::BaudRate;
     use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
 
     use super::*;
@@ -88,8 +88,8 @@ mod tests {
 
     #[test]
     fn a_finding_cannot_control_the_terminal() {
-        let error = Error::NoSuchPort { port: "\x1b[2J.mcap".to_owned() };
-        let text = Finding::failed("laser", &error).to_string();
+        let error = tokio_scip::ErrorKind::NoSuchPort { port: "\x1b[2J.mcap".to_owned() };
+        let text = Finding::failed("laser", &error.into()).to_string();
         assert!(text.contains("\\u{1b}[2J.mcap") && !text.contains('\x1b'), "{text:?}");
     }
 

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio_scip::port::{self, PortInfo};
 use tokio_scip::scan::Pose;
-use tokio_scip::{Endpoint, Error, Rate, Window};
+use tokio_scip::{Endpoint, Error, ErrorKind, Rate, Window};
 
 use crate::failure::Failure;
 use crate::recording::recorded::Recorded;
@@ -47,10 +47,10 @@ impl FromStr for PortName {
             "emulated" => Ok(Self::Emulated(Pose::default())),
             "on" | "off" => Err(format!("expected a port, and {text} after it")),
             _ if is_nearly(text, "emulated") => Err("did you mean `emulated`?".to_owned()),
-            _ => text.parse().map(Self::Endpoint).map_err(|error| match error {
+            _ => text.parse().map(Self::Endpoint).map_err(|error: Error| match error.kind() {
                 // clap's message already shows the text.
-                Error::InvalidEndpoint { reason, .. } => reason.to_owned(),
-                error => error.to_string(),
+                ErrorKind::InvalidEndpoint { reason, .. } => (*reason).to_owned(),
+                _ => error.to_string(),
             }),
         }
     }

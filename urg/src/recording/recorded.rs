@@ -218,7 +218,7 @@ impl Connect for PipeReplay {
     type Port = <Emulator as Connect>::Port;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
-        let failed = |error| Error::Open { port: self.name.clone(), source: Arc::new(error) };
+        let failed = |error| Error::open(&self.name, error);
         let Some((recording, pace)) = self.recording.take() else {
             return Err(failed(io::ErrorKind::UnexpectedEof.into()));
         };

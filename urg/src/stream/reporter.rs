@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use tokio_scip::event::Event;
-use tokio_scip::{Error, Rate, Sensor, State, Window};
+use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 
 use super::feed::Update;
 use super::follow::StreamEnd;
@@ -121,7 +121,10 @@ pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
 
 /// Checks whether the error concerns one poll only: the next one may succeed.
 fn is_of_one_scan(error: &Error) -> bool {
-    matches!(error, Error::Timeout { .. } | Error::Malformed { .. } | Error::Refused { .. })
+    matches!(
+        error.kind(),
+        ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. } | ErrorKind::Refused { .. }
+    )
 }
 
 /// Explains why no scan can arrive in this state; `None` while the sensor is connected.

@@ -29,7 +29,7 @@ use crossterm::event::{Event, EventStream};
 use futures_core::Stream;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
-use tokio_scip::{Error, Scan, ScanStream, Sensor, Version, Window};
+use tokio_scip::{Error, ErrorKind, Scan, ScanStream, Sensor, Version, Window};
 
 pub(crate) use self::command::View;
 use self::layer::Layer;
@@ -228,7 +228,7 @@ impl Viewer {
 
     fn trouble(&mut self, number: usize, error: &Error) {
         // The state of the layer already shows a lost link, for as long as it lasts.
-        if !matches!(error, Error::Disconnected { .. }) {
+        if !matches!(error.kind(), ErrorKind::Disconnected { .. }) {
             self.show(number, chain(error));
         }
     }

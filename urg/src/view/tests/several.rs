@@ -206,8 +206,8 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
             sensors.push((source(port), sensor));
         }
         let mut viewer = Viewer::of_sensors(sensors);
-        let source = std::sync::Arc::new(std::io::Error::other("no such port"));
-        let error = Error::Open { port: "/dev/ttyACM1".to_owned(), source };
+        let source = std::io::Error::other("no such port");
+        let error = Error::open("/dev/ttyACM1", source);
         viewer.started((1, Err(error))).unwrap();
         let small = rows(&viewer.model, 40, 12)[..11].join("\n");
         assert!(small.contains(&format!("\n {expected}")), "{small}");

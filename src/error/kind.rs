@@ -1,0 +1,286 @@
+//! [`ErrorKind`]: what can fail, and the sentence that says so.
+
+use std::fmt;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
+
+/// What failed, as [`Error::kind`](crate::Error::kind) returns it.
+///
+/// Convert a kind with [`Error::from`](crate::Error), for a [`Connect`](crate::port::Connect) of
+/// your own or a test. You can construct every variant that a `Connect` returns. The other
+/// variants are `#[non_exhaustive]`: only the driver constructs them, and they may get more fields.
+#[derive(Debug, Clone, thiserror::Error)]
+#[error("{}", Sentence { kind: self, sensor: "the sensor" })]
+#[non_exhaustive]
+pub enum ErrorKind {
+    /// The text is not an [`Endpoint`](crate::Endpoint).
+    #[non_exhaustive]
+    InvalidEndpoint {
+        /// Text as passed.
+        text: String,
+        /// Reason, and what was expected.
+        reason: &'static str,
+    },
+    /// No such port exists.
+    NoSuchPort {
+        /// Port, as the caller named it.
+        port: String,
+    },
+    /// The path exists but is not a serial port.
+    NotASerialPort {
+        /// Port, as the caller named it.
+        port: String,
+    },
+    /// The user may not open the port.
+    PermissionDenied {
+        /// Port, as the caller named it.
+        port: String,
+        /// Group that owns the port, if known.
+        group: Option<String>,
+    },
+    /// Another program has the port.
+    Busy {
+        /// Port, as the caller named it.
+        port: String,
+    },
+    /// Opening the port failed for another reason.
+    Open {
+        /// Port, as the caller named it.
+        port: String,
+        /// Error of the system.
+        source: Arc<io::Error>,
+    },
+    /// No port leads to the sensor with this serial number.
+    NoSuchSensor {
+        /// Serial number, as the caller named it.
+        serial_number: String,
+    },
+    /// The port is open, but no sensor answers.
+    #[non_exhaustive]
+    NoAnswer {
+        /// Only baud rate that was tried, if the port cannot change it.
+        baud_rate: Option<BaudRate>,
+        /// True if all six baud rates were tried.
+        searched: bool,
+        /// Number of received bytes that are not part of a reply.
+        bytes: u64,
+    },
+    /// The port sends back what the driver writes to it.
+    Loopback,
+    /// The sensor speaks SCIP 2.
+    #[non_exhaustive]
+    WrongProtocol {
+        /// Status line of three characters, which only SCIP 2 has.
+        status: Text,
+    },
+    /// A sensor other than the expected one answered.
+    #[non_exhaustive]
+    AnotherSensor {
+        /// Expected serial number.
+        expected: Text,
+        /// Serial number of the sensor that answered.
+        found: Text,
+    },
+    /// Link lost: unplugged, hung up, or silent for too long.
+    #[non_exhaustive]
+    Disconnected {
+        /// Error of the port, if there was one.
+        source: Option<Arc<io::Error>>,
+    },
+    /// The sensor did not answer in time.
+    #[non_exhaustive]
+    Timeout {
+        /// Command without a reply.
+        command: Command,
+        /// Time from the command to the deadline.
+        after: Duration,
+    },
+    /// The sensor refused the command.
+    #[non_exhaustive]
+    Refused {
+        /// Refused command.
+        command: Command,
+        /// Status of the reply.
+        status: Status,
+    },
+    /// A reply was malformed.
+    #[non_exhaustive]
+    Malformed {
+        /// Command of the malformed reply.
+        command: Command,
+        /// Position, what was expected there, and what was found.
+        source: Malformed,
+    },
+    /// Your service switched the laser off, so there are no scans.
+    LaserOff,
+    /// The sensor did not act on a command: its laser or baud rate stays as it was.
+    #[non_exhaustive]
+    NotConfirmed {
+        /// Command without effect.
+        command: Command,
+        /// Status of the reply, or `None` if there was no reply.
+        status: Option<Status>,
+        /// Status with which the sensor refuses to measure, if the laser stays off.
+        refusal: Option<Status>,
+    },
+    /// This port does not support the baud rate.
+    #[non_exhaustive]
+    UnsupportedBaudRate {
+        /// Baud rate, as the caller named it.
+        baud_rate: BaudRate,
+        /// Error of the system.
+        source: Option<Arc<io::Error>>,
+    },
+    /// The driver's task panicked: in your observer, `Connect` or `Port`, or in the driver itself.
+    #[non_exhaustive]
+    Panicked {
+        /// Message of the panic.
+        message: String,
+    },
+    /// The driver has ended: it was closed, or its task was dropped.
+    Closed,
+}
+
+impl ErrorKind {
+    pub(crate) fn disconnected(source: Option<io::Error>) -> Self {
+        Self::Disconnected { source: source.map(Arc::new) }
+    }
+
+    pub(crate) fn is_transient(&self) -> bool {
+        match self {
+            Self::NoSuchPort { .. }
+            | Self::NoSuchSensor { .. }
+            | Self::Busy { .. }
+            | Self::Open { .. }
+            | Self::NoAnswer { .. }
+            | Self::Disconnected { .. }
+            | Self::Timeout { .. }
+            | Self::Malformed { .. }
+            | Self::NotConfirmed { .. } => true,
+            Self::InvalidEndpoint { .. }
+            | Self::NotASerialPort { .. }
+            | Self::PermissionDenied { .. }
+            | Self::Loopback
+            | Self::WrongProtocol { .. }
+            | Self::AnotherSensor { .. }
+            | Self::Refused { .. }
+            | Self::LaserOff
+            | Self::Panicked { .. }
+            | Self::UnsupportedBaudRate { .. }
+            | Self::Closed => false,
+        }
+    }
+}
+
+/// Sentence that says what failed, of which sensor.
+pub(super) struct Sentence<'a> {
+    pub(super) kind: &'a ErrorKind,
+    pub(super) sensor: &'a str,
+}
+
+impl fmt::Display for Sentence<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { kind, sensor } = self;
+        match kind {
+            ErrorKind::InvalidEndpoint { text, reason } => {
+                write!(f, "invalid port {text:?}: {reason}")
+            }
+            ErrorKind::NoSuchPort { port } => {
+                write!(f, "no port {port}: plug the sensor in, and check the name of the port")
+            }
+            ErrorKind::NotASerialPort { port } => {
+                write!(f, "{port} is not a serial port: use a device such as /dev/ttyACM0")
+            }
+            ErrorKind::PermissionDenied { port, group: Some(group) } => write!(
+                f,
+                "no permission to open {port}: add the user to the group {group} (`sudo usermod -aG {group} $USER`, then log in again)"
+            ),
+            ErrorKind::PermissionDenied { port, group: None } => {
+                write!(f, "no permission to open {port}: give the user read and write access to it")
+            }
+            ErrorKind::Busy { port } => write!(
+                f,
+                "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
+            ),
+            ErrorKind::Open { port, .. } => write!(f, "cannot open {port}"),
+            ErrorKind::NoSuchSensor { serial_number } => write!(
+                f,
+                "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"
+            ),
+            ErrorKind::NoAnswer { searched, bytes, .. } => {
+                write!(f, "{sensor} does not answer")?;
+                f.write_str(if *searched { " at any baud rate" } else { "" })?;
+                f.write_str(
+                    ": check its power and the wiring (after power-up it is silent for some seconds)",
+                )?;
+                match bytes {
+                    0 => Ok(()),
+                    _ => write!(f, "; found {bytes} bytes that are not a reply of SCIP 1.1"),
+                }
+            }
+            ErrorKind::Loopback => write!(
+                f,
+                "{sensor} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port"
+            ),
+            ErrorKind::WrongProtocol { status } => write!(
+                f,
+                "{sensor} speaks SCIP 2 (status \"{status}\"): power-cycle it to return a URG-04LX to SCIP 1.1; models that know only SCIP 2 are not supported"
+            ),
+            ErrorKind::AnotherSensor { expected, found } => write!(
+                f,
+                "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}"
+            ),
+            ErrorKind::Disconnected { .. } => write!(f, "the link to {sensor} is lost"),
+            ErrorKind::Timeout { command, after } => {
+                write!(f, "{sensor} did not answer {command} within {} ms", after.as_millis())
+            }
+            ErrorKind::Refused { command, status } => {
+                write!(f, "{sensor} refused {command} with status {status}")?;
+                match status.meaning(command) {
+                    Some(meaning) => write!(f, ": {meaning}"),
+                    None => Ok(()),
+                }
+            }
+            ErrorKind::Malformed { command, .. } => {
+                write!(f, "the reply of {sensor} to {command} is malformed")
+            }
+            ErrorKind::LaserOff => write!(
+                f,
+                "the laser of {sensor} is switched off: switch it on before asking for scans"
+            ),
+            ErrorKind::NotConfirmed { command, status, refusal } => {
+                match command {
+                    Command::LaserOn => write!(f, "the laser of {sensor} stays off")?,
+                    Command::LaserOff => write!(f, "the laser of {sensor} stays on")?,
+                    _ => write!(f, "{sensor} keeps its baud rate")?,
+                }
+                match status {
+                    Some(status) => write!(f, ": it answered {command} with status {status}")?,
+                    None => write!(f, ": it did not answer {command}")?,
+                }
+                match (refusal, command) {
+                    (Some(refusal), _) => {
+                        write!(f, ", and refuses to measure with status {refusal}")?;
+                    }
+                    (None, Command::LaserOff) => f.write_str(", and still measures")?,
+                    (None, _) => f.write_str(", and did not act on it")?,
+                }
+                f.write_str("; power-cycle it")
+            }
+            ErrorKind::UnsupportedBaudRate { baud_rate, source } => {
+                write!(f, "the port of {sensor} cannot be set to {baud_rate} baud")?;
+                match source {
+                    Some(_) => Ok(()),
+                    None => f.write_str(": its baud rate is fixed at the other end"),
+                }
+            }
+            ErrorKind::Panicked { message } => {
+                write!(f, "the driver of {sensor} has panicked: {message}")
+            }
+            ErrorKind::Closed => write!(f, "the driver of {sensor} has ended"),
+        }
+    }
+}
