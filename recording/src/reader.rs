@@ -75,7 +75,7 @@ impl Recording {
             path: path.to_owned(),
             source: Arc::new(error),
         })?;
-        Self::of(Input::File(file))
+        Self::from_input(Input::File(file))
     }
 
     /// Reads a recording from any reader; otherwise the same as [`open`](Self::open).
@@ -84,10 +84,10 @@ impl Recording {
     ///
     /// The same as for [`open`](Self::open).
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
-        Self::of(Input::Stream(Box::new(input)))
+        Self::from_input(Input::Stream(Box::new(input)))
     }
 
-    fn of(input: Input) -> Result<Self, RecordingError> {
+    fn from_input(input: Input) -> Result<Self, RecordingError> {
         let mut recording = Self {
             records: Records::new(input),
             messages: Messages::default(),

@@ -163,12 +163,12 @@ impl<W: Write> Copy<W> {
     /// well-formed records that are allowed in it.
     fn count_if_whole(&mut self, mut records: &[u8]) -> Option<Count> {
         let mut count = Count::default();
-        while let Some((kind, content, behind)) = split_record(records) {
+        while let Some((kind, content, after)) = split_record(records) {
             if kind == kind::METADATA {
                 return None;
             }
             count += self.count_if_right(kind, content)?;
-            records = behind;
+            records = after;
         }
         records.is_empty().then_some(count)
     }
@@ -191,11 +191,11 @@ impl<W: Write> Copy<W> {
     /// Writes the message types that were lost with a damaged part: other readers need them for the
     /// channels of a recording.
     fn add_lost_types(&mut self, mut records: &[u8]) {
-        while let Some((kind, content, behind)) = split_record(records) {
+        while let Some((kind, content, after)) = split_record(records) {
             if kind == kind::CHANNEL {
                 self.add_lost_type(content);
             }
-            records = behind;
+            records = after;
         }
     }
 
@@ -210,9 +210,9 @@ impl<W: Write> Copy<W> {
     /// Copies records. Also returns the bytes after the last whole one.
     fn records<'a>(&mut self, mut records: &'a [u8]) -> io::Result<(bool, &'a [u8])> {
         let mut is_right = true;
-        while let Some((kind, content, behind)) = split_record(records) {
+        while let Some((kind, content, after)) = split_record(records) {
             is_right &= self.record(kind, content)?;
-            records = behind;
+            records = after;
         }
         Ok((is_right, records))
     }

@@ -21,7 +21,7 @@ const CHUNK_SPAN: Duration = Duration::from_secs(1);
 /// A file is split right after a scan, so that its reply is in the same file. If a
 /// consumer is always behind, there is no such point; after this time the file is split
 /// anywhere.
-const SEAM_PATIENCE: Duration = Duration::from_secs(1);
+const MAX_SPLIT_DELAY: Duration = Duration::from_secs(1);
 
 /// Time of an event, on both clocks.
 #[derive(Debug, Clone, Copy)]
@@ -65,7 +65,7 @@ pub(super) struct Writer {
     /// Time of the chunk's first message: its log time, and the real time.
     chunk_began: Option<(u64, Instant)>,
     part: Part,
-    carried: Carried,
+    preamble: Preamble,
 }
 
 /// State of the file being written.
@@ -78,12 +78,12 @@ struct Part {
     /// Stamp of its latest reply.
     reply: Option<SystemTime>,
     /// True after a scan whose reply was the latest.
-    at_seam: bool,
+    after_scan: bool,
 }
 
-/// Content that each file repeats, so that you can replay it alone.
+/// Content that each file begins with, so that you can replay it alone.
 #[derive(Debug, Default)]
-struct Carried {
+struct Preamble {
     metadata: Option<BTreeMap<String, String>>,
     /// Latest reply to `V`, and its stamp.
     version: Option<(Box<[u8]>, SystemTime)>,
@@ -105,7 +105,7 @@ impl Writer {
             message: Vec::with_capacity(4096),
             chunk_began: None,
             part: Part::default(),
-            carried: Carried::default(),
+            preamble: Preamble::default(),
         };
         writer.flush()?;
         Ok(writer)
@@ -116,7 +116,7 @@ impl Writer {
         ros::write_scan(&mut self.message, scan, scan.first_ray_stamp(), &self.frame_id);
         // The field has 32 bits. A gap is still a gap.
         self.write(Topic::Scans, scan.sequence() as u32, times)?;
-        self.part.at_seam = self.part.reply.is_none_or(|reply| reply <= scan.stamp());
+        self.part.after_scan = self.part.reply.is_none_or(|reply| reply <= scan.stamp());
         Ok(())
     }
 
@@ -127,9 +127,9 @@ impl Writer {
         let sequence = std::mem::replace(number, number.wrapping_add(1));
         self.write(Topic::Replies, sequence, times)?;
         self.part.reply = Some(times.wall);
-        self.part.at_seam = false;
+        self.part.after_scan = false;
         if bytes.starts_with(b"V\n0\n") {
-            self.carried.version = Some((bytes.into(), times.wall));
+            self.preamble.version = Some((bytes.into(), times.wall));
         }
         Ok(())
     }
@@ -143,7 +143,7 @@ impl Writer {
 
     pub(super) fn metadata(&mut self, metadata: BTreeMap<String, String>) -> io::Result<()> {
         self.mcap.metadata(METADATA, &metadata)?;
-        self.carried.metadata = Some(metadata);
+        self.preamble.metadata = Some(metadata);
         Ok(())
     }
 
@@ -186,7 +186,7 @@ impl Writer {
 
     /// Decides whether the message of this log time starts the next file.
     fn is_split_due(&mut self, log_time: u64) -> bool {
-        let Part { began, full, at_seam, .. } = &mut self.part;
+        let Part { began, full, after_scan, .. } = &mut self.part;
         let Some(began) = *began else { return false };
         let length = Duration::from_nanos(log_time.saturating_sub(began));
         let is_full = self.parts.is_full(length, self.mcap.len(), self.mcap.index_entries());
@@ -194,7 +194,7 @@ impl Writer {
             return false;
         }
         let full = *full.get_or_insert(log_time);
-        *at_seam || log_time.saturating_sub(full) >= nanos(SEAM_PATIENCE)
+        *after_scan || log_time.saturating_sub(full) >= nanos(MAX_SPLIT_DELAY)
     }
 
     fn start_next_part(&mut self, log_time: u64) -> io::Result<()> {
@@ -205,10 +205,10 @@ impl Writer {
         self.chunk_began = None;
         // Not only with each chunk: a file may be full before its first one ends.
         self.parts.remove_old(self.mcap.len());
-        if let Some(metadata) = &self.carried.metadata {
+        if let Some(metadata) = &self.preamble.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
-        if let Some((bytes, stamp)) = &self.carried.version {
+        if let Some((bytes, stamp)) = &self.preamble.version {
             // Encoded separately, because the current message is encoded already.
             let mut message = Vec::new();
             ros::write_labelled_bytes(&mut message, "V", &[bytes, b"\n\n"]);

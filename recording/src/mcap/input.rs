@@ -72,8 +72,8 @@ impl FileIndex {
     fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
         let mut rest = self.0.as_slice();
         std::iter::from_fn(move || {
-            let (kind, content, behind) = split_record(rest)?;
-            rest = behind;
+            let (kind, content, after) = split_record(rest)?;
+            rest = after;
             Some((kind, content))
         })
     }

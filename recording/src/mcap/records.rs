@@ -45,7 +45,7 @@ impl Records {
         loop {
             if !self.rest.is_empty() {
                 let rest = self.rest.clone();
-                let Some((kind, content, behind)) = split_record(self.sections.bytes(rest.clone()))
+                let Some((kind, content, after)) = split_record(self.sections.bytes(rest.clone()))
                 else {
                     self.rest = 0..0;
                     if std::mem::take(&mut self.is_cut) {
@@ -54,7 +54,7 @@ impl Records {
                     return Err(self.sections.damaged("a chunk ends in the middle of a record"));
                 };
                 let is_right = is_well_formed(kind, content);
-                let content = rest.end - behind.len() - content.len()..rest.end - behind.len();
+                let content = rest.end - after.len() - content.len()..rest.end - after.len();
                 self.rest = content.end..rest.end;
                 if !is_right {
                     return Err(self.sections.damaged(MALFORMED));

@@ -154,7 +154,7 @@ impl<W: Write> McapWriter<W> {
         self.end_chunk()?;
         let mut messages = ChunkMessages::default();
         let mut rest = records;
-        while let Some((kind, content, behind)) = super::split_record(rest) {
+        while let Some((kind, content, after)) = super::split_record(rest) {
             match kind {
                 kind::SCHEMA | kind::CHANNEL => {
                     self.index.declare(kind, content);
@@ -166,7 +166,7 @@ impl<W: Write> McapWriter<W> {
                 }
                 _ => {}
             }
-            rest = behind;
+            rest = after;
         }
         self.write_chunk(record, records.len(), messages)
     }
