@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the simulation in pieces, one after the other, and adds them up.
+# Runs the simulation in pieces, one on each processor, and adds them up.
 #
 #   tests/simulation/pieces.sh run FILE FIRST PIECES   run PIECES pieces from seed FIRST
 #   tests/simulation/pieces.sh sum FILE                add up the pieces in FILE
@@ -17,8 +17,8 @@ seeds=2500
 build() {
     CARGO_PROFILE_RELEASE_DEBUG_ASSERTIONS=true CARGO_PROFILE_RELEASE_OVERFLOW_CHECKS=true \
         CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-target/simulation} \
-        cargo test --locked --release --no-default-features --test it --no-run \
-        --message-format json | grep -o '"executable":"[^"]*/it-[^"]*"' | tail -n 1 | cut -d'"' -f4
+        cargo test --locked --release --no-default-features --test models --no-run \
+        --message-format json | grep -o '"executable":"[^"]*/models-[^"]*"' | tail -n 1 | cut -d'"' -f4
 }
 
 # Prints the line of the piece that begins with seed $1, with the CPU seconds it took.
@@ -27,7 +27,7 @@ piece() {
     output=$(mktemp)
     TIMEFORMAT=%U
     if ! seconds=$({ time SCIP_SIMULATION_FIRST=$1 SCIP_SIMULATION_SEEDS=$seeds \
-        "$program" simulation::seeds --nocapture >"$output" 2>&1; } 2>&1); then
+        "$SCIP_SIMULATION_PROGRAM" simulation::seeds --nocapture >"$output" 2>&1; } 2>&1); then
         cat "$output" >&2
         return 1
     fi
@@ -39,11 +39,14 @@ case ${1-} in
 run)
     [ $# = 4 ] || { sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 2; }
     file=$2 first=$3 pieces=$4
-    program=${SCIP_SIMULATION_PROGRAM:-$(build)}
+    export SCIP_SIMULATION_PROGRAM=${SCIP_SIMULATION_PROGRAM:-$(build)}
     touch "$file"
-    for ((start = first; start < first + pieces * seeds; start += seeds)); do
-        grep -q "^piece $start " "$file" || piece "$start" >>"$file"
-    done
+    seq "$first" "$seeds" $((first + (pieces - 1) * seeds)) |
+        xargs -P "$(nproc)" -I START "$0" piece "$file" START
+    ;;
+piece)
+    # With 255 xargs starts no further piece.
+    grep -q "^piece $3 " "$2" || piece "$3" >>"$2" || exit 255
     ;;
 sum)
     [ $# = 2 ] || { sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2; exit 2; }
