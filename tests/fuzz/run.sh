@@ -2,8 +2,9 @@
 # Builds the fuzz targets for speed, and runs them:
 #
 #   tests/fuzz/run.sh TARGET [CORPUS] [libFuzzer's options]
-#   tests/fuzz/run.sh --all             each target, from no corpus, with one seed and a number
-#                                       of executions: so a change fails it, and not chance
+#   tests/fuzz/run.sh --all [TIMES [SEED]]   each target, from no corpus, with one seed and
+#                                       TIMES its number of executions: so a change fails it, and
+#                                       not chance
 #
 # cargo-fuzz instruments every crate. Here only this one, its targets and the reader of
 # recordings are: tokio's branches are no news, and libFuzzer looks at all counters after
@@ -48,8 +49,8 @@ output=$(mktemp)
 trap 'rm -f "$output"' EXIT
 for target in "${!longest[@]}"; do
     # libFuzzer's last line has the number of executions.
-    "$CARGO_TARGET_DIR/release/$target" -max_len="${longest[$target]}" -seed=1 \
-        -runs="${executions[$target]}" -artifact_prefix="$CARGO_TARGET_DIR/$target-" >"$output" 2>&1 ||
+    "$CARGO_TARGET_DIR/release/$target" -max_len="${longest[$target]}" -seed="${3:-1}" \
+        -runs=$((executions[$target] * ${2:-1})) -artifact_prefix="$CARGO_TARGET_DIR/$target-" >"$output" 2>&1 ||
         { cat "$output"; exit 1; }
     echo "$target: $(grep DONE "$output")"
 done
