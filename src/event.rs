@@ -34,7 +34,7 @@ use crate::{Error, ErrorKind, Scan};
 ///
 /// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
 /// assert_eq!(event, Event::Missed { scans: 3 });
-/// # Ok::<(), tokio_scip::event::InvalidEvent>(())
+/// # Ok::<(), tokio_scip::event::EventError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -69,7 +69,7 @@ pub enum Event {
 #[error(
     "not an event of a recording: expected a JSON object as `Event` writes it, such as {{\"event\":\"reconnected\"}}"
 )]
-pub struct InvalidEvent;
+pub struct EventError;
 
 /// Converts a lost link to [`Event::Disconnected`] and any other error to [`Event::Error`],
 /// with the error and its causes on one line.
@@ -138,9 +138,9 @@ impl fmt::Display for Event {
 
 /// Parses exactly what `Display` writes; does not interpret other JSON.
 impl FromStr for Event {
-    type Err = InvalidEvent;
+    type Err = EventError;
 
-    fn from_str(text: &str) -> Result<Self, InvalidEvent> {
+    fn from_str(text: &str) -> Result<Self, EventError> {
         let parse = || {
             let (name, rest) = text.strip_prefix(r#"{"event":""#)?.split_once('"')?;
             let rest = rest.strip_suffix('}')?;
@@ -157,7 +157,7 @@ impl FromStr for Event {
             // Writing it again must give the same bytes.
             (event.to_string() == text).then_some(event)
         };
-        parse().ok_or(InvalidEvent)
+        parse().ok_or(EventError)
     }
 }
 
@@ -280,7 +280,7 @@ mod tests {
             r#"{"event":"error","error":"\é"}"#,
             r#"{"event":"error","error":"\"}"#,
         ] {
-            assert_eq!(text.parse::<Event>(), Err(InvalidEvent), "{text}");
+            assert_eq!(text.parse::<Event>(), Err(EventError), "{text}");
         }
     }
 }

@@ -75,10 +75,10 @@ impl From<Duration> for Rate {
 
 /// Same as [`Rate::hz`], for any number.
 impl TryFrom<f64> for Rate {
-    type Error = InvalidRate;
+    type Error = RateError;
 
-    fn try_from(hz: f64) -> Result<Self, InvalidRate> {
-        valid(hz).ok_or_else(|| InvalidRate { found: hz.to_string() })
+    fn try_from(hz: f64) -> Result<Self, RateError> {
+        valid(hz).ok_or_else(|| RateError { found: hz.to_string() })
     }
 }
 
@@ -96,22 +96,22 @@ impl fmt::Display for Rate {
 /// Error for a text or a number that is no [`Rate`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid rate {found:?}: expected more than 0 and at most 1000 Hz, such as 10, or max")]
-pub struct InvalidRate {
+pub struct RateError {
     found: String,
 }
 
 /// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or
 /// `max`.
 impl FromStr for Rate {
-    type Err = InvalidRate;
+    type Err = RateError;
 
-    fn from_str(text: &str) -> Result<Self, InvalidRate> {
+    fn from_str(text: &str) -> Result<Self, RateError> {
         if text == "max" {
             return Ok(Self::MAX);
         }
         let number = text.strip_suffix("Hz").unwrap_or(text).trim_end();
         let hz = number.parse().ok().and_then(valid);
-        hz.ok_or_else(|| InvalidRate { found: text.to_owned() })
+        hz.ok_or_else(|| RateError { found: text.to_owned() })
     }
 }
 

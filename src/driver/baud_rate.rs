@@ -9,7 +9,7 @@ use tokio::time::{Instant, sleep};
 
 use super::failure::{ExchangeError, LinkError};
 use super::session::Session;
-use crate::protocol::{Command, Malformed};
+use crate::protocol::{Command, MalformedError};
 use crate::{BaudRate, ErrorKind, Window};
 
 /// Time limit of a fence during the baud rate search, in addition to the wire time of its
@@ -143,7 +143,7 @@ async fn answers(session: &mut Session, tries: usize) -> Result<bool, ExchangeEr
 }
 
 fn is_not_raw(error: &ErrorKind) -> bool {
-    matches!(error, ErrorKind::Malformed { source: Malformed::NotRaw, .. })
+    matches!(error, ErrorKind::Malformed { source: MalformedError::NotRaw, .. })
 }
 
 fn lost(error: io::Error) -> ExchangeError {

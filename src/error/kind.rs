@@ -5,7 +5,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::protocol::{BaudRate, Command, Malformed, Status, Text};
+use crate::protocol::{BaudRate, Command, MalformedError, Status, Text};
 
 /// What failed, as [`Error::kind`](crate::Error::kind) returns it.
 ///
@@ -112,7 +112,7 @@ pub enum ErrorKind {
         /// Command of the malformed reply.
         command: Command,
         /// Position, what was expected there, and what was found.
-        source: Malformed,
+        source: MalformedError,
     },
     /// Your service switched the laser off, so there are no scans.
     LaserOff,

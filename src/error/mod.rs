@@ -173,7 +173,7 @@ mod tests {
 
     use super::*;
     use crate::BaudRate;
-    use crate::protocol::{Command, Malformed, Status};
+    use crate::protocol::{Command, MalformedError, Status};
 
     #[test]
     fn errors_of_a_link_name_the_sensor() {
@@ -185,7 +185,7 @@ mod tests {
             ErrorKind::Loopback,
             ErrorKind::Timeout { command, after: Duration::from_millis(500) },
             ErrorKind::Refused { command, status: Status::OK },
-            ErrorKind::Malformed { command, source: Malformed::NoData },
+            ErrorKind::Malformed { command, source: MalformedError::NoData },
             ErrorKind::NotConfirmed { command, status: None, refusal: None },
             ErrorKind::UnsupportedBaudRate { baud_rate, source: None },
             ErrorKind::Panicked { message: String::new() },

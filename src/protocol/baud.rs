@@ -73,18 +73,18 @@ impl fmt::Display for BaudRate {
 /// Error for a number other than the six baud rates.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid baud rate {found:?}: expected 19200, 57600, 115200, 250000, 500000 or 750000")]
-pub struct UnknownBaudRate {
+pub struct BaudRateError {
     found: String,
 }
 
 impl TryFrom<u32> for BaudRate {
-    type Error = UnknownBaudRate;
+    type Error = BaudRateError;
 
-    fn try_from(bits_per_second: u32) -> Result<Self, UnknownBaudRate> {
+    fn try_from(bits_per_second: u32) -> Result<Self, BaudRateError> {
         Self::ALL
             .into_iter()
             .find(|baud_rate| baud_rate.bits_per_second() == bits_per_second)
-            .ok_or_else(|| UnknownBaudRate { found: bits_per_second.to_string() })
+            .ok_or_else(|| BaudRateError { found: bits_per_second.to_string() })
     }
 }
 
@@ -95,12 +95,12 @@ impl From<BaudRate> for u32 {
 }
 
 impl FromStr for BaudRate {
-    type Err = UnknownBaudRate;
+    type Err = BaudRateError;
 
-    fn from_str(text: &str) -> Result<Self, UnknownBaudRate> {
+    fn from_str(text: &str) -> Result<Self, BaudRateError> {
         text.parse::<u32>()
             .ok()
             .and_then(|number| Self::try_from(number).ok())
-            .ok_or_else(|| UnknownBaudRate { found: text.to_owned() })
+            .ok_or_else(|| BaudRateError { found: text.to_owned() })
     }
 }

@@ -20,7 +20,7 @@ pub enum ReplyError {
     },
     /// It begins with the command, but the rest is malformed.
     #[error(transparent)]
-    Malformed(#[from] Malformed),
+    Malformed(#[from] MalformedError),
     /// It has a status of three characters, as in SCIP 2.
     #[error("expected a status of SCIP 1.1, found \"{status}\" of SCIP 2")]
     Scip2 {
@@ -33,7 +33,7 @@ pub enum ReplyError {
 /// found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum Malformed {
+pub enum MalformedError {
     /// It does not begin with the command: the echo was damaged, bytes came before it, or
     /// it is the reply to another command.
     #[error("expected the echo of the command, found \"{found}\"")]
@@ -119,7 +119,7 @@ pub(super) fn no_status(rest: &[u8]) -> ReplyError {
     if is_scip2(line) {
         return ReplyError::Scip2 { status: line.into() };
     }
-    Malformed::Status { found: Text::excerpt(line, EXCERPT) }.into()
+    MalformedError::Status { found: Text::excerpt(line, EXCERPT) }.into()
 }
 
 /// Error for a frame that does not begin with its command.

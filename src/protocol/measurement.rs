@@ -122,16 +122,16 @@ impl From<ErrorCode> for u8 {
 }
 
 impl TryFrom<u8> for ErrorCode {
-    type Error = UnknownErrorCode;
+    type Error = ErrorCodeError;
 
-    fn try_from(number: u8) -> Result<Self, UnknownErrorCode> {
-        Self::new(number).ok_or(UnknownErrorCode { found: number })
+    fn try_from(number: u8) -> Result<Self, ErrorCodeError> {
+        Self::new(number).ok_or(ErrorCodeError { found: number })
     }
 }
 
 /// Error for a number that is not an error code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("invalid error code {found}: expected 0 to 19")]
-pub struct UnknownErrorCode {
+pub struct ErrorCodeError {
     found: u8,
 }

@@ -30,10 +30,10 @@ mod window;
 
 #[doc(no_inline)]
 pub use baud::BaudRate;
-pub use baud::UnknownBaudRate;
+pub use baud::BaudRateError;
 pub use command::{Command, CommandBytes};
-pub use malformed::{Malformed, ReplyError};
-pub use measurement::UnknownErrorCode;
+pub use malformed::{MalformedError, ReplyError};
+pub use measurement::ErrorCodeError;
 #[doc(no_inline)]
 pub use measurement::{ErrorCode, Measurement};
 pub use reply::Reply;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use super::malformed::{foreign, no_status};
 use super::window::BLOCK;
-use super::{Command, Malformed, ReplyError, Status, Window};
+use super::{Command, MalformedError, ReplyError, Status, Window};
 
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
@@ -114,7 +114,7 @@ impl<'a> Reply<'a> {
     ) -> Result<Self, ReplyError> {
         let rest = match command.strip_echo(frame) {
             Some([b'\n', rest @ ..]) => rest,
-            Some([]) => return Err(Malformed::NoStatus.into()),
+            Some([]) => return Err(MalformedError::NoStatus.into()),
             _ => return Err(foreign(frame)),
         };
         // No sensor has a status outside printable ASCII, so such a byte is damage.
@@ -131,11 +131,13 @@ impl<'a> Reply<'a> {
                 Ok(Self { status, data, points: window.points() })
             }
             (None | Some([]), true, Command::Version) | (None, true, Command::Distances(_)) => {
-                Err(Malformed::NoData.into())
+                Err(MalformedError::NoData.into())
             }
             (Some(data), true, Command::Version) => Ok(Self { status, data, points: 0 }),
             (None, ..) => Ok(Self { status, data: &[], points: 0 }),
-            (Some(data), ..) => Err(Malformed::UnexpectedData { status, bytes: data.len() }.into()),
+            (Some(data), ..) => {
+                Err(MalformedError::UnexpectedData { status, bytes: data.len() }.into())
+            }
         }
     }
 
@@ -211,20 +213,20 @@ fn decode(data: &[u8], values: &mut [u16]) -> bool {
 
 /// Fails at the first place where the data differs from the shape of `expected`
 /// characters.
-fn find_fault(data: &[u8], expected: usize) -> Result<(), Malformed> {
+fn find_fault(data: &[u8], expected: usize) -> Result<(), MalformedError> {
     let mut left = expected;
     for (index, line) in data.split(|&byte| byte == b'\n').enumerate() {
         let expected = left.min(BLOCK);
         if line.len() != expected || expected == 0 {
-            return Err(Malformed::LineLength { line: index, expected, found: line.len() });
+            return Err(MalformedError::LineLength { line: index, expected, found: line.len() });
         }
         let stray = line.iter().enumerate().find(|(_, byte)| !is_character(**byte));
         if let Some((column, &found)) = stray {
-            return Err(Malformed::Character { line: index, column, found });
+            return Err(MalformedError::Character { line: index, column, found });
         }
         left -= expected;
     }
-    if left == 0 { Ok(()) } else { Err(Malformed::Short { expected, found: expected - left }) }
+    if left == 0 { Ok(()) } else { Err(MalformedError::Short { expected, found: expected - left }) }
 }
 
 /// Number of values in a successful reply to `command`.

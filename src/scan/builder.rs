@@ -131,16 +131,16 @@ impl ScanBuilder {
     ///
     /// # Errors
     ///
-    /// [`InvalidScan`] if you did not pass one value for each point of the window, or if a
+    /// [`ScanError`] if you did not pass one value for each point of the window, or if a
     /// value is above 4095.
-    pub fn build(self) -> Result<Scan, InvalidScan> {
+    pub fn build(self) -> Result<Scan, ScanError> {
         let (expected, found) = (self.window.points(), self.values.len());
         if expected != found {
-            return Err(InvalidScan::Length { window: self.window, expected, found });
+            return Err(ScanError::Length { window: self.window, expected, found });
         }
         if let Some(index) = self.values.iter().position(|&value| value > MAX_VALUE) {
             let found = self.values.get(index).copied().unwrap_or_default();
-            return Err(InvalidScan::Value { index, found });
+            return Err(ScanError::Value { index, found });
         }
         let received_at = self.received_at.unwrap_or_else(Instant::now);
         let meta = ScanMeta {
@@ -162,7 +162,7 @@ impl ScanBuilder {
 /// Error for values that make no [`Scan`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
-pub enum InvalidScan {
+pub enum ScanError {
     /// The number of values differs from the window's number of points.
     #[error("invalid scan of {window}: expected {expected} values, found {found}")]
     Length {
@@ -219,6 +219,6 @@ mod tests {
         let mut values = [1000; 682];
         assert!(build(&values).is_ok());
         (values[9], values[10]) = (4095, 4096);
-        assert_eq!(build(&values).unwrap_err(), InvalidScan::Value { index: 10, found: 4096 });
+        assert_eq!(build(&values).unwrap_err(), ScanError::Value { index: 10, found: 4096 });
     }
 }

@@ -27,7 +27,7 @@ mod sector;
 mod times;
 mod zone;
 
-pub use self::builder::{InvalidScan, ScanBuilder};
+pub use self::builder::{ScanBuilder, ScanError};
 pub use self::pose::Pose;
 #[doc(no_inline)]
 pub use self::ray::Point;
@@ -35,6 +35,6 @@ pub use self::ray::Ray;
 #[doc(no_inline)]
 pub use self::scan::Scan;
 pub(crate) use self::scan::ScanMeta;
-pub use self::sector::{InvalidSector, Sector};
+pub use self::sector::{Sector, SectorError};
 pub use self::times::StampQuality;
-pub use self::zone::{CountsAs, InvalidZone, Zone, ZoneState};
+pub use self::zone::{CountsAs, Zone, ZoneError, ZoneState};

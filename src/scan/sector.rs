@@ -17,7 +17,7 @@ const TOLERANCE: f64 = 1e-6;
 ///
 /// let behind = Sector::degrees(150.0, -150.0)?;
 /// assert!(behind.contains(std::f64::consts::PI) && !behind.contains(0.0));
-/// # Ok::<(), tokio_scip::scan::InvalidSector>(())
+/// # Ok::<(), tokio_scip::scan::SectorError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sector {
@@ -36,10 +36,10 @@ impl Sector {
     ///
     /// # Errors
     ///
-    /// [`InvalidSector`] unless both angles are finite.
-    pub fn new(from: f64, to: f64) -> Result<Self, InvalidSector> {
+    /// [`SectorError`] unless both angles are finite.
+    pub fn new(from: f64, to: f64) -> Result<Self, SectorError> {
         if !from.is_finite() || !to.is_finite() {
-            return Err(InvalidSector { from, to });
+            return Err(SectorError { from, to });
         }
         let is_whole = to - from >= TAU;
         // Wrapped first, because the difference of two finite numbers may be infinite.
@@ -53,8 +53,8 @@ impl Sector {
     ///
     /// # Errors
     ///
-    /// [`InvalidSector`] unless both angles are finite.
-    pub fn degrees(from: f64, to: f64) -> Result<Self, InvalidSector> {
+    /// [`SectorError`] unless both angles are finite.
+    pub fn degrees(from: f64, to: f64) -> Result<Self, SectorError> {
         Self::new(from.to_radians(), to.to_radians())
     }
 
@@ -73,7 +73,7 @@ impl Sector {
 /// Error for angles that make no [`Sector`].
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("invalid sector from {from} to {to}: expected two finite angles")]
-pub struct InvalidSector {
+pub struct SectorError {
     from: f64,
     to: f64,
 }

@@ -80,12 +80,12 @@ impl Freshness {
     ///
     /// # Errors
     ///
-    /// [`Stale`] with the reason if the last scan is older than `limit`, and before the
+    /// [`StaleError`] with the reason if the last scan is older than `limit`, and before the
     /// first one.
-    pub fn check(&self, limit: Duration) -> Result<(), Stale> {
+    pub fn check(&self, limit: Duration) -> Result<(), StaleError> {
         match self.age() {
             Some(age) if age <= limit => Ok(()),
-            age => Err(Stale { age, limit, source: self.error.clone() }),
+            age => Err(StaleError { age, limit, source: self.error.clone() }),
         }
     }
 }
@@ -110,7 +110,7 @@ fn age<S: serde::Serializer>(at: &Option<Instant>, serializer: S) -> Result<S::O
     }
 )]
 #[non_exhaustive]
-pub struct Stale {
+pub struct StaleError {
     /// Age of the last good scan, or `None` before the first.
     pub age: Option<Duration>,
     /// Limit of the check.
@@ -120,7 +120,7 @@ pub struct Stale {
 }
 
 /// Writes the error and its cause, as [`Error`] does.
-impl fmt::Debug for Stale {
+impl fmt::Debug for StaleError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         fmt::Display::fmt(&ErrorChain::new(self), f)
     }

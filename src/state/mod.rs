@@ -23,7 +23,7 @@ mod watch;
 
 #[doc(no_inline)]
 pub use self::freshness::Freshness;
-pub use self::freshness::Stale;
+pub use self::freshness::StaleError;
 #[doc(no_inline)]
 pub use self::state::State;
 #[cfg(feature = "serde")]

@@ -1,6 +1,6 @@
 //! [`Stats`]: counters of everything that the driver does.
 
-use crate::protocol::{Malformed, ReplyError};
+use crate::protocol::{MalformedError, ReplyError};
 use crate::stats::{LatencyStats, MotorStats};
 use crate::{Rate, Window};
 
@@ -79,10 +79,10 @@ impl MalformedCounts {
             ReplyError::Foreign { .. } => &mut self.echo,
             ReplyError::Scip2 { .. } => &mut self.status,
             ReplyError::Malformed(malformed) => match malformed {
-                Malformed::Echo { .. } | Malformed::Early { .. } => &mut self.echo,
-                Malformed::NoStatus | Malformed::Status { .. } => &mut self.status,
-                Malformed::Character { .. } => &mut self.character,
-                Malformed::Overlong { .. } | Malformed::NotRaw => &mut self.overlong,
+                MalformedError::Echo { .. } | MalformedError::Early { .. } => &mut self.echo,
+                MalformedError::NoStatus | MalformedError::Status { .. } => &mut self.status,
+                MalformedError::Character { .. } => &mut self.character,
+                MalformedError::Overlong { .. } | MalformedError::NotRaw => &mut self.overlong,
                 _ => &mut self.length,
             },
         };

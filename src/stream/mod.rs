@@ -24,4 +24,4 @@ pub use self::builder::StreamBuilder;
 pub use self::only_scans::OnlyScans;
 #[doc(no_inline)]
 pub use self::scan_stream::ScanStream;
-pub use crate::rate::InvalidRate;
+pub use crate::rate::RateError;

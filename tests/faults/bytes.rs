@@ -3,7 +3,7 @@
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
-use tokio_scip::protocol::{Command, Malformed, Reply};
+use tokio_scip::protocol::{Command, MalformedError, Reply};
 use tokio_scip::{ErrorKind, Rate, Window};
 use tokio_util::codec::Decoder;
 use urg_emulator::{Emulator, Fault};
@@ -247,5 +247,5 @@ fn emulator_number(scan: &tokio_scip::Scan) -> u64 {
 async fn a_malformed_reply_is_reported_with_its_place() {
     let outcome = second_poll(WINDOW, &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
     let [ErrorKind::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
-    assert_eq!(*source, Malformed::LineLength { line: 3, expected: 64, found: 63 });
+    assert_eq!(*source, MalformedError::LineLength { line: 3, expected: 64, found: 63 });
 }

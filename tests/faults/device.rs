@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::protocol::Malformed;
+use tokio_scip::protocol::MalformedError;
 use tokio_scip::{BaudRate, ErrorKind, Measurement, Rate, Window};
 use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 
@@ -230,8 +230,8 @@ async fn d08_only_the_four_commands_are_sent_whether_or_not_undefined_ones_are_a
 #[tokio::test(start_paused = true)]
 async fn d10_a_sensor_that_counts_its_points_differently_is_malformed_and_not_silent() {
     // A fence asks for one point, which is two characters.
-    let two_points = Malformed::LineLength { line: 0, expected: 2, found: 4 };
-    for (miscount, told) in [(1, two_points), (-1, Malformed::NoData)] {
+    let two_points = MalformedError::LineLength { line: 0, expected: 2, found: 4 };
+    for (miscount, told) in [(1, two_points), (-1, MalformedError::NoData)] {
         let error =
             builder().connect(instant_sensor().miscount(miscount).build()).await.unwrap_err();
         let ErrorKind::Malformed { source, .. } = error.kind() else {

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 use tokio::time::Instant;
-use tokio_scip::protocol::Malformed;
+use tokio_scip::protocol::MalformedError;
 use tokio_scip::{ErrorKind, Rate, State, Window};
 use urg_emulator::{EmptyCommand, Fault, Faults, Mode};
 
@@ -78,7 +78,8 @@ async fn w17_unrequested_replies_before_the_right_one_are_not_accepted() {
     for others in [&few[..], alike.as_bytes()] {
         let outcome = second_poll(WINDOW, &[Fault::Garbage(others.to_vec())]).await;
         assert!(!outcome.accepted, "{outcome:?}");
-        let [ErrorKind::Malformed { source: Malformed::Echo { found }, .. }] = &outcome.errors[..]
+        let [ErrorKind::Malformed { source: MalformedError::Echo { found }, .. }] =
+            &outcome.errors[..]
         else {
             panic!("{outcome:?}")
         };

@@ -13,7 +13,7 @@ use std::time::Duration;
 use tokio::io::ReadBuf;
 use tokio::time::{Instant, Sleep, sleep_until, timeout};
 use tokio_scip::port::PortHints;
-use tokio_scip::protocol::Malformed;
+use tokio_scip::protocol::MalformedError;
 use tokio_scip::{Error, ErrorKind, Rate, ScanStream, Sensor, State, Window};
 
 use crate::common::instant_sensor::reply;
@@ -302,7 +302,10 @@ async fn a_longer_reply_is_read_to_its_end_and_rejected() {
     let error = rig.scan().await.unwrap_err();
     let late = Instant::now() - rig.shared.lock().unwrap().end;
     assert!(
-        matches!(error.kind(), ErrorKind::Malformed { source: Malformed::LineLength { .. }, .. }),
+        matches!(
+            error.kind(),
+            ErrorKind::Malformed { source: MalformedError::LineLength { .. }, .. }
+        ),
         "{error:?}"
     );
     assert!(late <= ms(1), "{late:?} after the last byte");

@@ -2,7 +2,9 @@
 
 use std::sync::Arc;
 
-use tokio_scip::protocol::{BaudRate, Command, Malformed, Reply, ReplyError, Status, Text, Window};
+use tokio_scip::protocol::{
+    BaudRate, Command, MalformedError, Reply, ReplyError, Status, Text, Window,
+};
 
 use super::encoder::{frame, lines, reply, spread};
 
@@ -96,7 +98,8 @@ fn a_line_cut_anywhere_else_is_malformed() {
     for at in (1..data.len()).filter(|&at| at != 64) {
         let frame = [b"G00003201\n0\n", &data[..at], b"\n", &data[at..]].concat();
         let error = Reply::parse(&command, &frame).unwrap_err();
-        let ReplyError::Malformed(Malformed::LineLength { line, expected, found }) = error else {
+        let ReplyError::Malformed(MalformedError::LineLength { line, expected, found }) = error
+        else {
             panic!("cut at {at}: {error:?}");
         };
         assert_eq!((line, expected, found), (0, 64, at));
@@ -104,12 +107,12 @@ fn a_line_cut_anywhere_else_is_malformed() {
     let longer = [&frame("G00003101", &spread(32))[..], b"\n"].concat();
     assert_eq!(
         Reply::parse(&Command::Distances(window(0, 31, 1)), &longer),
-        Err(Malformed::LineLength { line: 1, expected: 0, found: 0 }.into())
+        Err(MalformedError::LineLength { line: 1, expected: 0, found: 0 }.into())
     );
     let uncut = [b"G00003201\n0\n", &data[..]].concat();
     assert_eq!(
         Reply::parse(&command, &uncut),
-        Err(Malformed::LineLength { line: 0, expected: 64, found: 66 }.into())
+        Err(MalformedError::LineLength { line: 0, expected: 64, found: 66 }.into())
     );
 }
 
@@ -191,22 +194,23 @@ fn success_of_l_and_s_has_no_data_and_of_v_and_g_has_some() {
     assert_eq!(parse(Command::LaserOn, b"L1\n0"), Ok(Status::OK));
     assert_eq!(parse(Command::LaserOff, b"L0\n0"), Ok(Status::OK));
     assert_eq!(parse(speed, b"S0576000000000\n0"), Ok(Status::OK));
-    let unexpected = |bytes| Err(Malformed::UnexpectedData { status: Status::OK, bytes }.into());
+    let unexpected =
+        |bytes| Err(MalformedError::UnexpectedData { status: Status::OK, bytes }.into());
     assert_eq!(parse(Command::LaserOn, b"L1\n0\n00"), unexpected(2));
     assert_eq!(parse(speed, b"S0576000000000\n0\n"), unexpected(0));
-    assert_eq!(parse(Command::Version, b"V\n0"), Err(Malformed::NoData.into()));
-    assert_eq!(parse(Command::Version, b"V\n0\n"), Err(Malformed::NoData.into()));
+    assert_eq!(parse(Command::Version, b"V\n0"), Err(MalformedError::NoData.into()));
+    assert_eq!(parse(Command::Version, b"V\n0\n"), Err(MalformedError::NoData.into()));
     assert_eq!(
         parse(Command::Distances(Window::FULL), b"G00076801\n0"),
-        Err(Malformed::NoData.into())
+        Err(MalformedError::NoData.into())
     );
 }
 
 #[test]
 fn a_status_is_one_printable_character() {
     let parse = |frame: &[u8]| Reply::parse(&Command::LaserOn, frame).unwrap_err();
-    let status = |found: &[u8]| ReplyError::from(Malformed::Status { found: found.into() });
-    assert_eq!(parse(b"L1"), Malformed::NoStatus.into());
+    let status = |found: &[u8]| ReplyError::from(MalformedError::Status { found: found.into() });
+    assert_eq!(parse(b"L1"), MalformedError::NoStatus.into());
     for line in [&b""[..], b"00", b"0\r", b" ", b"\r", b"\0", b"\x7f", b"\xb6", b"\xff", b"0000"] {
         assert_eq!(parse(&[b"L1\n", line].concat()), status(line));
     }
@@ -241,7 +245,7 @@ fn an_error_names_the_place_what_was_expected_and_what_was_found() {
     let mut damaged = frame("G00076801", &spread(769));
     damaged[12 + 2 * 65 + 5] = 0xff;
     let error = Reply::parse(&command, &damaged).unwrap_err();
-    assert_eq!(error, Malformed::Character { line: 2, column: 5, found: 0xff }.into());
+    assert_eq!(error, MalformedError::Character { line: 2, column: 5, found: 0xff }.into());
     assert_eq!(
         error.to_string(),
         "expected 0x30 to 0x6f as character 5 of data line 2, found 0xff"
@@ -249,7 +253,7 @@ fn an_error_names_the_place_what_was_expected_and_what_was_found() {
     let whole = frame("G00076801", &spread(769));
     assert_eq!(
         Reply::parse(&command, &whole[..whole.len() - 3]),
-        Err(Malformed::Short { expected: 1538, found: 1536 }.into())
+        Err(MalformedError::Short { expected: 1538, found: 1536 }.into())
     );
     assert_eq!(
         Reply::parse(&command, &whole[..whole.len() - 1]).unwrap_err().to_string(),
@@ -270,7 +274,7 @@ fn w24_a_status_with_its_checksum_is_scip_2() {
     assert!(matches!(parse(b"L1\n00P"), Err(ReplyError::Foreign { .. })));
     // A status of three characters that no SCIP 2 sensor sends is damage.
     for damage in [&b"V\n0Ex"[..], b"V\n\x01\x02\x03", b"V\n0\x450", b"V\n\xff0/", b"V\n0\xff/"] {
-        assert!(matches!(parse(damage), Err(ReplyError::Malformed(Malformed::Status { .. }))));
+        assert!(matches!(parse(damage), Err(ReplyError::Malformed(MalformedError::Status { .. }))));
     }
 }
 
@@ -279,7 +283,7 @@ fn w05_a_one_step_reply_without_the_lf_after_its_status_is_not_taken_for_scip_2(
     let command = Command::Distances(window(384, 384, 1));
     assert_eq!(
         Reply::parse(&command, b"G38438401\n0CD"),
-        Err(Malformed::Status { found: "0CD".into() }.into())
+        Err(MalformedError::Status { found: "0CD".into() }.into())
     );
 }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 pub(super) use self::delivery::{Aftermath, Delivery};
 pub(super) use self::injector::FaultInjector;
-pub use self::parse::InvalidFaults;
+pub use self::parse::FaultsError;
 
 /// Fault of one reply.
 ///
@@ -81,7 +81,7 @@ pub enum Fault {
 ///
 /// let scripted = Faults::none().at(3, Fault::Late(Duration::from_secs(2))).at(5, Fault::Lost);
 /// let drawn: Faults = "late=0.01:3s,lost=0.005,damaged=0.005,doubled=0.001,seed=7".parse()?;
-/// # Ok::<(), urg_emulator::InvalidFaults>(())
+/// # Ok::<(), urg_emulator::FaultsError>(())
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Faults {

@@ -17,13 +17,13 @@ const MAX_NOISE_BYTES: usize = 65_536;
 /// found.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("invalid fault `{part}`: {reason}")]
-pub struct InvalidFaults {
+pub struct FaultsError {
     part: String,
     reason: String,
 }
 
 impl FromStr for Faults {
-    type Err = InvalidFaults;
+    type Err = FaultsError;
 
     /// Parses faults such as `late=0.01:3s,lost=0.005,seed=7`.
     ///
@@ -32,10 +32,10 @@ impl FromStr for Faults {
     /// `command-lost`, `damaged`, `doubled`, `merged`, `noise` (up to 64 bytes, or the
     /// number after the colon), `pause` (up to 1 s, or the time after the colon),
     /// `reset`, `hang-up`. An empty text means no faults.
-    fn from_str(text: &str) -> Result<Self, InvalidFaults> {
+    fn from_str(text: &str) -> Result<Self, FaultsError> {
         let mut parts = text.split(',').map(str::trim).filter(|part| !part.is_empty());
         parts.try_fold(Self::none(), |faults, part| {
-            add(faults, part).map_err(|reason| InvalidFaults { part: part.to_owned(), reason })
+            add(faults, part).map_err(|reason| FaultsError { part: part.to_owned(), reason })
         })
     }
 }

@@ -11,7 +11,7 @@ use super::{Read, Session};
 use crate::ErrorKind;
 use crate::codec::Frame;
 use crate::event::RawReply;
-use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
+use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
 
 /// Which other replies may still be on their way with the echo of a command.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -89,7 +89,7 @@ fn judge<'a>(
 ) -> Result<Reply<'a>, ReplyError> {
     let bytes = match frame {
         Frame::Reply(bytes) => bytes,
-        Frame::Overlong { bytes } => return Err(Malformed::Overlong { bytes }.into()),
+        Frame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse_into_shared(command, bytes, values);
     observers.pass(|| RawReply {
@@ -102,7 +102,7 @@ fn judge<'a>(
     let least = timing.least_until_reply(command);
     let after = timing.began - timing.requested;
     if echo == EchoKind::Repeated && outcome.is_ok() && after < least {
-        return Err(Malformed::Early { after, least }.into());
+        return Err(MalformedError::Early { after, least }.into());
     }
     outcome
 }
@@ -114,12 +114,15 @@ fn failure(command: Command, outcome: Result<Reply<'_>, ReplyError>) -> ErrorKin
         Err(ReplyError::Malformed(source)) => ErrorKind::Malformed { command, source },
         Err(ReplyError::Scip2 { status }) => ErrorKind::WrongProtocol { status },
         Err(ReplyError::Foreign { found }) => {
-            ErrorKind::Malformed { command, source: Malformed::Echo { found } }
+            ErrorKind::Malformed { command, source: MalformedError::Echo { found } }
         }
     }
 }
 
 /// Returns true if a reply with this error began with its command.
 fn is_echoed(error: &ReplyError) -> bool {
-    !matches!(error, ReplyError::Foreign { .. } | ReplyError::Malformed(Malformed::Overlong { .. }))
+    !matches!(
+        error,
+        ReplyError::Foreign { .. } | ReplyError::Malformed(MalformedError::Overlong { .. })
+    )
 }

@@ -13,7 +13,7 @@ use super::super::transport::{TimedFrame, Transport};
 use super::Session;
 use crate::codec::Frame;
 use crate::event::RawReply;
-use crate::protocol::{Command, Malformed, Reply, ReplyError, Status};
+use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
 use crate::{ErrorKind, Window};
 
 /// Number of unanswered fences after which a link counts as silent. Fewer if the sensor
@@ -124,7 +124,7 @@ impl Session {
 fn judge(command: &Command, frame: Frame<&[u8]>) -> Result<Status, ReplyError> {
     match frame {
         Frame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status()),
-        Frame::Overlong { bytes } => Err(Malformed::Overlong { bytes }.into()),
+        Frame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
     }
 }
 
@@ -146,7 +146,7 @@ fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeE
     let echo = [&command.bytes(), &b"\r\n"[..]].concat();
     let translated = pending.windows(echo.len()).any(|part| part == echo);
     (telnet || translated).then(|| {
-        let (command, source) = (*command, Malformed::NotRaw);
+        let (command, source) = (*command, MalformedError::NotRaw);
         ExchangeError::Command(ErrorKind::Malformed { command, source })
     })
 }

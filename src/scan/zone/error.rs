@@ -1,9 +1,9 @@
-//! [`InvalidZone`]: why values make no zone.
+//! [`ZoneError`]: why values make no zone.
 
 /// Error for values that make no [`Zone`](super::Zone).
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
-pub enum InvalidZone {
+pub enum ZoneError {
     /// A range is empty, negative or not finite.
     #[error("invalid range from {near} to {far} m: expected 0 or more, the smaller one first")]
     Range {

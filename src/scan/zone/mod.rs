@@ -8,7 +8,7 @@ mod tests;
 
 use std::ops::RangeInclusive;
 
-pub use self::error::InvalidZone;
+pub use self::error::ZoneError;
 use self::polygon::Polygon;
 pub use self::state::ZoneState;
 use super::{Ray, Scan, Sector};
@@ -118,12 +118,12 @@ impl Zone {
     ///
     /// # Errors
     ///
-    /// [`InvalidZone::Range`] unless the range has two finite numbers, 0 or more, the smaller one
+    /// [`ZoneError::Range`] unless the range has two finite numbers, 0 or more, the smaller one
     /// first.
-    pub fn sector(sector: Sector, range: RangeInclusive<f64>) -> Result<Self, InvalidZone> {
+    pub fn sector(sector: Sector, range: RangeInclusive<f64>) -> Result<Self, ZoneError> {
         let (near, far) = range.into_inner();
         if !(0.0 <= near && near < far && far.is_finite()) {
-            return Err(InvalidZone::Range { near, far });
+            return Err(ZoneError::Range { near, far });
         }
         Ok(Self::new(ZoneShape::Sector(sector, near, far)))
     }
@@ -140,14 +140,14 @@ impl Zone {
     /// let path = [(0.25, -0.3), (1.0, -0.3), (1.0, 0.3), (0.25, 0.3)];
     /// let zone = Zone::polygon(path.map(|(x, y)| sensor.inverse().transform(x, y)))?;
     /// assert!(zone.contains(0.7, 0.0) && !zone.contains(0.9, 0.0));
-    /// # Ok::<(), tokio_scip::scan::InvalidZone>(())
+    /// # Ok::<(), tokio_scip::scan::ZoneError>(())
     /// ```
     ///
     /// # Errors
     ///
-    /// [`InvalidZone`] for too few or too many vertices, for coordinates that are no numbers or
+    /// [`ZoneError`] for too few or too many vertices, for coordinates that are no numbers or
     /// beyond 1,000 m, and for edges that cross, touch or cover each other.
-    pub fn polygon(vertices: impl IntoIterator<Item = (f64, f64)>) -> Result<Self, InvalidZone> {
+    pub fn polygon(vertices: impl IntoIterator<Item = (f64, f64)>) -> Result<Self, ZoneError> {
         Ok(Self::new(ZoneShape::Polygon(Polygon::new(vertices)?)))
     }
 

@@ -1,6 +1,6 @@
 //! [`Polygon`]: which points and directions a simple polygon contains.
 
-use super::InvalidZone;
+use super::ZoneError;
 
 /// Largest coordinate of a vertex in metres. Products of larger numbers could overflow.
 const FARTHEST: f64 = 1000.0;
@@ -15,17 +15,15 @@ type Coordinates = (f64, f64);
 pub(super) struct Polygon(Box<[Coordinates]>);
 
 impl Polygon {
-    pub(super) fn new(
-        vertices: impl IntoIterator<Item = Coordinates>,
-    ) -> Result<Self, InvalidZone> {
+    pub(super) fn new(vertices: impl IntoIterator<Item = Coordinates>) -> Result<Self, ZoneError> {
         let mut kept: Vec<Coordinates> = Vec::new();
         for (index, (x, y)) in vertices.into_iter().enumerate() {
             // No range contains NaN.
             if ![x, y].iter().all(|number| (-FARTHEST..=FARTHEST).contains(number)) {
-                return Err(InvalidZone::Vertex { index, x, y });
+                return Err(ZoneError::Vertex { index, x, y });
             }
             if index >= MAX_VERTICES {
-                return Err(InvalidZone::Vertices { found: index + 1 });
+                return Err(ZoneError::Vertices { found: index + 1 });
             }
             kept.push((x, y));
         }
@@ -35,11 +33,11 @@ impl Polygon {
             kept.pop();
         }
         if kept.len() < 3 {
-            return Err(InvalidZone::Vertices { found: kept.len() });
+            return Err(ZoneError::Vertices { found: kept.len() });
         }
         let polygon = Self(kept.into());
         match polygon.crossing() {
-            Some((x, y)) => Err(InvalidZone::Crossing { x, y }),
+            Some((x, y)) => Err(ZoneError::Crossing { x, y }),
             None => Ok(polygon),
         }
     }
@@ -253,7 +251,7 @@ mod tests {
     #[test]
     fn vertices_that_make_no_outline_are_refused() {
         let refused = |vertices: &[Coordinates]| Polygon::new(vertices.to_vec()).unwrap_err();
-        let few = |found| InvalidZone::Vertices { found };
+        let few = |found| ZoneError::Vertices { found };
         assert_eq!(refused(&[]), few(0));
         assert_eq!(refused(&[(1.0, 1.0)]), few(1));
         assert_eq!(refused(&[(1.0, 1.0), (2.0, 1.0)]), few(2));
@@ -263,9 +261,9 @@ mod tests {
         assert!(Polygon::new(most).is_ok());
         for x in [f64::NAN, f64::INFINITY, 1000.1, -1e300] {
             let error = refused(&[(0.0, 0.0), (1.0, 0.0), (x, 1.0)]);
-            assert!(matches!(error, InvalidZone::Vertex { index: 2, y: 1.0, .. }), "{error}");
+            assert!(matches!(error, ZoneError::Vertex { index: 2, y: 1.0, .. }), "{error}");
             let error = refused(&[(0.0, x), (1.0, 0.0), (0.0, 1.0)]);
-            assert!(matches!(error, InvalidZone::Vertex { index: 0, x: 0.0, .. }), "{error}");
+            assert!(matches!(error, ZoneError::Vertex { index: 0, x: 0.0, .. }), "{error}");
         }
         for crossing in [
             // A bow tie, a spike, three vertices on a line, and an outline that touches itself.
@@ -275,7 +273,7 @@ mod tests {
             vec![(0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (1.0, 0.0), (0.0, 2.0)],
         ] {
             let error = refused(&crossing);
-            assert!(matches!(error, InvalidZone::Crossing { .. }), "{crossing:?}: {error}");
+            assert!(matches!(error, ZoneError::Crossing { .. }), "{crossing:?}: {error}");
         }
     }
 

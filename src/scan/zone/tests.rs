@@ -229,7 +229,7 @@ fn a_range_that_contains_nothing_is_refused() {
         [0.5..=0.5, 0.6..=0.5, -0.1..=0.5, f64::NAN..=0.5, 0.0..=f64::NAN, 0.0..=f64::INFINITY]
     {
         let refused = Zone::sector(Sector::ALL, range.clone());
-        assert!(matches!(refused, Err(InvalidZone::Range { .. })), "{range:?}");
+        assert!(matches!(refused, Err(ZoneError::Range { .. })), "{range:?}");
     }
     let zone = sector(30.0, 0.1..=0.6);
     assert!(zone.contains(0.6_f32, 0.0_f32) && zone.contains(0.1_f32, 0.0_f32));
