@@ -35,7 +35,7 @@ async fn watch(endpoint: Endpoint, mode: &str, span: Duration) {
         _ => None,
     };
     let (start, cpu) = (Instant::now(), cpu_time());
-    let mut states = sensor.state();
+    let mut states = sensor.watch_state();
     let mut was_lost = false;
     while let Ok(changed) = timeout(span.saturating_sub(start.elapsed()), states.changed()).await {
         let state = changed.unwrap();

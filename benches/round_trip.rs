@@ -151,7 +151,7 @@ fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
     let path = path.to_str().unwrap().to_owned();
     let polling = runtime.spawn(async move {
         let sensor = Sensor::open(path).await.unwrap();
-        let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         let mut next = async || stream.next().await.unwrap().unwrap().sequence();
         let before = next().await;
         let (start, cpu) = (Instant::now(), cpu_time());

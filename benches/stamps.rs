@@ -32,18 +32,18 @@ fn main() {
         let processes = processes.first().map_or(0, |processes| processes.parse().unwrap());
         return on_a_terminal(processes);
     }
-    simulated("on USB, an hour", turning(), Rate::MAX, HOUR, 0);
+    simulated("on USB, an hour", turning(), Rate::UNLIMITED, HOUR, 0);
     simulated("polled at 10 Hz, an hour", turning(), Rate::hz(10.0), HOUR, 0);
     let late = || turning().faults(Faults::none().late(0.2, Duration::from_millis(30)));
-    simulated("20 % late by up to 30 ms, an hour", late(), Rate::MAX, HOUR, 0);
+    simulated("20 % late by up to 30 ms, an hour", late(), Rate::UNLIMITED, HOUR, 0);
     simulated("5 Hz, an hour", turning(), Rate::hz(5.0), HOUR, 0);
     simulated("1 Hz, 6 hours", turning(), Rate::hz(1.0), 6 * HOUR, 0);
     for baud_rate in [BaudRate::B115200, BaudRate::B19200] {
         let name = format!("RS-232 at {} baud, an hour", baud_rate.bits_per_second());
-        simulated(&name, turning().baud_rate(baud_rate), Rate::MAX, HOUR, 0);
+        simulated(&name, turning().baud_rate(baud_rate), Rate::UNLIMITED, HOUR, 0);
     }
     let drifting = turning().drift(0.001);
-    simulated("a day, drift 0.1 % an hour, 50 jumps", drifting, Rate::MAX, 24 * HOUR, 50);
+    simulated("a day, drift 0.1 % an hour, 50 jumps", drifting, Rate::UNLIMITED, 24 * HOUR, 50);
 }
 
 /// Emulated sensor whose motor turns as fast as in the capture. tokio's timers deliver its bytes
@@ -162,7 +162,7 @@ fn on_a_terminal(processes: usize) {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let sensor = Sensor::open(path.to_str().unwrap()).await.unwrap();
-        let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         let (start, mut row) = (Instant::now(), Row::default());
         while start.elapsed() < WARM_UP + REAL_TIME {
             let scan = scans.next().await.unwrap().unwrap();

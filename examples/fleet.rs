@@ -9,8 +9,10 @@
 
 mod port;
 
+use std::future::ready;
 use std::time::Duration;
 
+use futures::StreamExt;
 use tokio::task::JoinSet;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_scip::{Error, ErrorChain, Rate, ScanStream, Sensor, Window};
@@ -62,7 +64,7 @@ async fn start(name: String, port: &str) -> Result<(Sensor, ScanStream), Error> 
 
 /// What a service does with each scan. Errors are in the freshness.
 async fn consume(name: String, scans: ScanStream) {
-    let mut scans = scans.only_scans();
+    let mut scans = scans.filter_map(|item| ready(item.ok()));
     while let Some(scan) = scans.next().await {
         if scan.points().all(|point| point.range > 1.0) && scan.sequence() % 100 == 0 {
             println!("{name}: nothing within a metre");

@@ -26,9 +26,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let target = std::env::args().nth(2).unwrap_or("127.0.0.1:57120".to_owned());
     let sensor = port::open(Sensor::builder(), &port::argument()).await?;
     let socket = UdpSocket::bind("127.0.0.1:0").await?;
-    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?.only_scans();
-    while let Some(scan) = scans.next().await {
-        if let Some(point) = scan.nearest() {
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    while let Some(item) = scans.next().await {
+        // The driver logs errors, and the stream continues.
+        if let Some(point) = item.ok().and_then(|scan| scan.nearest()) {
             // No one may listen yet.
             let _ = socket.send_to(&packet(point.x, point.y), &target).await;
         }

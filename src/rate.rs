@@ -30,8 +30,8 @@ const MAX_DECIMALS: usize = 20;
 pub struct Rate(Option<Duration>);
 
 impl Rate {
-    /// As fast as the sensor answers.
-    pub const MAX: Self = Self(None);
+    /// No limit: as fast as the sensor answers. As text, it is `max`.
+    pub const UNLIMITED: Self = Self(None);
 
     /// Creates a rate of `hz` scans per second: more than 0, at most 1,000. Raises less
     /// than one scan a day to one a day.
@@ -45,7 +45,7 @@ impl Rate {
     pub fn hz(hz: f64) -> Self {
         let rate = valid(hz);
         assert!(rate.is_some(), "invalid rate {hz} Hz: expected more than 0 and at most 1000 Hz");
-        rate.unwrap_or(Self::MAX)
+        rate.unwrap_or(Self::UNLIMITED)
     }
 
     /// Creates a rate of one scan per `period`, clamped to 1 ms and a day.
@@ -60,7 +60,7 @@ impl Rate {
         }
     }
 
-    /// Time between two scans, or `None` for [`Rate::MAX`].
+    /// Time between two scans, or `None` for [`Rate::UNLIMITED`].
     pub const fn period(self) -> Option<Duration> {
         self.0
     }
@@ -107,7 +107,7 @@ impl FromStr for Rate {
 
     fn from_str(text: &str) -> Result<Self, RateError> {
         if text == "max" {
-            return Ok(Self::MAX);
+            return Ok(Self::UNLIMITED);
         }
         let number = text.strip_suffix("Hz").unwrap_or(text).trim_end();
         let hz = number.parse().ok().and_then(valid);
@@ -180,7 +180,7 @@ mod tests {
             (Rate::hz(0.1), "0.1 Hz"),
             (Rate::hz(1000.0), "1000 Hz"),
             (Rate::every(Duration::from_secs(3000)), "0.0003333333333333 Hz"),
-            (Rate::MAX, "max"),
+            (Rate::UNLIMITED, "max"),
         ] {
             assert_eq!(rate.to_string(), text);
         }

@@ -53,8 +53,7 @@ struct Running {
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = std::env::args().nth(2).ok_or("expected a port and a folder")?.into();
     let sensor = port::open(Sensor::builder(), &port::argument()).await?;
-    let stream = sensor.stream(Window::DETECTION, Rate::hz(10.0)).depth(DEPTH);
-    let scans = stream.open().await?;
+    let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).depth(DEPTH).await?;
     let service = Service { sensor, scans, folder, recording: Mutex::new(None) };
     let address = std::env::args().nth(3).unwrap_or("127.0.0.1:8082".to_owned());
     let listener = TcpListener::bind(address).await?;

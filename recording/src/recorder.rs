@@ -130,7 +130,7 @@ impl Recorder {
     /// The same as for [`Sensor::version`].
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
-        let baud_rate = sensor.state().get().baud_rate();
+        let baud_rate = sensor.watch_state().get().baud_rate();
         let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
         let window = scans.window();
         let mut metadata: BTreeMap<_, _> = [

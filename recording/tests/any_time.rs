@@ -28,7 +28,7 @@ async fn replayed(sink: &Sink) -> (String, Vec<Scan>) {
     let emulator = sink.open().replay(ReplayPace::Max).unwrap();
     let sensor = Sensor::builder().depth(100).connect(emulator).await.unwrap();
     let serial_number = sensor.version().await.unwrap().serial_number.to_string();
-    let mut scans = sensor.scans(WINDOW, Rate::MAX).await.unwrap();
+    let mut scans = sensor.scans(WINDOW, Rate::UNLIMITED).await.unwrap();
     let mut all = Vec::new();
     while let Some(scan) = scans.next().await {
         all.push(scan.unwrap());

@@ -295,7 +295,7 @@ async fn a_replay_that_ends_at_damage_reports_it() {
         let recording = Recording::read(io::Cursor::new(file)).unwrap();
         let replay = recording.replay(ReplayPace::Max).unwrap();
         let sensor = Sensor::builder().connect(replay).await.unwrap();
-        let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         let mut end = None;
         while let Some(item) = scans.next().await {
             end = item.err();

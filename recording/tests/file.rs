@@ -187,7 +187,7 @@ async fn a_writer_with_a_buffer_is_flushed_at_the_beginning_and_at_the_end() {
 async fn any_requested_rate_can_be_read_again() {
     let periods =
         [Duration::from_secs(3000), Duration::from_millis(33), Duration::from_nanos(1_234_567)];
-    let rates = periods.map(Rate::every).into_iter().chain([Rate::hz(30.0), Rate::MAX]);
+    let rates = periods.map(Rate::every).into_iter().chain([Rate::hz(30.0), Rate::UNLIMITED]);
     for rate in rates {
         let sink = Sink::new();
         let recorder = Recorder::builder().write_to(sink.clone()).unwrap();

@@ -130,7 +130,7 @@ async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
         };
         let builder = Sensor::builder().depth(64);
         let sensor = builder.connect(replay).await.unwrap();
-        let mut stream = sensor.scans(window(300, 340, 1), Rate::MAX).await.unwrap();
+        let mut stream = sensor.scans(window(300, 340, 1), Rate::UNLIMITED).await.unwrap();
         let mut replayed = Vec::new();
         while let Some(Ok(scan)) = stream.next().await {
             replayed.push((scan.values().to_vec(), scan.stamp()));

@@ -20,7 +20,7 @@ async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Sca
     while let Some(item) = scans.next().await {
         items.push(item);
     }
-    assert!(matches!(sensor.state().get(), State::Closed { error: None, .. }));
+    assert!(matches!(sensor.watch_state().get(), State::Closed { error: None, .. }));
     assert_eq!(sensor.stats().disconnects, 0);
     items
 }
@@ -43,9 +43,9 @@ async fn a_replay_delivers_every_scan_again_for_every_kind_of_window() {
         let recorded = record(sensor(), &sink, window, 20).await;
         for (pace, rate) in [
             (ReplayPace::Recorded, Rate::hz(10.0)),
-            (ReplayPace::Recorded, Rate::MAX),
+            (ReplayPace::Recorded, Rate::UNLIMITED),
             (ReplayPace::Max, Rate::hz(10.0)),
-            (ReplayPace::Max, Rate::MAX),
+            (ReplayPace::Max, Rate::UNLIMITED),
         ] {
             let replayed = drain(sink.open().replay(pace).unwrap(), window, rate).await;
             assert!(replayed.iter().all(Result::is_ok), "{window} {pace:?} {rate}: {replayed:?}");
@@ -85,7 +85,7 @@ async fn a_replay_takes_the_recorded_time_or_none() {
     let mut took = Vec::new();
     for pace in [ReplayPace::Recorded, ReplayPace::Max] {
         let began = Instant::now();
-        drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::MAX).await;
+        drain(sink.open().replay(pace).unwrap(), Window::DETECTION, Rate::UNLIMITED).await;
         took.push(began.elapsed());
     }
     // 49 periods of 100 ms, and the time of opening.
@@ -136,17 +136,17 @@ async fn another_window_shows_the_recorded_part_of_it() {
     let recorded = record(sensor(), &sink, window(100, 199, 1), 10).await;
     let open = || sink.open().replay(ReplayPace::Max).unwrap();
 
-    let part = drain(open(), window(120, 139, 1), Rate::MAX).await;
+    let part = drain(open(), window(120, 139, 1), Rate::UNLIMITED).await;
     let expected: Vec<_> = values(&recorded).iter().map(|all| all[20..40].to_vec()).collect();
     assert_eq!(values(&part), expected);
 
-    let groups = drain(open(), window(100, 199, 50), Rate::MAX).await;
+    let groups = drain(open(), window(100, 199, 50), Rate::UNLIMITED).await;
     let smallest =
         |all: &Vec<u16>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
     assert_eq!(values(&groups), values(&recorded).iter().map(smallest).collect::<Vec<Vec<_>>>());
 
     // The recording has no values on the left.
-    let wider = drain(open(), window(90, 199, 1), Rate::MAX).await;
+    let wider = drain(open(), window(90, 199, 1), Rate::UNLIMITED).await;
     for (wide, all) in values(&wider).iter().zip(values(&recorded)) {
         assert_eq!((&wide[..7], &wide[10..]), (&[19; 7][..], &all[..]));
     }

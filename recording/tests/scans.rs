@@ -186,7 +186,7 @@ async fn a_recording_is_replayed_without_its_reply_to_v() {
     let emulator = sink.open().replay(ReplayPace::Max).unwrap();
     let replay = Sensor::builder().depth(64).connect(emulator).await.unwrap();
     assert_eq!(replay.version().await.unwrap(), tokio_scip::Version::default());
-    let mut stream = replay.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut stream = replay.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
     let mut replayed = Vec::new();
     while let Some(scan) = stream.next().await {
         replayed.push(scan.unwrap().values().to_vec());

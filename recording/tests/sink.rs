@@ -133,7 +133,7 @@ pub(crate) async fn next(
 pub(crate) async fn replayed(recording: Recording, window: Window) -> Vec<Scan> {
     let replay = recording.replay(ReplayPace::Max).unwrap();
     let sensor = Sensor::builder().depth(1 << 16).connect(replay).await.unwrap();
-    let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
     let mut scans = Vec::new();
     while let Some(scan) = stream.next().await {
         scans.push(scan.unwrap());

@@ -82,7 +82,7 @@ async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_repla
                 serial_number.to_string(),
                 Recording::open(part).unwrap().metadata()["serial_number"]
             );
-            let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+            let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
             let mut replayed = Vec::new();
             while let Some(Ok(scan)) = stream.next().await {
                 replayed.push(scan.values().to_vec());

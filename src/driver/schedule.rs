@@ -34,7 +34,7 @@ struct Schedule {
     window: Window,
     rate: Rate,
     ring: Arc<Ring>,
-    /// Next grid point. At [`Rate::MAX`], the end of the last poll.
+    /// Next grid point. At [`Rate::UNLIMITED`], the end of the last poll.
     due: Instant,
     sequence: u64,
     /// Values of the latest scan that the ring has dropped. The next reply is decoded into
@@ -309,7 +309,7 @@ impl Schedule {
         ScheduleStats::new(self.window, self.rate, reached, failed)
     }
 
-    /// Ends a poll. At [`Rate::MAX`] the next poll is due now.
+    /// Ends a poll. At [`Rate::UNLIMITED`] the next poll is due now.
     fn end_poll(&mut self, missed: u64) -> Ended {
         let (now, missed) = (Instant::now(), self.newly_missed(missed));
         if self.rate.period().is_none() {

@@ -280,6 +280,6 @@ impl SensorBuilder {
 /// Spawns the driver, and waits until the sensor is open.
 async fn start((sensor, driver): (Sensor, Driver)) -> Result<Sensor, Error> {
     tokio::spawn(driver);
-    sensor.opened().await?;
+    sensor.wait_until_open().await?;
     Ok(sensor)
 }

@@ -12,7 +12,7 @@ use crate::port::Endpoint;
 use crate::protocol::{Command, Version};
 use crate::state::{Freshness, State, StateWatch};
 use crate::stats::Stats;
-use crate::stream::{ScanStream, StreamBuilder};
+use crate::stream::StreamBuilder;
 use crate::{BaudRate, Error, Rate, Scan, Window};
 
 /// Handle to a URG sensor.
@@ -35,12 +35,11 @@ use crate::{BaudRate, Error, Rate, Scan, Window};
 ///
 /// While there is no link, a request waits for one. It fails with
 /// [`Disconnected`](crate::ErrorKind::Disconnected) after the [request
-/// timeout](SensorBuilder::request_timeout); [`state`](Self::state) has the reason. A command
-/// without a complete reply is repeated once if that is harmless, and then fails with
-/// [`Timeout`](crate::ErrorKind::Timeout) or
-/// [`Malformed`](crate::ErrorKind::Malformed). A status other than success is
-/// [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every call fails
-/// with the cause, or [`Closed`](crate::ErrorKind::Closed).
+/// timeout](SensorBuilder::request_timeout); [`watch_state`](Self::watch_state) has the reason. A
+/// command without a complete reply is repeated once if that is harmless, and then fails with
+/// [`Timeout`](crate::ErrorKind::Timeout) or [`Malformed`](crate::ErrorKind::Malformed). A status
+/// other than success is [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every
+/// call fails with the cause, or [`Closed`](crate::ErrorKind::Closed).
 #[derive(Debug, Clone)]
 pub struct Sensor {
     client: Client,
@@ -92,16 +91,9 @@ impl Sensor {
         SensorBuilder::default()
     }
 
-    /// Waits until the sensor answers for the first time.
-    ///
-    /// Use it with a driver that you [built](SensorBuilder::build) and spawned; the other ways of
-    /// opening have waited already. Cancel-safe.
-    ///
-    /// # Errors
-    ///
-    /// The cause if the driver has ended.
-    pub async fn opened(&self) -> Result<(), Error> {
-        let mut state = self.state();
+    /// Waits until the sensor has answered for the first time.
+    async fn wait_until_open(&self) -> Result<(), Error> {
+        let mut state = self.watch_state();
         let open = |state: &State| !matches!(state, State::Connecting { .. });
         match state.wait_for(open).await {
             Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
@@ -176,20 +168,15 @@ impl Sensor {
     /// predicts it.
     ///
     /// Returns without waiting for a scan or a link. While the link is lost, the stream starts with
-    /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest
-    /// attempt, and continues when the link is back. While the driver waits for its first link,
-    /// only [`state`](Self::state) has the reason. After [`laser_off`](Self::laser_off) the stream
-    /// pauses, without an error.
+    /// [`Disconnected`](crate::ErrorKind::Disconnected) or the reason of the latest attempt, and
+    /// continues when the link is back. While the driver waits for its first link, only
+    /// [`watch_state`](Self::watch_state) has the reason. After [`laser_off`](Self::laser_off) the
+    /// stream pauses, without an error.
     ///
     /// # Errors
     ///
     /// The cause if the driver has ended.
-    pub async fn scans(&self, window: Window, rate: Rate) -> Result<ScanStream, Error> {
-        self.stream(window, rate).open().await
-    }
-
-    /// Starts a builder, to change the settings of [`scans`](Self::scans).
-    pub fn stream(&self, window: Window, rate: Rate) -> StreamBuilder {
+    pub fn scans(&self, window: Window, rate: Rate) -> StreamBuilder {
         StreamBuilder::new(self.client.clone(), window, rate)
     }
 
@@ -242,7 +229,7 @@ impl Sensor {
 
     /// Watches the state of the driver and its link. Read it, wait for a
     /// [connected](StateWatch::connected) sensor, or wait for the [end](StateWatch::closed).
-    pub fn state(&self) -> StateWatch {
+    pub fn watch_state(&self) -> StateWatch {
         self.client.telemetry().watch()
     }
 

@@ -6,7 +6,7 @@ use crate::protocol::Text;
 use crate::{BaudRate, Error};
 
 /// State of the driver and its link. Watch it with
-/// [`Sensor::state`](crate::Sensor::state). [`Closed`](Self::Closed) is final.
+/// [`Sensor::watch_state`](crate::Sensor::watch_state). [`Closed`](Self::Closed) is final.
 ///
 /// `Connected` means that the sensor answers, not that its scans are whole: check
 /// [`Sensor::freshness`](crate::Sensor::freshness) for that.

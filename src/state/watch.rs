@@ -8,7 +8,7 @@ use tokio::sync::watch;
 use super::State;
 use crate::{Error, ErrorKind};
 
-/// Watch of a sensor's [`State`], returned by [`Sensor::state`](crate::Sensor::state).
+/// Watch of a sensor's [`State`], returned by [`Sensor::watch_state`](crate::Sensor::watch_state).
 ///
 /// All reads return copies, so you can hold them as long as you like. A watch begins with
 /// the state at the time of its creation. It keeps neither the driver nor the port alive.
@@ -24,7 +24,7 @@ use crate::{Error, ErrorKind};
 /// # async fn main() -> Result<(), tokio_scip::Error> {
 /// # let emulator = Emulator::default();
 /// # let sensor = Sensor::builder().connect(emulator.clone()).await?;
-/// let mut state = sensor.state();
+/// let mut state = sensor.watch_state();
 /// state.connected().await?;
 /// # emulator.unplug();
 /// while let Some(now) = state.changed().await {
@@ -111,7 +111,7 @@ impl StateWatch {
     /// let sensor = Sensor::builder().reconnect(false).connect(emulator.clone()).await?;
     /// # emulator.unplug();
     /// # let lost = async {
-    /// sensor.state().closed().await?;
+    /// sensor.watch_state().closed().await?;
     /// # Ok::<(), tokio_scip::Error>(())
     /// # };
     /// # assert_eq!(lost.await.unwrap_err().to_string(), "the link to the sensor is lost");

@@ -38,9 +38,10 @@ pub struct Stats {
     /// Polls that were never sent, because the line or the host was busy until the next poll
     /// was due. Excludes polls that fell due without a link.
     pub polls_skipped: u64,
-    /// True if a reply arrived faster than the baud rate of the port allows, since the link
-    /// was found or the baud rate changed. The port then uses another baud rate, or ignores it, as a pseudo-terminal, a sensor on USB and a
-    /// serial server do. Limits computed from the baud rate do not apply.
+    /// True if a reply arrived faster than the baud rate of the port allows, since the link was
+    /// found or the baud rate changed. The port then uses another baud rate, or ignores it, as a
+    /// pseudo-terminal, a sensor on USB and a serial server do. Limits computed from the baud rate
+    /// do not apply.
     pub baud_rate_outrun: bool,
     /// Times from a `G` to the last byte of its reply.
     pub reply_latency: LatencyStats,

@@ -1,10 +1,13 @@
-//! [`StreamBuilder`]: a stream with settings of its own.
+//! [`StreamBuilder`]: a stream that is about to be opened.
+
+use std::future::{Future, IntoFuture};
+use std::pin::Pin;
 
 use super::ScanStream;
 use crate::driver::{Client, Request};
 use crate::{Error, Rate, Window};
 
-/// Builder of a [`ScanStream`]; made by [`Sensor::stream`](crate::Sensor::stream).
+/// Stream that is about to be opened: await it. Made by [`Sensor::scans`](crate::Sensor::scans).
 ///
 /// ```
 /// # use urg_emulator::Emulator;
@@ -16,7 +19,7 @@ use crate::{Error, Rate, Window};
 /// let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
 /// // A recorder that may be six seconds late, and a control loop that wants the newest
 /// // scan: they share the polls.
-/// let mut recorder = sensor.stream(window, rate).depth(64).open().await?;
+/// let mut recorder = sensor.scans(window, rate).depth(64).await?;
 /// let mut control = sensor.scans(window, rate).await?;
 /// # tokio::time::sleep(std::time::Duration::from_secs(2)).await;
 /// # assert_eq!((recorder.next().await.unwrap()?.sequence(), recorder.missed()), (0, 0));
@@ -25,7 +28,7 @@ use crate::{Error, Rate, Window};
 /// # }
 /// ```
 #[derive(Debug, Clone)]
-#[must_use = "a builder does nothing until it opens a stream"]
+#[must_use = "a stream is opened when you await its builder"]
 pub struct StreamBuilder {
     client: Client,
     window: Window,
@@ -48,16 +51,19 @@ impl StreamBuilder {
         self.depth = scans.max(1);
         self
     }
+}
 
-    /// Opens the stream; see [`Sensor::scans`](crate::Sensor::scans).
-    ///
-    /// # Errors
-    ///
-    /// The cause if the driver has ended.
-    pub async fn open(self) -> Result<ScanStream, Error> {
+/// Opens the stream. Dropping the future opens none.
+impl IntoFuture for StreamBuilder {
+    type Output = Result<ScanStream, Error>;
+    type IntoFuture = Pin<Box<dyn Future<Output = Self::Output> + Send>>;
+
+    fn into_future(self) -> Self::IntoFuture {
         let Self { client, window, rate, depth } = self;
-        let subscribe = |responder| Request::Subscribe { window, rate, depth, responder };
-        let cursor = client.ask(subscribe).await?;
-        Ok(ScanStream { cursor, window, rate, client })
+        Box::pin(async move {
+            let subscribe = |responder| Request::Subscribe { window, rate, depth, responder };
+            let cursor = client.ask(subscribe).await?;
+            Ok(ScanStream { cursor, window, rate, client })
+        })
     }
 }

@@ -1,4 +1,4 @@
-//! Streams of scans: [`ScanStream`], its settings, and the scans without the errors.
+//! Streams of scans: [`ScanStream`], and the builder that opens one.
 //!
 //! ```
 //! # use urg_emulator::Emulator;
@@ -7,7 +7,11 @@
 //! # #[tokio::main(flavor = "current_thread", start_paused = true)]
 //! # async fn main() -> Result<(), tokio_scip::Error> {
 //! # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-//! let mut scans = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await?.only_scans();
+//! // Without the errors, for a consumer that handles them elsewhere:
+//! use futures::StreamExt;
+//!
+//! let scans = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await?;
+//! let mut scans = scans.filter_map(|item| std::future::ready(item.ok()));
 //! while let Some(scan) = scans.next().await {
 //!     println!("{} points", scan.len());
 //! #   sensor.close().await;
@@ -17,11 +21,9 @@
 //! ```
 
 mod builder;
-mod only_scans;
 mod scan_stream;
 
 pub use self::builder::StreamBuilder;
-pub use self::only_scans::OnlyScans;
 #[doc(no_inline)]
 pub use self::scan_stream::ScanStream;
 pub use crate::rate::RateError;

@@ -228,7 +228,7 @@ async fn a_program_that_ends_is_started_again() {
     let command = format!("exec 3<>/dev/tcp/127.0.0.1/{port}; cat <&3 & exec cat >&3");
     let program = own_transport::Program::new(format!("exec bash -c '{command}'"));
     let sensor = Sensor::builder().connect(program).await.unwrap();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     hang_up.send(()).unwrap();
     state.wait_for(|state| !matches!(state, State::Connected { .. })).await.unwrap();
     state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();

@@ -98,8 +98,8 @@ fn windows_that_can_differ() {
 
 #[test]
 fn windows_that_can_differ_as_fast_as_possible() {
-    let scenario = on_a_grid("windows that can differ, Rate::MAX", &[can_differ()]);
-    explore(&Scenario { rate: Rate::MAX, ..scenario });
+    let scenario = on_a_grid("windows that can differ, Rate::UNLIMITED", &[can_differ()]);
+    explore(&Scenario { rate: Rate::UNLIMITED, ..scenario });
 }
 
 #[test]
@@ -110,16 +110,16 @@ fn windows_that_cannot_differ() {
 
 #[test]
 fn windows_that_cannot_differ_as_fast_as_possible() {
-    let scenario = on_a_grid("windows that cannot differ, Rate::MAX", &[cannot_differ()]);
-    explore(&Scenario { rate: Rate::MAX, fates: without_later_copies(), ..scenario });
+    let scenario = on_a_grid("windows that cannot differ, Rate::UNLIMITED", &[cannot_differ()]);
+    explore(&Scenario { rate: Rate::UNLIMITED, fates: without_later_copies(), ..scenario });
 }
 
 /// On a serial line a fence stands between two polls that follow each other at once.
 #[test]
 fn windows_that_cannot_differ_on_a_serial_line() {
     let scenario =
-        on_a_grid("windows that cannot differ, 19,200 baud, Rate::MAX", &[cannot_differ()]);
-    explore(&Scenario { rate: Rate::MAX, baud_rate: Some(BaudRate::B19200), ..scenario });
+        on_a_grid("windows that cannot differ, 19,200 baud, Rate::UNLIMITED", &[cannot_differ()]);
+    explore(&Scenario { rate: Rate::UNLIMITED, baud_rate: Some(BaudRate::B19200), ..scenario });
 }
 
 #[test]

@@ -208,7 +208,7 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_strea
         }
     };
     let watching = {
-        let mut state = sensor.state();
+        let mut state = sensor.watch_state();
         async move {
             let closed = state.wait_for(|state| matches!(state, State::Closed { .. })).await;
             // If the driver was dropped, the state may go with its last handle.

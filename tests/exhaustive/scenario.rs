@@ -148,7 +148,7 @@ impl Run<'_> {
         if scenario.chooses_while_opening {
             self.begin();
         }
-        sensor.opened().await.map_err(|error| format!("not opened: {error}"))?;
+        sensor.watch_state().connected().await.map_err(|error| format!("not opened: {error}"))?;
         let mut streams = Vec::new();
         for window in &scenario.windows {
             let stream = sensor.scans(*window, scenario.rate).await;

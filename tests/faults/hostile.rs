@@ -143,7 +143,7 @@ async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
             }
         }
     }
-    texts.push(format!("{:?} {:?}", sensor.stats(), sensor.state().get()));
+    texts.push(format!("{:?} {:?}", sensor.stats(), sensor.watch_state().get()));
     assert!(texts.len() > 20, "{}", texts.len());
     texts.extend(log.0.lock().unwrap().drain(..));
     for text in &texts {

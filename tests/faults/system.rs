@@ -125,7 +125,7 @@ async fn o05_a_denied_permission_is_not_reported_as_an_unplugged_port() {
     }
     let reported = matches!(errors.last().unwrap().kind(), ErrorKind::PermissionDenied { .. });
     assert!(reported && errors.len() <= 2, "{errors:?}");
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
     assert!(matches!(error.kind(), ErrorKind::PermissionDenied { .. }), "{error:?}");
     scans(&mut stream, 1).await;
@@ -136,7 +136,7 @@ async fn o10_s_on_usb_changes_neither_baud_rate() {
     let emulator = instant_sensor().build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     sensor.set_baud_rate(BaudRate::B750000).await.unwrap();
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     assert!(matches!(state, State::Connected { baud_rate: None, .. }), "{state:?}");
     sensor.scan(WINDOW).await.unwrap();
 }
@@ -303,7 +303,7 @@ async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_replaced() {
     assert_eq!(sensor.stats().disconnects, 1);
     // Half open: the connection exists, and nothing arrives.
     emulator.set_faults(Faults::none().every(Fault::Lost));
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
     emulator.set_faults(Faults::none());
     scans(&mut stream, 2).await;

@@ -84,7 +84,7 @@ async fn a06_a_driver_that_panics_ends_every_pending_call() {
         }));
         let driver = tokio::spawn(driver);
         let work = async {
-            sensor.opened().await?;
+            sensor.watch_state().connected().await?;
             let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await?;
             ended_in_work += 1;
             loop {
@@ -100,7 +100,7 @@ async fn a06_a_driver_that_panics_ends_every_pending_call() {
             sensor.scan(WINDOW).await.unwrap_err().kind(),
             ErrorKind::Panicked { .. }
         ));
-        assert!(matches!(sensor.state().get(), State::Closed { error: Some(_) }));
+        assert!(matches!(sensor.watch_state().get(), State::Closed { error: Some(_) }));
     }
     assert!(ended_in_work > 10);
     let _ = std::panic::take_hook();
@@ -184,7 +184,7 @@ async fn a10_sixteen_thousand_requests_without_a_link_take_linear_time() {
     let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     let took = async |requests| {
         let start = std::time::Instant::now();

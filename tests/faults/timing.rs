@@ -32,7 +32,7 @@ async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan
     let mut delivered = scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().every(Fault::Late(ms(3000))));
     let before = sensor.stats();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let since = Instant::now();
     state.wait_for(|state| matches!(state, State::Recovering)).await.map(drop).unwrap();
     // One poll and six fences, 500 ms each.
@@ -76,7 +76,7 @@ async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
     // At the highest rate, so that the driver is never idle between two polls, and with
     // the full window, where polls cannot differ.
     let emulator = instant_sensor().build();
-    let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::MAX).await;
+    let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::UNLIMITED).await;
     let mut delivered = scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().rate(0.5, Fault::Doubled));
     for _ in 0..300 {
@@ -126,7 +126,7 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
             // This truth's values name their request also in clusters.
             let truth = Truth::default();
             let emulator = truthful().world(truth.world()).baud_rate(baud_rate).build();
-            let (_sensor, mut stream) = streaming(&emulator, window, Rate::MAX).await;
+            let (_sensor, mut stream) = streaming(&emulator, window, Rate::UNLIMITED).await;
             let mut faults = Faults::none();
             for reply in (0..200).step_by(5) {
                 let pause = Fault::Pause(window.reply_len(), ms(behind));
@@ -198,7 +198,7 @@ async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
         .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
         .await
         .unwrap();
-    let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(Window::FULL, Rate::UNLIMITED).await.unwrap();
     scans(&mut stream, 20).await;
     let stats = sensor.stats();
     assert!(stats.baud_rate_outrun && stats.malformed.total() == 0, "{stats:?}");
@@ -232,7 +232,7 @@ async fn o26_a_new_link_is_not_outrun_because_the_one_before_was() {
     let sensor = builder().connect(ConnectFn(connect)).await.unwrap();
     sensor.scan(WINDOW).await.unwrap();
     assert!(sensor.stats().baud_rate_outrun);
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     unplugged.unplug();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     state.connected().await.unwrap();

@@ -152,7 +152,7 @@ async fn endless(pattern: &[u8]) -> Duration {
     scans(&mut stream, 1).await;
     emulator.set_faults(Faults::none().at(0, Fault::Endless(pattern.to_vec())));
     let start = Instant::now();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let closed = state.wait_for(|state| matches!(state, State::Disconnected { .. }));
     let lost = tokio::time::timeout(Duration::from_secs(10), closed).await;
     // Cloned at once, because `wait_for` returns a lock on the state.
@@ -220,7 +220,7 @@ async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_afte
                 .filter(|e| matches!(e.kind(), ErrorKind::WrongProtocol { .. }))
                 .count();
             assert!((1..=2).contains(&named) && errors.len() <= 4, "{mode:?}: {errors:?}");
-            let state = sensor.state().get();
+            let state = sensor.watch_state().get();
             let State::Disconnected { error, .. } = state else { panic!("{state:?}") };
             assert!(matches!(error.kind(), ErrorKind::WrongProtocol { .. }), "{mode:?}: {error:?}");
             // The driver never sends the command that leaves SCIP 2, because some models lock up.

@@ -7,7 +7,8 @@ use futures::stream::{FusedStream, Stream};
 use tokio_scip::port::Connect;
 use tokio_scip::port::StreamPort;
 use tokio_scip::scan::Zone;
-use tokio_scip::stream::OnlyScans;
+use tokio_scip::state::StateWatch;
+use tokio_scip::stream::StreamBuilder;
 use tokio_scip::{
     Driver, Endpoint, Error, Point, Rate, Scan, ScanStream, Sensor, SensorBuilder, State, Stats,
     Version, Window,
@@ -25,7 +26,7 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<Endpoint>();
     shared::<StreamPort<tokio::io::Empty>>();
     shared::<ScanStream>();
-    shared::<OnlyScans>();
+    shared::<StreamBuilder>();
     shared::<Scan>();
     shared::<Point>();
     shared::<Zone>();
@@ -40,7 +41,6 @@ fn handles_streams_and_data_are_shared_between_threads() {
 #[test]
 fn streams_need_no_pinning_and_are_fused() {
     stream::<ScanStream>();
-    stream::<OnlyScans>();
 }
 
 #[test]
@@ -56,20 +56,19 @@ fn the_driver_is_a_future_that_can_be_spawned() {
 fn every_future_can_be_awaited_in_a_spawned_task(
     sensor: &'static Sensor,
     stream: &'static mut ScanStream,
-    scans: &'static mut OnlyScans,
+    state: &'static mut StateWatch,
     connect: impl Connect,
 ) {
     sent(&Sensor::open("/dev/ttyACM0"));
     sent(&Sensor::attach(tokio::io::empty()));
     sent(&Sensor::builder().connect(connect));
-    sent(&sensor.opened());
+    sent(&state.connected());
     sent(&sensor.version());
     sent(&sensor.laser_on());
     sent(&sensor.laser_off());
     sent(&sensor.set_baud_rate(tokio_scip::BaudRate::B19200));
     sent(&sensor.scan(Window::FULL));
-    sent(&sensor.scans(Window::FULL, Rate::MAX));
+    sent(&sensor.scans(Window::FULL, Rate::UNLIMITED).into_future());
     sent(&sensor.close());
     sent(&stream.next());
-    sent(&scans.next());
 }

@@ -26,7 +26,7 @@ fn scans_go_on_while_the_state_is_borrowed() {
             let sensor = open(&Emulator::default()).await;
             let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
             stream.next().await.unwrap().unwrap();
-            send_state.send(sensor.state()).unwrap();
+            send_state.send(sensor.watch_state()).unwrap();
             is_borrowed.recv().unwrap();
             while let Some(item) = stream.next().await {
                 if sender.send(item).is_err() {

@@ -38,7 +38,8 @@ async fn dropped_at_every_step<F: Future>(ask: impl Fn(Sensor) -> F) -> usize {
         let emulator = truthful().baud_rate(BaudRate::B19200).build();
         let (sensor, driver) = builder().build(emulator.clone());
         let mut driver = pin!(driver);
-        let opened = pin!(sensor.opened());
+        let mut state = sensor.watch_state();
+        let opened = pin!(state.connected());
         assert!(with(&mut driver, opened).await.is_ok());
 
         let finished = drop_after(&mut driver, ask(sensor.clone()), steps).await;
@@ -142,7 +143,7 @@ async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
         let work = tokio::spawn({
             let sensor = sensor.clone();
             async move {
-                let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await?;
+                let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await?;
                 while let Some(item) = stream.next().await {
                     item?;
                 }
@@ -175,7 +176,7 @@ async fn a_driver_that_is_dropped_before_it_runs_ends_every_call() {
     });
     let opened = tokio::spawn({
         let sensor = sensor.clone();
-        async move { sensor.opened().await }
+        async move { sensor.watch_state().connected().await }
     });
     tokio::task::yield_now().await;
     drop(driver);

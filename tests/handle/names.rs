@@ -67,7 +67,7 @@ async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() 
     let emulator = Emulator::default();
     let (sensor, driver) = builder().name("left").reconnect(false).build(emulator.clone());
     let driver = tokio::spawn(driver);
-    sensor.opened().await.unwrap();
+    sensor.watch_state().connected().await.unwrap();
     let mut scans = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     scans.next().await.unwrap().unwrap();
     emulator.set_faults(Faults::none().at(0, Fault::Drop(100..101)));
@@ -92,9 +92,9 @@ async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() 
     };
     assert!(matches!(named(lost).kind(), ErrorKind::Disconnected { .. }));
     named(driver.await.unwrap().unwrap_err());
-    named(sensor.state().closed().await.unwrap_err());
-    named(sensor.state().connected().await.unwrap_err());
-    let State::Closed { error: Some(error) } = sensor.state().get() else { panic!() };
+    named(sensor.watch_state().closed().await.unwrap_err());
+    named(sensor.watch_state().connected().await.unwrap_err());
+    let State::Closed { error: Some(error) } = sensor.watch_state().get() else { panic!() };
     named(error);
 }
 
@@ -102,7 +102,7 @@ async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() 
 async fn a_watch_of_a_driver_that_was_dropped_names_the_sensor() {
     let (sensor, driver) = builder().name("left").build(Emulator::default());
     drop(driver);
-    named(sensor.state().connected().await.unwrap_err());
+    named(sensor.watch_state().connected().await.unwrap_err());
     named(sensor.freshness().error().unwrap().clone());
 }
 
@@ -112,7 +112,7 @@ async fn a_panic_of_the_driver_names_the_sensor() {
     let connect = || -> Result<StreamPort<tokio::io::DuplexStream>, Error> { panic!("injected") };
     let (sensor, driver) = builder().name("left").build(ConnectFn(connect));
     assert!(tokio::spawn(driver).await.unwrap_err().is_panic());
-    let error = named(sensor.opened().await.unwrap_err());
+    let error = named(sensor.watch_state().connected().await.unwrap_err());
     let _ = std::panic::take_hook();
     assert_eq!(error.to_string(), "the driver of left has panicked: injected");
 }

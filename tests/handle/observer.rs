@@ -102,7 +102,7 @@ async fn an_observation_keeps_no_driver_running_and_sensors_of_one_builder_share
     let builder = Sensor::builder();
     let (first, driver) = builder.clone().build(Emulator::default());
     let mut driver = tokio::spawn(driver);
-    first.opened().await.unwrap();
+    first.watch_state().connected().await.unwrap();
     let second = builder.connect(Emulator::default()).await.unwrap();
     let counts = Arc::new(Mutex::new([0, 0]));
     let count = |sensor: usize| {

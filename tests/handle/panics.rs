@@ -54,6 +54,6 @@ fn a06_a_panic_elsewhere_on_the_thread_of_the_runtime_is_none_of_the_driver() {
     });
     let sensor = receiver.recv().unwrap();
     assert!(thread.join().is_err());
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     assert!(matches!(state, State::Closed { error: None }), "{state:?}");
 }

@@ -89,7 +89,7 @@ fn a_scan_is_deserialized_from_few_fields_and_never_an_invalid_one() {
 
 #[test]
 fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
-    for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::MAX] {
+    for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::UNLIMITED] {
         let data = serde_json::to_value(rate).unwrap();
         assert_eq!(data, json!(rate.to_string()));
         assert_eq!(serde_json::from_value::<Rate>(data).unwrap(), rate);
@@ -170,8 +170,8 @@ async fn a_state_is_serialized_without_instants() {
     let connected = json!({
         "state": "connected", "baud_rate": null, "streaming": false, "serial_number": "H0713090"
     });
-    assert_eq!(data(&sensor.state().get()), connected);
-    let mut state = sensor.state();
+    assert_eq!(data(&sensor.watch_state().get()), connected);
+    let mut state = sensor.watch_state();
     emulator.unplug();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     tokio::time::sleep(Duration::from_secs(3)).await;
@@ -180,5 +180,5 @@ async fn a_state_is_serialized_without_instants() {
     assert!((2.9..3.1).contains(&lost["since"].as_f64().unwrap()), "{lost}");
     assert!(lost["error"].as_str().unwrap().contains("no port"), "{lost}");
     sensor.close().await;
-    assert_eq!(data(&sensor.state().get()), json!({"state": "closed", "error": null}));
+    assert_eq!(data(&sensor.watch_state().get()), json!({"state": "closed", "error": null}));
 }

@@ -119,7 +119,7 @@ async fn a_flood_under_a_stream_ends_it() {
     for pattern in PATTERNS {
         let (_emulator, open, flooding_port) = flooding_port(pattern);
         let sensor = builder().attach(flooding_port).await.unwrap();
-        let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         stream.next().await.unwrap().unwrap();
         open.store(true, Ordering::Relaxed);
         let mut last = None;
@@ -135,7 +135,7 @@ async fn a_flood_under_a_stream_ends_it() {
 async fn a_sensor_that_answers_at_once_leaves_time_for_others() {
     // It never wakes the driver, so that only a driver that yields lets others run.
     let sensor = builder().attach(InstantSensor::without_wakeups()).await.unwrap();
-    let mut stream = sensor.scans(Window::new(384..=390).unwrap(), Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(Window::new(384..=390).unwrap(), Rate::UNLIMITED).await.unwrap();
     stream.next().await.unwrap().unwrap();
     let start = sensor.stats().polls;
     for turns in 1..1000 {

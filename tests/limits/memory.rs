@@ -129,7 +129,8 @@ fn a_thousand_replugs_with_streams_that_come_and_go_leave_nothing_on_the_heap() 
     let runtime = runtime();
     let emulator = sensor();
     let opened = runtime.block_on(builder().connect(emulator.clone())).unwrap();
-    let mut kept = runtime.block_on(opened.scans(Window::DETECTION, Rate::hz(10.0))).unwrap();
+    let mut kept =
+        runtime.block_on(opened.scans(Window::DETECTION, Rate::hz(10.0)).into_future()).unwrap();
     let mut replug = |times: u32| {
         measure(|| {
             runtime.block_on(async {

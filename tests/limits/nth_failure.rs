@@ -43,9 +43,9 @@ enum Scenario {
 /// Runs the scenario, and returns the first error.
 async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result<(), Error> {
     match scenario {
-        Scenario::Open => sensor.opened().await,
+        Scenario::Open => sensor.watch_state().connected().await,
         Scenario::Stream | Scenario::Reconnect => {
-            sensor.opened().await?;
+            sensor.watch_state().connected().await?;
             let mut stream = sensor.scans(window(), Rate::hz(5.0)).await?;
             let mut first = None;
             for round in 0..2 {
@@ -68,7 +68,7 @@ async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result
             first.map_or(Ok(()), Err)
         }
         Scenario::Speed => {
-            sensor.opened().await?;
+            sensor.watch_state().connected().await?;
             sensor.set_baud_rate(BaudRate::B57600).await?;
             sensor.set_baud_rate(BaudRate::B250000).await
         }

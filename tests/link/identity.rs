@@ -31,7 +31,9 @@ async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken
         ),
         "{errors:?}"
     );
-    let State::Disconnected { error, .. } = sensor.state().get() else { panic!("{errors:?}") };
+    let State::Disconnected { error, .. } = sensor.watch_state().get() else {
+        panic!("{errors:?}")
+    };
     assert!(matches!(error.kind(), ErrorKind::AnotherSensor { .. }), "{error:?}");
     emulator.set_serial_number("H0000001");
     stream.next().await.unwrap().unwrap();
@@ -42,7 +44,7 @@ async fn d09_any_sensor_accepts_a_spare_and_restores_the_settings_on_it() {
     let emulator = truthful().serial_number("H0000001").build();
     let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
     sensor.laser_off().await.unwrap();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     emulator.unplug();
     emulator.set_serial_number("H0000002");
     emulator.power_cycle();
@@ -179,11 +181,14 @@ async fn a_sensor_that_refuses_the_wanted_baud_rate_is_not_the_expected_one_ever
         }
         _ => false,
     };
-    sensor.state().wait_for(refused).await.map(drop).unwrap();
+    sensor.watch_state().wait_for(refused).await.map(drop).unwrap();
     emulator.unplug();
     emulator.set_serial_number("H0000002");
     emulator.plug_in();
-    tokio::time::timeout(Duration::from_secs(60), sensor.opened()).await.unwrap().unwrap();
+    tokio::time::timeout(Duration::from_secs(60), sensor.watch_state().connected())
+        .await
+        .unwrap()
+        .unwrap();
     assert_eq!(sensor.version().await.unwrap().serial_number, "H0000002");
 }
 

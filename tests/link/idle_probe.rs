@@ -63,7 +63,7 @@ async fn an_idle_link_is_probed_if_it_can_die_silently_and_otherwise_on_request(
 #[tokio::test(start_paused = true)]
 async fn o22_the_probe_detects_a_link_that_died_silently_while_idle() {
     let (sensor, emulator) = remote(Sensor::builder()).await;
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     emulator.set_faults(Faults::none().every(Fault::Lost));
     let start = Instant::now();
     state.wait_for(|state| !matches!(state, State::Connected { .. })).await.unwrap();
@@ -75,7 +75,7 @@ async fn o22_the_probe_detects_a_link_that_died_silently_while_idle() {
     let (sensor, emulator) = remote(Sensor::builder().idle_probe(None)).await;
     emulator.set_faults(Faults::none().every(Fault::Lost));
     sleep(3600 * S).await;
-    assert!(matches!(sensor.state().get(), State::Connected { .. }), "nobody asked");
+    assert!(matches!(sensor.watch_state().get(), State::Connected { .. }), "nobody asked");
 }
 
 #[tokio::test(start_paused = true)]
@@ -139,7 +139,7 @@ async fn a_link_that_died_silently_is_lost_within_ten_seconds_at_every_fixed_bau
             }))
             .await
             .unwrap();
-        let mut state = sensor.state();
+        let mut state = sensor.watch_state();
         emulator.set_faults(Faults::none().every(Fault::Lost));
         let start = Instant::now();
         state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();

@@ -87,7 +87,7 @@ async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
         builder().name("left").reconnect(false).build(emulator.clone())
     };
     tokio::spawn(driver);
-    sensor.opened().await.unwrap();
+    sensor.watch_state().connected().await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     emulator.unplug();
@@ -136,7 +136,7 @@ async fn a_lost_link_is_logged_once_for_each_reason_why_it_stays_lost() {
     let sensor = builder().connect(ConnectFn(connect)).await.unwrap();
     emulator.unplug();
     sleep(Duration::from_secs(3600 - 60)).await;
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     assert!(matches!(state, State::Disconnected { .. }));
     let log = log.0.lock().unwrap();
     let warnings = log.lines.iter().filter(|(level, _)| *level == Level::WARN).count();
@@ -151,7 +151,7 @@ async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_onl
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     sensor.scan(WINDOW).await.unwrap();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     emulator.set_faults(Faults::none().every(Fault::Lost));
     drop(sensor.scan(WINDOW).await);
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
@@ -186,7 +186,7 @@ async fn a_spare_sensor_is_logged_and_the_same_sensor_is_not() {
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().serial_number("H0000001").build();
     let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let mut replug = async |serial_number: &str| {
         emulator.unplug();
         state

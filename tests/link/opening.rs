@@ -20,7 +20,7 @@ async fn fails(emulator: &Emulator) -> Error {
 }
 
 fn baud_rate(sensor: &Sensor) -> Option<BaudRate> {
-    sensor.state().get().baud_rate()
+    sensor.watch_state().get().baud_rate()
 }
 
 #[tokio::test(start_paused = true)]
@@ -195,9 +195,9 @@ async fn an_unplugged_sensor_is_no_such_port_without_wait_for_sensor() {
     assert!(matches!(fails(&emulator).await.kind(), ErrorKind::NoSuchPort { .. }));
 
     let (sensor, driver) = builder().wait_for_sensor(true).build(emulator.clone());
-    let state = sensor.state();
+    let state = sensor.watch_state();
     tokio::spawn(driver);
-    let waiting = tokio::spawn(async move { sensor.opened().await });
+    let waiting = tokio::spawn(async move { sensor.watch_state().connected().await });
     tokio::time::sleep(Duration::from_secs(3600)).await;
     assert!(!waiting.is_finished());
     let State::Connecting { error: Some(error) } = state.get() else { panic!("{state:?}") };
@@ -297,7 +297,7 @@ async fn extreme_settings_are_replaced_by_the_nearest_valid_ones() {
     let longest = Duration::MAX;
     let wild = builder().depth(usize::MAX).open_timeout(longest).reply_latency(longest);
     let sensor = wild.backoff(longest..=longest).connect(emulator.clone()).await.unwrap();
-    let mut stream = sensor.scans(Window::DETECTION, tokio_scip::Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, tokio_scip::Rate::UNLIMITED).await.unwrap();
     stream.next().await.unwrap().unwrap();
     sensor.close().await;
 

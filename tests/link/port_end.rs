@@ -94,7 +94,7 @@ async fn ends(builder: SensorBuilder, port: Ending, opened: u64, before: impl Fu
     let connects = port.connects.load(Relaxed);
     port.is_over.store(true, Relaxed);
     let outcome = timeout(Duration::from_secs(60), driver).await.unwrap().unwrap();
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     let mut items = Vec::new();
     while let Some(item) = scans.next().await {
         items.extend(item.err());

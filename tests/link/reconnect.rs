@@ -15,7 +15,7 @@ pub(crate) async fn open(emulator: &Emulator) -> Sensor {
 async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
-    let state = sensor.state();
+    let state = sensor.watch_state();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     emulator.unplug();
@@ -54,7 +54,7 @@ async fn a_baud_rate_that_the_sensor_refuses_fails_the_first_opening_and_no_late
     assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error:?}");
 
     let sensor = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     emulator.unplug();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();
     emulator.power_cycle();
@@ -139,7 +139,7 @@ async fn d02_a_laser_that_was_switched_off_stays_off_after_a_replug() {
     emulator.power_cycle();
     assert!(emulator.is_laser_on());
     emulator.plug_in();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     state.wait_for(|state| matches!(state, State::Connected { .. })).await.unwrap();
     assert!(!emulator.is_laser_on());
@@ -167,7 +167,9 @@ async fn without_reconnecting_a_lost_link_ends_the_driver() {
         sensor.scan(Window::FULL).await.unwrap_err().kind(),
         ErrorKind::Disconnected { .. }
     ));
-    let State::Closed { error: Some(error) } = sensor.state().get() else { panic!("no cause") };
+    let State::Closed { error: Some(error) } = sensor.watch_state().get() else {
+        panic!("no cause")
+    };
     assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
 }
 
@@ -224,7 +226,7 @@ async fn version_fails_while_there_is_no_sensor() {
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
     emulator.unplug();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     // It answers the fence and `V`, and refuses to switch its laser off.
     let refused = (2..1000).step_by(3);
@@ -240,7 +242,7 @@ async fn version_fails_while_there_is_no_sensor() {
 async fn a_link_that_comes_and_goes_is_not_reopened_without_a_pause() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let (end, mut times) = (Instant::now() + Duration::from_secs(60), 0);
     let connected = |state: &State| matches!(state, State::Connected { .. });
     while tokio::time::timeout_at(end, state.wait_for(connected)).await.is_ok() {
@@ -267,13 +269,13 @@ async fn closing_and_subscribing_need_no_link_and_never_expire() {
     emulator.unplug();
     let error = sensor.scan(Window::FULL).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
-    let mut stream = sensor.scans(Window::FULL, Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(Window::FULL, Rate::UNLIMITED).await.unwrap();
     assert!(matches!(
         stream.next().await.unwrap().unwrap_err().kind(),
         ErrorKind::Disconnected { .. }
     ));
     sensor.close().await;
-    assert!(matches!(sensor.state().get(), State::Closed { error: None }));
+    assert!(matches!(sensor.watch_state().get(), State::Closed { error: None }));
     assert!(stream.next().await.is_none());
 }
 
@@ -282,7 +284,7 @@ async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
     // Dropped while it is queued.
     assert!(futures::FutureExt::now_or_never(sensor.close()).is_none());

@@ -128,7 +128,7 @@ async fn a08_the_baud_rate_changes_under_a_stream_and_back() {
     for speed in BaudRate::ALL.into_iter().rev() {
         sensor.set_baud_rate(speed).await.unwrap();
         assert_eq!(emulator.baud_rate(), Some(speed));
-        let state = sensor.state().get();
+        let state = sensor.watch_state().get();
         assert!(matches!(state, State::Connected { baud_rate, .. } if baud_rate == Some(speed)));
         stream.next().await.unwrap().unwrap();
     }

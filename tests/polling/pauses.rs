@@ -322,7 +322,7 @@ async fn a_line_that_is_pulled_during_a_pause_is_noticed_at_its_end() {
     let error = rig.scan().await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error}");
     assert!(Instant::now() - asked <= ms(123), "{:?}", Instant::now() - asked);
-    assert!(matches!(rig.sensor.state().get(), State::Closed { .. }));
+    assert!(matches!(rig.sensor.watch_state().get(), State::Closed { .. }));
 }
 
 #[tokio::test(start_paused = true)]

@@ -21,7 +21,7 @@ fn a_rate_lies_between_once_a_day_and_a_thousand_a_second() {
     for (rate, period) in table {
         assert_eq!(rate.period(), Some(period), "{rate}");
     }
-    assert_eq!(Rate::MAX.period(), None);
+    assert_eq!(Rate::UNLIMITED.period(), None);
 }
 
 #[test]
@@ -31,7 +31,7 @@ fn a_rate_is_parsed_from_its_own_text() {
         ("12.5 Hz", Rate::hz(12.5)),
         ("0.1 Hz", Rate::every(Duration::from_secs(10))),
         ("1000 Hz", Rate::hz(1000.0)),
-        ("max", Rate::MAX),
+        ("max", Rate::UNLIMITED),
     ] {
         assert_eq!(rate.to_string(), text);
         assert_eq!(text.parse::<Rate>().unwrap(), rate);

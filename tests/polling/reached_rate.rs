@@ -26,7 +26,7 @@ fn reached(sensor: &Sensor) -> Option<f64> {
 }
 
 async fn wait_for(sensor: &Sensor, is_state: impl FnMut(&State) -> bool) {
-    sensor.state().wait_for(is_state).await.map(drop).unwrap();
+    sensor.watch_state().wait_for(is_state).await.map(drop).unwrap();
 }
 
 #[tokio::test(start_paused = true)]

@@ -41,7 +41,7 @@ async fn at_the_highest_rate_a_port_whose_replies_are_ready_leaves_other_tasks_t
             yield_now().await;
         }
     });
-    let mut stream = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
     for _ in 0..5 {
         stream.next().await.unwrap().unwrap();
     }

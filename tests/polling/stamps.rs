@@ -55,7 +55,7 @@ fn worst(errors: &[Errors], of: fn(&Errors) -> f64) -> f64 {
 
 #[tokio::test(start_paused = true)]
 async fn stamps_rest_on_the_motor_after_eight_scans_and_its_period_is_measured() {
-    for rate in [Rate::MAX, Rate::hz(10.0), Rate::hz(5.0)] {
+    for rate in [Rate::UNLIMITED, Rate::hz(10.0), Rate::hz(5.0)] {
         let emulator = turning().build();
         let (sensor, mut scans) = stream(&emulator, rate).await;
         let first = scans.next().await.unwrap().unwrap();
@@ -80,7 +80,7 @@ async fn stamps_rest_on_the_motor_after_eight_scans_and_its_period_is_measured()
 #[tokio::test(start_paused = true)]
 async fn late_replies_do_not_move_the_stamps() {
     let emulator = turning().faults(Faults::none().late(0.2, ms(30))).build();
-    let (_sensor, mut scans) = stream(&emulator, Rate::MAX).await;
+    let (_sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;
     next_errors(&emulator, &mut scans, 100).await;
     let later = next_errors(&emulator, &mut scans, 1000).await;
     assert!(worst(&later, |errors| errors.arrival) > 25.0);
@@ -106,7 +106,7 @@ async fn five_scans_after_a_jump_of_the_motor_the_stamps_are_right_again() {
 
 #[tokio::test(start_paused = true)]
 async fn a_sensor_that_answers_at_once_has_stamps_of_arrival() {
-    for (pace, rate) in [(Pace::AtOnce, Rate::MAX), (Pace::AtOnce, Rate::hz(10.0))] {
+    for (pace, rate) in [(Pace::AtOnce, Rate::UNLIMITED), (Pace::AtOnce, Rate::hz(10.0))] {
         let emulator = turning().pace(pace).build();
         let (sensor, mut scans) = stream(&emulator, rate).await;
         for _ in 0..200 {
@@ -123,7 +123,7 @@ async fn on_a_serial_line_the_stamps_rest_on_the_motor_too() {
     for baud_rate in [BaudRate::B115200, BaudRate::B19200] {
         let emulator = turning().baud_rate(baud_rate).build();
         let sensor = builder().baud_rate(baud_rate).connect(emulator.clone()).await.unwrap();
-        let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
         next_errors(&emulator, &mut scans, 100).await;
         let later = next_errors(&emulator, &mut scans, 100).await;
         // The command and the first byte take their time on the line, always the same.
@@ -136,7 +136,7 @@ async fn on_a_serial_line_the_stamps_rest_on_the_motor_too() {
 #[tokio::test(start_paused = true)]
 async fn a_sensor_that_is_found_again_is_measured_anew() {
     let emulator = turning().build();
-    let (sensor, mut scans) = stream(&emulator, Rate::MAX).await;
+    let (sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;
     next_errors(&emulator, &mut scans, 50).await;
     assert!(sensor.stats().motor.is_some());
     emulator.unplug();
@@ -179,7 +179,7 @@ async fn when_the_wall_clock_is_set_no_scan_has_a_time_between_both() {
     let began = Instant::now();
     let port = move || Ok(Hooked { port: emulator.link(), hooks: SetClock { began, reads: 0 } });
     let sensor = builder().connect(ConnectFn(port)).await.unwrap();
-    let mut scans = sensor.scans(Window::DETECTION, Rate::MAX).await.unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
     let mut scans_by = [0, 0];
     for _ in 0..200 {
         let scan = scans.next().await.unwrap().unwrap();

@@ -40,7 +40,7 @@ async fn a_clean_line_needs_no_fence_after_the_first() {
 async fn successive_polls_differ_wherever_the_window_leaves_any_room() {
     for (steps, echoes) in [(0..=765, 4), (0..=766, 3), (0..=767, 2), (1..=768, 2), (2..=768, 3)] {
         let emulator = truthful().pace(Pace::AtOnce).build();
-        stream(&emulator, Window::new(steps.clone()).unwrap(), Rate::MAX, 40).await;
+        stream(&emulator, Window::new(steps.clone()).unwrap(), Rate::UNLIMITED, 40).await;
         let log = emulator.log();
         let polls: Vec<_> = log.iter().filter(|line| line.line.starts_with(b"G")).skip(1).collect();
         assert!(polls.len() >= 30);

@@ -8,12 +8,12 @@ use urg_emulator::{Emulator, Fixed, Pace};
 
 const SCANS: u32 = 200;
 
-/// Measures the scans a second of `window` at [`Rate::MAX`].
+/// Measures the scans a second of `window` at [`Rate::UNLIMITED`].
 async fn rate(window: Window, speed: BaudRate) -> f64 {
     let world = Fixed::filled(1234);
     let emulator = Emulator::builder().world(world).baud_rate(speed).pace(Pace::AtOnce).build();
     let sensor = builder().connect(emulator).await.unwrap();
-    let mut stream = sensor.scans(window, Rate::MAX).await.unwrap();
+    let mut stream = sensor.scans(window, Rate::UNLIMITED).await.unwrap();
     stream.next().await.unwrap().unwrap();
     let start = Instant::now();
     for _ in 0..SCANS {

@@ -80,7 +80,7 @@ async fn o01_o16_a_stream_goes_on_after_unplug_and_replug_without_a_busy_loop() 
     let connect = Counting { path: path.to_str().unwrap().into(), counts: Arc::clone(&counts) };
     let sensor = builder().connect(connect).await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-    let state = sensor.state();
+    let state = sensor.watch_state();
     for round in 1..=2 {
         stream.next().await.unwrap().unwrap();
         counts.refused.forget_permits(Semaphore::MAX_PERMITS);

@@ -75,8 +75,8 @@ impl User {
             let state = self.peer.lock();
             assert!(self.off.is_none_or(|polls| polls == state.polls), "a poll with the laser off");
             drop(state);
-            let ended = matches!(self.sensor.state().get(), State::Closed { .. });
-            assert!(!ended, "the driver ended: {:?}", self.sensor.state().get());
+            let ended = matches!(self.sensor.watch_state().get(), State::Closed { .. });
+            assert!(!ended, "the driver ended: {:?}", self.sensor.watch_state().get());
         }
     }
 
@@ -120,7 +120,8 @@ impl User {
     /// Reads the stream's next item if it comes soon.
     async fn read(&mut self, parameter: u8) {
         let Some(stream) = &mut self.stream else {
-            let rate = [Rate::hz(10.0), Rate::MAX, Rate::hz(1.0)][usize::from(parameter / 3) % 3];
+            let rate =
+                [Rate::hz(10.0), Rate::UNLIMITED, Rate::hz(1.0)][usize::from(parameter / 3) % 3];
             self.stream = self.sensor.scans(windows(parameter), rate).await.ok();
             self.last = None;
             return;

@@ -61,9 +61,9 @@ pub(crate) fn line_with_late_copies() -> Faults {
         .seed(2)
 }
 
-/// The sensor to poll. At [`Rate::MAX`] its motor sets the rate.
+/// The sensor to poll. At [`Rate::UNLIMITED`] its motor sets the rate.
 pub(crate) fn sensor(truth: &Truth, rate: Rate) -> EmulatorBuilder {
-    let pace = if rate == Rate::MAX { Pace::PerRevolution } else { Pace::AtOnce };
+    let pace = if rate == Rate::UNLIMITED { Pace::PerRevolution } else { Pace::AtOnce };
     Emulator::builder().world(truth.world()).pace(pace)
 }
 

@@ -95,7 +95,7 @@ fn poll(window: Window, rate: Rate, faults: Faults) -> Loss {
 
 #[test]
 fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
-    for rate in [Rate::hz(10.0), Rate::MAX] {
+    for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
         let loss = poll(Window::DETECTION, rate, bad_line(1.0));
         assert_eq!(loss.wrong, 0);
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
@@ -104,7 +104,7 @@ fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
 
 #[test]
 fn t03_late_copies_of_replies_are_not_delivered() {
-    for rate in [Rate::hz(10.0), Rate::MAX] {
+    for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
         let loss = poll(Window::DETECTION, rate, line_with_late_copies());
         assert_eq!(loss.wrong, 0);
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");
@@ -113,7 +113,7 @@ fn t03_late_copies_of_replies_are_not_delivered() {
 
 #[test]
 fn where_polls_cannot_differ_at_most_a_few_doubled_replies_are_delivered() {
-    for rate in [Rate::hz(10.0), Rate::MAX] {
+    for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
         let loss = poll(Window::FULL, rate, bad_line(1.0));
         // One reply in a thousand is doubled; a delay puts a few of the copies behind the
         // next poll.
@@ -134,7 +134,7 @@ fn poll_with(remedy: Remedy, window: Window, rate: Rate, faults: Faults) -> Loss
 /// Uses the window in which polls cannot differ, so that only the remedies are compared.
 #[test]
 fn other_remedies_than_the_fence_deliver_stale_scans_or_cost_more() {
-    let (window, rates) = (Window::FULL, [Rate::hz(10.0), Rate::MAX]);
+    let (window, rates) = (Window::FULL, [Rate::hz(10.0), Rate::UNLIMITED]);
     // The other half of the table in README.md takes too long for a test.
     let lines: &[f64] = if setting("SCIP_LOSS_MINUTES").is_some() { &[1.0, 5.0] } else { &[5.0] };
     for (times, rate) in lines.iter().flat_map(|times| rates.map(|rate| (*times, rate))) {

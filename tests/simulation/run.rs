@@ -155,7 +155,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
 
 /// Traces each state, and fails if one is the end of the driver.
 fn watch_states(run: &Run, sensor: &Sensor) {
-    let (run, mut state) = (run.clone(), sensor.state());
+    let (run, mut state) = (run.clone(), sensor.watch_state());
     tokio::spawn(async move {
         while let Some(state) = state.changed().await {
             if let State::Closed { error } = &state {
@@ -173,7 +173,7 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
     if case.refuses || case.events.other_sensor {
         // Another sensor, or one that twice does not confirm its identity, ends opening for
         // good.
-        sensor.opened().await.unwrap();
+        sensor.watch_state().connected().await.unwrap();
     }
     let end = Instant::now() + Duration::from_secs(60) + random.ms(120_000);
     while Instant::now() < end {
@@ -268,8 +268,8 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
 async fn check_rest(run: &Run, sensor: &Sensor) {
     sleep(Duration::from_secs(2)).await;
     let emulator = &run.case.emulator;
-    let State::Connected { baud_rate, streaming, .. } = sensor.state().get() else {
-        panic!("not connected: {:?}", sensor.state().get());
+    let State::Connected { baud_rate, streaming, .. } = sensor.watch_state().get() else {
+        panic!("not connected: {:?}", sensor.watch_state().get());
     };
     assert_eq!(baud_rate, emulator.baud_rate());
     assert!(!streaming && emulator.is_laser_on());

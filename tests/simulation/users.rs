@@ -30,9 +30,11 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
     let mut random = Random::new(seed);
     while !run.is_over() {
         let window = window(&mut random);
-        let rates = [Rate::MAX, Rate::hz(10.0), Rate::hz(20.0), Rate::hz(1.0)];
+        let rates = [Rate::UNLIMITED, Rate::hz(10.0), Rate::hz(20.0), Rate::hz(1.0)];
         let rate = *random.pick(&rates);
-        let Ok(mut stream) = run.call("scans", sensor.clone().scans(window, rate)).await else {
+        let Ok(mut stream) =
+            run.call("scans", sensor.clone().scans(window, rate).into_future()).await
+        else {
             sleep(random.ms(1000)).await;
             continue;
         };

@@ -73,7 +73,7 @@ async fn what_has_been_due_for_longest_goes_first() {
 
 #[tokio::test(start_paused = true)]
 async fn equal_schedules_are_one_and_one_without_readers_ends() {
-    let same = (Window::FULL, Rate::MAX);
+    let same = (Window::FULL, Rate::UNLIMITED);
     let (mut schedules, readers) = schedules(&[same, same]);
     let telemetry = Telemetry::new(None);
     schedules.note(&telemetry);
@@ -114,7 +114,7 @@ async fn one_window_at_two_rates_and_two_windows_at_one_rate_are_schedules_of_th
 
 #[tokio::test(start_paused = true)]
 async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_gone() {
-    let (window, rate) = (Window::single(384), Rate::MAX);
+    let (window, rate) = (Window::single(384), Rate::UNLIMITED);
     let (mut schedules, mut readers) = schedules(&[(window, rate)]);
     let poll = DuePoll { window, rate };
     let mut deliver_three_and_read_one = |schedules: &mut Schedules| {
@@ -135,7 +135,7 @@ async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_go
 
 #[tokio::test(start_paused = true)]
 async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
-    let (window, rate) = (Window::single(384), Rate::MAX);
+    let (window, rate) = (Window::single(384), Rate::UNLIMITED);
     let (mut schedules, mut readers) = schedules(&[(window, rate)]);
     let poll = DuePoll { window, rate };
     let mut errors = 0;

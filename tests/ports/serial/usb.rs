@@ -119,7 +119,7 @@ async fn a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is() {
     plug_in("ttyACM1", "H0713090");
     let sensor = builder().open("serial:H0713090").await.unwrap();
     assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
-    let state = sensor.state().get();
+    let state = sensor.watch_state().get();
     assert!(matches!(state, State::Connected { baud_rate: None, .. }), "{state:?}");
     // The other one was closed again.
     let other = builder().open("/dev/ttyACM0").await.unwrap();

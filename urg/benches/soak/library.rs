@@ -107,7 +107,7 @@ async fn come_and_go(place: u64, sensor: Sensor, missed: Arc<Missed>) {
         let kind = if is_slow { 0 } else { (place + round) as usize % windows.len() };
         let (window, rate) = windows[kind];
         let depth = if is_slow { 1 } else { DEPTH };
-        let mut scans = sensor.stream(window, rate).depth(depth).open().await.unwrap();
+        let mut scans = sensor.scans(window, rate).depth(depth).await.unwrap();
         missed.opened.fetch_add(1, Ordering::Relaxed);
         let counter = if is_slow { &missed.slow } else { &missed.keeping_up };
         let end = Instant::now() + Duration::from_secs(1 + (place * 7 + round * 11) % 30);

@@ -60,7 +60,7 @@ impl Measured {
         let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
         let before = sensor.stats();
         let mut stream = sensor.scans(window, Rate::hz(asked)).await?;
-        let link_rate = sensor.state().get().baud_rate();
+        let link_rate = sensor.watch_state().get().baud_rate();
         let mut scans = Vec::new();
         let watch = async {
             // The driver counts the errors.
@@ -73,7 +73,7 @@ impl Measured {
         // This request waits for the poll in flight, so that `after` counts its outcome.
         let _ = sensor.laser_on().await;
         let mut after = sensor.stats();
-        if recorded.is_some() && matches!(sensor.state().get(), State::Closed { .. }) {
+        if recorded.is_some() && matches!(sensor.watch_state().get(), State::Closed { .. }) {
             // A replay ends with a poll that has no recorded reply.
             after.polls = after.polls.saturating_sub(1);
         }

@@ -10,7 +10,7 @@ use crate::failure::chain;
 
 /// Describes the link that was found `after` this time. Set `is_recording` for a replay.
 pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Finding {
-    let place = match sensor.state().get().baud_rate() {
+    let place = match sensor.watch_state().get().baud_rate() {
         _ if is_recording => "in a recording".to_owned(),
         Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),

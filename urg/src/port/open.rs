@@ -82,7 +82,7 @@ pub(crate) fn ignored_baud_rate(baud_rate: BaudRate) -> String {
 /// ignores the baud rate, and adds an explanation. If the sensor sends no long reply, the
 /// baud rate counts as correct.
 pub(crate) async fn proven_baud_rate(sensor: &Sensor) -> Option<(BaudRate, Option<String>)> {
-    let baud_rate = sensor.state().get().baud_rate()?;
+    let baud_rate = sensor.watch_state().get().baud_rate()?;
     if !sensor.stats().baud_rate_outrun {
         let _ = sensor.scan(Window::DETECTION).await;
     }
@@ -95,17 +95,18 @@ pub(crate) async fn opened(
     link: &LinkArgs,
     sensor: &Sensor,
 ) -> Result<(), Failure> {
+    let mut state = sensor.watch_state();
     let opened = tokio::select! {
-        opened = sensor.opened() => opened,
+        opened = state.connected() => opened,
         () = tokio::time::sleep(SILENT_WAIT) => {
             if link.wait {
-                let why = match sensor.state().get() {
+                let why = match sensor.watch_state().get() {
                     State::Connecting { error: Some(error) } => format!(": {}", chain(&error)),
                     _ => String::new(),
                 };
                 notice(format_args!("waiting for a sensor on {port}, Ctrl-C ends it{why}"));
             }
-            sensor.opened().await
+            sensor.watch_state().connected().await
         }
     };
     opened.map_err(|error| Failure::at(&port.to_string(), &error))

@@ -39,7 +39,7 @@ impl Condition {
             .iter()
             .find(|schedule| schedule.window == window)
             .and_then(|schedule| schedule.reached);
-        let state = self.sensor.as_ref().map(|sensor| sensor.state().get());
+        let state = self.sensor.as_ref().map(|sensor| sensor.watch_state().get());
         let (level, message) = self.judge(state.as_ref(), window, rate, reached);
         let version = self.version.as_ref();
         let serial_number = shown(version.map(|version| &version.serial_number));

@@ -212,7 +212,7 @@ mod tests {
         };
         assert_eq!([turn(0), turn(75), turn(76), turn(1_000)], [75, 75, 175, 1_075]);
         let now = epoch + Duration::from_millis(5);
-        let fastest = self::source(3, 4, epoch, Rate::MAX, &Shared::default());
+        let fastest = self::source(3, 4, epoch, Rate::UNLIMITED, &Shared::default());
         assert_eq!(fastest.next_turn(now), now);
     }
 

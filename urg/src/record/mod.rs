@@ -157,7 +157,7 @@ impl Record {
             }
             refresh_at = Instant::now() + REFRESH_INTERVAL;
             stderr::show(|| {
-                let away = match reporter.sensor.state().get() {
+                let away = match reporter.sensor.watch_state().get() {
                     State::Connected { .. } => "",
                     _ => "; sensor away",
                 };

@@ -83,7 +83,7 @@ impl RateWatch {
         self.since = None;
         let stats = sensor.stats();
         let schedule = schedule(&stats, self.window)?;
-        let baud_rate = sensor.state().get().baud_rate();
+        let baud_rate = sensor.watch_state().get().baud_rate();
         let measured = RateFigures {
             asked,
             reached: schedule.reached?,
@@ -281,7 +281,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn polls_that_cannot_differ_reach_the_rate_asked_for_and_no_sensor_is_blamed() {
         let window = Window::DETECTION.with_cluster_count(99).unwrap();
-        for (rate, least) in [(Rate::hz(10.0), 9.7), (Rate::MAX, 4.9)] {
+        for (rate, least) in [(Rate::hz(10.0), 9.7), (Rate::UNLIMITED, 4.9)] {
             let emulator = Emulator::builder().baud_rate(BaudRate::B115200).build();
             let sensor = Sensor::builder().connect(emulator).await.unwrap();
             let port = PortName::Emulated(Pose::default());

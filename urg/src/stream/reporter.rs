@@ -68,7 +68,7 @@ impl Reporter {
     fn error(&mut self, error: &Error) {
         let failure = Failure::at(&self.port.to_string(), error);
         let text = failure.line();
-        if matches!(self.sensor.state().get(), State::Closed { .. }) {
+        if matches!(self.sensor.watch_state().get(), State::Closed { .. }) {
             // `finish` prints it.
         } else if is_of_one_scan(error) {
             self.failed += 1;
@@ -91,7 +91,7 @@ impl Reporter {
         if self.scans > 0 {
             return Ok(());
         }
-        let why = trouble(&self.sensor.state().get())
+        let why = trouble(&self.sensor.watch_state().get())
             .filter(|_| ended != StreamEnd::ByItself)
             .or_else(|| self.last_error.clone())
             .unwrap_or_else(|| "no poll was answered yet".to_owned());
@@ -109,7 +109,7 @@ impl Reporter {
 /// Maps the end of the driver to the outcome of the program. The end of a recording is
 /// announced, and is a success.
 pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
-    match sensor.state().get() {
+    match sensor.watch_state().get() {
         State::Closed { error: Some(error) } => Err(Failure::at(&port.to_string(), &error)),
         // While a handle exists, only a recording ends without an error.
         _ => {

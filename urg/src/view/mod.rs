@@ -113,7 +113,7 @@ impl Viewer {
     /// Runs until the user quits or every source has ended.
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<StreamEnd, Failure> {
         let mut keys = EventStream::new();
-        let mut states: Vec<_> = self.sensors().map(|live| live.sensor.state()).collect();
+        let mut states: Vec<_> = self.sensors().map(|live| live.sensor.watch_state()).collect();
         let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
@@ -194,7 +194,7 @@ impl Viewer {
         self.model.now = Instant::now();
         for (source, layer) in self.sources.iter().zip(&mut self.model.layers) {
             if let ViewSource::Sensor(live) = source {
-                layer.state = live.sensor.state().get();
+                layer.state = live.sensor.watch_state().get();
                 layer.stats = live.sensor.stats();
             }
         }

@@ -87,7 +87,7 @@ pub(super) async fn start(
     window: Window,
     rate: Rate,
 ) -> Result<(Version, ScanStream), Error> {
-    sensor.opened().await?;
+    sensor.watch_state().connected().await?;
     let version = sensor.version().await?;
     Ok((version, sensor.scans(window, rate).await?))
 }

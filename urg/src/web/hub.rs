@@ -120,7 +120,7 @@ impl Hub {
                 why: Some("looking for the sensor".to_owned()),
             };
         };
-        let state = sensor.state().get();
+        let state = sensor.watch_state().get();
         let link = match &state {
             State::Connected { .. } => "connected",
             State::Connecting { .. } => "waiting",

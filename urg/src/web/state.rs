@@ -73,7 +73,7 @@ impl<'a> SensorReport<'a> {
             port: source.picture.port.to_string(),
             link: health.link,
             why: health.why,
-            baud_rate: sensor.and_then(|sensor| sensor.state().get().baud_rate()),
+            baud_rate: sensor.and_then(|sensor| sensor.watch_state().get().baud_rate()),
             window: source.picture.window,
             asked: hub
                 .and_then(|_| source.picture.rate.period())

@@ -37,7 +37,7 @@ fn source(port: &str) -> PictureSource {
 fn layer_for(sensor: &Sensor, version: tokio_scip::Version) -> Layer {
     Layer {
         version: Some(version),
-        state: sensor.state().get(),
+        state: sensor.watch_state().get(),
         stats: sensor.stats(),
         ..Layer::new(source("/dev/ttyACM0"))
     }
@@ -341,7 +341,7 @@ async fn a_lost_link_is_shown_as_long_as_it_lasts() {
     model.scanned(0, scan);
     assert!(screen(&model, 80, 24).contains("line    19200 baud"));
     emulator.unplug();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
     model.layers[0].state = lost.unwrap().clone();
     if let State::Disconnected { since, .. } = &model.layers[0].state {

@@ -33,7 +33,7 @@ async fn unplug(model: &mut Model, number: usize, seconds: u64) {
     let emulator = ahead();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
     emulator.unplug();
-    let mut state = sensor.state();
+    let mut state = sensor.watch_state();
     let lost = state.wait_for(|state| matches!(state, State::Disconnected { .. })).await;
     model.layers[number].state = lost.unwrap().clone();
     if let State::Disconnected { since, .. } = &model.layers[number].state {
