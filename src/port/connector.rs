@@ -12,6 +12,8 @@ use super::{
 #[cfg(feature = "tcp")]
 use crate::BaudRate;
 use crate::Error;
+#[cfg(not(all(feature = "serial", feature = "tcp")))]
+use crate::ErrorKind;
 
 /// [`Connect`] for the port that an [`Endpoint`] names, made by
 /// [`Endpoint::into_connector`].
@@ -97,7 +99,7 @@ impl Connect for EndpointConnector {
             }
             #[cfg(not(all(feature = "serial", feature = "tcp")))]
             Route::Missing(reason) => {
-                Err(Error::InvalidEndpoint { text: self.name.clone(), reason })
+                Err(ErrorKind::InvalidEndpoint { text: self.name.clone(), reason }.into())
             }
         }
     }

@@ -1,4 +1,5 @@
-//! Endpoints as text, TCP ports, and listing: everything that needs no pseudo-terminal.
+//! Endpoints as text, connectors, hints and listing: what needs neither a socket nor a
+//! pseudo-terminal.
 
 use std::io;
 use std::sync::Arc;
@@ -8,10 +9,7 @@ use std::time::SystemTime;
 
 use futures::FutureExt;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadBuf};
-use tokio::net::TcpListener;
-use tokio_scip::port::{
-    Connect, ConnectHints, EndpointConnector, Port, PortHints, StreamPort, TcpPort,
-};
+use tokio_scip::port::{Connect, ConnectHints, EndpointConnector, Port, PortHints, StreamPort};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, Sensor, Window};
 use urg_emulator::Emulator;
 
@@ -80,7 +78,6 @@ fn an_invalid_port_is_refused_with_the_reason() {
     }
 }
 
-#[cfg(feature = "serial")]
 #[test]
 fn device_paths_and_serial_numbers_are_read_and_written() {
     let by_path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0";
@@ -107,10 +104,10 @@ fn device_paths_and_serial_numbers_are_read_and_written() {
 }
 
 #[cfg(not(feature = "serial"))]
-#[test]
-fn without_the_feature_a_device_path_is_refused_naming_the_feature() {
+#[tokio::test]
+async fn opening_a_serial_port_names_the_missing_feature() {
     for text in ["/dev/ttyACM0", "COM3", "serial:H0713090"] {
-        let error = text.parse::<Endpoint>().unwrap_err();
+        let error = tokio_scip::Sensor::open(text).await.unwrap_err();
         assert!(error.to_string().contains("feature `serial`"), "{error}");
     }
 }
@@ -121,39 +118,6 @@ fn a_connector_can_be_moved_to_the_drivers_task() {
     is_fit::<EndpointConnector>();
     fn is_port<P: Port>() {}
     is_port::<Box<dyn Port>>();
-}
-
-#[tokio::test]
-async fn bytes_go_both_ways_over_tcp() {
-    for host in ["127.0.0.1", "localhost"] {
-        let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
-        let address = format!("tcp://{host}:{}?baud=57600", server.local_addr().unwrap().port());
-        let mut connector = Endpoint::try_from(&address).unwrap().into_connector();
-        let mut port = connector.connect().await.unwrap();
-        let (mut peer, _) = server.accept().await.unwrap();
-
-        port.write_all(b"V\n").await.unwrap();
-        let mut command = [0; 2];
-        peer.read_exact(&mut command).await.unwrap();
-        assert_eq!(&command, b"V\n");
-        let every_byte: Vec<u8> = (0..=255).collect();
-        peer.write_all(&every_byte).await.unwrap();
-        let mut reply = [0; 256];
-        port.read_exact(&mut reply).await.unwrap();
-        assert_eq!(reply.as_slice(), every_byte);
-
-        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
-        let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
-        assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
-        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
-        assert!(port.hints().unwrap().can_die_silently());
-        let hints = connector.hints().unwrap();
-        assert!(!hints.has_more());
-        assert_eq!(hints.expected_serial_number(), None);
-
-        drop(peer);
-        assert_eq!(port.read(&mut reply).await.unwrap(), 0, "the end comes as it is");
-    }
 }
 
 /// A port that has another answer to each question than the default.
@@ -281,36 +245,6 @@ async fn a_stream_port_flushes_and_shuts_down_its_stream() {
     assert_eq!(far.read(&mut bytes).now_or_never().unwrap().unwrap(), 0);
 }
 
-#[tokio::test]
-async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
-    // IPv6 where the machine has it.
-    let (host, server) = match TcpListener::bind(("::1", 0)).await {
-        Ok(server) => ("::1", server),
-        Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
-    };
-    let port = server.local_addr().unwrap().port();
-    let mut port = TcpPort::connect(host, port, BaudRate::B19200).await.unwrap();
-    let (mut peer, _) = server.accept().await.unwrap();
-    port.write_all(b"V\n").await.unwrap();
-    port.flush().await.unwrap();
-    port.shutdown().await.unwrap();
-    let mut all = Vec::new();
-    peer.read_to_end(&mut all).await.unwrap();
-    assert_eq!(all, b"V\n");
-}
-
-#[tokio::test]
-async fn a_server_that_is_not_there_yet_is_a_transient_error() {
-    let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
-    let port = server.local_addr().unwrap().port();
-    drop(server);
-    let error = TcpPort::connect("127.0.0.1", port, BaudRate::B19200).await.unwrap_err();
-    assert!(error.is_transient());
-    assert_eq!(error.to_string(), format!("cannot open tcp://127.0.0.1:{port}"));
-    let ErrorKind::Open { source, .. } = error.kind() else { panic!("{error:?}") };
-    assert_eq!(source.kind(), std::io::ErrorKind::ConnectionRefused);
-}
-
 #[cfg(feature = "serial")]
 #[tokio::test]
 async fn listing_the_ports_puts_likely_sensors_first() {
@@ -319,7 +253,6 @@ async fn listing_the_ports_puts_likely_sensors_first() {
     assert!(ports.iter().skip(sensors).all(|port| !port.is_likely_sensor()), "sensors first");
 }
 
-#[cfg(feature = "serial")]
 #[test]
 fn a_path_is_a_serial_port_whatever_it_looks_like() {
     use std::path::{Path, PathBuf};
@@ -335,7 +268,7 @@ fn a_path_is_a_serial_port_whatever_it_looks_like() {
     }
 }
 
-#[cfg(all(unix, feature = "serial"))]
+#[cfg(unix)]
 #[test]
 fn a_path_that_is_not_utf_8_is_refused() {
     use std::os::unix::ffi::OsStrExt;
@@ -355,25 +288,4 @@ fn an_endpoint_is_serialized_as_its_text() {
     }
     let error = serde_json::from_str::<Endpoint>("\"tcp://bridge\"").unwrap_err().to_string();
     assert!(error.contains("the TCP port is missing"), "{error}");
-}
-
-/// A server that does not accept connections, because its queue is full.
-#[cfg(target_os = "linux")]
-#[tokio::test]
-async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
-    use std::time::Duration;
-    use tokio::net::{TcpSocket, TcpStream};
-    let full = TcpSocket::new_v4().unwrap();
-    full.bind(([127, 0, 0, 1], 0).into()).unwrap();
-    let full = full.listen(0).unwrap();
-    let address = full.local_addr().unwrap();
-    let mut queued = Vec::new();
-    let limit = Duration::from_millis(200);
-    while let Ok(connection) = tokio::time::timeout(limit, TcpStream::connect(address)).await {
-        queued.push(connection.unwrap());
-    }
-    let endpoint = format!("tcp://{address}");
-    let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
-    let error = opened.unwrap_err();
-    assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
 }

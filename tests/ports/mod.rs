@@ -3,5 +3,7 @@
 mod endpoints;
 #[cfg(all(unix, feature = "serial"))]
 mod serial;
+#[cfg(feature = "tcp")]
+mod tcp;
 #[cfg(all(unix, feature = "serial"))]
 mod terminal;

@@ -1,0 +1,90 @@
+//! TCP ports, on real sockets.
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpListener;
+use tokio_scip::port::{Connect, Port, TcpPort};
+use tokio_scip::{BaudRate, Endpoint, ErrorKind};
+
+#[tokio::test]
+async fn bytes_go_both_ways_over_tcp() {
+    for host in ["127.0.0.1", "localhost"] {
+        let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+        let address = format!("tcp://{host}:{}?baud=57600", server.local_addr().unwrap().port());
+        let mut connector = Endpoint::try_from(&address).unwrap().into_connector();
+        let mut port = connector.connect().await.unwrap();
+        let (mut peer, _) = server.accept().await.unwrap();
+
+        port.write_all(b"V\n").await.unwrap();
+        let mut command = [0; 2];
+        peer.read_exact(&mut command).await.unwrap();
+        assert_eq!(&command, b"V\n");
+        let every_byte: Vec<u8> = (0..=255).collect();
+        peer.write_all(&every_byte).await.unwrap();
+        let mut reply = [0; 256];
+        port.read_exact(&mut reply).await.unwrap();
+        assert_eq!(reply.as_slice(), every_byte);
+
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
+        assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
+        assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
+        assert!(port.hints().unwrap().can_die_silently());
+        let hints = connector.hints().unwrap();
+        assert!(!hints.has_more());
+        assert_eq!(hints.expected_serial_number(), None);
+
+        drop(peer);
+        assert_eq!(port.read(&mut reply).await.unwrap(), 0, "the end comes as it is");
+    }
+}
+
+#[tokio::test]
+async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
+    // IPv6 where the machine has it.
+    let (host, server) = match TcpListener::bind(("::1", 0)).await {
+        Ok(server) => ("::1", server),
+        Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
+    };
+    let port = server.local_addr().unwrap().port();
+    let mut port = TcpPort::connect(host, port, BaudRate::B19200).await.unwrap();
+    let (mut peer, _) = server.accept().await.unwrap();
+    port.write_all(b"V\n").await.unwrap();
+    port.flush().await.unwrap();
+    port.shutdown().await.unwrap();
+    let mut all = Vec::new();
+    peer.read_to_end(&mut all).await.unwrap();
+    assert_eq!(all, b"V\n");
+}
+
+#[tokio::test]
+async fn a_server_that_is_not_there_yet_is_a_transient_error() {
+    let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+    let port = server.local_addr().unwrap().port();
+    drop(server);
+    let error = TcpPort::connect("127.0.0.1", port, BaudRate::B19200).await.unwrap_err();
+    assert!(error.is_transient());
+    assert_eq!(error.to_string(), format!("cannot open tcp://127.0.0.1:{port}"));
+    let ErrorKind::Open { source, .. } = error.kind() else { panic!("{error:?}") };
+    assert_eq!(source.kind(), std::io::ErrorKind::ConnectionRefused);
+}
+
+/// A server that does not accept connections, because its queue is full.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
+    use std::time::Duration;
+    use tokio::net::{TcpSocket, TcpStream};
+    let full = TcpSocket::new_v4().unwrap();
+    full.bind(([127, 0, 0, 1], 0).into()).unwrap();
+    let full = full.listen(0).unwrap();
+    let address = full.local_addr().unwrap();
+    let mut queued = Vec::new();
+    let limit = Duration::from_millis(200);
+    while let Ok(connection) = tokio::time::timeout(limit, TcpStream::connect(address)).await {
+        queued.push(connection.unwrap());
+    }
+    let endpoint = format!("tcp://{address}");
+    let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
+    let error = opened.unwrap_err();
+    assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
+}
