@@ -23,7 +23,7 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 use tokio_scip::scan::{CountsAs, Sector, Zone};
-use tokio_scip::{Rate, ScanStream, Sensor, SensorBuilder, Window};
+use tokio_scip::{Rate, ScanStream, Sensor, SensorBuilder};
 
 /// How long the vehicle may drive on the newest good scan: one lost reply does not stop it.
 pub(crate) const LIMIT: Duration = Duration::from_millis(500);
@@ -46,7 +46,7 @@ pub(crate) fn settings() -> SensorBuilder {
 
 /// Returns a stream of the path ahead.
 pub(crate) async fn ahead(sensor: &Sensor) -> Result<ScanStream, Box<dyn std::error::Error>> {
-    Ok(sensor.scans(Window::degrees(-SIDE..=SIDE)?, Rate::hz(10.0)).await?)
+    Ok(sensor.scans(path()?.window(), Rate::hz(10.0)).await?)
 }
 
 /// Returns the path that must be clear. In a real room half of the rays have no distance.
@@ -54,7 +54,7 @@ pub(crate) async fn ahead(sensor: &Sensor) -> Result<ScanStream, Box<dyn std::er
 /// "beyond the range" count as free.
 pub(crate) fn path() -> Result<Zone, Box<dyn std::error::Error>> {
     let path = Zone::sector(Sector::degrees(-SIDE, SIDE)?, 0.0..=CLEARANCE)?;
-    Ok(path.smallest_obstacle(WIDTH).beyond_range(CountsAs::Free))
+    Ok(path.smallest_obstacle(WIDTH)?.beyond_range(CountsAs::Free))
 }
 
 /// Permission to drive. Dropping it, for any reason, stops the vehicle.

@@ -17,3 +17,4 @@ mod ports;
 mod properties;
 mod protocol;
 mod simulation;
+mod zones;

@@ -58,11 +58,6 @@ impl Sector {
         Self::new(from.to_radians(), to.to_radians())
     }
 
-    /// Returns its first edge in radians.
-    pub(super) fn from(&self) -> f64 {
-        self.from
-    }
-
     /// Returns true if the direction of `angle` radians is inside. No sector contains NaN.
     pub fn contains(&self, angle: impl Into<f64>) -> bool {
         let after = (angle.into() - self.from).rem_euclid(TAU);

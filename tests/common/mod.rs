@@ -7,6 +7,7 @@ pub(crate) mod hooked;
 pub(crate) mod instant_sensor;
 pub(crate) mod limit;
 pub(crate) mod logs;
+pub(crate) mod random;
 pub(crate) mod ready_port;
 pub(crate) mod test_port;
 

@@ -6,9 +6,9 @@ use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error};
 use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
 
-use super::random::Random;
 use super::truth::Truth;
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
+use crate::common::random::Random;
 use crate::common::ready_port::ReadyPort;
 
 pub(crate) const SERIAL_NUMBER: &str = "H0713090";

@@ -6,7 +6,6 @@ mod alternatives;
 mod case;
 mod coverage;
 mod loss;
-mod random;
 mod run;
 pub(crate) mod truth;
 mod users;

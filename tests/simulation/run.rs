@@ -13,8 +13,8 @@ use urg_emulator::Faults;
 
 use super::case::{Case, SERIAL_NUMBER, SimulatedConnect};
 use super::coverage::Coverage;
-use super::random::Random;
 use super::users;
+use crate::common::random::Random;
 
 /// Longer than any call takes. Each user may have to wait for the exchanges of the
 /// others, and each exchange for six fences.

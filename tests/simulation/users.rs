@@ -6,8 +6,8 @@ use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::{BaudRate, Rate, Scan, Sensor, Window};
 
-use super::random::Random;
 use super::run::Run;
+use crate::common::random::Random;
 
 fn window(random: &mut Random) -> Window {
     let cluster = [1, 1, 2, 5, 99][random.below(5) as usize];

@@ -38,4 +38,36 @@ pub enum ZoneError {
         /// Metres to the left.
         y: f64,
     },
+    /// The zone lies on all sides of the sensor, which sees 270 degrees of them.
+    #[error(
+        "the zone surrounds the sensor, which sees -135 to 135 degrees: leave out what is behind it"
+    )]
+    SensorInside,
+    /// The zone has directions that no step has.
+    #[error("the zone reaches {:.1}°: the sensor sees -135 to 135 degrees", angle.to_degrees())]
+    BeyondView {
+        /// One of these directions in radians.
+        angle: f64,
+    },
+    /// The zone ends where no point can be measured behind it.
+    #[error("the zone ends at {far:.3} m at {:.1}°: the sensor measures up to 4.094 m", angle.to_degrees())]
+    BeyondRange {
+        /// A direction in radians in which it does.
+        angle: f64,
+        /// Distance to its end in metres.
+        far: f64,
+    },
+    /// The zone is so narrow that it lies between two rays, or nearer than 20 mm.
+    #[error("no ray crosses the zone: make it wider than 0.36 degrees and longer than 20 mm")]
+    BetweenRays,
+    /// An obstacle of this width can stand between two rays.
+    #[error(
+        "an obstacle of {width} m can stand between two rays at the far end of the zone: expected at least {least:.3} m"
+    )]
+    SmallestObstacle {
+        /// Width in metres.
+        width: f64,
+        /// Smallest possible width in metres.
+        least: f64,
+    },
 }

@@ -1,4 +1,4 @@
-//! [`Zone`]: an area around the sensor, and whether a scan shows it clear.
+//! [`Zone`]: an area before the sensor, and whether a scan shows it clear.
 
 mod error;
 mod polygon;
@@ -6,6 +6,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
 pub use self::error::ZoneError;
@@ -24,21 +25,23 @@ const RANGE_MAX: f64 = 4.094;
 const REAR: i32 = -128;
 /// Steps in a full revolution of the motor (p. 7).
 const STEPS: i32 = 1024;
+/// Steps that the sensor measures (p. 6).
+const VIEW: RangeInclusive<i32> = 0..=768;
 
 /// Sector or polygon in the sensor's frame, and the rule that decides whether a scan shows it
 /// to be clear.
 ///
 /// ```
 /// use tokio_scip::scan::{CountsAs, Sector, ZoneState, Zone};
-/// use tokio_scip::{Scan, Window};
+/// use tokio_scip::Scan;
 ///
 /// // 60 degrees ahead, up to 0.6 m. An obstacle 0.1 m wide must be seen.
 /// let zone = Zone::sector(Sector::degrees(-30.0, 30.0)?, 0.0..=0.6)?
-///     .smallest_obstacle(0.1)
+///     .smallest_obstacle(0.1)?
 ///     .beyond_range(CountsAs::Free);
 ///
+/// let window = zone.window();
 /// let mut values = vec![2000; 171];
-/// let window = Window::degrees(-30.0..=30.0)?;
 /// assert_eq!(zone.check(&Scan::builder(window, values.clone()).build()?), ZoneState::Clear);
 /// values[85] = 570;
 /// match zone.check(&Scan::builder(window, values).build()?) {
@@ -56,22 +59,24 @@ const STEPS: i32 = 1024;
 /// - an **obstacle** if the measured point is in the zone
 /// - **free** if the measured point is behind the zone
 /// - **unknown** if the measured point is in front of a part of the zone and hides it
-/// - what you chose for the error code, if there is no distance: by default unknown. A code that
-///   counts as free is still unknown where the zone reaches beyond 4.094 m, the end of
-///   the sensor's range.
+/// - what you chose for the error code, if there is no distance: by default unknown
 ///
 /// The zone is clear if no ray is an obstacle, if the scan has all rays that cross the zone, and
 /// if no more than a tolerated number of consecutive rays are unknown. By default none is
 /// tolerated. A ray that does not cross the zone does not end a gap.
 ///
-/// A ray of a cluster is judged at each of its steps, and the worst result counts. The smallest
-/// value of a cluster may come from any of them.
+/// A ray of a cluster is judged at each of its steps, and the worst result counts: the smallest
+/// value of a cluster may come from any of them. An error code is smaller than every distance, so
+/// in a cluster of several steps it hides an obstacle: it never counts as free there.
 ///
 /// # What this means
 ///
-/// - A zone with the sensor inside is never clear, because no sensor sees behind itself. An edge
-///   or a vertex may lie on the sensor.
-/// - A zone that reaches beyond 4.094 m is never clear: no point can be measured behind it.
+/// - A zone that no scan can show clear is refused when you create it: one that surrounds the
+///   sensor, reaches beyond its view of 270 degrees or its range of 4.094 m, or lies between two
+///   rays. An edge or a vertex may lie on the sensor.
+/// - With [`smallest_obstacle`](Self::smallest_obstacle), a clear zone contains no obstacle of
+///   that size, if each ray that meets the obstacle returns its distance or a code that does not
+///   count as free. `tests/zones.rs` checks this on random worlds.
 /// - `CountsAs::Free` trusts that an obstacle in the zone returns light. Black, slanted and
 ///   transparent ones may not.
 /// - The sensor's error of some centimetres is not part of the rule: make the zone larger by it.
@@ -80,6 +85,8 @@ const STEPS: i32 = 1024;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Zone {
     shape: ZoneShape,
+    /// Steps that cross the zone, and those between them.
+    window: Window,
     tolerated: Tolerated,
     /// What each error code counts as, by its number.
     codes: [CountsAs; 20],
@@ -97,8 +104,8 @@ enum ZoneShape {
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Tolerated {
     Rays(usize),
-    /// Fewer than an obstacle of this width in metres covers.
-    NarrowerThan(f64),
+    /// Fewer than an obstacle touches that covers this number of steps, at least 1.
+    FewerThanSteps(usize),
 }
 
 /// What a ray without a distance says about a [`Zone`].
@@ -118,14 +125,14 @@ impl Zone {
     ///
     /// # Errors
     ///
-    /// [`ZoneError::Range`] unless the range has two finite numbers, 0 or more, the smaller one
-    /// first.
+    /// [`ZoneError`] unless the range has two finite numbers, 0 or more, the smaller one first,
+    /// and for a zone that no scan can show clear.
     pub fn sector(sector: Sector, range: RangeInclusive<f64>) -> Result<Self, ZoneError> {
         let (near, far) = range.into_inner();
         if !(0.0 <= near && near < far && far.is_finite()) {
             return Err(ZoneError::Range { near, far });
         }
-        Ok(Self::new(ZoneShape::Sector(sector, near, far)))
+        Self::new(ZoneShape::Sector(sector, near, far))
     }
 
     /// Creates the zone inside a polygon. `vertices` are x and y in metres, clockwise or
@@ -146,14 +153,21 @@ impl Zone {
     /// # Errors
     ///
     /// [`ZoneError`] for too few or too many vertices, for coordinates that are no numbers or
-    /// beyond 1,000 m, and for edges that cross, touch or cover each other.
+    /// beyond 1,000 m, for edges that cross, touch or cover each other, and for a zone that no
+    /// scan can show clear.
     pub fn polygon(vertices: impl IntoIterator<Item = (f64, f64)>) -> Result<Self, ZoneError> {
-        Ok(Self::new(ZoneShape::Polygon(Polygon::new(vertices)?)))
+        Self::new(ZoneShape::Polygon(Polygon::new(vertices)?))
     }
 
-    fn new(shape: ZoneShape) -> Self {
+    fn new(shape: ZoneShape) -> Result<Self, ZoneError> {
+        let window = shape.window()?;
         let (codes, saturated) = Default::default();
-        Self { shape, tolerated: Tolerated::Rays(0), codes, saturated }
+        Ok(Self { shape, window, tolerated: Tolerated::Rays(0), codes, saturated })
+    }
+
+    /// Smallest window whose scans have all rays that cross the zone.
+    pub fn window(&self) -> Window {
+        self.window
     }
 
     /// Tolerates up to `rays` consecutive unknown rays. Default: 0.
@@ -162,13 +176,27 @@ impl Zone {
     }
 
     /// Tolerates consecutive unknown rays as long as no obstacle of `width` metres fits behind
-    /// them. `width` is the width as seen from the sensor.
+    /// them. `width` is the width as seen from the sensor. Replaces [`tolerate`](Self::tolerate).
     ///
-    /// Replaces [`tolerate`](Self::tolerate): the number of rays is one less than such an obstacle
-    /// covers at the zone's farthest point, where it covers the fewest. For 0.1 m at 0.6 m that
-    /// is 26 rays. A width that is too small, or not a finite number, tolerates none.
-    pub fn smallest_obstacle(self, width: f64) -> Self {
-        Self { tolerated: Tolerated::NarrowerThan(width), ..self }
+    /// At the zone's farthest point such an obstacle covers the fewest steps: for 0.1 m at 0.6 m
+    /// 27 of them, so 26 unknown rays are tolerated, and 6 in clusters of 4.
+    ///
+    /// # Errors
+    ///
+    /// [`ZoneError::SmallestObstacle`] for a width that fits between two rays there, such as
+    /// 3 mm at 0.6 m or 25 mm at 4 m, and for one that is not a finite number.
+    pub fn smallest_obstacle(self, width: f64) -> Result<Self, ZoneError> {
+        let reach = match &self.shape {
+            ZoneShape::Sector(_, _, far) => *far,
+            ZoneShape::Polygon(polygon) => polygon.reach(),
+        };
+        let step = TAU / f64::from(STEPS);
+        let steps = 2.0 * (width / 2.0).atan2(reach) / step;
+        if !width.is_finite() || steps < 1.0 {
+            let least = 2.0 * reach * (step / 2.0).tan();
+            return Err(ZoneError::SmallestObstacle { width, least });
+        }
+        Ok(Self { tolerated: Tolerated::FewerThanSteps(steps as usize), ..self })
     }
 
     /// Sets what the error codes 0, 6 and 16 and the value 4095 count as: an object may be
@@ -189,23 +217,15 @@ impl Zone {
     /// 1 µm of its edge. No zone contains NaN.
     pub fn contains(&self, x: impl Into<f64>, y: impl Into<f64>) -> bool {
         let (x, y) = (x.into(), y.into());
-        match &self.shape {
-            ZoneShape::Sector(sector, near, far) => {
-                let ranges = near - TOLERANCE..=far + TOLERANCE;
-                ranges.contains(&x.hypot(y)) && sector.contains(y.atan2(x))
-            }
-            ZoneShape::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
-        }
+        self.shape.contains(x, y)
     }
 
     /// Judges whether a scan shows the zone clear, by the rule [above](#rule). Obstacles come
     /// first, then directions without a ray, then gaps.
     pub fn check(&self, scan: &Scan) -> ZoneState {
-        let (mut crossing, mut nearest) = (false, None::<Ray>);
-        let (mut gap, mut longest) = (None, None::<Gap>);
+        let (mut nearest, mut gap, mut longest) = (None::<Ray>, None, None::<Gap>);
         for ray in scan.rays() {
             let Some(found) = self.along(ray, scan.window()) else { continue };
-            crossing = true;
             match found {
                 CountsAs::Free => gap = None,
                 CountsAs::Unknown => {
@@ -222,11 +242,11 @@ impl Zone {
         if let Some(ray) = nearest {
             return ZoneState::Obstacle(ray);
         }
-        if let Some(angle) = self.uncovered(scan.window(), crossing) {
-            return ZoneState::Uncovered { angle: angle as f32 };
+        if let Some(step) = self.uncovered(scan.window()) {
+            return ZoneState::Uncovered { angle: angle(step.into()) as f32, window: self.window };
         }
         match longest {
-            Some(Gap { first, last, rays }) if rays > self.tolerated(scan) => {
+            Some(Gap { first, last, rays }) if rays > self.tolerated(scan.window()) => {
                 ZoneState::Blind { first, last, rays }
             }
             _ => ZoneState::Clear,
@@ -238,75 +258,99 @@ impl Zone {
     fn along(&self, ray: Ray, window: Window) -> Option<CountsAs> {
         let first = ray.step.number();
         let last = window.end().number().min(first + u16::from(window.cluster_count()) - 1);
+        // One code hides the distances of all other steps.
+        let hides = first < last && matches!(ray.measurement, Measurement::Error(_));
+        let best = if hides { CountsAs::Unknown } else { CountsAs::Free };
         let each = (first..=last).filter_map(|step| {
             let angle = angle(step.into());
-            Some(self.at(ray.measurement, angle, self.far(angle)?))
+            Some(self.at(ray.measurement, angle, self.shape.far(angle)?))
         });
-        each.max()
+        each.max().map(|worst| worst.max(best))
     }
 
     /// Returns what a measurement in one direction says about a zone that ends `far` metres
     /// away.
     fn at(&self, measurement: Measurement, angle: f64, far: f64) -> CountsAs {
-        let counts_as = match measurement {
+        match measurement {
             Measurement::Distance(millimetres) => {
                 let range = f64::from(millimetres) / 1000.0;
                 let (sin, cos) = angle.sin_cos();
-                return match range {
-                    _ if self.contains(range * cos, range * sin) => CountsAs::Obstacle,
+                match range {
+                    _ if self.shape.contains(range * cos, range * sin) => CountsAs::Obstacle,
                     _ if range > far => CountsAs::Free,
                     _ => CountsAs::Unknown,
-                };
+                }
             }
             Measurement::Error(code) => {
                 self.codes.get(usize::from(code.number())).copied().unwrap_or_default()
             }
             Measurement::Saturated => self.saturated,
-        };
-        match counts_as {
-            CountsAs::Free if far > RANGE_MAX => CountsAs::Unknown,
-            counts_as => counts_as,
         }
     }
 
-    /// Returns the distance to the zone's far end in a direction, or `None` if the zone does
-    /// not lie there.
+    /// Returns a step that crosses the zone, or lies between such steps, outside of the window.
+    fn uncovered(&self, window: Window) -> Option<u16> {
+        let (first, last) = (self.window.start().number(), self.window.end().number());
+        let outside = |step| !(window.start().number()..=window.end().number()).contains(&step);
+        [first, last].into_iter().find(|step| outside(*step))
+    }
+
+    /// Returns how many consecutive rays of a scan may be unknown.
+    fn tolerated(&self, window: Window) -> usize {
+        match self.tolerated {
+            Tolerated::Rays(rays) => rays,
+            // However the steps lie, they touch this number of clusters.
+            Tolerated::FewerThanSteps(steps) => {
+                steps.div_ceil(usize::from(window.cluster_count())).saturating_sub(1)
+            }
+        }
+    }
+}
+
+impl ZoneShape {
+    fn contains(&self, x: f64, y: f64) -> bool {
+        match self {
+            Self::Sector(sector, near, far) => {
+                let ranges = near - TOLERANCE..=far + TOLERANCE;
+                ranges.contains(&x.hypot(y)) && sector.contains(y.atan2(x))
+            }
+            Self::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
+        }
+    }
+
+    /// Returns the distance to the far end in a direction, or `None` if the shape does not lie
+    /// there.
     fn far(&self, angle: f64) -> Option<f64> {
-        let far = match &self.shape {
-            ZoneShape::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
-            ZoneShape::Polygon(polygon) => polygon.far(angle),
+        let far = match self {
+            Self::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
+            Self::Polygon(polygon) => polygon.far(angle),
         };
         far.filter(|far| *far > RANGE_MIN)
     }
 
-    /// Returns a direction of the zone outside of the window; any direction if no ray crosses
-    /// the zone.
-    fn uncovered(&self, window: Window, crossing: bool) -> Option<f64> {
-        let (start, end) = (window.start().number().into(), i32::from(window.end().number()));
-        let mut outside = (REAR..start).chain(end + 1..REAR + STEPS).map(|step| angle(step.into()));
-        let lies_between = || match &self.shape {
-            ZoneShape::Sector(sector, ..) => sector.from(),
-            ZoneShape::Polygon(polygon) => polygon.direction(),
-        };
-        let found = outside.find(|angle| self.far(*angle).is_some());
-        found.or_else(|| (!crossing).then(lies_between))
-    }
-
-    /// Returns how many consecutive rays of a scan may be unknown.
-    fn tolerated(&self, scan: &Scan) -> usize {
-        match self.tolerated {
-            Tolerated::Rays(rays) => rays,
-            Tolerated::NarrowerThan(width) => {
-                let reach = match &self.shape {
-                    ZoneShape::Sector(_, _, far) => *far,
-                    ZoneShape::Polygon(polygon) => polygon.reach(),
-                };
-                let width = if width.is_finite() { width } else { 0.0 };
-                let covered = 2.0 * (width / 2.0).atan2(reach) / f64::from(scan.angle_increment());
-                // The cast turns a negative number into 0.
-                (covered as usize).saturating_sub(1)
+    /// Returns the window of all steps that cross the shape, or an error if no scan can show it
+    /// clear.
+    fn window(&self) -> Result<Window, ZoneError> {
+        let mut directions = (REAR..REAR + STEPS).map(|step| angle(step.into()));
+        if directions.all(|angle| self.far(angle).is_some()) {
+            return Err(ZoneError::SensorInside);
+        }
+        let mut crossing: Option<RangeInclusive<u16>> = None;
+        for step in REAR..REAR + STEPS {
+            let angle = angle(step.into());
+            let Some(far) = self.far(angle) else { continue };
+            match u16::try_from(step) {
+                Ok(step) if VIEW.contains(&step.into()) => {
+                    if far > RANGE_MAX + TOLERANCE {
+                        return Err(ZoneError::BeyondRange { angle, far });
+                    }
+                    let first = crossing.map_or(step, |crossing| *crossing.start());
+                    crossing = Some(first..=step);
+                }
+                _ => return Err(ZoneError::BeyondView { angle }),
             }
         }
+        crossing.and_then(|steps| Window::new(steps).ok()).ok_or(ZoneError::BetweenRays)
     }
 }
 

@@ -84,11 +84,6 @@ impl Polygon {
         self.0.iter().map(|vertex| vertex.0.hypot(vertex.1)).fold(0.0, f64::max)
     }
 
-    /// Returns the direction of a vertex.
-    pub(super) fn direction(&self) -> f64 {
-        self.0.first().map_or(0.0, |vertex| vertex.1.atan2(vertex.0))
-    }
-
     fn edges(&self) -> impl Iterator<Item = (Coordinates, Coordinates)> + Clone + '_ {
         let ends = self.0.iter().skip(1).chain(self.0.first());
         self.0.iter().copied().zip(ends.copied())

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::super::Ray;
-use crate::protocol::Measurement;
+use crate::protocol::{Measurement, Window};
 
 /// Whether a scan shows a [`Zone`](super::Zone) clear, and why not.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -13,12 +13,13 @@ pub enum ZoneState {
     Clear,
     /// There is an obstacle: its nearest ray.
     Obstacle(Ray),
-    /// The scan's window leaves out this direction of the zone, or the zone is so narrow that
-    /// it lies between two rays.
+    /// The scan's window leaves out a part of the zone.
     #[non_exhaustive]
     Uncovered {
-        /// Radians counter-clockwise from the front.
+        /// Direction of this part in radians, counter-clockwise from the front.
         angle: f32,
+        /// Window that covers the zone: [`Zone::window`](super::Zone::window).
+        window: Window,
     },
     /// Too many consecutive rays are unknown.
     #[non_exhaustive]
@@ -50,7 +51,10 @@ impl fmt::Display for ZoneState {
                     _ => write!(f, "obstacle at {degrees:.1}°, {:.3} m", ray.range()),
                 }
             }
-            Self::Uncovered { angle } => write!(f, "no ray at {:.1}°", angle.to_degrees()),
+            Self::Uncovered { angle, window } => {
+                let (angle, from, to) = (angle.to_degrees(), window.start(), window.end());
+                write!(f, "no ray at {angle:.1}°: the zone needs steps {from}..={to}")
+            }
             Self::Blind { first, last, rays } => {
                 let (from, to) = (first.angle.to_degrees(), last.angle.to_degrees());
                 write!(f, "blind from {from:.1}° to {to:.1}°, {rays} rays")
