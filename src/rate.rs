@@ -7,6 +7,8 @@ use std::time::Duration;
 /// Resolution of the timer: a millisecond.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
 const LONGEST_PERIOD: Duration = Duration::from_secs(24 * 60 * 60);
+/// Fraction of a rate that counts as reached.
+const REACHED: f64 = 0.95;
 /// Enough decimals to distinguish periods of a day that differ by a nanosecond.
 const MAX_DECIMALS: usize = 20;
 
@@ -63,6 +65,12 @@ impl Rate {
     /// Time between two scans, or `None` for [`Rate::UNLIMITED`].
     pub const fn period(self) -> Option<Duration> {
         self.0
+    }
+
+    /// Checks whether `hz` scans per second reach at least 95 % of this rate. Any number reaches
+    /// [`Rate::UNLIMITED`].
+    pub fn is_reached_by(self, hz: f64) -> bool {
+        self.0.is_none_or(|period| hz * period.as_secs_f64() >= REACHED)
     }
 }
 

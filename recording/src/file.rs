@@ -4,7 +4,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use super::RecordingError;
 use super::output::{Durable, FileGone, Output};
@@ -12,26 +12,22 @@ use super::output::{Durable, FileGone, Output};
 /// File to record into, for [`RecorderBuilder::record_into`](super::RecorderBuilder::record_into).
 ///
 /// Opens and locks the file at once, so that you get an error at once. Keeps its content until you
-/// call [`begin`](Self::begin): until then, a recorder's output waits in memory. Dropping the value
-/// before `begin` removes a file that it created.
+/// record into it. Dropping the value removes a file that it created.
 #[derive(Debug)]
 pub struct RecordingFile {
-    path: PathBuf,
+    path: OpenedPath,
     /// Path of the recording's first file.
     first: PathBuf,
-    is_unused: bool,
-    contents: Arc<Mutex<Contents>>,
-}
-
-#[derive(Debug)]
-struct Contents {
     file: File,
     /// True unless it is a pipe or a device.
     is_regular: bool,
-    /// Bytes to write once the recording begins; `None` from then on.
-    waiting: Option<Vec<u8>>,
-    /// Length of the file if no other program writes to it.
-    length: u64,
+}
+
+/// Path of a file, which is removed on drop if it is new and unused.
+#[derive(Debug)]
+struct OpenedPath {
+    path: PathBuf,
+    is_unused: bool,
 }
 
 impl RecordingFile {
@@ -81,42 +77,19 @@ impl RecordingFile {
         if is_regular && !lock(&file) {
             return Err(RecordingError::Busy { path });
         }
-        let contents = Contents { file, is_regular, waiting: Some(Vec::new()), length: 0 };
-        Ok(Self { path, first, is_unused: is_new, contents: Arc::new(Mutex::new(contents)) })
-    }
-
-    /// Empties the file, and writes what the recorder has written so far.
-    ///
-    /// # Errors
-    ///
-    /// Fails with [`RecordingError::Write`].
-    pub fn begin(&mut self) -> Result<(), RecordingError> {
-        self.is_unused = false;
-        self.empty().map_err(RecordingError::write)
-    }
-
-    fn empty(&self) -> io::Result<()> {
-        let mut contents = locked(&self.contents);
-        if contents.is_regular {
-            contents.file.set_len(0)?;
-        }
-        let waiting = contents.waiting.take().unwrap_or_default();
-        contents.write_all(&waiting)
+        let path = OpenedPath { path, is_unused: is_new };
+        Ok(Self { path, first, file, is_regular })
     }
 
     /// Path of the file.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.path.path
     }
 
-    /// Returns true unless it is a pipe or a device. Only a regular file can be followed by further
-    /// files.
-    pub fn is_regular(&self) -> bool {
-        locked(&self.contents).is_regular
-    }
-
-    pub(super) fn first(&self) -> &Path {
-        &self.first
+    /// Path of the recording's first file, or `None` for a pipe or a device, which no further files
+    /// can follow.
+    pub(super) fn first(&self) -> Option<&Path> {
+        Some(&*self.first).filter(|_| self.is_regular)
     }
 
     /// Returns true if a recorder writes this file.
@@ -127,40 +100,23 @@ impl RecordingFile {
         }
     }
 
-    pub(super) fn output(&self) -> Box<dyn Output> {
-        Box::new(FileOutput { path: self.path.clone(), contents: Arc::clone(&self.contents) })
+    /// Empties the file.
+    pub(super) fn begin(self) -> io::Result<Box<dyn Output>> {
+        let Self { path: mut opened, file, is_regular, .. } = self;
+        opened.is_unused = false;
+        if is_regular {
+            file.set_len(0)?;
+        }
+        Ok(Box::new(FileOutput { path: opened.path.clone(), file, is_regular, length: 0 }))
     }
 }
 
-impl Drop for RecordingFile {
+impl Drop for OpenedPath {
     fn drop(&mut self) {
         if self.is_unused {
             // An empty file does no harm: the next recording uses it.
             let _ = std::fs::remove_file(&self.path);
         }
-    }
-}
-
-impl Contents {
-    /// Writes as much of `bytes` as the system takes, unless another program has changed the file.
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if self.is_regular {
-            check(&self.file, self.length)?;
-        }
-        let written = self.file.write(bytes)?;
-        self.length += written as u64;
-        Ok(written)
-    }
-
-    fn write_all(&mut self, mut bytes: &[u8]) -> io::Result<()> {
-        while !bytes.is_empty() {
-            let written = self.write(bytes)?;
-            if written == 0 {
-                return Err(io::ErrorKind::WriteZero.into());
-            }
-            bytes = bytes.get(written..).unwrap_or_default();
-        }
-        Ok(())
     }
 }
 
@@ -181,16 +137,20 @@ fn check(file: &File, length: u64) -> io::Result<()> {
 /// Writes a [`RecordingFile`].
 struct FileOutput {
     path: PathBuf,
-    contents: Arc<Mutex<Contents>>,
+    file: File,
+    is_regular: bool,
+    /// Length of the file if no other program writes to it.
+    length: u64,
 }
 
 impl Write for FileOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut contents = locked(&self.contents);
-        if let Some(waiting) = &mut contents.waiting {
-            return waiting.write(bytes);
+        if self.is_regular {
+            check(&self.file, self.length)?;
         }
-        contents.write(bytes)
+        let written = self.file.write(bytes)?;
+        self.length += written as u64;
+        Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
@@ -198,21 +158,19 @@ impl Write for FileOutput {
     }
 }
 
-/// Unlocks the file, although its owner and the thread that syncs it may still have it open: from
-/// now on it is an old part, which may be removed.
+/// Unlocks the file, although the thread that syncs it may still have it open: from now on it is an
+/// old part, which may be removed.
 impl Drop for FileOutput {
     fn drop(&mut self) {
-        let contents = locked(&self.contents);
-        if contents.is_regular {
-            unlock(&contents.file);
+        if self.is_regular {
+            unlock(&self.file);
         }
     }
 }
 
 impl Output for FileOutput {
     fn durable(&self) -> Option<Box<dyn Durable>> {
-        let contents = locked(&self.contents);
-        let file = contents.file.try_clone().ok().filter(|_| contents.is_regular)?;
+        let file = self.file.try_clone().ok().filter(|_| self.is_regular)?;
         Some(Box::new(DurableFile { file, path: self.path.clone() }))
     }
 }
@@ -273,26 +231,19 @@ fn is_locked_elsewhere(error: &io::Error) -> bool {
     cfg!(windows) && error.raw_os_error() == Some(32)
 }
 
-fn locked(contents: &Mutex<Contents>) -> MutexGuard<'_, Contents> {
-    // No code that holds the lock can panic.
-    contents.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_finished_file_is_free_although_its_owner_and_its_sync_still_have_it_open() {
+    fn a_finished_file_is_free_while_its_sync_has_it_open() {
         let path = std::env::temp_dir().join(format!("scip-lock-{}.mcap", std::process::id()));
-        let mut file = RecordingFile::open(&path, true).unwrap();
-        let output = file.output();
+        let output = RecordingFile::open(&path, true).unwrap().begin().unwrap();
         let durable = output.durable().unwrap();
-        file.begin().unwrap();
         assert!(RecordingFile::is_busy(&path));
         drop(output);
         assert!(!RecordingFile::is_busy(&path));
-        drop((file, durable));
+        drop(durable);
         std::fs::remove_file(&path).unwrap();
     }
 }

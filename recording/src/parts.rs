@@ -89,7 +89,7 @@ impl Parts {
                 io::Error::new(kind, format!("cannot create {}: {error}", path.display()))
             };
             let opened = RecordingFile::open(&path, false);
-            let mut file = match opened {
+            let file = match opened {
                 Ok(file) => file,
                 Err(RecordingError::Exists { .. } | RecordingError::Busy { .. }) => continue,
                 Err(RecordingError::Open { source, .. }) => {
@@ -97,9 +97,9 @@ impl Parts {
                 }
                 Err(error) => return Err(failed(&error, io::ErrorKind::Other)),
             };
-            file.begin().map_err(|error| failed(&error, io::ErrorKind::Other))?;
+            let out = file.begin().map_err(|error| failed(&error, io::ErrorKind::Other))?;
             self.find_old(&path);
-            return Ok((self.wrap)(file.output()));
+            return Ok((self.wrap)(out));
         }
     }
 

@@ -301,11 +301,8 @@ impl RecorderBuilder {
     ///
     /// The same as for [`Recorder::create`].
     pub fn create(self, path: impl AsRef<Path>) -> Result<Recorder, RecordingError> {
-        let mut file = self.open(path)?;
-        // Does not touch the file if the recorder cannot be made.
-        let recorder = self.record_into(&file)?;
-        file.begin()?;
-        Ok(recorder)
+        let file = self.open(path)?;
+        self.record_into(file)
     }
 
     /// Opens the file that [`create`](Self::create) would record into, for
@@ -327,16 +324,15 @@ impl RecorderBuilder {
     }
 
     /// Records into a file that you opened, and after a split into files beside it, named as
-    /// [`split_duration`](Self::split_duration) describes. The file stays unchanged until you
-    /// call [`RecordingFile::begin`].
+    /// [`split_duration`](Self::split_duration) describes.
     ///
     /// # Errors
     ///
     /// The same as for [`write_to`](Self::write_to).
-    pub fn record_into(self, file: &RecordingFile) -> Result<Recorder, RecordingError> {
-        // No further files can be made beside a pipe or a device.
-        let path = file.is_regular().then(|| file.first().to_owned());
-        self.start(file.output(), file.path(), path)
+    pub fn record_into(self, file: RecordingFile) -> Result<Recorder, RecordingError> {
+        let (current, first) = (file.path().to_owned(), file.first().map(Path::to_owned));
+        let out = file.begin().map_err(RecordingError::write)?;
+        self.start(out, &current, first)
     }
 
     /// Records into any writer, such as a pipe. Makes no further files: a recording of more

@@ -255,11 +255,10 @@ mod tests {
     fn a_wall_clock_that_is_set_moves_no_log_time() {
         let path = std::env::temp_dir().join(format!("scip-clock-{}.mcap", std::process::id()));
         let parts = Parts::new(Limits::default(), None, &path, |out| out);
-        let mut file = RecordingFile::open(&path, true).unwrap();
-        file.begin().unwrap();
+        let out = RecordingFile::open(&path, true).unwrap().begin().unwrap();
         let clock = LogClock::starting_now();
         let Times { steady, wall } = clock.began;
-        let mut writer = Writer::new(file.output(), parts, clock, "laser".to_owned()).unwrap();
+        let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
         let (second, hour) = (Duration::from_secs(1), Duration::from_secs(3600));
         for (number, wall) in (0..).zip([wall, wall + 72 * hour, wall - hour]) {
             writer.event("{}", Times { steady: steady + number * second, wall }).unwrap();
@@ -280,9 +279,7 @@ mod tests {
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
         let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out);
-        let mut file = RecordingFile::open(&path, false).unwrap();
-        file.begin().unwrap();
-        let out = file.output();
+        let out = RecordingFile::open(&path, false).unwrap().begin().unwrap();
         let clock = LogClock::starting_now();
         let mut times = clock.began;
         let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();

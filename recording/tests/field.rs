@@ -38,12 +38,11 @@ fn a_file_stays_as_it_is_until_its_recording_begins() {
     let folder = Folder::new("begins");
     let path = folder.write(b"precious");
     assert!(matches!(RecordingFile::open(&path, false), Err(RecordingError::Exists { .. })));
-    let mut file = RecordingFile::open(&path, true).unwrap();
-    let recorder = Recorder::builder().record_into(&file).unwrap();
+    let file = RecordingFile::open(&path, true).unwrap();
     assert_eq!(fs::read(&path).unwrap(), b"precious");
-    file.begin().unwrap();
+    let recorder = Recorder::builder().record_into(file).unwrap();
     assert!(fs::read(&path).unwrap().starts_with(b"\x89MCAP0\r\n"));
-    drop((file, recorder));
+    drop(recorder);
     // A new one that never began is removed.
     fs::remove_file(&path).unwrap();
     drop(RecordingFile::open(&path, false).unwrap());

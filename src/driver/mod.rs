@@ -145,7 +145,8 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, 
     let name = config.name.clone().or_else(|| connect.name().map(Arc::from));
     // At error level, so that every enabled message has it: a warning without a name is of little
     // use.
-    let span = tracing::error_span!("sensor", name = name.as_deref().map(tracing::field::display));
+    let span =
+        tracing::error_span!("sensor", sensor = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
     let telemetry = Arc::new(Telemetry::new(name));
     let (request_timeout, depth) = (config.request_timeout, config.depth);

@@ -5,20 +5,23 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
+use crate::Rate;
+use crate::stats::Shortfall;
+
 /// Span to average the rate over.
 const RATE_SPAN: Duration = Duration::from_secs(3);
-/// Fraction of the requested rate that counts as reached.
-const REACHED: f64 = 0.95;
-/// Number of spans without a shortfall (a minute) before it is reported again. For the
-/// same time after a loss, slowness is not reported: fences and deadlines cost time.
+/// Number of spans without a shortfall (a minute) before it is reported again.
 const SPANS_BETWEEN_REPORTS: u32 = 20;
 
 /// Measures the achieved rate, span by span.
 #[derive(Debug)]
 pub(crate) struct RateMeter {
+    rate: Rate,
     since: Instant,
     scans: u32,
     failures: u32,
+    /// Shortest time between the request of a scan and its arrival, but at least a revolution.
+    quickest: Duration,
     /// Latest finished span since the link was found.
     span: Option<Span>,
     /// Number of spans since each kind of shortfall last occurred.
@@ -27,29 +30,23 @@ pub(crate) struct RateMeter {
 }
 
 /// Result of one span.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Span {
     /// Scans per second.
     pub(crate) reached: f64,
     /// Polls that failed.
     pub(crate) failed: u32,
-}
-
-/// Why a rate is not reached.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Shortfall {
-    /// Every poll succeeded: the line or the sensor cannot keep up.
-    Slow,
-    /// Polls failed, so the capacity of the line is unknown.
-    Loss,
+    pub(crate) shortfall: Option<Shortfall>,
 }
 
 impl RateMeter {
-    pub(crate) fn new(now: Instant) -> Self {
+    pub(crate) fn new(rate: Rate, now: Instant) -> Self {
         Self {
+            rate,
             since: now,
             scans: 0,
             failures: 0,
+            quickest: Duration::MAX,
             span: None,
             since_slow: SPANS_BETWEEN_REPORTS,
             since_loss: SPANS_BETWEEN_REPORTS,
@@ -60,8 +57,10 @@ impl RateMeter {
         self.span
     }
 
-    pub(crate) fn count_scan(&mut self) {
+    /// Counts a scan that took `latency` and `revolution`, whichever is longer.
+    pub(crate) fn count_scan(&mut self, latency: Duration, revolution: Duration) {
         self.scans += 1;
+        self.quickest = self.quickest.min(latency.max(revolution));
     }
 
     pub(crate) fn count_failure(&mut self) {
@@ -75,27 +74,26 @@ impl RateMeter {
             return None;
         }
         let reached = f64::from(self.scans) / span.as_secs_f64();
-        self.span = Some(Span { reached, failed: self.failures });
+        let is_slow = !self.rate.is_reached_by(1.0 / self.quickest.as_secs_f64());
+        let shortfall = match self.failures {
+            _ if self.rate.is_reached_by(reached) => None,
+            0 => is_slow.then_some(Shortfall::Slow),
+            _ => Some(Shortfall::Loss),
+        };
+        self.span = Some(Span { reached, failed: self.failures, shortfall });
         self.restart(now);
         self.span
     }
 
-    /// Returns the cause if a span falls short of one poll per `period`. Stays silent
-    /// about a cause found within the last [`SPANS_BETWEEN_REPORTS`].
-    pub(crate) fn report(&mut self, span: Span, period: Duration) -> Option<Shortfall> {
-        let is_short = span.reached * period.as_secs_f64() < REACHED;
-        let shortfall = match (is_short, span.failed) {
-            (false, _) => None,
-            (true, 0) if self.since_loss < SPANS_BETWEEN_REPORTS => None,
-            (true, 0) => Some(Shortfall::Slow),
-            (true, _) => Some(Shortfall::Loss),
-        };
+    /// Returns the shortfall of a span, unless it occurred within the last
+    /// [`SPANS_BETWEEN_REPORTS`].
+    pub(crate) fn report(&mut self, span: Span) -> Option<Shortfall> {
         let mut news = None;
         for (kind, since) in
             [(Shortfall::Slow, &mut self.since_slow), (Shortfall::Loss, &mut self.since_loss)]
         {
-            if shortfall == Some(kind) {
-                news = shortfall.filter(|_| *since >= SPANS_BETWEEN_REPORTS);
+            if span.shortfall == Some(kind) {
+                news = span.shortfall.filter(|_| *since >= SPANS_BETWEEN_REPORTS);
                 *since = 0;
             } else {
                 *since = since.saturating_add(1);
@@ -112,6 +110,7 @@ impl RateMeter {
     /// Starts a new span.
     pub(crate) fn restart(&mut self, now: Instant) {
         (self.since, self.scans, self.failures) = (now, 0, 0);
+        self.quickest = Duration::MAX;
     }
 }
 
@@ -119,40 +118,46 @@ impl RateMeter {
 mod tests {
     use super::*;
 
-    const PERIOD: Duration = Duration::from_millis(100);
+    fn meter() -> RateMeter {
+        RateMeter::new(Rate::hz(10.0), Instant::now())
+    }
 
     #[test]
     fn a_shortfall_is_reported_once_and_again_after_it_was_gone() {
-        let mut meter = RateMeter::new(Instant::now());
-        let mut report = |reached| meter.report(Span { reached, failed: 0 }, PERIOD);
-        assert_eq!(report(10.0), None);
-        assert_eq!(report(5.0), Some(Shortfall::Slow));
-        assert_eq!(report(5.0), None);
-        assert_eq!((0..20).find_map(|_| report(9.6)), None);
-        assert_eq!(report(5.0), Some(Shortfall::Slow));
+        let mut meter = meter();
+        let mut report = |shortfall| meter.report(Span { reached: 5.0, failed: 0, shortfall });
+        let slow = Some(Shortfall::Slow);
+        assert_eq!([report(slow), report(slow)], [slow, None]);
+        let loss = Some(Shortfall::Loss);
+        assert_eq!([report(loss), report(loss)], [loss, None]);
+        assert_eq!((0..20).find_map(|_| report(None)), None);
+        assert_eq!(report(slow), slow);
     }
 
     #[test]
-    fn the_rate_is_averaged_over_three_seconds() {
-        let start = Instant::now();
-        let mut meter = RateMeter::new(start);
-        (0..30).for_each(|_| meter.count_scan());
-        meter.count_failure();
-        assert_eq!(meter.finish_span(start + Duration::from_millis(2999)), None);
-        let span = Some(Span { reached: 10.0, failed: 1 });
-        assert_eq!(meter.finish_span(start + Duration::from_secs(3)), span);
-        assert_eq!(meter.report(Span { reached: 0.95, failed: 0 }, Duration::from_secs(1)), None);
-    }
-
-    #[test]
-    fn a_span_with_failures_is_a_loss_and_no_lack_of_speed() {
-        let mut meter = RateMeter::new(Instant::now());
-        let mut report = |reached, failed| meter.report(Span { reached, failed }, PERIOD);
-        assert_eq!(report(9.7, 1), None, "a scan lost now and then");
-        assert_eq!(report(5.0, 3), Some(Shortfall::Loss));
-        assert_eq!(report(5.0, 3), None);
-        assert_eq!((0..20).find_map(|_| report(5.0, 0)), None, "what the loss has left");
-        assert_eq!(report(5.0, 0), Some(Shortfall::Slow));
-        assert_eq!(report(5.0, 3), Some(Shortfall::Loss));
+    fn a_span_blames_what_it_has_evidence_for() {
+        let [quick, slow] = [80, 120].map(Duration::from_millis);
+        let revolution = Duration::from_millis(100);
+        for (scans, took, failures, expected) in [
+            (30, slow, 0, None),
+            (29, slow, 1, None),
+            (25, slow, 0, Some(Shortfall::Slow)),
+            // A busy computer sends polls late.
+            (25, quick, 0, None),
+            (25, slow, 5, Some(Shortfall::Loss)),
+        ] {
+            let mut meter = meter();
+            (0..scans).for_each(|_| meter.count_scan(took, revolution));
+            (0..failures).for_each(|_| meter.count_failure());
+            let since = meter.since;
+            assert_eq!(meter.finish_span(since + Duration::from_millis(2999)), None);
+            let span = meter.finish_span(since + RATE_SPAN).unwrap();
+            assert_eq!(span.shortfall, expected, "{scans} {took:?} {failures}");
+            assert_eq!(span.failed, failures);
+        }
+        let mut faster = RateMeter::new(Rate::hz(20.0), Instant::now());
+        (0..30).for_each(|_| faster.count_scan(quick, revolution));
+        let span = faster.finish_span(faster.since + RATE_SPAN).unwrap();
+        assert_eq!(span.shortfall, Some(Shortfall::Slow), "the motor turns no faster");
     }
 }

@@ -11,11 +11,11 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::rate_meter::{RateMeter, Shortfall};
+use super::rate_meter::RateMeter;
 use crate::ring::{Cursor, Pushed, Ring};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
-use crate::stats::ScheduleStats;
+use crate::stats::{ScheduleStats, Shortfall};
 use crate::{Error, ErrorKind, Rate, Window};
 
 /// All schedules of a driver.
@@ -167,9 +167,10 @@ impl Schedules {
         schedule.sequence += 1;
         schedule.condition = None;
         let scan = Scan::new(poll.window, values, first, meta);
+        let latency = scan.received_at().saturating_duration_since(scan.requested_at());
+        schedule.speed.count_scan(latency, scan.scan_time());
         let Pushed { displaced, repeats, missed } = schedule.ring.push(scan);
         schedule.spare = displaced.map(Scan::into_block);
-        schedule.speed.count_scan();
         let ended = schedule.end_poll(missed);
         Delivered { repeat: repeats, shortfall: self.note_end(ended) }
     }
@@ -261,7 +262,7 @@ impl Schedule {
             spare: None,
             missed: 0,
             condition: None,
-            speed: RateMeter::new(now),
+            speed: RateMeter::new(rate, now),
         }
     }
 
@@ -305,8 +306,13 @@ impl Schedule {
 
     fn stats(&self) -> ScheduleStats {
         let span = self.speed.span();
-        let (reached, failed) = (span.map(|span| span.reached), span.map_or(0, |span| span.failed));
-        ScheduleStats::new(self.window, self.rate, reached, failed)
+        ScheduleStats {
+            window: self.window,
+            rate: self.rate,
+            reached: span.map(|span| span.reached),
+            failed: span.map_or(0, |span| span.failed),
+            shortfall: span.and_then(|span| span.shortfall),
+        }
     }
 
     /// Ends a poll. At [`Rate::UNLIMITED`] the next poll is due now.
@@ -318,7 +324,7 @@ impl Schedule {
         let Some(span) = self.speed.finish_span(now) else {
             return Ended { missed, changed: false, shortfall: None };
         };
-        let shortfall = self.rate.period().and_then(|period| self.speed.report(span, period));
+        let shortfall = self.speed.report(span);
         Ended { missed, changed: true, shortfall }
     }
 }

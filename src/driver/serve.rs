@@ -12,7 +12,6 @@ use super::motor_clock::{MotorClock, Revolution};
 use super::open::Wanted;
 use super::poll_timer::PollTimer;
 use super::probe::Probe;
-use super::rate_meter::Shortfall;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{Delivered, DuePoll, Schedules};
 use super::session::{Polled, Session};
@@ -20,7 +19,7 @@ use super::transport::Timing;
 use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
-use crate::stats::ScheduleStats;
+use crate::stats::{ScheduleStats, Shortfall};
 use crate::{ErrorKind, Window};
 
 /// Why a session is no longer served.

@@ -242,7 +242,13 @@ mod tests {
 
     #[test]
     fn what_is_not_known_is_left_out() {
-        let schedule = |reached| ScheduleStats::new(Window::FULL, Rate::hz(10.0), reached, 0);
+        let schedule = |reached| ScheduleStats {
+            window: Window::FULL,
+            rate: Rate::hz(10.0),
+            reached,
+            failed: 0,
+            shortfall: None,
+        };
         let mut stats = Stats { schedules: vec![schedule(None)], ..Stats::default() };
         let names: BTreeSet<_> = stats.metrics().map(|metric| metric.name).collect();
         assert!(names.contains("urg_scans_total"));

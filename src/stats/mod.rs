@@ -31,4 +31,4 @@ pub use self::metrics::{Metric, MetricKind};
 pub use self::motor::MotorStats;
 #[doc(no_inline)]
 pub use self::stats::Stats;
-pub use self::stats::{MalformedCounts, ScheduleStats};
+pub use self::stats::{MalformedCounts, ScheduleStats, Shortfall};

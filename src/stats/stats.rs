@@ -107,10 +107,18 @@ pub struct ScheduleStats {
     /// Number of polls in those seconds whose replies were lost, malformed or refused. Unless
     /// it is 0, the line and the sensor may be able to carry more than `reached`.
     pub failed: u32,
+    /// Why the rate was not reached in those seconds. `None` also if only this computer was too
+    /// busy.
+    pub shortfall: Option<Shortfall>,
 }
 
-impl ScheduleStats {
-    pub(crate) fn new(window: Window, rate: Rate, reached: Option<f64>, failed: u32) -> Self {
-        Self { window, rate, reached, failed }
-    }
+/// Why fewer than 95 % of the requested scans arrive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "lowercase"))]
+#[non_exhaustive]
+pub enum Shortfall {
+    /// Even the fastest reply takes too long: the line or the sensor cannot keep up.
+    Slow,
+    /// Polls failed.
+    Loss,
 }

@@ -96,8 +96,12 @@ async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
     let log = log.0.lock().unwrap();
     let connected = log.lines.iter().find(|(_, line)| line.contains("connected")).unwrap();
     assert_eq!(connected.0, Level::INFO);
-    assert!(connected.1.starts_with("line number=7:sensor name=left:"), "{}", connected.1);
-    assert!(log.lines.iter().all(|(_, line)| line.contains("sensor name=left")), "{:?}", log.lines);
+    assert!(connected.1.starts_with("line number=7:sensor sensor=left:"), "{}", connected.1);
+    assert!(
+        log.lines.iter().all(|(_, line)| line.contains("sensor sensor=left")),
+        "{:?}",
+        log.lines
+    );
 }
 
 #[tokio::test(start_paused = true)]

@@ -3,9 +3,8 @@
 
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::Args;
 use tokio_scip::{BaudRate, Rate, Window};
-use urg_emulator::Firmware;
 
 use crate::failure::Failure;
 
@@ -27,27 +26,6 @@ pub(crate) struct LinkArgs {
     #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
         conflicts_with = "wait")]
     pub(crate) timeout: Option<Duration>,
-    /// Firmware dialect of the sensor at PORT `emulated` [default: v3]
-    #[arg(long, value_enum)]
-    pub(crate) firmware: Option<FirmwareArg>,
-}
-
-/// Firmware dialect of emulated sensors.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum FirmwareArg {
-    /// As in the protocol text: V has five lines, unknown commands get no reply
-    Text,
-    /// As in real sensors: V has six lines, unknown commands get the reply E
-    V3,
-}
-
-impl From<FirmwareArg> for Firmware {
-    fn from(firmware: FirmwareArg) -> Self {
-        match firmware {
-            FirmwareArg::Text => Self::Text,
-            FirmwareArg::V3 => Self::V3,
-        }
-    }
 }
 
 /// Options for the steps to measure. A recording has its own default.

@@ -1,13 +1,13 @@
 //! Reasons to exit early, and errors formatted as one line for the user.
 
 use std::error::Error;
+use std::fmt;
 
 /// Reason to exit early.
 #[derive(Debug, Clone)]
 pub(crate) enum Failure {
     /// Invalid command line: exit code 2, as for clap's own errors.
     Usage(String),
-    /// Any other error: exit code 1.
     Failed(String),
     /// The reader of standard output, such as `head`, closed the pipe: exit code 0.
     PipeClosed,
@@ -17,17 +17,16 @@ pub(crate) enum Failure {
 
 impl Failure {
     /// Describes `what` and then `error` with its causes, in one line.
-    pub(crate) fn of(what: &str, error: &dyn Error) -> Self {
+    pub(crate) fn new(what: impl fmt::Display, error: &dyn Error) -> Self {
         Self::Failed(format!("{what}: {}", chain(error)))
     }
 
     /// Describes an error on `port`. Adds the port unless the error already names it.
-    pub(crate) fn at(port: &str, error: &dyn Error) -> Self {
+    pub(crate) fn at(port: impl fmt::Display, error: &dyn Error) -> Self {
         let line = chain(error);
-        if line.contains(port) {
-            Self::Failed(line)
-        } else {
-            Self::Failed(format!("{port}: {line}"))
+        match line.contains(&port.to_string()) {
+            true => Self::Failed(line),
+            false => Self::Failed(format!("{port}: {line}")),
         }
     }
 

@@ -1,13 +1,11 @@
 //! Clean shutdown on Ctrl-C, SIGTERM, a closed terminal, or Ctrl-Break on Windows.
 
-#[cfg(unix)]
-use std::future::poll_fn;
 use std::io;
-#[cfg(unix)]
-use std::task::Poll;
 use std::time::Duration;
 use tokio::time::Instant;
 
+#[cfg(unix)]
+use futures_util::future::select_all;
 use tokio::sync::watch;
 
 use crate::failure::Failure;
@@ -16,7 +14,6 @@ use crate::wait::some;
 /// Time that an interrupted command has to finish.
 const COMMAND_GRACE: Duration = Duration::from_secs(1);
 
-/// Request to stop the program.
 #[derive(Debug, Clone)]
 pub(crate) struct Interrupt {
     since: watch::Receiver<Option<Instant>>,
@@ -79,10 +76,9 @@ fn signalled() -> io::Result<impl Future<Output = ()>> {
     let wanted =
         kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !ignores_hangup());
     let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;
-    Ok(poll_fn(move |cx| {
-        let mut came = signals.iter_mut().map(|signal| signal.poll_recv(cx));
-        if came.any(|came| came.is_ready()) { Poll::Ready(()) } else { Poll::Pending }
-    }))
+    Ok(async move {
+        select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
+    })
 }
 
 /// Checks whether `nohup` or a similar parent set SIGHUP to be ignored. Linux only.

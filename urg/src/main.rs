@@ -169,7 +169,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
-        .map_err(|error| Failure::of("cannot start", &error))?;
+        .map_err(|error| Failure::new("cannot start", &error))?;
     let outcome = runtime.block_on(run_command(cli.command));
     // Does not wait for a blocked write to a pipe.
     runtime.shutdown_background();
@@ -178,7 +178,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
 
 async fn run_command(command: Command) -> Result<(), Failure> {
     let interrupt =
-        Interrupt::listen().map_err(|error| Failure::of("cannot listen for signals", &error))?;
+        Interrupt::listen().map_err(|error| Failure::new("cannot listen for signals", &error))?;
     match command {
         // These handle the interrupt themselves.
         Command::Check(check) => check.run(&interrupt).await,

@@ -184,7 +184,7 @@ fn a_rate_that_the_line_cannot_carry_is_reported_once_with_a_remedy() {
     let output = run("stream emulated --baud 19200 --count 6", 0);
     assert_eq!(scans(&output.stdout).len(), 6);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);
-    assert!(output.stderr.contains("where 10 were asked for"), "{}", output.stderr);
+    assert!(output.stderr.contains("where 10 Hz was asked for"), "{}", output.stderr);
     assert!(output.stderr.contains("--baud 250000"), "{}", output.stderr);
 }
 

@@ -2,12 +2,8 @@
 
 use std::fmt;
 
-use tokio_scip::Error;
-
-use crate::failure::chain;
 use crate::output::notice::escaped;
 
-/// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Verdict {
     Ok,
@@ -29,8 +25,16 @@ impl Finding {
         Self { name, verdict, text: text.into() }
     }
 
-    pub(super) fn failed(name: &'static str, error: &Error) -> Self {
-        Self::new(name, Verdict::Failed, chain(error))
+    pub(super) fn ok(name: &'static str, text: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Ok, text)
+    }
+
+    pub(super) fn weak(name: &'static str, text: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Weak, text)
+    }
+
+    pub(super) fn failed(name: &'static str, text: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Failed, text)
     }
 }
 

@@ -10,7 +10,7 @@ use super::finding::{Finding, Verdict};
 use crate::format::listed;
 use crate::port::open::ignored_baud_rate;
 use crate::stream::jitter::Jitter;
-use crate::stream::rate_watch::{ENOUGH, sufficient_baud_rate};
+use crate::stream::rate_watch::{carries, sufficient_baud_rate};
 
 /// Maximum fraction of polls without a scan. Any smaller loss is weak.
 const MAX_LOSS: f64 = 0.05;
@@ -18,16 +18,15 @@ const MAX_LOSS: f64 = 0.05;
 const FAILED_RATE: f64 = 0.5;
 /// Maximum latency, in revolutions of the motor. A good sensor answers within one or two.
 const MAX_REVOLUTIONS: f64 = 2.5;
-
 /// Maximum mean lateness in milliseconds: five USB frames. Later scans are weak.
 const MAX_LATENESS_MS: f64 = 5.0;
 
-/// Stream with its measurements.
 #[derive(Debug)]
 pub(super) struct Measured {
     window: Window,
     baud_rate: Option<BaudRate>,
-    /// Requested rate in scans a second.
+    /// Requested rate, and in scans a second.
+    rate: Rate,
     asked: f64,
     scans: Vec<Seen>,
     /// Baud rate that the port ignores, as fast replies show. `baud_rate` is `None` then.
@@ -37,7 +36,6 @@ pub(super) struct Measured {
     after: Stats,
 }
 
-/// Measurements of one scan.
 #[derive(Debug)]
 struct Seen {
     requested_at: Instant,
@@ -59,13 +57,14 @@ impl Measured {
         let period = recorded.and_then(Rate::period).map(|period| period.as_secs_f64());
         let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
         let before = sensor.stats();
-        let mut stream = sensor.scans(window, Rate::hz(asked)).await?;
+        let rate = Rate::hz(asked);
+        let mut stream = sensor.scans(window, rate).await?;
         let link_rate = sensor.watch_state().get().baud_rate();
         let mut scans = Vec::new();
         let watch = async {
             // The driver counts the errors.
             while let Some(item) = stream.next().await {
-                scans.extend(item.iter().map(Seen::of));
+                scans.extend(item.iter().map(Seen::from_scan));
             }
         };
         let _ = tokio::time::timeout(duration, watch).await;
@@ -79,7 +78,7 @@ impl Measured {
         }
         let outrun = link_rate.filter(|_| after.baud_rate_outrun);
         let baud_rate = link_rate.filter(|_| !after.baud_rate_outrun);
-        Ok(Self { window, baud_rate, asked, scans, outrun, before, after })
+        Ok(Self { window, baud_rate, rate, asked, scans, outrun, before, after })
     }
 
     pub(super) fn steps(&self) -> Vec<Finding> {
@@ -130,11 +129,11 @@ impl Measured {
     fn rate(&self) -> Finding {
         const NAME: &str = "rate";
         let (Some(first), Some(last)) = (self.scans.first(), self.scans.last()) else {
-            return Finding::new(NAME, Verdict::Failed, "no scan came");
+            return Finding::failed(NAME, "no scan came");
         };
         let time = last.received_at.saturating_duration_since(first.received_at).as_secs_f64();
         if time <= 0.0 {
-            return Finding::new(NAME, Verdict::Weak, "only one scan came: test for longer");
+            return Finding::weak(NAME, "only one scan came: test for longer");
         }
         let reached = (self.scans.len() - 1) as f64 / time;
         let asked = self.asked;
@@ -143,8 +142,8 @@ impl Measured {
             // Writing to a `String` is infallible.
             let _ = write!(text, "; {}", ignored_baud_rate(baud_rate));
         }
-        if reached >= ENOUGH * asked {
-            return Finding::new(NAME, Verdict::Ok, text);
+        if self.rate.is_reached_by(reached) {
+            return Finding::ok(NAME, text);
         }
         let carried = self
             .baud_rate
@@ -154,8 +153,8 @@ impl Measured {
             false => Verdict::Weak,
         };
         let cause = match self.baud_rate {
-            Some(baud_rate) if carried < asked / ENOUGH => {
-                let helps = match sufficient_baud_rate(self.window, asked) {
+            Some(baud_rate) if !carries(self.window, self.rate, baud_rate) => {
+                let helps = match sufficient_baud_rate(self.window, self.rate) {
                     Some(faster) => format!("--baud {faster} would do"),
                     None => "fewer steps would help".to_owned(),
                 };
@@ -167,9 +166,9 @@ impl Measured {
         Finding::new(NAME, verdict, format!("{text}: {cause}"))
     }
 
-    /// Describes the spread of the intervals between scans.
     fn jitter(&self) -> String {
-        let Some(jitter) = Jitter::of(self.scans.iter().map(|seen| seen.received_at)) else {
+        let Some(jitter) = Jitter::from_times(self.scans.iter().map(|seen| seen.received_at))
+        else {
             return "one scan".to_owned();
         };
         let [min, max, deviation] =
@@ -187,10 +186,10 @@ impl Measured {
         let wire = self.baud_rate.map(|speed| self.window.wire_time(speed));
         let good = Duration::from_secs_f64(MAX_REVOLUTIONS / self.asked) + wire.unwrap_or_default();
         if longest <= good {
-            return Finding::new("latency", Verdict::Ok, text);
+            return Finding::ok("latency", text);
         }
         let text = format!("{text}: expected at most {} ms", good.as_millis());
-        Finding::new("latency", Verdict::Weak, text)
+        Finding::weak("latency", text)
     }
 
     fn motor(&self) -> Finding {
@@ -198,7 +197,7 @@ impl Measured {
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
             let text = "unknown: scans have the times of their arrivals";
-            return Finding::new(NAME, Verdict::Ok, text);
+            return Finding::ok(NAME, text);
         };
         let mut text = match motor.rpm() {
             Some(rpm) => format!("{rpm:.2} rpm"),
@@ -211,13 +210,13 @@ impl Measured {
         let _ = write!(text, "; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if motor.jumps > 0 {
             let _ = write!(text, "; it jumped {} times: check the power", motor.jumps);
-            return Finding::new(NAME, Verdict::Weak, text);
+            return Finding::weak(NAME, text);
         }
         if mean > MAX_LATENESS_MS {
             text.push_str(": this computer is busy, or its USB is");
-            return Finding::new(NAME, Verdict::Weak, text);
+            return Finding::weak(NAME, text);
         }
-        Finding::new(NAME, Verdict::Ok, text)
+        Finding::ok(NAME, text)
     }
 
     fn sight(&self) -> Finding {
@@ -228,22 +227,21 @@ impl Measured {
         let text = format!("{distances} of {points} points have a distance");
         let repeats = self.count(|stats| stats.repeats) as usize;
         if distances == 0 {
-            Finding::new(
+            Finding::weak(
                 NAME,
-                Verdict::Weak,
                 format!("{text}: is the sensor covered, or everything farther away than 4 m?"),
             )
         } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
             let text = format!("{text}, and all scans are equal: does the sensor measure at all?");
-            Finding::new(NAME, Verdict::Weak, text)
+            Finding::weak(NAME, text)
         } else {
-            Finding::new(NAME, Verdict::Ok, text)
+            Finding::ok(NAME, text)
         }
     }
 }
 
 impl Seen {
-    fn of(scan: &Scan) -> Self {
+    fn from_scan(scan: &Scan) -> Self {
         Self {
             requested_at: scan.requested_at(),
             received_at: scan.received_at(),

@@ -64,7 +64,7 @@ impl Check {
                 }
             }
             Err(Failure::Failed(line)) => {
-                report.add(Finding::new("link", Verdict::Failed, line)).await?;
+                report.add(Finding::failed("link", line)).await?;
             }
             Err(other) => return Err(other),
         }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use tokio_scip::{Rate, Sensor, Window};
 
-use super::finding::{Finding, Verdict};
+use super::finding::Finding;
 use super::measured::Measured;
 use crate::failure::chain;
 
@@ -15,26 +15,25 @@ pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Find
         Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),
     };
-    Finding::new("link", Verdict::Ok, format!("found {place} after {:.1} s", after.as_secs_f64()))
+    Finding::ok("link", format!("found {place} after {:.1} s", after.as_secs_f64()))
 }
 
-/// Reads the identity of the sensor.
 pub(crate) async fn version(sensor: &Sensor) -> Finding {
     const NAME: &str = "version";
     let version = match sensor.version().await {
         Ok(version) => version,
-        Err(error) => return Finding::failed(NAME, &error),
+        Err(error) => return Finding::failed(NAME, chain(&error)),
     };
     let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
     let status = version.status.as_ref().map(ToString::to_string);
     match status {
         _ if version.product.is_empty() || version.serial_number.is_empty() => {
-            Finding::new(NAME, Verdict::Weak, format!("product or serial number missing: {who}"))
+            Finding::weak(NAME, format!("product or serial number missing: {who}"))
         }
         Some(status) if !status.contains("Normal") => {
-            Finding::new(NAME, Verdict::Weak, format!("{who}; its status is {status:?}"))
+            Finding::weak(NAME, format!("{who}; its status is {status:?}"))
         }
-        _ => Finding::new(NAME, Verdict::Ok, who),
+        _ => Finding::ok(NAME, who),
     }
 }
 
@@ -44,10 +43,10 @@ pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     for (switched, state) in [(sensor.laser_off().await, "off"), (sensor.laser_on().await, "on")] {
         if let Err(error) = switched {
             let text = format!("cannot be switched {state}: {}", chain(&error));
-            return Finding::new(NAME, Verdict::Failed, text);
+            return Finding::failed(NAME, text);
         }
     }
-    Finding::new(NAME, Verdict::Ok, "goes off and on")
+    Finding::ok(NAME, "goes off and on")
 }
 
 /// Streams the window for `duration`, at the rate of the motor or at the recorded rate.
@@ -59,7 +58,7 @@ pub(crate) async fn scans(
 ) -> Vec<Finding> {
     match Measured::over(sensor, window, recorded, duration).await {
         Ok(measured) => measured.steps(),
-        Err(error) => vec![Finding::failed("polls", &error)],
+        Err(error) => vec![Finding::failed("polls", chain(&error))],
     }
 }
 
@@ -68,6 +67,7 @@ mod tests {
     use tokio_scip::BaudRate;
     use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
 
+    use super::super::finding::Verdict;
     use super::*;
 
     /// Runs all steps. Collects the steps that are not ok, and the text of all steps.
@@ -88,8 +88,7 @@ mod tests {
 
     #[test]
     fn a_finding_cannot_control_the_terminal() {
-        let error = tokio_scip::ErrorKind::NoSuchPort { port: "\x1b[2J.mcap".to_owned() };
-        let text = Finding::failed("laser", &error.into()).to_string();
+        let text = Finding::failed("laser", "/\x1b[2J.mcap").to_string();
         assert!(text.contains("\\u{1b}[2J.mcap") && !text.contains('\x1b'), "{text:?}");
     }
 

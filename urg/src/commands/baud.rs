@@ -32,7 +32,7 @@ impl Baud {
         let link = LinkArgs { wait: self.wait, ..LinkArgs::default() };
         let sensor = open(&port, &link, Delivery::Newest).await?;
         let moved = sensor.set_baud_rate(self.baud_rate).await;
-        moved.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        moved.map_err(|error| Failure::at(&port, &error))?;
         match proven_baud_rate(&sensor).await {
             None => notice(format_args!("{port}: the sensor is on USB, which has no baud rate")),
             Some((_, Some(why))) => notice(format_args!("{port}: {why}")),

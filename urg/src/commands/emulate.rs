@@ -9,9 +9,9 @@ use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
 use urg_emulator::Pty;
-use urg_emulator::{Emulator, Faults, RepeatedLaser, Room};
+use urg_emulator::{Emulator, Faults, Firmware, RepeatedLaser, Room};
 
-use crate::args::{FirmwareArg, duration, listen_address};
+use crate::args::{duration, listen_address};
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
@@ -44,8 +44,8 @@ pub(crate) struct Emulate {
     #[arg(long, conflicts_with = "baud")]
     usb: bool,
     /// Firmware dialect of the sensor
-    #[arg(long, value_enum, default_value_t = FirmwareArg::V3)]
-    firmware: FirmwareArg,
+    #[arg(long, value_enum, default_value_t = FirmwareDialect::V3)]
+    firmware: FirmwareDialect,
     /// Serial number of the sensor
     #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
     serial_number: String,
@@ -55,10 +55,10 @@ pub(crate) struct Emulate {
     /// Room around the sensor
     #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
     room: RoomKind,
-    /// Status of the reply to `L` when the laser is already in the requested state; real
-    /// sensors differ
-    #[arg(long, value_enum, value_name = "STATUS", default_value_t = LaserStatus::Zero)]
-    repeated_laser: LaserStatus,
+    /// Status of the reply to `L` when the laser is already in the requested state: 0, or 2
+    /// (refused); real sensors differ
+    #[arg(long, value_name = "STATUS", value_parser = ["0", "2"], default_value = "0")]
+    repeated_laser: String,
     /// Seed of the room and of faults
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
@@ -73,21 +73,19 @@ pub(crate) struct Emulate {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
+enum FirmwareDialect {
+    /// As in the protocol text: V has five lines, unknown commands get no reply
+    Text,
+    /// As in real sensors: V has six lines, unknown commands get the reply E
+    V3,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
 enum RoomKind {
     /// 5.0 by 4.4 m with two people; about 8 % of the points have no distance
     Easy,
     /// About 55 % of the points have no distance, as in captures of a real sensor
     Hard,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum LaserStatus {
-    /// Same as for a change of state
-    #[value(name = "0")]
-    Zero,
-    /// Refused
-    #[value(name = "2")]
-    Two,
 }
 
 impl Emulate {
@@ -101,11 +99,14 @@ impl Emulate {
 
     fn emulator(&self) -> Emulator {
         let builder = Emulator::builder()
-            .firmware(self.firmware.into())
+            .firmware(match self.firmware {
+                FirmwareDialect::Text => Firmware::Text,
+                FirmwareDialect::V3 => Firmware::V3,
+            })
             .serial_number(&self.serial_number)
-            .repeated_laser(match self.repeated_laser {
-                LaserStatus::Zero => RepeatedLaser::Status0,
-                LaserStatus::Two => RepeatedLaser::Status2,
+            .repeated_laser(match self.repeated_laser.as_str() {
+                "2" => RepeatedLaser::Status2,
+                _ => RepeatedLaser::Status0,
             })
             .revolution(self.revolution)
             .seed(self.seed)
@@ -122,7 +123,7 @@ impl Emulate {
     }
 
     async fn serve_tcp(&self, emulator: &Emulator, address: &str) -> Result<(), Failure> {
-        let failed = |error| Failure::of(&format!("cannot serve on {address}"), &error);
+        let failed = |error| Failure::new(format_args!("cannot serve on {address}"), &error);
         let listener = TcpListener::bind(address).await.map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         let speed = self.baud.filter(|speed| *speed != BaudRate::B19200);
@@ -134,8 +135,8 @@ impl Emulate {
     #[cfg(unix)]
     async fn serve_pty(&self, emulator: &Emulator) -> Result<(), Failure> {
         let failed = |error| match &self.link {
-            Some(link) => Failure::of(&format!("cannot serve on {}", link.display()), &error),
-            None => Failure::of("cannot serve on a pseudo-terminal", &error),
+            Some(link) => Failure::new(format_args!("cannot serve on {}", link.display()), &error),
+            None => Failure::new("cannot serve on a pseudo-terminal", &error),
         };
         // Held until the server stops.
         let _claim = self.link.as_deref().map(LinkClaim::take).transpose()?;
@@ -202,7 +203,9 @@ impl LinkClaim {
                     path.display()
                 )))
             }
-            Err(error) => Err(Failure::of(&format!("cannot serve on {}", path.display()), &error)),
+            Err(error) => {
+                Err(Failure::new(format_args!("cannot serve on {}", path.display()), &error))
+            }
         }
     }
 

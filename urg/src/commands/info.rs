@@ -52,7 +52,7 @@ impl Info {
             None => {
                 let sensor = open(&port, &self.link, Delivery::Newest).await?;
                 let version = sensor.version().await;
-                let version = version.map_err(|error| Failure::at(&port.to_string(), &error))?;
+                let version = version.map_err(|error| Failure::at(&port, &error))?;
                 (version, Some(proven_baud_rate(&sensor).await), Vec::new())
             }
         };

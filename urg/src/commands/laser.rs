@@ -51,7 +51,7 @@ impl Laser {
             Switch::On => (sensor.laser_on().await, "on"),
             Switch::Off => (sensor.laser_off().await, "off"),
         };
-        switched.map_err(|error| Failure::at(&port.to_string(), &error))?;
+        switched.map_err(|error| Failure::at(&port, &error))?;
         notice(format_args!("{port}: the laser is {state}"));
         Ok(())
     }

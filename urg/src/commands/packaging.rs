@@ -41,7 +41,7 @@ pub(crate) struct Manual {
 impl Manual {
     /// Writes the page of one command of `program`, or of all of it.
     pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
-        let failed = |error: std::io::Error| Failure::of("cannot write the page", &error);
+        let failed = |error: std::io::Error| Failure::new("cannot write the page", &error);
         // Gives the commands their full names and the global options.
         program.build();
         let about = match &self.command {

@@ -1,9 +1,10 @@
 //! `urg publish`: publishes scans as ROS 2 messages, to ROS 2 or to Foxglove.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use clap::ValueEnum;
+use parking_lot::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tokio_scip::Rate;
@@ -205,7 +206,7 @@ impl Publish {
             qos: self.qos,
             depth: self.depth.unwrap_or(default_depth).into(),
             interface: self.interface,
-            discovery: Discovery::of_environment()?,
+            discovery: Discovery::from_environment()?,
             router: self.router.clone().unwrap_or_else(|| DEFAULT_ROUTER.to_owned()),
             mode: self.mode.unwrap_or(Mode::Client),
             listen: self.listen.unwrap_or(DEFAULT_LISTEN),
@@ -244,7 +245,7 @@ async fn all_ended(scans: &mut JoinSet<Ended>) -> Result<(), Failure> {
     let mut failure = Ok(());
     while let Some(ended) = scans.join_next().await {
         let (name, outcome) =
-            ended.map_err(|error| Failure::of("publishing has failed", &error))?;
+            ended.map_err(|error| Failure::new("publishing has failed", &error))?;
         if let Err(error) = outcome {
             if !scans.is_empty() {
                 notice(format_args!("{name}: {}; the others continue", error.line()));

@@ -55,7 +55,7 @@ impl ScanOnce {
         let port = self.port.required().await?;
         let window = self.window.window(port.default_window())?;
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
-        let at_port = |error| Failure::at(&port.to_string(), &error);
+        let at_port = |error| Failure::at(&port, &error);
         let scan = sensor.scan(window).await.map_err(at_port)?;
         let text = match self.format {
             ScanFormat::Table => table::table(&scan, &sensor.version().await.map_err(at_port)?),

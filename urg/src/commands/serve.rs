@@ -71,7 +71,7 @@ impl Serve {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let PictureArgs { playback, link, .. } = &self.picture;
         let picture = interrupt.unless(self.picture.sources()).await?;
-        let failed = |error| Failure::of(&format!("cannot listen on {}", self.listen), &error);
+        let failed = |error| Failure::new(format_args!("cannot listen on {}", self.listen), &error);
         let listener = listen(&self.listen).await.map_err(failed)?;
         let bound = listener.local_addr().map_err(failed)?;
 
@@ -111,7 +111,7 @@ impl Serve {
 async fn last(runs: &mut JoinSet<Result<(), Failure>>) -> Result<(), Failure> {
     while let Some(run) = runs.join_next().await {
         // The panic hook has already printed a panic.
-        match run.unwrap_or_else(|error| Err(Failure::of("cannot continue", &error))) {
+        match run.unwrap_or_else(|error| Err(Failure::new("cannot continue", &error))) {
             Err(failure) if !runs.is_empty() => {
                 notice(format_args!("{}; the others continue", failure.line()));
             }

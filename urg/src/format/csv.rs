@@ -6,17 +6,13 @@ use std::time::SystemTime;
 use tokio_scip::scan::Ray;
 use tokio_scip::{Measurement, Point, Scan};
 
-/// Columns to write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Columns {
-    /// Angle and range.
     Polar,
-    /// Angle, range, x and y.
     Cartesian,
 }
 
 impl Columns {
-    /// First line, with the names of the columns.
     pub(crate) const fn header(self) -> &'static str {
         match self {
             Self::Polar => "sequence,stamp,time,step,angle,range,code\n",
@@ -40,7 +36,6 @@ csv-xy adds
   x, y      metres from the sensor, x to the front, y to the left; empty where
             there is no distance";
 
-/// Writes one row per point.
 pub(crate) fn rows(scan: &Scan, columns: Columns) -> String {
     let since_1970 = |time: SystemTime| time.duration_since(SystemTime::UNIX_EPOCH);
     let stamp = since_1970(scan.stamp()).unwrap_or_default();

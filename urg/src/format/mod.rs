@@ -31,5 +31,5 @@ pub(crate) fn json_line(data: &impl Serialize) -> Result<String, Failure> {
 
 /// Serializes `data` as JSON without a line break.
 pub(crate) fn json_text(data: &impl Serialize) -> Result<String, Failure> {
-    serde_json::to_string(data).map_err(|error| Failure::of("cannot write JSON", &error))
+    serde_json::to_string(data).map_err(|error| Failure::new("cannot write JSON", &error))
 }

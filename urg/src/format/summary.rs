@@ -9,7 +9,7 @@ use crate::plot::summary::ScanSummary;
 
 /// Formats the line. `rate` is in scans a second, or `None` if it is not known yet.
 pub(crate) fn line(scan: &Scan, rate: Option<f64>) -> String {
-    let summary = ScanSummary::of(scan);
+    let summary = ScanSummary::from_scan(scan);
     let mut line = format!("{:>5}", scan.sequence());
     // Writing to a `String` is infallible.
     let _ = match rate {

@@ -12,7 +12,6 @@ use crate::plot::summary::ScanSummary;
 use crate::plot::{self, Anchor, Place, REACH, Sector};
 
 const WIDTH: f64 = 180.0;
-/// Space around the plot.
 const MARGIN: f64 = 14.0;
 const HEADER: f64 = 21.0;
 /// Maximum height of a plot, whatever its sector.
@@ -38,14 +37,13 @@ text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1p
 
 /// Draws the picture, with the name of the sensor.
 pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
-    let paper = Paper::of(Sector::of(scan.window()));
+    let paper = Paper::fitted_to(Sector::from_window(scan.window()));
     let mut text = String::with_capacity(64 * 1024);
     // Writing to a `String` is infallible.
     let _ = paper.picture(&mut text, scan, version);
     text
 }
 
-/// Place of the plot on the paper.
 struct Paper {
     sector: Sector,
     /// Millimetres of paper per metre.
@@ -58,7 +56,7 @@ struct Paper {
 }
 
 impl Paper {
-    fn of(sector: Sector) -> Self {
+    fn fitted_to(sector: Sector) -> Self {
         let extent = sector.extent();
         let (width, height) = (extent.left + extent.right, extent.ahead + extent.behind);
         let room = WIDTH - 2.0 * MARGIN;
@@ -101,7 +99,6 @@ impl Paper {
         writeln!(out, "</svg>")
     }
 
-    /// Writes the sensor, the time and the window.
     fn header(
         &self,
         out: &mut String,
@@ -131,7 +128,6 @@ impl Paper {
         Ok(())
     }
 
-    /// Draws range rings and directions with their labels.
     fn grid(&self, out: &mut String) -> fmt::Result {
         let (sector, radius) = (self.sector, self.scale * REACH);
         let (x, y) = (self.x, self.y);
@@ -210,7 +206,7 @@ impl Paper {
             let directions = scan.angles().map(f64::from).zip(scan.measurements().map(Some));
             // An extra item ends the last run.
             for (angle, measurement) in directions.chain([(0.0, None)]) {
-                if measurement.and_then(MissingKind::of) == Some(kind) {
+                if measurement.and_then(MissingKind::from_measurement) == Some(kind) {
                     run.get_or_insert(Sector { from: angle - half, to: angle }).to = angle + half;
                 } else if let Some(run) = run.take() {
                     write!(arcs, "M{}", self.arc(run, radius))?;
@@ -223,7 +219,6 @@ impl Paper {
         Ok(())
     }
 
-    /// Writes the legend, with the figures of the scan.
     fn legend(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         let mut y = self.bottom + LINE;
         let mut row = |out: &mut String, mark: &str, text: &str| {
@@ -232,7 +227,7 @@ impl Paper {
             y += LINE;
             Ok(())
         };
-        let summary = ScanSummary::of(scan);
+        let summary = ScanSummary::from_scan(scan);
         let mut text = format!("{} of {} points have a distance", summary.distances, scan.len());
         if let (Some(near), Some(far)) = (summary.nearest, summary.farthest) {
             let _ = write!(text, ", nearest {}, farthest {}", place_name(near), place_name(far));

@@ -23,10 +23,9 @@ pub(crate) fn table(scan: &Scan, version: &Version) -> String {
     text
 }
 
-/// Formats the sensor's name, the window and the figures of the scan.
 fn summary(scan: &Scan, version: &Version) -> String {
     let mut text = format!("{} {}: {}\n", version.product, version.serial_number, scan.window());
-    let figures = ScanSummary::of(scan);
+    let figures = ScanSummary::from_scan(scan);
     let _ = writeln!(text, "{} of {} points have a distance", figures.distances, figures.points);
     if let (Some(near), Some(far)) = (figures.nearest, figures.farthest) {
         let _ = writeln!(text, "  nearest  {}", place(near));
@@ -45,7 +44,6 @@ fn place(point: Point) -> String {
     format!("{:.3} m at {:.2}°", point.range, point.angle.to_degrees())
 }
 
-/// Reason for a missing distance.
 fn reason(measurement: Measurement) -> String {
     match measurement {
         Measurement::Error(code) => code.to_string(),

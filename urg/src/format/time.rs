@@ -2,16 +2,16 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use humantime::format_rfc3339_seconds;
+use humantime::{format_rfc3339_millis, format_rfc3339_seconds};
 
 /// Formats a time as `2026-01-31 23:59:59 UTC`.
 pub(crate) fn utc(time: SystemTime) -> String {
-    rfc3339(time).replace('T', " ").replace('Z', " UTC")
+    format_rfc3339_seconds(within_calendar(time)).to_string().replace('T', " ").replace('Z', " UTC")
 }
 
-/// Formats a time as `2026-01-31T235959Z`, which any file system accepts in a name.
+/// Formats a time as `2026-01-31T235959.123Z`, which any file system accepts in a name.
 pub(crate) fn file_name(time: SystemTime) -> String {
-    rfc3339(time).replace(':', "")
+    format_rfc3339_millis(within_calendar(time)).to_string().replace(':', "")
 }
 
 /// Formats seconds as `1:02:03`, or as `2:03` below an hour.
@@ -24,13 +24,12 @@ pub(crate) fn clock(seconds: f64) -> String {
     }
 }
 
-/// Formats a time as `2026-01-31T23:59:59Z`. Returns the start of 1970 for a time before
-/// 1970 or after 9999.
-fn rfc3339(time: SystemTime) -> String {
+/// Returns the start of 1970 for a time before 1970 or after 9999.
+fn within_calendar(time: SystemTime) -> SystemTime {
     /// Start of the year 10000.
     const END: Duration = Duration::from_secs(253_402_300_800);
     let since = time.duration_since(UNIX_EPOCH).ok().filter(|since| *since < END);
-    format_rfc3339_seconds(UNIX_EPOCH + since.unwrap_or_default()).to_string()
+    UNIX_EPOCH + since.unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -41,7 +40,7 @@ mod tests {
     fn a_time_is_written_to_the_second_in_utc() {
         let time = SystemTime::UNIX_EPOCH + Duration::from_millis(1_709_210_096_999);
         assert_eq!(utc(time), "2024-02-29 12:34:56 UTC");
-        assert_eq!(file_name(time), "2024-02-29T123456Z");
+        assert_eq!(file_name(time), "2024-02-29T123456.999Z");
     }
 
     #[test]

@@ -12,7 +12,6 @@ pub(crate) fn notice(text: impl fmt::Display) {
     stderr::write(format!("urg: {}\n", escaped(&text.to_string())).as_bytes());
 }
 
-/// Escapes the control characters of `text`.
 pub(crate) fn escaped(text: &str) -> String {
     let escaped = |c: char| match c.is_control() {
         true => c.escape_default().collect(),

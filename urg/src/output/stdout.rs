@@ -10,7 +10,6 @@ use tokio::task::spawn_blocking;
 
 use crate::failure::Failure;
 
-/// Standard output.
 #[derive(Debug)]
 pub(crate) struct Output {
     reports_room: bool,
@@ -52,7 +51,7 @@ pub(crate) async fn print(text: &str) -> Result<(), Failure> {
 pub(crate) fn failure(error: &io::Error) -> Failure {
     match error.kind() {
         io::ErrorKind::BrokenPipe => Failure::PipeClosed,
-        _ => Failure::of("cannot write to standard output", error),
+        _ => Failure::new("cannot write to standard output", error),
     }
 }
 

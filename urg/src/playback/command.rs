@@ -1,6 +1,5 @@
 //! Commands to a playback, from a key or over HTTP.
 
-/// Command to a playback.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum PlaybackCommand {
     Play,

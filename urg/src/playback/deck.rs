@@ -10,7 +10,6 @@ use tokio::time::Instant;
 use super::command::PlaybackCommand;
 use super::settings::SPEEDS;
 
-/// Position and settings of a playback.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(crate) struct PlaybackStatus {
     /// Number of the current scan, from 0.
@@ -29,12 +28,10 @@ pub(crate) struct PlaybackStatus {
     pub(crate) is_looping: bool,
 }
 
-/// State of a playback.
 #[derive(Debug)]
 pub(super) struct Deck {
     /// Time of each scan since the first. Never empty.
     times: Arc<[Duration]>,
-    /// Number of the current scan.
     scan: usize,
     /// Position at `since`.
     position: Duration,
@@ -118,7 +115,6 @@ impl Deck {
         self.since.checked_add(wait + Duration::from_millis(1))
     }
 
-    /// Applies a command at `now`.
     pub(super) fn apply(&mut self, command: PlaybackCommand, now: Instant) {
         use PlaybackCommand::{Loop, Pause, Play, Scan, Seek, SeekBy, Speed, Step, Toggle};
         self.advance(now);

@@ -31,7 +31,6 @@ pub(crate) struct Player {
     version: Version,
 }
 
-/// Scan that a playback shows, and its position.
 #[derive(Debug, Clone)]
 pub(crate) struct Shown {
     pub(crate) scan: Scan,
@@ -39,7 +38,6 @@ pub(crate) struct Shown {
 }
 
 impl Player {
-    /// Reads the recording and starts to play it.
     pub(crate) async fn start(
         recorded: &Recorded,
         settings: PlaybackArgs,
@@ -60,7 +58,7 @@ impl Player {
             }
         };
         let (reel, first): (Reel, Scan) =
-            opened.map_err(|error| Failure::of(&recorded.to_string(), &error))??;
+            opened.map_err(|error| Failure::new(recorded, &error))??;
         let speed = settings.speed.unwrap_or(1.0);
         let deck = Deck::new(reel.times(), speed, settings.is_looping, Instant::now());
         let shown = Shown { scan: first, status: deck.status() };
@@ -72,7 +70,7 @@ impl Player {
         let name = recorded.to_string();
         tokio::spawn(async move {
             // A panic is a failure, too: without it, the playback would seem to run.
-            let outcome = running.await.unwrap_or_else(|panic| Err(Failure::of(&name, &panic)));
+            let outcome = running.await.unwrap_or_else(|panic| Err(Failure::new(&name, &panic)));
             failed.send_replace(outcome.err());
         });
         Ok(Self { commands, shown, failure, version })
@@ -149,7 +147,7 @@ async fn run(
             (reel, scan)
         });
         let (returned, scan) =
-            read.await.map_err(|error| Failure::of("reading the recording", &error))?;
+            read.await.map_err(|error| Failure::new("reading the recording", &error))?;
         reel = returned;
         shown.send_replace(Shown { scan: scan?, status });
     }

@@ -45,46 +45,7 @@ pub(crate) fn band(metres: f64) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use super::super::missing::MissingKind;
     use super::*;
-
-    type Rgb = [f64; 3];
-
-    fn page(text: &str) -> Rgb {
-        let part = |at: usize| u8::from_str_radix(&text[at..at + 2], 16).unwrap().into();
-        [part(1), part(3), part(5)]
-    }
-
-    fn terminal(indexed: u8) -> Rgb {
-        let levels = [0, 95, 135, 175, 215, 255];
-        match usize::from(indexed) {
-            grey @ 232.. => [f64::from(8 + 10 * (grey as i32 - 232)); 3],
-            cube => [(cube - 16) / 36, (cube - 16) / 6 % 6, (cube - 16) % 6]
-                .map(|n| f64::from(levels[n])),
-        }
-    }
-
-    /// Hue in degrees, with red at 0, and chroma from 0 to 255.
-    fn hue([r, g, b]: Rgb) -> (f64, f64) {
-        let (x, y) = (r - (g + b) / 2.0, (g - b) * 0.75_f64.sqrt());
-        (y.atan2(x).to_degrees(), x.hypot(y))
-    }
-
-    #[test]
-    fn the_shades_of_a_colour_have_the_same_hue() {
-        let kinds = MissingKind::ALL.map(MissingKind::colours);
-        for colours in SENSORS.into_iter().chain(DISTANCES).chain(kinds) {
-            let Colours { on_light, on_dark, indexed } = colours;
-            let shades = [page(on_light), page(on_dark), terminal(indexed)].map(hue);
-            for (one, chroma) in shades {
-                for (other, other_chroma) in shades {
-                    let apart = ((one - other + 180.0).rem_euclid(360.0) - 180.0).abs();
-                    let is_grey = chroma.min(other_chroma) < 30.0;
-                    assert!(apart < 35.0 || is_grey, "{colours:?}: {apart}");
-                }
-            }
-        }
-    }
 
     #[test]
     fn each_half_metre_has_a_colour_and_the_last_one_is_for_the_rest() {

@@ -12,7 +12,6 @@ pub(crate) enum MissingKind {
     Far,
     /// Too little light came back.
     Weak,
-    /// Anything else.
     Nothing,
 }
 
@@ -20,7 +19,7 @@ impl MissingKind {
     pub(crate) const ALL: [Self; 3] = [Self::Far, Self::Weak, Self::Nothing];
 
     /// Classifies a measurement. Returns `None` for a distance.
-    pub(crate) fn of(measurement: Measurement) -> Option<Self> {
+    pub(crate) fn from_measurement(measurement: Measurement) -> Option<Self> {
         match measurement {
             Measurement::Distance(_) => None,
             Measurement::Saturated => Some(Self::Far),
@@ -62,7 +61,7 @@ mod tests {
 
     #[test]
     fn every_value_is_a_distance_or_of_one_kind() {
-        let kind = |value| MissingKind::of(Measurement::from_value(value));
+        let kind = |value| MissingKind::from_measurement(Measurement::from_value(value));
         for value in 0..=4095 {
             let expected = match value {
                 0 | 6 | 16 | 4095 => Some(MissingKind::Far),

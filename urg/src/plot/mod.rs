@@ -16,15 +16,13 @@ pub(crate) const REACH: f64 = 4.2;
 /// Place on the plot, in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Place {
-    /// To the right of the sensor.
     pub(crate) right: f64,
-    /// Ahead of the sensor.
     pub(crate) ahead: f64,
 }
 
 impl Place {
     /// Converts a point to a place: `x` ahead, `y` to the left.
-    pub(crate) fn of(x: f64, y: f64) -> Self {
+    pub(crate) fn from_point(x: f64, y: f64) -> Self {
         Self { right: -y, ahead: x }
     }
 }
@@ -32,7 +30,7 @@ impl Place {
 /// Converts `range` metres in the direction `angle` (radians counter-clockwise from the
 /// front) to a place.
 pub(crate) fn place(range: f64, angle: f64) -> Place {
-    Place::of(range * angle.cos(), range * angle.sin())
+    Place::from_point(range * angle.cos(), range * angle.sin())
 }
 
 /// Part of a text to align with its place.
@@ -72,7 +70,7 @@ impl Extent {
 }
 
 impl Sector {
-    pub(crate) fn of(window: Window) -> Self {
+    pub(crate) fn from_window(window: Window) -> Self {
         Self { from: window.start().angle().into(), to: window.end().angle().into() }
     }
 
@@ -160,7 +158,7 @@ mod tests {
 
     #[test]
     fn a_plot_has_room_for_its_sector_and_no_more() {
-        let full = Sector::of(Window::FULL).extent();
+        let full = Sector::from_window(Window::FULL).extent();
         assert!(near(full.left, 1.0) && near(full.right, 1.0) && near(full.ahead, 1.0));
         assert!(near(full.behind, 0.5_f64.sqrt()));
         let right = Sector { from: -FRAC_PI_2, to: 0.0 }.extent();
@@ -187,7 +185,7 @@ mod tests {
 
     #[test]
     fn directions_and_arcs_stay_inside_of_the_sector() {
-        let sector = Sector::of(Window::DETECTION);
+        let sector = Sector::from_window(Window::DETECTION);
         assert_eq!(sector.directions(), [-90, -60, -30, 0, 30, 60, 90]);
         let narrow = |from: f64, to: f64| Sector { from: from.to_radians(), to: to.to_radians() };
         assert_eq!(narrow(-31.0, -9.0).directions(), [-30, -20, -10]);

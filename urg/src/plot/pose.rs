@@ -5,19 +5,23 @@ use serde::{Serialize, Serializer};
 use tokio_scip::scan::Pose;
 
 /// Maximum distance from the origin along each axis, in metres.
-const FARTHEST: f64 = 1000.0;
+pub(crate) const FARTHEST: f64 = 1000.0;
 
-/// Parses X,Y,YAW.
+/// Parses distances and an angle in degrees. Returns them in metres and radians.
+pub(crate) fn distances_and_angle<const N: usize>(text: &str) -> Option<([f64; N], f64)> {
+    let (distances, yaw) = text.rsplit_once(',')?;
+    let within = |text: &str, most: f64| {
+        text.trim().parse().ok().filter(|number: &f64| number.abs() <= most)
+    };
+    let distances = distances.split(',').map(|metres| within(metres, FARTHEST));
+    let distances: Vec<f64> = distances.collect::<Option<_>>()?;
+    Some((distances.try_into().ok()?, within(yaw, 360.0)?.to_radians()))
+}
+
 pub(crate) fn parse(text: &str) -> Result<Pose, String> {
-    let numbers: Option<Vec<f64>> = text
-        .split(',')
-        .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
-        .collect();
-    match numbers.as_deref() {
-        Some(&[x, y, yaw]) if x.abs().max(y.abs()) <= FARTHEST && yaw.abs() <= 360.0 => {
-            Ok(Pose { x, y, heading: yaw.to_radians() })
-        }
-        _ => Err(format!(
+    match distances_and_angle(text) {
+        Some(([x, y], heading)) => Ok(Pose { x, y, heading }),
+        None => Err(format!(
             "invalid place `{text}`: expected X,Y,YAW in metres and degrees, such as 0.2,0,90, and \
              at most {FARTHEST} m and 360°"
         )),

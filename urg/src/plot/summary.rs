@@ -7,7 +7,6 @@ use tokio_scip::{Measurement, Point, Scan};
 
 use super::missing::MissingKind;
 
-/// Figures of one scan.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ScanSummary {
     pub(crate) points: usize,
@@ -20,7 +19,7 @@ pub(crate) struct ScanSummary {
 }
 
 impl ScanSummary {
-    pub(crate) fn of(scan: &Scan) -> Self {
+    pub(crate) fn from_scan(scan: &Scan) -> Self {
         let mut missing = BTreeMap::new();
         for measurement in scan.measurements().filter(|one| one.distance().is_none()) {
             *missing.entry(measurement.value()).or_default() += 1;
@@ -43,7 +42,9 @@ impl ScanSummary {
         &self,
         kind: MissingKind,
     ) -> impl Iterator<Item = (Measurement, usize)> {
-        self.missing().filter(move |(measurement, _)| MissingKind::of(*measurement) == Some(kind))
+        self.missing().filter(move |(measurement, _)| {
+            MissingKind::from_measurement(*measurement) == Some(kind)
+        })
     }
 
     pub(crate) fn count(&self, kind: MissingKind) -> usize {

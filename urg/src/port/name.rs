@@ -5,7 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
-use tokio_scip::port::{self, PortInfo};
+use tokio_scip::port;
 use tokio_scip::scan::Pose;
 use tokio_scip::{Endpoint, Error, ErrorKind, Rate, Window};
 
@@ -16,7 +16,6 @@ use crate::recording::span::TimeSpan;
 /// Default rate: one poll per revolution of the motor.
 const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
 
-/// Optional PORT argument.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct PortArg {
     /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, - or
@@ -25,7 +24,6 @@ pub(crate) struct PortArg {
     pub(crate) name: Option<PortName>,
 }
 
-/// Parsed PORT argument.
 #[derive(Debug, Clone)]
 pub(crate) enum PortName {
     Endpoint(Endpoint),
@@ -121,38 +119,18 @@ impl PortArg {
     }
 }
 
-/// Error for a command line without PORT. Suggests the serial ports of this machine.
+/// Error for a command line without PORT. Suggests the likely sensors of this machine.
 pub(crate) async fn missing_port() -> Failure {
-    Failure::Usage(hint(&port::list().await.unwrap_or_default()))
-}
-
-fn hint(ports: &[PortInfo]) -> String {
-    let mut likely = ports.iter().filter(|port| port.is_likely_sensor());
-    let example = |port: &str| {
-        let mut words: Vec<_> = std::env::args().skip(1).collect();
-        words.insert(words.len().min(1), port.to_owned());
-        format!("urg {}", words.join(" "))
+    let ports = port::list().await.unwrap_or_default();
+    let likely = ports.iter().filter(|port| port.is_likely_sensor());
+    let likely: Vec<_> = likely.map(|port| port.path.as_str()).collect();
+    let mut words: Vec<_> = std::env::args().skip(1).collect();
+    let example = likely.first().unwrap_or(&"emulated");
+    words.insert(words.len().min(1), (*example).to_owned());
+    let found = match likely.as_slice() {
+        [] => "No serial port here is a likely sensor".to_owned(),
+        likely => format!("Likely sensors: {}", likely.join(", ")),
     };
-    match (likely.next(), likely.next()) {
-        (Some(only), None) => {
-            format!(
-                "which PORT? The only likely sensor here is on {0}: `{1}`",
-                only.path,
-                example(&only.path)
-            )
-        }
-        (Some(one), Some(other)) => format!(
-            "which PORT? There are likely sensors on {}, {} and maybe more, see `urg list`",
-            one.path, other.path
-        ),
-        _ if ports.is_empty() => format!(
-            "which PORT? This machine has no serial port: plug the sensor in, or try `{}`",
-            example("emulated")
-        ),
-        _ => format!(
-            "which PORT? No serial port here is a likely sensor: `urg list` shows them, \
-             and `{}` needs none",
-            example("emulated")
-        ),
-    }
+    let words = words.join(" ");
+    Failure::Usage(format!("which PORT? {found} (see `urg list`). Try `urg {words}`"))
 }

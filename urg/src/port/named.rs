@@ -8,7 +8,6 @@ use tokio_scip::scan::Pose;
 use super::name::PortName;
 use crate::plot::pose;
 
-/// `PORT` or `NAME=PORT` argument.
 #[derive(Debug, Clone)]
 pub(crate) struct NamedPort {
     pub(crate) name: Option<String>,
@@ -43,7 +42,6 @@ pub(crate) fn token(text: &str) -> Result<&str, String> {
     })
 }
 
-/// Sensor with its pose in the common frame.
 #[derive(Debug, Clone)]
 pub(crate) struct PlacedPort {
     pub(crate) named: NamedPort,

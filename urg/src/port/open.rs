@@ -39,19 +39,11 @@ pub(crate) fn begin(
     if let Some(timeout) = link.timeout {
         builder = builder.open_timeout(timeout);
     }
-    if link.firmware.is_some() && !matches!(port, PortName::Emulated(_)) {
-        let text = format!("--firmware is for PORT `emulated`: {port} is a sensor of its own");
-        return Err(Failure::Usage(text));
-    }
     Ok(match port {
         PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
         PortName::Emulated(pose) => {
             let room = Room::default().seen_from(pose.x, pose.y, pose::yaw(*pose));
             let emulator = Emulator::builder().world(room);
-            let emulator = match link.firmware {
-                Some(firmware) => emulator.firmware(firmware.into()),
-                None => emulator,
-            };
             // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
             let emulator = match link.baud {
                 Some(_) => emulator.baud_rate(BaudRate::B19200),
@@ -109,5 +101,5 @@ pub(crate) async fn opened(
             sensor.watch_state().connected().await
         }
     };
-    opened.map_err(|error| Failure::at(&port.to_string(), &error))
+    opened.map_err(|error| Failure::at(port, &error))
 }

@@ -1,7 +1,8 @@
 //! Counters of the messages on one topic, for diagnostics.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
+
+use parking_lot::{Mutex, MutexGuard};
 
 /// Counters of published, dropped and lost messages, updated from any thread.
 #[derive(Debug, Default)]
@@ -24,10 +25,8 @@ pub(super) struct Counted {
 }
 
 impl Counts {
-    /// Locks the counters for a moment, to read or change them.
     pub(super) fn lock(&self) -> MutexGuard<'_, Counted> {
-        // No code panics while holding it.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock()
     }
 
     pub(super) fn add_published(&self) {

@@ -1,16 +1,13 @@
 //! Condition of one sensor as a ROS diagnostic status: level, message, and key-value pairs.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio_scip::{Rate, Sensor, State, Stats, Version, Window};
 use urg_recording::ros::{DiagnosticLevel, DiagnosticStatus};
 
 use super::engine::Outlet;
-use crate::failure::chain;
-use crate::stream::rate_watch::ENOUGH;
-
-/// Tolerance for a late scan, in addition to three periods.
-const LATE: Duration = Duration::from_secs(1);
+use crate::stream::health::SensorHealth;
+use crate::stream::rate_watch::schedule;
 
 /// Condition of one sensor, updated by its scans.
 #[derive(Debug, Default)]
@@ -18,9 +15,6 @@ pub(crate) struct Condition {
     /// `None` before the driver is started.
     pub(super) sensor: Option<Sensor>,
     pub(super) version: Option<Version>,
-    /// Time of the latest scan.
-    pub(super) scanned: Option<Instant>,
-    /// Why the scans have ended, if they have.
     pub(super) ended: Option<String>,
 }
 
@@ -34,29 +28,32 @@ impl Condition {
         outlet: &Outlet,
     ) -> DiagnosticStatus {
         let stats = self.sensor.as_ref().map(Sensor::stats).unwrap_or_default();
-        let reached = stats
-            .schedules
-            .iter()
-            .find(|schedule| schedule.window == window)
-            .and_then(|schedule| schedule.reached);
-        let state = self.sensor.as_ref().map(|sensor| sensor.watch_state().get());
-        let (level, message) = self.judge(state.as_ref(), window, rate, reached);
+        let reached = schedule(&stats, window).and_then(|schedule| schedule.reached);
+        let health = SensorHealth::from_sensor(self.sensor.as_ref(), window, rate);
+        let link = health.link;
+        let (level, message) = self.judge(health, rate, reached);
+        let baud_rate =
+            self.sensor.as_ref().and_then(|sensor| sensor.watch_state().get().baud_rate());
+        let age = self.sensor.as_ref().and_then(|sensor| sensor.freshness().age());
+        let counted = outlet.counts().lock().clone();
         let version = self.version.as_ref();
         let serial_number = shown(version.map(|version| &version.serial_number));
-        let counted = outlet.counts().lock().clone();
         let mut values = vec![
-            ("State", state_name(state.as_ref()).to_owned()),
+            ("State", link.to_owned()),
             ("Product", shown(version.map(|version| &version.product))),
             ("Serial number", serial_number.clone()),
             ("Firmware", shown(version.map(|version| &version.firmware))),
-            ("Baud rate", shown(state.as_ref().and_then(State::baud_rate))),
+            ("Baud rate", shown(baud_rate)),
             ("Rate requested (Hz)", rate.period().map_or_else(|| "max".to_owned(), hertz)),
             ("Rate reached (Hz)", shown(reached.map(|rate| format!("{rate:.2}")))),
-            ("Age of the last scan (s)", shown(self.scanned.map(age))),
+            ("Age of the last scan (s)", shown(age.map(seconds))),
             ("Scans published", counted.published.to_string()),
             ("Scans dropped", counted.dropped.to_string()),
             ("Scans possibly lost", counted.possibly_lost.to_string()),
-            ("Age of the last published scan (s)", shown(counted.last_published.map(age))),
+            (
+                "Age of the last published scan (s)",
+                shown(counted.last_published.map(|at| seconds(at.elapsed()))),
+            ),
             ("Readers", shown(counted.readers)),
             ("Engine restarts", counted.restarts.to_string()),
         ];
@@ -72,8 +69,7 @@ impl Condition {
 
     fn judge(
         &self,
-        state: Option<&State>,
-        window: Window,
+        health: SensorHealth,
         rate: Rate,
         reached: Option<f64>,
     ) -> (DiagnosticLevel, String) {
@@ -81,51 +77,23 @@ impl Condition {
         if let Some(reason) = &self.ended {
             return (Error, reason.clone());
         }
-        let baud_rate = match state {
-            None => return (Error, "not opened yet".to_owned()),
-            Some(State::Connected { streaming: false, .. }) if self.scanned.is_some() => {
-                return (Warn, "the laser is off".to_owned());
+        let has_scans = self.sensor.as_ref().is_some_and(|it| it.freshness().age().is_some());
+        let state = self.sensor.as_ref().map(|sensor| sensor.watch_state().get());
+        let is_connected = matches!(state, Some(State::Connected { .. }));
+        match (health.why, reached) {
+            _ if has_scans && matches!(state, Some(State::Connected { streaming: false, .. })) => {
+                (Warn, "the laser is off".to_owned())
             }
-            Some(State::Connected { baud_rate, .. }) => *baud_rate,
-            Some(State::Connecting { error: Some(error) }) => {
-                return (Error, format!("waiting for the sensor: {}", chain(error)));
+            (Some(why), _) if is_connected && !has_scans => (Warn, why),
+            (Some(why), _) => (Error, why),
+            (None, Some(reached)) if !rate.is_reached_by(reached) => {
+                (Warn, format!("{reached:.1} scans a second, {rate} requested"))
             }
-            Some(State::Connecting { .. }) => return (Error, "looking for the sensor".to_owned()),
-            Some(State::Recovering) => return (Error, "the sensor is silent".to_owned()),
-            Some(State::Disconnected { error, .. } | State::Closed { error: Some(error) }) => {
-                return (Error, chain(error));
-            }
-            Some(_) => return (Error, "closed".to_owned()),
-        };
-        let wire = baud_rate.map_or(Duration::ZERO, |rate| window.wire_time(rate));
-        let period = rate.period().unwrap_or_default();
-        match self.scanned {
-            None => (Warn, "no scan yet".to_owned()),
-            Some(at) if at.elapsed() > 3 * period.max(wire) + LATE => {
-                (Error, format!("no scan for {} s", age(at)))
-            }
-            Some(_) => match reached {
-                Some(reached) if reached * period.as_secs_f64() < ENOUGH => {
-                    (Warn, format!("{reached:.1} scans a second, {} requested", hertz(period)))
-                }
-                _ => (Ok, "scans flow".to_owned()),
-            },
+            (None, _) => (Ok, "scans flow".to_owned()),
         }
     }
 }
 
-/// Names the state of the driver in one word.
-fn state_name(state: Option<&State>) -> &'static str {
-    match state {
-        None | Some(State::Connecting { .. }) => "connecting",
-        Some(State::Connected { .. }) => "connected",
-        Some(State::Recovering) => "recovering",
-        Some(State::Disconnected { .. }) => "disconnected",
-        Some(_) => "closed",
-    }
-}
-
-/// Lists the counters of the driver.
 fn losses(stats: &Stats) -> [(&'static str, String); 9] {
     [
         ("Polls", stats.polls),
@@ -147,9 +115,8 @@ fn hertz(period: Duration) -> String {
     ((rate * 1000.0).round() / 1000.0).to_string()
 }
 
-/// Formats the seconds since an instant.
-fn age(instant: Instant) -> String {
-    format!("{:.2}", instant.elapsed().as_secs_f64())
+fn seconds(duration: Duration) -> String {
+    format!("{:.2}", duration.as_secs_f64())
 }
 
 /// Formats a value that is not always known; else the text is empty.

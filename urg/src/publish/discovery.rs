@@ -14,7 +14,6 @@ pub(crate) enum Range {
     Subnet,
     /// This machine, and static peers.
     Localhost,
-    /// No discovery.
     Off,
 }
 
@@ -59,7 +58,7 @@ impl FromStr for StaticPeer {
 impl Discovery {
     /// Reads `ROS_AUTOMATIC_DISCOVERY_RANGE`, `ROS_STATIC_PEERS` and the older
     /// `ROS_LOCALHOST_ONLY`.
-    pub(crate) fn of_environment() -> Result<Self, Failure> {
+    pub(crate) fn from_environment() -> Result<Self, Failure> {
         Self::resolve(|name| env::var_os(name).map(|text| text.to_string_lossy().into_owned()))
     }
 

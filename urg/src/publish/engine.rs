@@ -2,10 +2,11 @@
 //! from any task without waiting.
 
 use std::net::{IpAddr, SocketAddr};
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use clap::ValueEnum;
+use parking_lot::RwLock;
 use urg_recording::ros::{self, MessageType, Transform};
 
 use super::counts::Counts;
@@ -69,7 +70,6 @@ pub(crate) struct EngineSettings {
 /// Topic of one node. Several nodes may publish on a topic of the same name.
 #[derive(Debug)]
 pub(super) struct Topic {
-    /// Index of the node.
     pub(super) node: usize,
     /// Absolute.
     pub(super) name: String,
@@ -130,13 +130,11 @@ impl EngineSettings {
 /// Why an open engine has to be reopened.
 #[derive(Debug)]
 pub(super) enum Reopen {
-    /// The network has changed.
     Outdated,
     /// The engine has stopped working, for this reason.
     Dead(String),
 }
 
-/// Open engine.
 pub(super) trait Engine: Sized + Send + 'static {
     /// What an engine leaves to the one that is opened after it.
     type Memory: Default + Send;
@@ -152,14 +150,13 @@ pub(super) trait Engine: Sized + Send + 'static {
     /// Checks from outside whether the engine works. Called at regular intervals. May block for
     /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
     /// happens to the scans.
-    fn look(&mut self) -> Result<Option<String>, Reopen>;
+    fn check(&mut self) -> Result<Option<String>, Reopen>;
 
     /// Removes the nodes from the ROS graph, and stops the engine. Blocks. The caller drops the
     /// publisher first.
     fn close(self);
 }
 
-/// Publisher on the topics of an open engine.
 pub(super) trait Publisher: Send + Sync {
     /// Publishes or drops an encoded message on the topic with this index, and counts the
     /// outcome. Does not block.
@@ -197,13 +194,12 @@ impl Outlet {
 
     /// Publishes on one of the node's topics. Returns false if the engine is not open.
     fn publish(&self, topic: usize, message: Vec<u8>) -> bool {
-        let publisher = self.publisher.read().unwrap_or_else(PoisonError::into_inner);
+        let publisher = self.publisher.read();
         let Some(publisher) = &*publisher else { return false };
         publisher.publish(NODE_TOPICS * self.node + topic, message);
         true
     }
 
-    /// Counters of the scans.
     pub(crate) fn counts(&self) -> &Counts {
         &self.counts
     }
@@ -212,7 +208,7 @@ impl Outlet {
 #[cfg(test)]
 impl EngineSettings {
     /// Creates settings of nodes named `urg` in these namespaces.
-    pub(super) fn of_namespaces(namespaces: &[&str]) -> Self {
+    pub(super) fn with_namespaces(namespaces: &[&str]) -> Self {
         let node = |namespace: &&str| NodeNames {
             namespace: (*namespace).to_owned(),
             node: "urg".to_owned(),

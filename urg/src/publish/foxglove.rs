@@ -19,7 +19,6 @@ use crate::output::notice::notice;
 /// Minimum queue of a viewer. The queue also holds the server's channel announcements.
 const MIN_BACKLOG: usize = 64;
 
-/// Server with the channels of all nodes.
 pub(super) struct Foxglove {
     server: WebSocketServerHandle,
     address: SocketAddr,
@@ -72,7 +71,7 @@ impl Engine for Foxglove {
         Ok((Self { server, address, _context: context }, Arc::new(Channels(channels))))
     }
 
-    fn look(&mut self) -> Result<Option<String>, Reopen> {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
         // The SDK silently stops listening when the system cannot accept a connection, for
         // example because too many files are open. Starting it again closes them.
         let why = match TcpListener::bind(self.address) {

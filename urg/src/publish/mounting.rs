@@ -3,34 +3,20 @@
 use urg_recording::ros::Transform;
 
 use crate::args::frame_id;
-
-/// Maximum distance along an axis, in metres.
-const MAX_DISTANCE: f64 = 1000.0;
+use crate::plot::pose::{self, FARTHEST};
 
 /// Parses `PARENT,X,Y,Z,YAW`: metres forward, left and up, and degrees counter-clockwise. The
 /// child, the frame of the sensor, is not known yet.
 pub(crate) fn mounting(text: &str) -> Result<Transform, String> {
     let (parent, numbers) = text.split_once(',').unwrap_or((text, ""));
-    let numbers: Option<Vec<f64>> =
-        numbers.split(',').map(|number| number.trim().parse().ok()).collect();
-    match numbers.as_deref() {
-        // False for NaN.
-        Some(&[x, y, z, yaw])
-            if frame_id(parent).is_ok()
-                && !parent.starts_with('/')
-                && [x, y, z].iter().all(|metres| metres.abs() <= MAX_DISTANCE)
-                && yaw.abs() <= 360.0 =>
-        {
-            Ok(Transform {
-                parent: parent.to_owned(),
-                child: String::new(),
-                translation: [x, y, z],
-                yaw: yaw.to_radians(),
-            })
+    let is_frame = frame_id(parent).is_ok() && !parent.starts_with('/');
+    match pose::distances_and_angle(numbers).filter(|_| is_frame) {
+        Some((translation, yaw)) => {
+            Ok(Transform { parent: parent.to_owned(), child: String::new(), translation, yaw })
         }
-        _ => Err(format!(
+        None => Err(format!(
             "expected PARENT,X,Y,Z,YAW in metres and degrees, such as base_link,0.2,0,0.1,90, \
-                     and at most {MAX_DISTANCE} m and 360°"
+                     and at most {FARTHEST} m and 360°"
         )),
     }
 }

@@ -10,7 +10,6 @@ use crate::port::named::{NamedPort, token};
 /// bytes, some of them for the prefix that ROS adds.
 const MAX_NAME: usize = 240;
 
-/// Options for names.
 #[derive(Debug, clap::Args)]
 pub(crate) struct NameArgs {
     /// Topic of the scans; without the leading `/` it is in the namespace
@@ -33,7 +32,6 @@ pub(crate) struct NameArgs {
     frame: String,
 }
 
-/// Names for one sensor.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct NodeNames {
     /// Absolute; `/` if there is no namespace.
@@ -45,7 +43,6 @@ pub(crate) struct NodeNames {
 }
 
 impl NodeNames {
-    /// Absolute name of the node.
     pub(super) fn full_name(&self) -> String {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.node)
     }

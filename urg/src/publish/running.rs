@@ -4,8 +4,8 @@
 //! current-thread runtime.
 
 use std::net::{IpAddr, UdpSocket};
+use std::sync::Arc;
 use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError};
-use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::mpsc;
@@ -21,19 +21,17 @@ use super::zenoh::Zenoh;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
-/// Pause between two attempts to open an engine.
 const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Pause between two looks at an open engine.
+/// Pause between two checks of an open engine.
 const WATCH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Looks until a reopened engine counts as working: one minute.
-const WORKING_LOOKS: u32 = 120;
+/// Checks until a reopened engine counts as working: one minute.
+const WORKING_CHECKS: u32 = 120;
 
 /// Maximum number of consecutive restarts. After that, only the user can help.
 const MAX_RESTARTS: u32 = 5;
 
-/// Maximum time that an engine has to close.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Engine on its own thread. Dropping it closes the engine without waiting.
@@ -58,12 +56,8 @@ impl RunningEngine {
             EngineName::Zenoh => start::<Zenoh>(settings),
             #[cfg(feature = "foxglove")]
             EngineName::Foxglove => start::<Foxglove>(settings),
-            #[cfg(not(feature = "dds"))]
-            EngineName::Dds => Err(not_built_in("dds", "ros2")),
-            #[cfg(not(feature = "zenoh"))]
-            EngineName::Zenoh => Err(not_built_in("zenoh", "zenoh")),
-            #[cfg(not(feature = "foxglove"))]
-            EngineName::Foxglove => Err(not_built_in("foxglove", "foxglove")),
+            #[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
+            other => Err(not_built_in(other)),
         }
     }
 
@@ -82,9 +76,10 @@ impl RunningEngine {
 }
 
 #[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
-fn not_built_in(engine: &str, feature: &str) -> Failure {
+fn not_built_in(engine: EngineName) -> Failure {
+    let feature = format!("{engine:?}").to_lowercase();
     Failure::Usage(format!(
-        "`--engine {engine}` needs an urg that was built with the feature `{feature}`: \
+        "`--engine {feature}` needs an urg that was built with the feature `{feature}`: \
          `cargo install --path urg --features {feature}`"
     ))
 }
@@ -97,7 +92,7 @@ fn start<E: Engine>(settings: EngineSettings) -> Result<(RunningEngine, Vec<Outl
     let (stop, stopped) = std_mpsc::channel();
     let (fail, failures) = mpsc::channel(1);
     let mut engine = Watched::<E> {
-        network: NetworkNotices::of(&settings.nodes),
+        network: NetworkNotices::for_nodes(&settings.nodes),
         settings: Arc::new(settings),
         topics: topics.into(),
         shared,
@@ -113,18 +108,16 @@ fn start<E: Engine>(settings: EngineSettings) -> Result<(RunningEngine, Vec<Outl
                 let _ = fail.try_send(failure);
             }
         })
-        .map_err(|error| Failure::of("cannot start the engine's thread", &error))?;
+        .map_err(|error| Failure::new("cannot start the engine's thread", &error))?;
     Ok((RunningEngine { stop, failures }, outlets))
 }
 
-/// State of the engine's thread.
 struct Watched<E: Engine> {
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
     shared: Shared,
     stop: std_mpsc::Receiver<()>,
     network: NetworkNotices,
-    /// Number of consecutive restarts.
     restarts: u32,
     memory: E::Memory,
 }
@@ -166,14 +159,14 @@ impl<E: Engine> Watched<E> {
         }
     }
 
-    /// Looks at the engine at regular intervals, until the user stops it or it has to be
+    /// Checks the engine at regular intervals, until the user stops it or it has to be
     /// reopened.
     fn watch(&mut self, engine: &mut E) -> Result<(), Reopen> {
-        let mut looks = 0;
+        let mut checks = 0;
         loop {
-            self.network.report(engine.look()?);
-            looks += 1;
-            if looks == WORKING_LOOKS {
+            self.network.report(engine.check()?);
+            checks += 1;
+            if checks == WORKING_CHECKS {
                 self.restarts = 0;
             }
             if self.is_stopped(WATCH_INTERVAL) {
@@ -202,7 +195,7 @@ impl<E: Engine> Watched<E> {
     }
 
     fn set(&self, publisher: Option<Arc<dyn Publisher>>) {
-        *self.shared.write().unwrap_or_else(PoisonError::into_inner) = publisher;
+        *self.shared.write() = publisher;
     }
 
     /// Waits for at most `wait`. Returns true if the engine was stopped meanwhile.
@@ -238,7 +231,7 @@ struct NetworkNotices {
 }
 
 impl NetworkNotices {
-    fn of(nodes: &[NodeNames]) -> Self {
+    fn for_nodes(nodes: &[NodeNames]) -> Self {
         let topics = match nodes {
             [first, .., last] => {
                 format!("{} topics, {} to {}", nodes.len(), first.topic, last.topic)
@@ -272,10 +265,8 @@ mod tests {
 
     use super::*;
 
-    /// Engine that never works.
     struct Dead;
 
-    /// How often the engine was opened.
     static OPENED: AtomicU32 = AtomicU32::new(0);
 
     impl Publisher for Dead {
@@ -294,7 +285,7 @@ mod tests {
             Ok((Self, Arc::new(Self)))
         }
 
-        fn look(&mut self) -> Result<Option<String>, Reopen> {
+        fn check(&mut self) -> Result<Option<String>, Reopen> {
             Err(Reopen::Dead("the engine is dead".to_owned()))
         }
 
@@ -303,7 +294,7 @@ mod tests {
 
     #[tokio::test]
     async fn an_engine_that_stays_dead_is_opened_again_and_counted_and_fails_in_the_end() {
-        let settings = EngineSettings::of_namespaces(&["/"]);
+        let settings = EngineSettings::with_namespaces(&["/"]);
         let (mut running, outlets) = start::<Dead>(settings).unwrap();
         let failure = running.failed().await;
         assert_eq!(failure.line(), "the engine is dead, also after it was opened again 5 times");

@@ -2,20 +2,20 @@
 //! bounds the delay of scans on a slow link, and keeps topics from delaying each other.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
+
+use parking_lot::{Condvar, Mutex};
 
 use super::counts::Counts;
 use super::engine::Publisher;
 
-/// Looks without progress before an engine counts as stuck: 10 s. Counting looks instead of
+/// Checks without progress before an engine counts as stuck: 10 s. Counting checks instead of
 /// time avoids false alarms after the process was stopped or the machine slept.
-pub(super) const MAX_SILENT_LOOKS: u32 = 20;
+pub(super) const MAX_SILENT_CHECKS: u32 = 20;
 
-/// Queued message.
 #[derive(Debug)]
 pub(super) struct Message {
-    /// Index of the topic.
     pub(super) topic: usize,
     pub(super) payload: Vec<u8>,
     /// Number on its topic, from 1. Dropped messages use up a number, so that readers see the
@@ -27,27 +27,26 @@ pub(super) struct Message {
 
 /// Bounded queue with several topics, which take turns. Counts the messages that it drops.
 pub(super) struct SendQueue {
-    state: Mutex<State>,
+    state: Mutex<QueueState>,
     changed: Condvar,
 }
 
-struct State {
+struct QueueState {
     topics: Vec<TopicQueue>,
     /// Topics with pending messages, each once, in the order of their turns.
     turns: VecDeque<usize>,
     /// Whether messages can be sent.
     is_connected: bool,
     is_closed: bool,
-    /// Whether a message was taken since the last look.
+    /// Whether a message was taken since the last check.
     is_moving: bool,
-    /// Looks since the last progress.
-    silent_looks: u32,
+    /// Checks since the last progress.
+    silent_checks: u32,
 }
 
 struct TopicQueue {
     depth: usize,
     waiting: VecDeque<Message>,
-    /// Number of the last message.
     sequence: i64,
     counts: Arc<Counts>,
 }
@@ -61,13 +60,13 @@ impl SendQueue {
             sequence: 0,
             counts,
         };
-        let state = State {
+        let state = QueueState {
             topics: topics.into_iter().map(topic).collect(),
             turns: VecDeque::new(),
             is_connected: true,
             is_closed: false,
             is_moving: false,
-            silent_looks: 0,
+            silent_checks: 0,
         };
         Self { state: Mutex::new(state), changed: Condvar::new() }
     }
@@ -75,9 +74,9 @@ impl SendQueue {
     /// Waits for a message, and removes it: the oldest message of the next topic. `None` once
     /// the queue is closed and empty.
     pub(super) fn pop(&self) -> Option<Message> {
-        let is_idle = |state: &mut State| state.turns.is_empty() && !state.is_closed;
-        let mut guard =
-            self.changed.wait_while(self.lock(), is_idle).unwrap_or_else(PoisonError::into_inner);
+        let is_idle = |state: &mut QueueState| state.turns.is_empty() && !state.is_closed;
+        let mut guard = self.state.lock();
+        self.changed.wait_while(&mut guard, is_idle);
         let state = &mut *guard;
         let turn = state.turns.pop_front()?;
         let waiting = &mut state.topics.get_mut(turn)?.waiting;
@@ -91,21 +90,21 @@ impl SendQueue {
 
     /// Checks whether messages have been waiting too long. Call it at regular intervals.
     pub(super) fn is_stuck(&self) -> bool {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         let is_waiting = !state.turns.is_empty() && !state.is_moving;
-        state.silent_looks = if is_waiting { state.silent_looks + 1 } else { 0 };
+        state.silent_checks = if is_waiting { state.silent_checks + 1 } else { 0 };
         state.is_moving = false;
-        state.silent_looks > MAX_SILENT_LOOKS
+        state.silent_checks > MAX_SILENT_CHECKS
     }
 
     pub(super) fn is_connected(&self) -> bool {
-        self.lock().is_connected
+        self.state.lock().is_connected
     }
 
     /// Sets whether messages can be sent. Without a connection, drops all messages: old scans
     /// are useless.
     pub(super) fn set_connected(&self, is_connected: bool) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.is_connected = is_connected;
         if !is_connected {
             state.turns.clear();
@@ -116,20 +115,15 @@ impl SendQueue {
 
     /// Rejects new messages. You can still `pop` pending ones.
     pub(super) fn close(&self) {
-        self.lock().is_closed = true;
+        self.state.lock().is_closed = true;
         self.changed.notify_all();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        // No code panics while holding it.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Publisher for SendQueue {
     /// Queues the message. If the topic is full, drops its oldest message.
     fn publish(&self, topic: usize, payload: Vec<u8>) {
-        let mut guard = self.lock();
+        let mut guard = self.state.lock();
         let state = &mut *guard;
         let Some(TopicQueue { depth, waiting, sequence, counts }) = state.topics.get_mut(topic)
         else {
@@ -208,14 +202,14 @@ mod tests {
     #[test]
     fn a_queue_is_stuck_when_messages_wait_and_none_is_taken() {
         let (queue, _) = queue([100]);
-        (0..=MAX_SILENT_LOOKS).for_each(|_| assert!(!queue.is_stuck(), "nothing waits"));
+        (0..=MAX_SILENT_CHECKS).for_each(|_| assert!(!queue.is_stuck(), "nothing waits"));
         queue.publish(0, Vec::new());
-        for _ in 0..=MAX_SILENT_LOOKS {
+        for _ in 0..=MAX_SILENT_CHECKS {
             queue.publish(0, Vec::new());
             queue.pop();
             assert!(!queue.is_stuck(), "it moves");
         }
-        (0..MAX_SILENT_LOOKS).for_each(|_| assert!(!queue.is_stuck()));
+        (0..MAX_SILENT_CHECKS).for_each(|_| assert!(!queue.is_stuck()));
         assert!(queue.is_stuck());
         queue.pop();
         assert!(!queue.is_stuck(), "it moves again");

@@ -1,9 +1,9 @@
 //! Publishes the scans of one sensor, and its condition once per second. Sensors are independent
 //! of each other; they only take turns.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
+use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_scip::event::Event;
 use tokio_scip::{Rate, Scan, Sensor, Window};
@@ -15,18 +15,15 @@ use super::names::NodeNames;
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
-use crate::output::notice::notice;
 use crate::port::name::PortName;
 use crate::port::open::{begin, opened};
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::StreamEnd;
-use crate::stream::rate_watch::RateWatch;
 use crate::stream::reporter::Reporter;
 
 /// Interval of diagnostics, by ROS convention.
 const DIAGNOSTICS_PERIOD: Duration = Duration::from_secs(1);
 
-/// Sensor to publish.
 pub(crate) struct Source {
     pub(crate) port: PortName,
     pub(crate) link: LinkArgs,
@@ -45,10 +42,9 @@ pub(crate) struct Source {
 }
 
 impl Source {
-    /// Publishes scans until the stream ends.
     pub(crate) async fn publish_scans(&self) -> Result<(), Failure> {
         let outcome = self.publish_stream().await;
-        self.condition().ended = Some(match &outcome {
+        self.condition.lock().ended = Some(match &outcome {
             Ok(()) => "the recording has ended".to_owned(),
             Err(failure) => failure.line().to_owned(),
         });
@@ -60,29 +56,18 @@ impl Source {
         // of them must not run in phase.
         tokio::time::sleep_until(self.next_turn(Instant::now())).await;
         let sensor = begin(&self.port, &self.link, Delivery::Newest)?;
-        self.condition().sensor = Some(sensor.clone());
+        self.condition.lock().sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
         self.identify(&sensor).await;
         tokio::time::sleep_until(self.next_turn(Instant::now())).await;
-        let scans = sensor.scans(self.window, self.rate).await;
-        let scans = scans.map_err(|error| Failure::at(&self.port.to_string(), &error))?;
-        let mut feed = Feed::new(&self.port, scans);
-        let mut reporter = Reporter::new(self.port.clone(), sensor.clone());
-        let mut watch = RateWatch::new(&self.port, self.window, self.rate);
+        let mut feed = Feed::open(&self.port, &sensor, self.window, self.rate).await?;
+        let mut reporter =
+            Reporter::new(self.port.clone(), sensor.clone()).with_rate(self.window, self.rate);
         while let Some(update) = feed.next().await {
             reporter.report(&update);
             match update {
-                Update::Scan(scan) => {
-                    self.condition().scanned = Some(std::time::Instant::now());
-                    self.outlet.publish_scan(self.message(&scan));
-                    if let Some(text) = watch.scanned(&scan, &sensor) {
-                        notice(format_args!("{}: {text}", self.port));
-                    }
-                }
-                Update::Event(Event::Reconnected) => {
-                    watch.restart();
-                    self.identify(&sensor).await;
-                }
+                Update::Scan(scan) => self.outlet.publish_scan(self.message(&scan)),
+                Update::Event(Event::Reconnected) => self.identify(&sensor).await,
                 Update::Error(_) | Update::Event(_) => {}
             }
         }
@@ -98,7 +83,7 @@ impl Source {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
             ticks.tick().await;
-            let status = self.condition().status(&node, self.window, self.rate, &self.outlet);
+            let status = self.condition.lock().status(&node, self.window, self.rate, &self.outlet);
             let mut message = Vec::new();
             ros::write_diagnostics(&mut message, SystemTime::now(), &[status]);
             self.outlet.publish_diagnostics(message);
@@ -108,7 +93,7 @@ impl Source {
     /// Reads the identity of the sensor. A timeout is ignored: the next reconnect tries again.
     async fn identify(&self, sensor: &Sensor) {
         if let Ok(version) = sensor.version().await {
-            self.condition().version = Some(version);
+            self.condition.lock().version = Some(version);
         }
     }
 
@@ -117,11 +102,6 @@ impl Source {
         let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
         ros::write_scan(&mut message, scan, stamp, &self.names.frame);
         message
-    }
-
-    fn condition(&self) -> MutexGuard<'_, Condition> {
-        // No code panics while holding it.
-        self.condition.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Computes this sensor's next turn. A schedule that starts there keeps to the grid.
@@ -156,7 +136,7 @@ mod tests {
 
     impl Publisher for Instants {
         fn publish(&self, topic: usize, _: Vec<u8>) {
-            self.0[topic % 2].lock().unwrap().push(Instant::now());
+            self.0[topic % 2].lock().push(Instant::now());
         }
     }
 
@@ -180,7 +160,7 @@ mod tests {
         const COUNT: u32 = 10;
         let published = Arc::new(Instants::default());
         let shared = Shared::default();
-        *shared.write().unwrap() = Some(published.clone());
+        *shared.write() = Some(published.clone());
         let epoch = Instant::now();
         for place in 0..COUNT {
             let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
@@ -191,7 +171,7 @@ mod tests {
         tokio::time::sleep(Duration::from_secs(5)).await;
 
         for (period, instants) in [0.1, 1.0].into_iter().zip(&published.0) {
-            let mut instants = instants.lock().unwrap().clone();
+            let mut instants = instants.lock().clone();
             instants.retain(|at| *at - epoch > Duration::from_secs(2));
             assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
             let (even, slack) = (period / f64::from(COUNT), 0.003);

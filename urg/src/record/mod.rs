@@ -4,17 +4,15 @@
 mod limits;
 mod totals;
 
-use std::fmt;
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::time::Duration;
 use tokio::time::Instant;
 
 use tokio_scip::State;
 use urg_recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
-use self::limits::{SplitLimit, SyncInterval};
+use self::limits::{SplitLimit, sync_interval};
 use self::totals::RecordTotals;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
 use crate::delivery::Delivery;
@@ -79,9 +77,9 @@ pub(crate) struct Record {
     /// Sync the file to the disk this often; 0 leaves it to the system
     ///
     /// If the power fails, you lose at most this time and one more second.
-    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = SyncInterval::from_str,
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = sync_interval,
         allow_hyphen_values = true)]
-    sync: SyncInterval,
+    sync: Duration,
     /// Name of the sensor's coordinate frame, for ROS
     #[arg(long, value_name = "NAME", default_value = "laser", value_parser = frame_id)]
     frame_id: String,
@@ -108,18 +106,26 @@ impl Record {
             )));
         }
         let window = self.window.window(port.default_window())?;
-        let mut target = interrupt.unless(self.target(file)).await?;
+        let is_stdout = file.as_os_str() == "-";
+        let target = if is_stdout { "standard output".into() } else { file.to_string_lossy() };
+        let file = match is_stdout {
+            true => self.require_pipe().map(|()| None)?,
+            false => Some(interrupt.unless(self.file(file)).await?),
+        };
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
-            let mut recorder = target.record(self.builder())?;
+            let begun = match file {
+                Some(file) => self.builder().record_into(file),
+                None => self.builder().write_to(io::stdout()),
+            };
+            let mut recorder = begun.map_err(|error| failure(&target, &error))?;
             recorder.observe(&sensor);
-            let failed = |error| Failure::at(&port.to_string(), &error);
-            let scans = sensor.scans(window, rate).await.map_err(failed)?;
-            recorder.describe(&sensor, &scans).await.map_err(failed)?;
-            Ok((sensor, scans, recorder))
+            let feed = Feed::open(&port, &sensor, window, rate).await?;
+            let described = recorder.describe(&sensor, feed.scans()).await;
+            described.map_err(|error| Failure::at(&port, &error))?;
+            Ok((sensor, feed, recorder))
         };
-        let (sensor, scans, recorder) = interrupt.unless(opening).await?;
-        let feed = Feed::new(&port, scans);
+        let (sensor, feed, recorder) = interrupt.unless(opening).await?;
         let reporter = Reporter::new(port, sensor).with_rate(window, rate);
         self.write(recorder, feed, reporter, &target, interrupt).await
     }
@@ -130,7 +136,7 @@ impl Record {
         mut recorder: Recorder,
         mut feed: Feed,
         mut reporter: Reporter,
-        target: &RecordTarget,
+        target: &str,
         interrupt: &Interrupt,
     ) -> Result<(), Failure> {
         let began = Instant::now();
@@ -144,7 +150,7 @@ impl Record {
                 Update::Error(error) => Err(error),
                 Update::Event(_) => return Ok(()),
             };
-            recorder.record(&item).map_err(|error| target.failure(&error))?;
+            recorder.record(&item).map_err(|error| failure(target, &error))?;
             if !is_late && recorder.progress().late_syncs > 0 {
                 is_late = true;
                 notice(
@@ -169,7 +175,7 @@ impl Record {
         let followed = follow(&mut feed, &self.pace, interrupt, take).await;
         let elapsed = began.elapsed();
         let finished = tokio::select! {
-            finished = recorder.finish() => finished.map_err(|error| target.failure(&error)),
+            finished = recorder.finish() => finished.map_err(|error| failure(target, &error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(
                 "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
             ))),
@@ -190,11 +196,8 @@ impl Record {
         }
     }
 
-    /// Opens standard output or the file.
-    async fn target(&self, file: &Path) -> Result<RecordTarget, Failure> {
-        if file.as_os_str() != "-" {
-            return self.file(file).await.map(RecordTarget::File);
-        }
+    /// Checks that standard output can hold a recording.
+    fn require_pipe(&self) -> Result<(), Failure> {
         if self.split.is_some() || !self.keep.is_empty() {
             let text = "--split and --keep are for files: standard output is one recording";
             return Err(Failure::Usage(text.to_owned()));
@@ -204,7 +207,7 @@ impl Record {
                         program, as in `urg record PORT - > run.mcap`";
             return Err(Failure::Usage(text.to_owned()));
         }
-        Ok(RecordTarget::Stdout)
+        Ok(())
     }
 
     /// Opens the file, after checking that it can hold a recording. Opening a pipe waits for its
@@ -224,7 +227,7 @@ impl Record {
         let (builder, path) = (self.builder(), file.to_owned());
         let opened = tokio::task::spawn_blocking(move || builder.open(path)).await;
         let opened =
-            opened.map_err(|error| Failure::of(&format!("cannot write {name}"), &error))?;
+            opened.map_err(|error| Failure::new(format_args!("cannot write {name}"), &error))?;
         opened.map_err(|error| match &error {
             RecordingError::Exists { path } if path != file => Failure::Failed(format!(
                 "{} is a part of another recording, between whose files those of {name} would \
@@ -234,7 +237,7 @@ impl Record {
             RecordingError::Exists { .. } => Failure::Failed(format!(
                 "{name} exists: use another name, or --force to overwrite it"
             )),
-            error => Failure::at(&name.to_string(), error),
+            error => Failure::at(&name, error),
         })
     }
 
@@ -242,7 +245,7 @@ impl Record {
         let mut builder = Recorder::builder()
             .frame_id(&self.frame_id)
             .overwrite(self.force)
-            .sync_interval(self.sync.0);
+            .sync_interval(Some(self.sync).filter(|interval| !interval.is_zero()));
         if let Some(limit) = self.split {
             builder = match limit {
                 SplitLimit::Duration(duration) => builder.split_duration(duration),
@@ -259,44 +262,12 @@ impl Record {
     }
 }
 
-/// Where the recording goes.
-enum RecordTarget {
-    File(RecordingFile),
-    Stdout,
-}
-
-impl RecordTarget {
-    /// Begins the recording. Until then a file keeps its old content.
-    fn record(&mut self, builder: RecorderBuilder) -> Result<Recorder, Failure> {
-        let begun = match self {
-            Self::File(file) => {
-                builder.record_into(file).and_then(|recorder| file.begin().map(|()| recorder))
-            }
-            Self::Stdout => builder.write_to(io::stdout()),
-        };
-        begun.map_err(|error| self.failure(&error))
-    }
-
-    /// Describes an error of the recorder.
-    fn failure(&self, error: &RecordingError) -> Failure {
-        match error {
-            RecordingError::Write { source }
-                if matches!(self, Self::Stdout) && source.kind() == io::ErrorKind::BrokenPipe =>
-            {
-                Failure::Failed(format!(
-                    "{self}: its reader has closed it, and the recording has ended"
-                ))
-            }
-            error => Failure::at(&self.to_string(), error),
+fn failure(target: &str, error: &RecordingError) -> Failure {
+    match error {
+        RecordingError::Write { source } if source.kind() == io::ErrorKind::BrokenPipe => {
+            let text = format!("{target}: its reader has closed it, and the recording has ended");
+            Failure::Failed(text)
         }
-    }
-}
-
-impl fmt::Display for RecordTarget {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::File(file) => file.path().display().fmt(f),
-            Self::Stdout => f.write_str("standard output"),
-        }
+        error => Failure::at(target, error),
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
+use bytesize::ByteSize;
 use urg_recording::Progress;
 
 use crate::format::counted;
@@ -31,29 +32,24 @@ impl RecordTotals {
         let Progress { scans, bytes, files, lost_replies, late_syncs, .. } = progress;
         let scans = counted(scans, "scan");
         let mut text = format!("{scans} in {}, ", clock(elapsed.as_secs_f64()));
-        text.push_str(&match bytes {
-            0..1_000_000 => format!("{} kB", bytes / 1000),
-            _ => format!("{:.1} MB", bytes as f64 / 1e6),
-        });
+        // Writing to a `String` is infallible.
+        let _ = write!(text, "{:.1}", ByteSize(bytes).display().si());
         if files > 1 {
-            // Writing to a `String` is infallible.
             let _ = write!(text, " in {files} files");
         }
         text.push_str(&match progress.lost + missed {
             0 => ", none lost".to_owned(),
             lost => format!(", {lost} lost"),
         });
-        if lost_replies > 0 {
-            let _ = write!(text, ", {lost_replies} replies lost");
-        }
-        if failed > 0 {
-            let _ = write!(text, ", {failed} polls without a scan");
-        }
-        if disconnects > 0 {
-            let _ = write!(text, ", link lost {disconnects}x");
-        }
-        if late_syncs > 0 {
-            let _ = write!(text, ", {late_syncs} late syncs");
+        for (count, what) in [
+            (lost_replies, "replies lost"),
+            (failed, "polls without a scan"),
+            (disconnects, "disconnects"),
+            (late_syncs, "late syncs"),
+        ] {
+            if count > 0 {
+                let _ = write!(text, ", {count} {what}");
+            }
         }
         text
     }
@@ -75,7 +71,7 @@ mod tests {
         let bad = RecordTotals { progress, missed: 1, failed: 4, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 13 kB in 2 files, 2 lost, 5 replies lost, 4 polls without a scan, link lost 1x, 7 late syncs"
+            "3 scans in 0:00, 14.0 kB in 2 files, 2 lost, 5 replies lost, 4 polls without a scan, 1 disconnects, 7 late syncs"
         );
     }
 }

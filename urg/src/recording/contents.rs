@@ -20,13 +20,10 @@ const GAP_TOLERANCE: Duration = Duration::from_secs(1);
 /// The wall clock was set if it differs from the steady clock by more than this between two
 /// scans, in seconds. Longer than any reply takes.
 const CLOCK_TOLERANCE: f64 = 1.0;
-/// Maximum number of gaps in the text.
 const MAX_LISTED_GAPS: usize = 5;
 
-/// What is in a recording.
 #[derive(Debug)]
 pub(crate) struct Contents {
-    /// What is known of the sensor.
     pub(crate) version: Version,
     /// Baud rate of the line, or `None` on USB. `None` also if the recording does not have it.
     pub(crate) baud_rate: Option<Option<BaudRate>>,
@@ -101,7 +98,6 @@ struct ScanTimes {
     clock_steps: Vec<ClockStep>,
 }
 
-/// First and latest scan.
 #[derive(Debug, Clone, Copy)]
 struct ScanSpan {
     /// Stamp of the first scan.

@@ -6,10 +6,11 @@ use std::io::{self, IsTerminal};
 use std::ops::Bound;
 use std::path::{Path, PathBuf};
 use std::pin::pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 use tokio_scip::port::Connect;
 use tokio_scip::{Driver, Error, Rate, Sensor, SensorBuilder, Window};
@@ -26,7 +27,6 @@ const MAX_SCANS_AHEAD: u64 = 256;
 /// A pipe may have no scan for as long as this: its sensor is away.
 const PIPE_PATIENCE: Duration = Duration::from_secs(24 * 60 * 60);
 
-/// Recording to replay, with its settings.
 #[derive(Debug, Clone)]
 pub(crate) struct Recorded {
     path: PathBuf,
@@ -82,7 +82,7 @@ impl Recorded {
         let recording = opened.await.map_err(|error| self.failure(&error))??;
         (self.window, self.rate) = (recording.window(), recording.rate());
         if let Some(stdin) = &self.stdin {
-            *stdin.lock().unwrap_or_else(PoisonError::into_inner) = Some(recording);
+            *stdin.lock() = Some(recording);
         }
         Ok(())
     }
@@ -103,7 +103,6 @@ impl Recorded {
         self.range = Some(range);
     }
 
-    /// Recorded window, if the file has one.
     pub(crate) fn window(&self) -> Option<Window> {
         self.window
     }
@@ -115,7 +114,6 @@ impl Recorded {
         self.rate
     }
 
-    /// Reads the whole recording, and describes it.
     pub(crate) async fn contents(&self) -> Result<Contents, Failure> {
         let recording = self.open()?;
         let path = self.stdin.is_none().then(|| self.path.clone());
@@ -177,7 +175,7 @@ impl Recorded {
         let Some(stdin) = &self.stdin else {
             return Recording::open(&self.path).map_err(|error| self.failure(&error));
         };
-        let recording = stdin.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let recording = stdin.lock().take();
         recording.ok_or_else(|| Failure::Failed(format!("{self}: it can be read only once")))
     }
 
@@ -194,7 +192,7 @@ impl Recorded {
     }
 
     pub(super) fn failure(&self, error: &dyn std::error::Error) -> Failure {
-        Failure::at(&self.to_string(), error)
+        Failure::at(self, error)
     }
 }
 

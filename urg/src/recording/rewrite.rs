@@ -13,7 +13,6 @@ use urg_recording::RecordingError;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
-/// Recording to read.
 pub(crate) type Input = Box<dyn Read + Send>;
 
 /// Calls `copy` with `files` and the output `out`, and returns its outcome once the output is on
@@ -41,11 +40,11 @@ pub(crate) async fn rewrite<T: Send + 'static>(
         written.map_err(|error| match (&error, files.as_slice()) {
             // The unfinished file is removed.
             (RecordingError::Write { source }, _) if output.is_some() => {
-                Failure::of(&format!("{}: not written", to.display()), source)
+                Failure::new(format_args!("{}: not written", to.display()), source)
             }
             (RecordingError::Write { .. }, _) => failure(&to, &error),
             (_, [file]) => failure(file, &error),
-            _ => Failure::of("one of the files", &error),
+            _ => Failure::new("one of the files", &error),
         })
     });
     let outcome = tokio::select! {
@@ -98,12 +97,10 @@ pub(crate) fn is_dash(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// Describes an error of a file.
 pub(crate) fn failure(path: &Path, error: &dyn std::error::Error) -> Failure {
-    Failure::at(&path.display().to_string(), error)
+    Failure::at(path.display(), error)
 }
 
-/// Describes why a file does not get its name.
 fn not_created(path: &Path, error: &io::Error) -> Failure {
     match error.kind() {
         io::ErrorKind::AlreadyExists => {

@@ -8,7 +8,6 @@ use clap::Args;
 
 use crate::args::clock_time;
 
-/// Option for the part of a recording to read.
 #[derive(Debug, Clone, Copy, Default, Args)]
 #[command(next_help_heading = "Recording")]
 pub(crate) struct RangeArgs {
@@ -18,7 +17,6 @@ pub(crate) struct RangeArgs {
     pub(crate) range: Option<TimeSpan>,
 }
 
-/// Limits of a part.
 pub(crate) type Bounds = (Bound<Duration>, Bound<Duration>);
 
 impl RangeArgs {

@@ -105,12 +105,10 @@ impl Stream {
         let window = self.window.window(port.default_window())?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
-            let scans = sensor.scans(window, rate).await;
-            let scans = scans.map_err(|error| Failure::at(&port.to_string(), &error))?;
-            Ok((sensor, scans))
+            let feed = Feed::open(&port, &sensor, window, rate).await?;
+            Ok((sensor, feed))
         };
-        let (sensor, scans) = interrupt.unless(opening).await?;
-        let mut feed = Feed::new(&port, scans);
+        let (sensor, mut feed) = interrupt.unless(opening).await?;
         let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
         let format = self.format.unwrap_or_else(StreamFormat::default_for_stdout);
         let mut output = Output::new();

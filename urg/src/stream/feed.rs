@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use serde::Serialize;
 use tokio_scip::event::{Event, Events};
-use tokio_scip::{Error, Scan, ScanStream};
+use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
 
 use crate::failure::Failure;
 use crate::format::{json_line, json_text};
@@ -33,7 +33,6 @@ pub(crate) struct NamedLine<'a, T> {
 }
 
 impl Update {
-    /// Formats the update as a line of NDJSON.
     pub(crate) fn line(&self, sensor: Option<&str>) -> Result<String, Failure> {
         match self {
             Self::Scan(scan) => json_line(&NamedLine { sensor, position: None, data: scan }),
@@ -64,8 +63,20 @@ pub(crate) struct Feed {
 }
 
 impl Feed {
-    pub(crate) fn new(port: &PortName, scans: ScanStream) -> Self {
-        Self { scans, port: port.clone(), events: Events::new(), next: VecDeque::new() }
+    /// Starts to poll `window` at `rate`.
+    pub(crate) async fn open(
+        port: &PortName,
+        sensor: &Sensor,
+        window: Window,
+        rate: Rate,
+    ) -> Result<Self, Failure> {
+        let scans = sensor.scans(window, rate).await;
+        let scans = scans.map_err(|error| Failure::at(port, &error))?;
+        Ok(Self { scans, port: port.clone(), events: Events::new(), next: VecDeque::new() })
+    }
+
+    pub(crate) fn scans(&self) -> &ScanStream {
+        &self.scans
     }
 
     /// Newest scan, delivered or not.

@@ -12,7 +12,6 @@ use crate::interrupt::Interrupt;
 pub(crate) enum StreamEnd {
     /// Reached `--count` or `--duration`.
     Complete,
-    /// Stopped by a signal.
     Interrupted,
     /// The stream itself ended, for example with its recording.
     ByItself,

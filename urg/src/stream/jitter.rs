@@ -16,7 +16,7 @@ pub(crate) struct Jitter {
 
 impl Jitter {
     /// Computes the spread of the intervals. Needs at least two `times`.
-    pub(crate) fn of(times: impl Iterator<Item = Instant> + Clone) -> Option<Self> {
+    pub(crate) fn from_times(times: impl Iterator<Item = Instant> + Clone) -> Option<Self> {
         let pairs = times.clone().zip(times.skip(1));
         let intervals = pairs.map(|(one, next)| next.saturating_duration_since(one).as_secs_f64());
         let count = intervals.clone().count();
@@ -54,7 +54,7 @@ impl RecentTimes {
     }
 
     pub(crate) fn jitter(&self) -> Option<Jitter> {
-        Jitter::of(self.0.iter().copied())
+        Jitter::from_times(self.0.iter().copied())
     }
 }
 
@@ -66,10 +66,10 @@ mod tests {
     fn the_spread_is_that_of_the_intervals() {
         let begin = Instant::now();
         let times = [0, 100, 190, 300].map(|millis| begin + Duration::from_millis(millis));
-        let jitter = Jitter::of(times.into_iter()).unwrap();
+        let jitter = Jitter::from_times(times.into_iter()).unwrap();
         assert!((jitter.min - 0.09).abs() < 1e-9 && (jitter.max - 0.11).abs() < 1e-9);
         assert!((jitter.deviation - (0.0002_f64 / 3.0).sqrt()).abs() < 1e-9, "{jitter:?}");
-        assert_eq!(Jitter::of([begin].into_iter()), None);
+        assert_eq!(Jitter::from_times([begin].into_iter()), None);
     }
 
     #[test]

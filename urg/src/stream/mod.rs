@@ -4,6 +4,7 @@
 pub(crate) mod command;
 pub(crate) mod feed;
 pub(crate) mod follow;
+pub(crate) mod health;
 pub(crate) mod jitter;
 pub(crate) mod rate_watch;
 pub(crate) mod reporter;

@@ -8,6 +8,7 @@ use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 
 use super::feed::Update;
 use super::follow::StreamEnd;
+use super::health::trouble;
 use super::rate_watch::RateWatch;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
@@ -52,9 +53,6 @@ impl Reporter {
             }
             Update::Event(Event::Reconnected) => {
                 notice(format_args!("{}: the sensor is back", self.port));
-                if let Some(watch) = &mut self.watch {
-                    watch.restart();
-                }
             }
             Update::Event(Event::Missed { scans }) => {
                 self.missed += scans;
@@ -66,7 +64,7 @@ impl Reporter {
     }
 
     fn error(&mut self, error: &Error) {
-        let failure = Failure::at(&self.port.to_string(), error);
+        let failure = Failure::at(&self.port, error);
         let text = failure.line();
         if matches!(self.sensor.watch_state().get(), State::Closed { .. }) {
             // `finish` prints it.
@@ -110,7 +108,7 @@ impl Reporter {
 /// announced, and is a success.
 pub(crate) fn end(port: &PortName, sensor: &Sensor) -> Result<(), Failure> {
     match sensor.watch_state().get() {
-        State::Closed { error: Some(error) } => Err(Failure::at(&port.to_string(), &error)),
+        State::Closed { error: Some(error) } => Err(Failure::at(port, &error)),
         // While a handle exists, only a recording ends without an error.
         _ => {
             notice(format_args!("{port}: the recording has ended"));
@@ -125,20 +123,4 @@ fn is_of_one_scan(error: &Error) -> bool {
         error.kind(),
         ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. } | ErrorKind::Refused { .. }
     )
-}
-
-/// Explains why no scan can arrive in this state; `None` while the sensor is connected.
-/// Notices, the radar and the page share this text.
-pub(crate) fn trouble(state: &State) -> Option<String> {
-    Some(match state {
-        State::Connected { .. } => return None,
-        State::Connecting { error: Some(error) } => {
-            format!("waiting for a sensor: {}", chain(error))
-        }
-        State::Connecting { error: None } => "looking for the sensor".to_owned(),
-        State::Recovering => "the sensor is silent: looking for it at every baud rate".to_owned(),
-        State::Disconnected { error, .. } | State::Closed { error: Some(error) } => chain(error),
-        State::Closed { error: None } => "the driver is closed".to_owned(),
-        _ => "the driver is in a state that this program does not know".to_owned(),
-    })
 }

@@ -71,7 +71,7 @@ impl View {
         for source in sources {
             if let Some(recorded) = source.port.recorded() {
                 let player = Player::start(recorded, *playback).await?;
-                return Ok(Viewer::of_recording(source, player));
+                return Ok(Viewer::from_recording(source, player));
             }
             let sensor = begin(&source.port, link, Delivery::Newest)?;
             sensors.push((source, sensor));
@@ -80,7 +80,7 @@ impl View {
         if sensors.len() == 1 || !link.wait {
             self.wait_for_any(&sensors).await?;
         }
-        Ok(Viewer::of_sensors(sensors))
+        Ok(Viewer::from_sensors(sensors))
     }
 
     /// Waits for every sensor to open or fail. One open sensor is enough to succeed.

@@ -54,7 +54,7 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Op
         radar::draw(frame, body, model, palette);
     }
     message(frame, news, model, palette);
-    let subject = Subject::of(model);
+    let subject = Subject::from_model(model);
     frame.render_widget(help::key_line(keys.width, subject), keys);
     model.help.map(|scroll| draw_help(frame, body, scroll, &help::text(subject)))
 }
@@ -94,7 +94,7 @@ fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
             return;
         }
     };
-    let lines = help::wrapped(&text, area.width.saturating_sub(2).into());
+    let lines = textwrap::wrap(&text, usize::from(area.width.saturating_sub(2)));
     let lines: Vec<_> = lines.iter().map(|line| Line::raw(format!(" {line}"))).collect();
     // Keep the title and the line of keys visible.
     let rows = (lines.len() as u16).clamp(1, area.y.max(1));

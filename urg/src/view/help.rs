@@ -1,5 +1,6 @@
 //! Help texts: the full help, and the line of keys at the bottom.
 
+use std::borrow::Cow;
 use std::fmt::Write;
 
 use ratatui::text::{Line, Span};
@@ -17,15 +18,6 @@ const SENSOR_KEYS: [(&str, &str); 7] = [
     ("w", "window"),
     ("l", "laser"),
     ("s", "save"),
-    ("q", "quit"),
-];
-const SEVERAL_KEYS: [(&str, &str); 7] = [
-    ("?", "help"),
-    ("Tab", "select"),
-    ("+ -", "zoom"),
-    ("space", "pause"),
-    ("w", "window"),
-    ("l", "laser"),
     ("q", "quit"),
 ];
 const PLAYBACK_KEYS: [(&str, &str); 7] = [
@@ -100,7 +92,7 @@ pub(super) enum Subject {
 }
 
 impl Subject {
-    pub(super) fn of(model: &Model) -> Self {
+    pub(super) fn from_model(model: &Model) -> Self {
         match model.playback {
             Some(_) => Self::Recording,
             None if model.has_several() => Self::Several,
@@ -134,45 +126,23 @@ pub(super) fn text(subject: Subject) -> String {
 /// Breaks lines longer than `width` between words. Continuation lines align with the
 /// meaning of their key.
 pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
-    let fold = |line: &str| match line.char_indices().nth(INDENT) {
-        _ if line.chars().count() <= width => vec![line.to_owned()],
-        Some((at, _)) if line.get(..at).is_some_and(|key| key.ends_with(' ')) => {
-            let (key, meaning) = line.split_at(at);
-            let mut lines = wrapped(meaning, width.saturating_sub(INDENT));
-            for (number, line) in lines.iter_mut().enumerate() {
-                line.insert_str(0, if number == 0 { key } else { BLANKS });
-            }
-            lines
-        }
-        _ => wrapped(line, width),
+    let fold = |line: &str| {
+        let has_key = line.chars().nth(INDENT - 1) == Some(' ');
+        let indent = if has_key { BLANKS } else { "" };
+        let options = textwrap::Options::new(width).subsequent_indent(indent);
+        textwrap::wrap(line, options).into_iter().map(Cow::into_owned).collect::<Vec<_>>()
     };
     text.lines().flat_map(fold).collect()
-}
-
-/// Wraps text at `width` characters, between words if possible.
-pub(super) fn wrapped(text: &str, width: usize) -> Vec<String> {
-    let mut lines = vec![String::new()];
-    for word in text.split_whitespace() {
-        for part in word.chars().collect::<Vec<_>>().chunks(width.max(1)) {
-            let part: String = part.iter().collect();
-            match lines.last_mut() {
-                Some(line) if line.is_empty() => line.push_str(&part),
-                Some(line) if line.chars().count() + 1 + part.chars().count() <= width => {
-                    line.push(' ');
-                    line.push_str(&part);
-                }
-                _ => lines.push(part),
-            }
-        }
-    }
-    lines
 }
 
 /// Fits as many keys as possible into a line of `width` columns.
 pub(super) fn key_line(width: u16, subject: Subject) -> Line<'static> {
     let keys = match subject {
         Subject::Sensor => SENSOR_KEYS,
-        Subject::Several => SEVERAL_KEYS,
+        Subject::Several => SENSOR_KEYS.map(|key| match key {
+            ("s", _) => ("Tab", "select"),
+            key => key,
+        }),
         Subject::Recording => PLAYBACK_KEYS,
     };
     let columns = |(key, what): &(&str, &str)| key.chars().count() + what.len() + 5;

@@ -57,7 +57,7 @@ impl Layer {
     /// radians counter-clockwise from the sensor's front.
     pub(crate) fn place(&self, range: f64, angle: f64) -> Place {
         let (x, y) = self.pose.transform(range * angle.cos(), range * angle.sin());
-        Place::of(x, y)
+        Place::from_point(x, y)
     }
 
     /// Shows a new scan and moves the previous scan to the trail.

@@ -19,14 +19,11 @@ mod symbols;
 #[cfg(test)]
 mod tests;
 
-use std::future::poll_fn;
-use std::io;
-use std::pin::Pin;
 use std::time::Duration;
 use tokio::time::Instant;
 
 use crossterm::event::{Event, EventStream};
-use futures_core::Stream;
+use futures_util::StreamExt;
 use tokio::task::JoinSet;
 use tokio::time::MissedTickBehavior;
 use tokio_scip::{Error, ErrorKind, Scan, ScanStream, Sensor, Version, Window};
@@ -60,7 +57,7 @@ pub(crate) struct Viewer {
     /// Sensors that are still opening.
     starts: JoinSet<Started>,
     /// Pending requests that a key started.
-    jobs: JoinSet<Outcome>,
+    jobs: JoinSet<JobOutcome>,
     model: Model,
     palette: Palette,
 }
@@ -68,9 +65,9 @@ pub(crate) struct Viewer {
 /// Number of a sensor, and the outcome of opening it.
 type Started = (usize, Result<(Version, ScanStream), Error>);
 
-/// Outcome of a request that a key started. The numbers identify sources.
+/// JobOutcome of a request that a key started. The numbers identify sources.
 #[derive(Debug)]
-enum Outcome {
+enum JobOutcome {
     Watching(usize, Window, Result<ScanStream, Error>),
     Laser(usize, bool, Result<(), Error>),
     Saved(Result<String, String>),
@@ -78,7 +75,7 @@ enum Outcome {
 
 impl Viewer {
     /// Polls each sensor as soon as it is open, which may be never.
-    pub(crate) fn of_sensors(sensors: Vec<(PictureSource, Sensor)>) -> Self {
+    pub(crate) fn from_sensors(sensors: Vec<(PictureSource, Sensor)>) -> Self {
         let (mut sources, mut layers, mut starts) = (Vec::new(), Vec::new(), JoinSet::new());
         for (number, (source, sensor)) in sensors.into_iter().enumerate() {
             let PictureSource { window, rate, .. } = source;
@@ -94,7 +91,7 @@ impl Viewer {
     }
 
     /// Shows a playback, whose recording is `source`.
-    pub(crate) fn of_recording(source: PictureSource, player: Player) -> Self {
+    pub(crate) fn from_recording(source: PictureSource, player: Player) -> Self {
         let version = Some(player.version().clone());
         let mut model = Model::new(vec![Layer { version, ..Layer::new(source) }]);
         let mut shown = player.shown();
@@ -105,7 +102,7 @@ impl Viewer {
     }
 
     fn new(sources: Vec<ViewSource>, model: Model) -> Self {
-        let palette = Palette::of(|name| std::env::var_os(name));
+        let palette = Palette::from_environment(|name| std::env::var_os(name));
         let (starts, jobs) = (JoinSet::new(), JoinSet::new());
         Self { going: sources.len(), sources, starts, jobs, model, palette }
     }
@@ -135,7 +132,7 @@ impl Viewer {
                     self.model.help = help;
                     continue;
                 }
-                event = next_event(&mut keys) => match event {
+                event = keys.next() => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {
                         Some(Action::Quit) => return Ok(StreamEnd::Interrupted),
                         Some(Action::Suspend) => screen.suspend().await?,
@@ -143,7 +140,8 @@ impl Viewer {
                     },
                     // Usually a resize: the next frame is drawn at the new size.
                     Some(Ok(_)) => {}
-                    Some(Err(error)) => return Err(Failure::of("cannot read the keyboard", &error)),
+                    Some(Err(error)) => return Err(Failure::new("cannot read the keyboard", &error)),
+                    // The terminal's input has ended.
                     None => return Ok(StreamEnd::Interrupted),
                 },
                 (number, arrival) = next_of_any(&mut self.sources) => match arrival {
@@ -163,7 +161,7 @@ impl Viewer {
                     }
                 }
                 () = stop.requested() => screen.suspend().await?,
-                () = change_of_any(&mut states) => {}
+                () = change_of_any(&mut states), if !states.is_empty() => {}
                 _ = tick.tick() => {}
             }
             if self.going == 0 {
@@ -215,10 +213,7 @@ impl Viewer {
     }
 
     fn scanned(&mut self, number: usize, scan: Scan) {
-        let Some((live, layer)) = self.sensor_mut(number) else { return };
-        if !layer.is_connected() {
-            live.pace.restart();
-        }
+        let Some((live, _)) = self.sensor_mut(number) else { return };
         let notice = live.pace.scanned(&scan, &live.sensor);
         self.model.scanned(number, scan);
         if let Some(text) = notice {
@@ -257,7 +252,7 @@ impl Viewer {
             (Some(Action::Watch(window)), ViewSource::Sensor(live)) => {
                 let (sensor, rate) = (live.sensor.clone(), layer.rate);
                 self.jobs.spawn(async move {
-                    Outcome::Watching(number, window, sensor.scans(window, rate).await)
+                    JobOutcome::Watching(number, window, sensor.scans(window, rate).await)
                 });
             }
             (Some(Action::Watch(_)), ViewSource::Playback(playback)) => {
@@ -269,7 +264,7 @@ impl Viewer {
                 self.jobs.spawn(async move {
                     let switched =
                         if on { sensor.laser_on().await } else { sensor.laser_off().await };
-                    Outcome::Laser(number, on, switched)
+                    JobOutcome::Laser(number, on, switched)
                 });
             }
             (Some(Action::Laser(_)), ViewSource::Playback(_)) => {
@@ -280,7 +275,8 @@ impl Viewer {
             }
             (Some(Action::Save), _) => match (layer.scan.clone(), layer.version.clone()) {
                 (Some(scan), Some(version)) => {
-                    self.jobs.spawn_blocking(move || Outcome::Saved(save::save(&scan, &version)));
+                    self.jobs
+                        .spawn_blocking(move || JobOutcome::Saved(save::save(&scan, &version)));
                 }
                 _ => self.show(number, "no scan to save yet"),
             },
@@ -290,25 +286,24 @@ impl Viewer {
     }
 
     /// Applies the outcome of a request.
-    fn done(&mut self, done: Outcome) {
+    fn done(&mut self, done: JobOutcome) {
         match done {
-            Outcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
-            Outcome::Laser(number, on, Ok(())) => {
-                if let Some((live, layer)) = self.sensor_mut(number) {
+            JobOutcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
+            JobOutcome::Laser(number, on, Ok(())) => {
+                if let Some((_, layer)) = self.sensor_mut(number) {
                     layer.laser = on;
-                    live.pace.restart();
                 }
                 let text =
                     if on { "the laser is on" } else { "the laser is off: l switches it on" };
                 self.show(number, text);
             }
-            Outcome::Laser(number, _, Err(error)) => {
+            JobOutcome::Laser(number, _, Err(error)) => {
                 self.show(number, format!("the laser was not switched: {}", chain(&error)));
             }
-            Outcome::Saved(Ok(path)) => {
+            JobOutcome::Saved(Ok(path)) => {
                 self.show(self.model.selected_number(), format!("saved as {path}"))
             }
-            Outcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
+            JobOutcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
         }
     }
 
@@ -321,10 +316,9 @@ impl Viewer {
                 layer.version = Some(version);
                 // A key may already have requested another window, whose stream must stay.
                 live.scans.get_or_insert(scans);
-                live.pace.restart();
             }
             Err(error) => {
-                let failure = Failure::at(&live.port.to_string(), &error);
+                let failure = Failure::at(&live.port, &error);
                 self.going = self.going.saturating_sub(1);
                 if self.going == 0 {
                     return Err(failure);
@@ -353,9 +347,4 @@ impl Viewer {
             }
         }
     }
-}
-
-/// Waits for the next key or resize; `None` at the end of the terminal's input.
-async fn next_event(events: &mut EventStream) -> Option<io::Result<Event>> {
-    poll_fn(|cx| Pin::new(&mut *events).poll_next(cx)).await
 }

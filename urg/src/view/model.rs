@@ -204,7 +204,6 @@ impl Model {
         self.message = Some((self.now, text.into()));
     }
 
-    /// Current message, unless it has expired.
     pub(crate) fn message(&self) -> Option<&str> {
         let (since, text) = self.message.as_ref()?;
         (self.now.saturating_duration_since(*since) < MESSAGE_TIME).then_some(text)

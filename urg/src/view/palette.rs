@@ -7,41 +7,23 @@ use ratatui::style::{Color, Modifier, Style};
 use crate::plot::colours::{self, DISTANCES, SENSORS};
 use crate::plot::missing::MissingKind;
 
-/// Distance colours for a terminal with 16 colours.
-const SIXTEEN: [Color; DISTANCES.len()] = [
-    Color::LightRed,
-    Color::Yellow,
-    Color::Yellow,
-    Color::Green,
-    Color::Cyan,
-    Color::Cyan,
-    Color::LightBlue,
-    Color::Magenta,
-];
-
-const SIXTEEN_SENSORS: [Color; SENSORS.len()] =
-    [Color::LightBlue, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::Cyan];
-
-/// Number of colours that a terminal supports.
+/// Whether a terminal supports colours. Terminals without 256 colours show the nearest of theirs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Palette {
     Plain,
-    Sixteen,
-    Many,
+    Coloured,
 }
 
 impl Palette {
     /// Chooses a palette by the environment variables of the terminal and of
     /// <https://no-color.org>.
-    pub(crate) fn of(variable: impl Fn(&str) -> Option<OsString>) -> Self {
+    pub(crate) fn from_environment(variable: impl Fn(&str) -> Option<OsString>) -> Self {
         let text = |name| variable(name).unwrap_or_default().to_string_lossy().into_owned();
         let term = text("TERM");
         if !text("NO_COLOR").is_empty() || term.ends_with("-m") || term.starts_with("vt") {
             Self::Plain
-        } else if term.contains("256color") || !text("COLORTERM").is_empty() {
-            Self::Many
         } else {
-            Self::Sixteen
+            Self::Coloured
         }
     }
 
@@ -49,8 +31,7 @@ impl Palette {
     pub(crate) fn distances(self) -> [Color; DISTANCES.len()] {
         match self {
             Self::Plain => [Color::Reset; DISTANCES.len()],
-            Self::Sixteen => SIXTEEN,
-            Self::Many => DISTANCES.map(|one| Color::Indexed(one.indexed)),
+            Self::Coloured => DISTANCES.map(|one| Color::Indexed(one.indexed)),
         }
     }
 
@@ -63,19 +44,15 @@ impl Palette {
     pub(crate) fn sensor(self, number: usize) -> Color {
         let colours = match self {
             Self::Plain => [Color::Reset; SENSORS.len()],
-            Self::Sixteen => SIXTEEN_SENSORS,
-            Self::Many => SENSORS.map(|one| Color::Indexed(one.indexed)),
+            Self::Coloured => SENSORS.map(|one| Color::Indexed(one.indexed)),
         };
         colours.get(number % SENSORS.len()).copied().unwrap_or_default()
     }
 
     pub(crate) fn missing(self, kind: MissingKind) -> Color {
-        match (self, kind) {
-            (Self::Plain, _) => Color::Reset,
-            (Self::Sixteen, MissingKind::Far) => Color::LightBlue,
-            (Self::Sixteen, MissingKind::Weak) => Color::Yellow,
-            (Self::Sixteen, MissingKind::Nothing) => Color::Gray,
-            (Self::Many, kind) => Color::Indexed(kind.colours().indexed),
+        match self {
+            Self::Plain => Color::Reset,
+            Self::Coloured => Color::Indexed(kind.colours().indexed),
         }
     }
 
@@ -122,39 +99,23 @@ mod tests {
     use super::*;
 
     fn palette(variables: &[(&str, &str)]) -> Palette {
-        Palette::of(|name| {
+        Palette::from_environment(|name| {
             variables.iter().find(|(other, _)| *other == name).map(|(_, value)| value.into())
         })
     }
 
     #[test]
     fn the_terminal_and_the_user_decide_on_colours() {
-        assert_eq!(palette(&[("TERM", "xterm-256color")]), Palette::Many);
-        assert_eq!(palette(&[("TERM", "xterm"), ("COLORTERM", "truecolor")]), Palette::Many);
-        assert_eq!(palette(&[("TERM", "linux")]), Palette::Sixteen);
-        assert_eq!(palette(&[("TERM", "xterm-256color"), ("NO_COLOR", "")]), Palette::Many);
+        assert_eq!(palette(&[("TERM", "xterm-256color")]), Palette::Coloured);
+        assert_eq!(palette(&[("TERM", "linux"), ("NO_COLOR", "")]), Palette::Coloured);
         assert_eq!(palette(&[("TERM", "xterm-256color"), ("NO_COLOR", "1")]), Palette::Plain);
         assert_eq!(palette(&[("TERM", "vt100")]), Palette::Plain);
     }
 
     #[test]
-    fn every_distance_has_a_colour_and_near_ones_differ_from_far_ones() {
-        for palette in [Palette::Sixteen, Palette::Many] {
-            assert_ne!(palette.distance(0.02), palette.distance(4.0));
-            assert_eq!(palette.distance(4.094), palette.distances()[7]);
-            assert_eq!(palette.distance(99.0), palette.distances()[7]);
-        }
-        assert_eq!(Palette::Plain.distance(0.1), Color::Reset);
-    }
-
-    #[test]
-    fn a_seventh_sensor_has_the_colour_of_the_first() {
-        for palette in [Palette::Sixteen, Palette::Many] {
-            assert_eq!(
-                [6, 11].map(|number| palette.sensor(number)),
-                [0, 5].map(|number| palette.sensor(number))
-            );
-            assert_ne!(palette.sensor(0), palette.sensor(5));
-        }
+    fn colours_repeat_after_the_last_sensor() {
+        let colour = |number| Palette::Coloured.sensor(number);
+        assert_eq!([6, 11].map(colour), [0, 5].map(colour));
+        assert_ne!(colour(0), colour(5));
     }
 }

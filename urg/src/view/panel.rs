@@ -13,8 +13,7 @@ use crate::playback::PlaybackStatus;
 use crate::plot::colours::BAND;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
-use crate::stream::rate_watch::ENOUGH;
-use crate::stream::reporter;
+use crate::stream::health;
 
 /// Builds the panel of a single sensor, in at most `rows` lines if possible.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
@@ -31,7 +30,7 @@ pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'sta
     }
     figures.push(Line::default());
     figures.extend(panel.scan(model.reach()));
-    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
+    lines.extend(figures.into_iter().map(|line| dimmed_if_old(line, model, layer)));
     lines.push(Line::default());
     lines.extend(panel.colors());
     if lines.len() > usize::from(rows) {
@@ -49,12 +48,12 @@ pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Lin
     let mut figures = vec![panel.latency()];
     figures.extend(panel.losses());
     figures.extend(panel.missing());
-    lines.extend(figures.into_iter().map(|line| of_now(line, model, layer)));
+    lines.extend(figures.into_iter().map(|line| dimmed_if_old(line, model, layer)));
     lines
 }
 
 /// Dims a line of figures that are not current.
-pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
+pub(crate) fn dimmed_if_old(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
     if model.playback.is_some() || layer.is_measuring() {
         return line;
     }
@@ -62,7 +61,6 @@ pub(crate) fn of_now(line: Line<'static>, model: &Model, layer: &Layer) -> Line<
     Line::from_iter(spans)
 }
 
-/// State of the link, and its style.
 pub(crate) fn link(model: &Model, layer: &Layer, palette: Palette) -> (String, Style) {
     match &layer.state {
         State::Connecting { .. } => ("looking for it".to_owned(), palette.poor()),
@@ -76,14 +74,12 @@ pub(crate) fn link(model: &Model, layer: &Layer, palette: Palette) -> (String, S
     }
 }
 
-/// Distance and direction of the nearest point.
 pub(crate) fn nearest(layer: &Layer) -> String {
     let nearest = layer.scan.as_ref().and_then(Scan::nearest);
     let text = |point: Point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees());
     nearest.map_or_else(|| "-".to_owned(), text)
 }
 
-/// Distance of the nearest point.
 pub(crate) fn nearest_range(layer: &Layer) -> Option<String> {
     let nearest = layer.scan.as_ref().and_then(Scan::nearest)?;
     Some(format!("{:.2} m", nearest.range))
@@ -122,7 +118,6 @@ impl Panel<'_> {
         }
     }
 
-    /// Rows with the position in the recording.
     fn playback(&self, status: PlaybackStatus) -> Vec<Line<'static>> {
         let (state, style) = match status {
             _ if status.paused => ("paused", self.palette.poor()),
@@ -171,8 +166,10 @@ impl Panel<'_> {
             None => "Hz (max)".to_owned(),
         };
         let Some(reached) = pace.reached else { return self.row("rate", format!("- {of}")) };
-        let enough = asked.is_none_or(|asked| reached >= ENOUGH * asked);
-        let style = if enough { Style::new() } else { self.palette.poor() };
+        let style = match pace.rate.is_reached_by(reached) {
+            true => Style::new(),
+            false => self.palette.poor(),
+        };
         self.styled("rate", format!("{reached:.1} {of}"), style)
     }
 
@@ -226,7 +223,7 @@ impl Panel<'_> {
     /// Counts the directions without a distance, by kind.
     fn missing(&self) -> Vec<Line<'static>> {
         let Some(scan) = &self.layer.scan else { return Vec::new() };
-        let summary = ScanSummary::of(scan);
+        let summary = ScanSummary::from_scan(scan);
         let mut lines = vec![Line::styled("no distance, at the rim", Palette::quiet())];
         for kind in MissingKind::ALL {
             let style = Style::new().fg(self.palette.missing(kind));
@@ -296,17 +293,16 @@ pub(crate) fn rate(layer: &Layer) -> String {
 pub(crate) fn trouble(state: &State) -> Option<String> {
     match state {
         State::Disconnected { .. } => {
-            reporter::trouble(state).map(|why| format!("{why}; continues when the sensor is back"))
+            health::trouble(state).map(|why| format!("{why}; continues when the sensor is back"))
         }
         // The other sensors keep the program running.
         State::Closed { error: Some(_) } => {
-            reporter::trouble(state).map(|why| format!("{why}; with --wait urg waits for it"))
+            health::trouble(state).map(|why| format!("{why}; with --wait urg waits for it"))
         }
-        state => reporter::trouble(state),
+        state => health::trouble(state),
     }
 }
 
-/// Port and identity of a sensor, for the title.
 pub(crate) fn who(layer: &Layer) -> String {
     let mut parts: Vec<_> = layer.name.iter().chain([&layer.port]).cloned().collect();
     if let Some(version) = &layer.version {

@@ -28,7 +28,6 @@ const ALL_AROUND: Sector = Sector { from: -std::f64::consts::PI, to: std::f64::c
 /// Arrows for the direction of a sensor, in eighths of a turn counter-clockwise from ahead.
 const ARROWS: [&str; 8] = ["▲", "◤", "◀", "◣", "▼", "◢", "▶", "◥"];
 
-/// Draws all sensors into `area`.
 pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
     let Some(selected) = model.selected() else { return };
     let radar = Radar::new(area, model, selected, palette);
@@ -107,7 +106,6 @@ impl<'a> Radar<'a> {
         points.map(|(range, angle)| (layer.place(range, angle), range))
     }
 
-    /// Draws the trails and the scans.
     fn points(&self, context: &mut Context<'_>) {
         for (number, layer) in self.layers() {
             context.layer();
@@ -147,7 +145,6 @@ impl<'a> Radar<'a> {
         }
     }
 
-    /// Writes a sensor's number over each of its points.
     fn numbers(&self, buffer: &mut Buffer) {
         for (number, layer) in self.layers() {
             for (place, _) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
@@ -165,7 +162,7 @@ impl<'a> Radar<'a> {
         let mut cells: BTreeMap<_, BTreeMap<MissingKind, usize>> = BTreeMap::new();
         for ray in scan.rays() {
             let place = self.selected.place(self.reach + 4.0 * self.chart.dot, ray.angle.into());
-            let kind = MissingKind::of(ray.measurement);
+            let kind = MissingKind::from_measurement(ray.measurement);
             if let Some((cell, kind)) = self.chart.cell(place).zip(kind) {
                 *cells.entry(cell).or_default().entry(kind).or_default() += 1;
             }
@@ -178,7 +175,6 @@ impl<'a> Radar<'a> {
         }
     }
 
-    /// Labels the sensors, the nearest point, the rings and the angles.
     fn labels(&self, buffer: &mut Buffer) {
         let Self { chart, sector, reach, .. } = self;
         let mut free = LabelSpace::default();
@@ -255,7 +251,7 @@ impl<'a> Radar<'a> {
 
 /// Sector of the shown scan, or else of the requested window.
 fn sector_of(layer: &Layer) -> Sector {
-    Sector::of(layer.scan.as_ref().map_or(layer.window, Scan::window))
+    Sector::from_window(layer.scan.as_ref().map_or(layer.window, Scan::window))
 }
 
 /// Computes the rectangle around the origin that contains all sectors, in metres.

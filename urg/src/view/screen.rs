@@ -117,7 +117,6 @@ impl Screen {
     }
 }
 
-/// Stops the program until the shell continues it.
 #[cfg(unix)]
 fn stop_program() -> io::Result<()> {
     use rustix::process::{Signal, getpid, kill_process};
@@ -151,7 +150,6 @@ impl StopRequests {
         Self {}
     }
 
-    /// Waits for the next request. Cancel-safe.
     pub(crate) async fn requested(&mut self) {
         #[cfg(unix)]
         if let Some(signals) = &mut self.signals
@@ -164,7 +162,7 @@ impl StopRequests {
 }
 
 fn cannot_draw(error: io::Error) -> Failure {
-    Failure::of("cannot draw on the terminal", &error)
+    Failure::new("cannot draw on the terminal", &error)
 }
 
 /// Writes frames until the terminal is gone.

@@ -53,7 +53,7 @@ fn sensor(
         Span::styled(name, own(number, model, palette)),
         Span::styled(format!(" {state}"), style),
     ];
-    let figures = |text| panel::of_now(Line::raw(format!("   {text}")), model, layer);
+    let figures = |text| panel::dimmed_if_old(Line::raw(format!("   {text}")), model, layer);
     let mut lines = vec![
         Line::from(first),
         figures(format!("{}, {}", panel::rate(layer), panel::points(layer))),

@@ -1,5 +1,6 @@
 //! Sources of the radar's scans: sensors, or the playback of a recording.
 
+use futures_util::future::select_all;
 use tokio::sync::watch;
 use tokio_scip::state::StateWatch;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
@@ -7,15 +8,12 @@ use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
 use crate::playback::{PlaybackStatus, Player, Shown};
 use crate::port::name::PortName;
 use crate::stream::rate_watch::RateWatch;
-use crate::wait::first;
 
-/// Source of scans.
 pub(super) enum ViewSource {
     Sensor(Box<PolledSensor>),
     Playback(PlayedRecording),
 }
 
-/// Sensor and its stream of scans.
 pub(super) struct PolledSensor {
     pub(super) port: PortName,
     pub(super) sensor: Sensor,
@@ -24,13 +22,11 @@ pub(super) struct PolledSensor {
     pub(super) pace: RateWatch,
 }
 
-/// Recording and its playback.
 pub(super) struct PlayedRecording {
     pub(super) player: Player,
     pub(super) shown: watch::Receiver<Shown>,
 }
 
-/// Scan, error or change that arrived from a source.
 pub(super) enum Arrival {
     Scan(Scan),
     Trouble(Error),
@@ -67,18 +63,20 @@ impl ViewSource {
 /// Waits for the next scan or change from any source. The number identifies the source.
 /// Cancel-safe.
 pub(super) async fn next_of_any(sources: &mut [ViewSource]) -> (usize, Arrival) {
-    first(sources.iter_mut().map(ViewSource::next)).await
+    let (arrival, number, _) =
+        select_all(sources.iter_mut().map(|source| Box::pin(source.next()))).await;
+    (number, arrival)
 }
 
-/// Waits for a change of any sensor's state. Cancel-safe.
+/// Waits for a change of any sensor's state. `states` must not be empty. Cancel-safe.
 pub(super) async fn change_of_any(states: &mut [StateWatch]) {
-    first(states.iter_mut().map(async |state| {
+    let change = async |state: &mut StateWatch| {
         // The state of a stopped driver no longer changes.
         if state.changed().await.is_none() {
             std::future::pending().await
         }
-    }))
-    .await;
+    };
+    select_all(states.iter_mut().map(|state| Box::pin(change(state)))).await;
 }
 
 /// Waits until a sensor is open, then starts to poll it.

@@ -1,13 +1,11 @@
 //! Lines for the viewers of a source. Each scan is serialized once for all viewers: with
 //! many viewers, serializing it for each of them would take most of the program's time.
 
-use std::sync::{Mutex, PoisonError};
-
 use bytes::Bytes;
+use parking_lot::Mutex;
 
 use crate::failure::Failure;
 
-/// Start of a server-sent event.
 const EVENT_START: &str = "data: ";
 
 /// Line in both formats of `/scans`. Clones share the bytes.
@@ -33,28 +31,23 @@ impl ViewerLine {
     }
 }
 
-/// Line of a source's newest scan.
 #[derive(Debug, Default)]
 pub(super) struct NewestLine {
-    /// Number of the scan, and its line.
     line: Mutex<Option<(u64, ViewerLine)>>,
 }
 
 impl NewestLine {
     /// Returns the line of scan `number`. Calls `ndjson` only if the line is not cached.
-    pub(super) fn of(
+    pub(super) fn scan(
         &self,
         number: u64,
         ndjson: impl FnOnce() -> Result<String, Failure>,
-    ) -> Result<ViewerLine, Failure> {
-        // Nothing panics while it holds this lock.
-        let mut newest = self.line.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, line)) = newest.as_ref().filter(|(newest, _)| *newest == number) {
-            return Ok(line.clone());
+    ) -> Option<ViewerLine> {
+        let mut newest = self.line.lock();
+        if newest.as_ref().is_none_or(|(newest, _)| *newest != number) {
+            *newest = Some((number, ViewerLine::new(&ndjson().ok()?, true)));
         }
-        let line = ViewerLine::new(&ndjson()?, true);
-        *newest = Some((number, line.clone()));
-        Ok(line)
+        newest.as_ref().map(|(_, line)| line.clone())
     }
 }
 
@@ -70,7 +63,7 @@ mod tests {
                 written += 1;
                 Ok(format!("{number}\n"))
             };
-            assert_eq!(newest.of(number, ndjson).unwrap().ndjson(), format!("{number}\n"));
+            assert_eq!(newest.scan(number, ndjson).unwrap().ndjson(), format!("{number}\n"));
         }
         assert_eq!(written, 3, "1, 2, and 1 again");
     }

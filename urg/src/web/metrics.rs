@@ -14,16 +14,15 @@ use super::source::SiteSource;
 
 const CONTENT_TYPE: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Answers `/metrics`.
 pub(super) fn metrics(site: &Site) -> Response {
-    let sensors: Vec<_> = site.sources.iter().map(|source| SensorFigures::of(source)).collect();
+    let sensors: Vec<_> =
+        site.sources.iter().map(|source| SensorFigures::from_source(source)).collect();
     let mut text = Metrics::default();
     text.metric("urg_viewers", "gauge", "Open streams of scans").sample("", site.viewers());
     text.sensors(&sensors);
     whole(StatusCode::OK, CONTENT_TYPE, text.text)
 }
 
-/// Figures of one sensor.
 #[derive(Debug, Default)]
 struct SensorFigures {
     /// `sensor="front"`; empty for a sensor without a name. A name needs no escapes.
@@ -36,7 +35,7 @@ struct SensorFigures {
 }
 
 impl SensorFigures {
-    fn of(source: &SiteSource) -> Self {
+    fn from_source(source: &SiteSource) -> Self {
         let sensor = source.hub().and_then(Hub::sensor);
         Self {
             label: source.name().map(|name| format!("sensor=\"{name}\"")).unwrap_or_default(),
@@ -48,7 +47,6 @@ impl SensorFigures {
     }
 }
 
-/// Text in the Prometheus format.
 #[derive(Default)]
 struct Metrics {
     text: String,
@@ -65,7 +63,6 @@ impl Metrics {
         self
     }
 
-    /// Writes a sample of the current metric.
     fn sample(&mut self, labels: &str, value: impl Display) {
         self.sample_of("", labels, value);
     }

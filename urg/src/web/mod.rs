@@ -18,7 +18,6 @@ pub(crate) use self::server::serve;
 pub(crate) use self::source::SiteSource;
 use crate::interrupt::Interrupt;
 
-/// State that all requests share.
 #[derive(Debug)]
 pub(crate) struct Site {
     sources: Vec<Arc<SiteSource>>,
@@ -39,7 +38,6 @@ impl Site {
         Arc::new(Self { sources, is_loopback, interrupt, viewers })
     }
 
-    /// Number of open streams of scans.
     fn viewers(&self) -> usize {
         Arc::strong_count(&self.viewers) - 1
     }

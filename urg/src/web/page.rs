@@ -23,7 +23,6 @@ const SCRIPTS: [&str; 4] = [
     include_str!("page.js"),
 ];
 
-/// Answers `/`.
 pub(super) fn page() -> Response {
     let nonce = nonce();
     // Only the page's own script and style sheet apply, and the page connects only to this
@@ -55,16 +54,14 @@ pub(super) fn page() -> Response {
     response
 }
 
-/// Kind and meaning of each error code.
 fn codes() -> Value {
     let codes = ErrorCode::all().map(|code| {
-        let kind = MissingKind::of(Measurement::Error(code)).map(MissingKind::name);
+        let kind = MissingKind::from_measurement(Measurement::Error(code)).map(MissingKind::name);
         json!({ "kind": kind, "meaning": code.meaning() })
     });
     codes.collect()
 }
 
-/// Name and meaning of each kind of missing distance.
 fn kinds() -> Value {
     json!(MissingKind::ALL.map(|kind| [kind.name(), kind.meaning()]))
 }

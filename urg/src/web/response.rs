@@ -12,12 +12,10 @@ use hyper::header::{self, HeaderValue};
 /// Response with a complete or streaming body.
 pub(super) type Response = hyper::Response<UnsyncBoxBody<Bytes, Infallible>>;
 
-/// Creates a plain-text response.
 pub(super) fn text(status: StatusCode, text: impl Into<Bytes>) -> Response {
     whole(status, "text/plain; charset=utf-8", text)
 }
 
-/// Creates a response with a complete body.
 pub(super) fn whole(
     status: StatusCode,
     content_type: &'static str,

@@ -25,7 +25,6 @@ const HEADERS: [(HeaderName, HeaderValue); 6] = [
     ),
 ];
 
-/// Routes a request to its handler.
 pub(super) fn respond<B>(site: &Arc<Site>, request: &Request<B>) -> Response {
     let mut response = match refused(site, request) {
         Some(response) => response,

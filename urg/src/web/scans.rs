@@ -1,28 +1,24 @@
 //! `/scans`: streams scans and events as NDJSON or server-sent events.
 
-use std::convert::Infallible;
-use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use bytes::Bytes;
-use hyper::body::{Body, Frame};
+use futures_util::stream::{self, BoxStream, SelectAll, StreamExt};
+use http_body_util::StreamBody;
+use hyper::body::Frame;
 use hyper::header::{self, HeaderMap, HeaderValue};
 use hyper::{Request, StatusCode};
 
 use super::Site;
 use super::line::ViewerLine;
 use super::response::{Response, response, text};
-use super::source::Lines;
 use crate::interrupt::Interrupt;
-use crate::wait::first;
 
 /// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
 /// server notices when the client is gone.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(15);
 
-/// Answers `/scans`.
 pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
     let Some(query) = ScansQuery::parse(request.uri().query()) else {
         let reason = "invalid query: expected /scans?max=N, with a number of scans from 1\n";
@@ -31,21 +27,20 @@ pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
     let format = ScansFormat::accepted(request.headers());
     let client = ScansClient {
         interrupt: site.interrupt.clone(),
-        lines: site.sources.iter().map(|source| source.lines(query.with_old)).collect(),
+        lines: stream::select_all(site.sources.iter().map(|source| source.lines(query.with_old))),
         left: query.max,
         format,
         _counted: Arc::clone(&site.viewers),
     };
-    let body = ScansBody { next: Box::pin(client.next()) };
+    let bytes = stream::unfold(client, ScansClient::next);
+    let body = StreamBody::new(bytes.map(|bytes| Ok(Frame::data(bytes))));
     let mut response = response(StatusCode::OK, format.content_type(), body);
     response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
     response
 }
 
-/// Parsed query of a client.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct ScansQuery {
-    /// Number of scans to send.
     max: u64,
     /// True if the client wants the latest scan first, even if it is old.
     with_old: bool,
@@ -107,16 +102,16 @@ impl ScansFormat {
 /// Client of a stream of scans. A slow client misses scans and gets the newest scan next.
 struct ScansClient {
     interrupt: Interrupt,
-    /// Lines of each source. The source whose turn is next comes first.
-    lines: Vec<Lines>,
-    /// Number of scans still to send.
+    /// Lines of all sources, in turn.
+    lines: SelectAll<BoxStream<'static, ViewerLine>>,
     left: u64,
     format: ScansFormat,
     _counted: Arc<()>,
 }
 
 impl ScansClient {
-    async fn next(mut self) -> Next {
+    /// Waits for the next bytes. Returns `None` after the end.
+    async fn next(mut self) -> Option<(Bytes, Self)> {
         if self.left == 0 {
             return None;
         }
@@ -124,7 +119,7 @@ impl ScansClient {
         let bytes = tokio::select! {
             biased;
             _ = interrupt.requested() => return None,
-            line = self.line() => {
+            line = self.lines.next() => {
                 let line = line?;
                 self.left -= u64::from(line.is_scan);
                 self.format.bytes(&line)
@@ -132,45 +127,5 @@ impl ScansClient {
             () = tokio::time::sleep(KEEPALIVE_INTERVAL) => self.format.keepalive(),
         };
         Some((bytes, self))
-    }
-
-    /// Waits for the next line of any source. Returns `None` once all sources have ended.
-    async fn line(&mut self) -> Option<ViewerLine> {
-        while !self.lines.is_empty() {
-            let (number, line) = first(self.lines.iter_mut().map(Lines::next)).await;
-            match line {
-                Some(line) => {
-                    self.lines.rotate_left(number + 1);
-                    return Some(line);
-                }
-                None => drop(self.lines.remove(number)),
-            }
-        }
-        None
-    }
-}
-
-/// Body of a response that streams scans.
-struct ScansBody {
-    next: Pin<Box<dyn Future<Output = Next> + Send>>,
-}
-
-/// Next bytes for a client, and the client itself; `None` after the end.
-type Next = Option<(Bytes, ScansClient)>;
-
-impl Body for ScansBody {
-    type Data = Bytes;
-    type Error = Infallible;
-
-    fn poll_frame(
-        mut self: Pin<&mut Self>,
-        cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, Infallible>>> {
-        let Some((bytes, client)) = ready!(self.next.as_mut().poll(cx)) else {
-            self.next = Box::pin(std::future::ready(None));
-            return Poll::Ready(None);
-        };
-        self.next = Box::pin(client.next());
-        Poll::Ready(Some(Ok(Frame::data(bytes))))
     }
 }

@@ -18,7 +18,6 @@ use super::{Site, routes};
 /// Maximum number of open connections. Each takes at most 40 KiB. Further connections wait
 /// in the backlog of the operating system.
 const MAX_CONNECTIONS: usize = 512;
-/// Time limit for the head of a request.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// A client that takes no byte of its response for this time is disconnected.
 const STALL_TIMEOUT: Duration = Duration::from_secs(30);

@@ -4,11 +4,12 @@
 use std::convert::Infallible;
 use std::sync::Arc;
 
+use futures_util::stream::{self, BoxStream, StreamExt};
 use serde::Serialize;
 use tokio::sync::{mpsc, watch};
 use tokio_scip::{Scan, Version};
 
-use super::hub::{Hub, SensorHealth};
+use super::hub::Hub;
 use super::line::{NewestLine, ViewerLine};
 use crate::args::LinkArgs;
 use crate::failure::Failure;
@@ -16,8 +17,8 @@ use crate::format::json_line;
 use crate::picture::PictureSource;
 use crate::playback::{PlaybackArgs, PlaybackStatus, Player, Shown, seen_through};
 use crate::stream::feed::{Feed, NamedLine, Update};
+use crate::stream::health::SensorHealth;
 
-/// Source of scans for all viewers.
 #[derive(Debug)]
 pub(crate) struct SiteSource {
     pub(super) picture: Arc<PictureSource>,
@@ -31,7 +32,6 @@ enum SourceKind {
     Recording(Player),
 }
 
-/// JSON of a playback event.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename = "playback")]
 struct PlaybackEvent {
@@ -112,54 +112,39 @@ impl SiteSource {
 
     /// Starts the lines for a new client. With `with_old`, the latest scan comes first,
     /// marked as old, if no scans arrive at the moment.
-    pub(super) fn lines(self: &Arc<Self>, with_old: bool) -> Lines {
+    pub(super) fn lines(self: &Arc<Self>, with_old: bool) -> BoxStream<'static, ViewerLine> {
         let source = Arc::clone(self);
         match &self.kind {
             SourceKind::Sensor(hub) => {
                 let old = hub.old_scan().filter(|_| with_old);
-                Lines::Sensor(Box::new(SensorLines { source, old, feed: None }))
+                let lines = SensorLines { source, old, feed: None };
+                stream::unfold(lines, |mut lines| async { Some((lines.next().await?, lines)) })
+                    .boxed()
             }
             SourceKind::Recording(player) => {
                 let shown = player.shown();
-                Lines::Recording(PlaybackLines { source, shown, scan: None, settings: None })
+                let lines = PlaybackLines { source, shown, scan: None, settings: None };
+                stream::unfold(lines, |mut lines| async { Some((lines.next().await?, lines)) })
+                    .boxed()
             }
         }
     }
 }
 
-/// Lines of a source for one client.
-pub(super) enum Lines {
-    Sensor(Box<SensorLines>),
-    Recording(PlaybackLines),
-}
-
-impl Lines {
-    /// Waits for the next line. Returns `None` after the end. Cancel-safe.
-    pub(super) async fn next(&mut self) -> Option<ViewerLine> {
-        let line = match self {
-            Self::Sensor(lines) => lines.next().await?,
-            Self::Recording(lines) => lines.next().await?,
-        };
-        // Serializing a scan or an event is infallible.
-        line.ok()
-    }
-}
-
-/// Lines of a sensor: its scans and events.
-pub(super) struct SensorLines {
+struct SensorLines {
     source: Arc<SiteSource>,
-    /// Old scan to send first.
     old: Option<Scan>,
     /// `None` until the sensor is found.
     feed: Option<Feed>,
 }
 
 impl SensorLines {
-    async fn next(&mut self) -> Option<Result<ViewerLine, Failure>> {
+    /// Waits for the next line. Returns `None` after the end.
+    async fn next(&mut self) -> Option<ViewerLine> {
         let sensor = self.source.name();
         if let Some(data) = &self.old.take() {
             let line = NamedLine { sensor, position: None, data };
-            return Some(other_line(&OldScan { old: true, line }));
+            return other_line(&OldScan { old: true, line });
         }
         let feed = match &mut self.feed {
             Some(feed) => feed,
@@ -167,10 +152,10 @@ impl SensorLines {
         };
         let update = feed.next().await?;
         let ndjson = || update.line(sensor);
-        Some(match &update {
-            Update::Scan(scan) => self.source.newest.of(scan.sequence(), ndjson),
-            _ => ndjson().map(|ndjson| ViewerLine::new(&ndjson, false)),
-        })
+        match &update {
+            Update::Scan(scan) => self.source.newest.scan(scan.sequence(), ndjson),
+            _ => Some(ViewerLine::new(&ndjson().ok()?, false)),
+        }
     }
 }
 
@@ -183,7 +168,7 @@ struct OldScan<'a> {
 }
 
 /// Lines of a playback: each scan shown, and each change of pause, speed or loop.
-pub(super) struct PlaybackLines {
+struct PlaybackLines {
     source: Arc<SiteSource>,
     shown: watch::Receiver<Shown>,
     /// Scan and settings that the client already has.
@@ -192,28 +177,28 @@ pub(super) struct PlaybackLines {
 }
 
 impl PlaybackLines {
-    async fn next(&mut self) -> Option<Result<ViewerLine, Failure>> {
+    async fn next(&mut self) -> Option<ViewerLine> {
         let sensor = self.source.name();
         loop {
             let Shown { scan, status } = self.shown.borrow_and_update().clone();
             let settings = PlaybackStatus { scan: 0, position: 0.0, ..status };
             if self.settings.replace(settings) != Some(settings) {
                 let data = PlaybackEvent { playback: status };
-                return Some(other_line(&NamedLine { sensor, position: None, data }));
+                return other_line(&NamedLine { sensor, position: None, data });
             }
             if self.scan.replace(status.scan) != Some(status.scan) {
                 let position = Some(status.position);
-                return Some(self.source.newest.of(status.scan as u64, || {
+                return self.source.newest.scan(status.scan as u64, || {
                     let data = seen_through(&scan, self.source.picture.window);
                     json_line(&NamedLine { sensor, position, data })
-                }));
+                });
             }
             self.shown.changed().await.ok()?;
         }
     }
 }
 
-/// Creates a line that is not a new scan.
-fn other_line(data: &impl Serialize) -> Result<ViewerLine, Failure> {
-    json_line(data).map(|ndjson| ViewerLine::new(&ndjson, false))
+fn other_line(data: &impl Serialize) -> Option<ViewerLine> {
+    // Serializing is infallible.
+    Some(ViewerLine::new(&json_line(data).ok()?, false))
 }

@@ -15,20 +15,16 @@ use crate::playback::{PlaybackStatus, Player};
 use crate::plot::pose;
 use crate::stream::jitter::Jitter;
 
-/// State of the server and all its sources.
 #[derive(Debug, Serialize)]
 struct StateReport<'a> {
-    /// Version of the program.
     urg: &'static str,
     viewers: usize,
     sensors: Vec<SensorReport<'a>>,
 }
 
-/// State of a sensor and its stream, or of a recording.
 #[derive(Debug, Serialize)]
 struct SensorReport<'a> {
     name: Option<&'a str>,
-    /// Place in the common frame.
     #[serde(serialize_with = "pose::serialize")]
     pose: Pose,
     port: String,
@@ -42,7 +38,6 @@ struct SensorReport<'a> {
     asked: Option<f64>,
     /// Rate over about the last three seconds, in scans a second.
     reached: Option<f64>,
-    /// Age of the latest scan, in seconds.
     age: Option<f64>,
     latency: Option<LatencySeconds>,
     jitter: Option<Jitter>,
@@ -51,7 +46,6 @@ struct SensorReport<'a> {
     playback: Option<PlaybackStatus>,
 }
 
-/// Latency of replies, in seconds.
 #[derive(Debug, Serialize)]
 struct LatencySeconds {
     last: f64,
@@ -60,7 +54,7 @@ struct LatencySeconds {
 }
 
 impl<'a> SensorReport<'a> {
-    fn of(source: &'a SiteSource) -> Self {
+    fn from_source(source: &'a SiteSource) -> Self {
         let health = source.health();
         let (hub, player) = (source.hub(), source.player());
         let sensor = hub.and_then(Hub::sensor);
@@ -93,17 +87,15 @@ impl<'a> SensorReport<'a> {
     }
 }
 
-/// Answers `/state`.
 pub(super) fn state(site: &Site) -> Response {
     let report = StateReport {
         urg: env!("CARGO_PKG_VERSION"),
         viewers: site.viewers(),
-        sensors: site.sources.iter().map(|source| SensorReport::of(source)).collect(),
+        sensors: site.sources.iter().map(|source| SensorReport::from_source(source)).collect(),
     };
     respond(StatusCode::OK, &report)
 }
 
-/// Response to `/health`.
 #[derive(Debug, Serialize)]
 struct HealthReport<'a> {
     status: &'static str,
@@ -118,7 +110,6 @@ struct HealthEntry<'a> {
     why: Option<String>,
 }
 
-/// Answers `/health`.
 pub(super) fn health(site: &Site) -> Response {
     let status = |is_ok| if is_ok { "ok" } else { "failing" };
     let sensors: Vec<_> = site

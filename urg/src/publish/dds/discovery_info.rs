@@ -70,7 +70,7 @@ mod tests {
 
     #[test]
     fn a_node_is_encoded_with_the_identities_of_its_writers() {
-        let mut settings = EngineSettings::of_namespaces(&["/", "/b"]);
+        let mut settings = EngineSettings::with_namespaces(&["/", "/b"]);
         settings.transforms.push(mounting("base_link,0,0,0,0").unwrap());
         let topics = settings.topics();
         let message = encode([7; 12], &settings.nodes, &topics);

@@ -3,17 +3,18 @@
 
 use std::collections::BTreeSet;
 use std::io;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+
+use parking_lot::Mutex;
 
 use crate::output::capture::Capture;
 use crate::output::notice::notice;
 
-/// Number of looks without an unsent packet after which sending works again. Covers one
+/// Number of checks without an unsent packet after which sending works again. Covers one
 /// announcement, every 2 s.
-const FAILING_LOOKS: u32 = 6;
+const FAILING_CHECKS: u32 = 6;
 
-/// Maximum number of different lines to print.
 const MAX_LINES: usize = 20;
 
 /// Lines printed so far: each only once, even if DDS is opened again.
@@ -23,7 +24,7 @@ static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 pub(super) struct Log {
     unsent: Arc<AtomicU64>,
     seen: u64,
-    failing_looks: u32,
+    failing_checks: u32,
     _capture: Capture,
 }
 
@@ -38,21 +39,24 @@ impl Log {
                 count.fetch_add(1, Ordering::Relaxed);
                 return;
             }
-            let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut said = SAID.lock();
             if said.len() < MAX_LINES && said.insert(text.to_owned()) {
                 notice(format_args!("DDS: {text}"));
             }
         })?;
-        Ok(Self { unsent, seen: 0, failing_looks: 0, _capture: capture })
+        Ok(Self { unsent, seen: 0, failing_checks: 0, _capture: capture })
     }
 
     /// Checks whether Cyclone cannot send packets. Call it at regular intervals.
     pub(super) fn is_failing(&mut self) -> bool {
         let unsent = self.unsent.load(Ordering::Relaxed);
-        self.failing_looks =
-            if unsent == self.seen { self.failing_looks.saturating_sub(1) } else { FAILING_LOOKS };
+        self.failing_checks = if unsent == self.seen {
+            self.failing_checks.saturating_sub(1)
+        } else {
+            FAILING_CHECKS
+        };
         self.seen = unsent;
-        self.failing_looks > 0
+        self.failing_checks > 0
     }
 }
 

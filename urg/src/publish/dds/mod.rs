@@ -33,20 +33,19 @@ use self::rtps::Prefix;
 use self::static_peers::StaticPeers;
 use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
 use super::names::NodeNames;
-use super::send_queue::{MAX_SILENT_LOOKS, SendQueue};
+use super::send_queue::{MAX_SILENT_CHECKS, SendQueue};
 
 /// Time that a new participant has to announce itself.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Looks between two discovery messages. A reader that forgot this participant has to find it
+/// Checks between two discovery messages. A reader that forgot this participant has to find it
 /// again within 5 s.
-const LOOKS_PER_INFO: u32 = 8;
+const CHECKS_PER_INFO: u32 = 8;
 
-/// Looks at a changed network before the participant is reopened. An address may disappear for
+/// Checks with a changed network before the participant is reopened. An address may disappear for
 /// a moment when its lease is renewed.
-const MAX_CHANGED_LOOKS: u32 = 2;
+const MAX_CHANGED_CHECKS: u32 = 2;
 
-/// Participant with its nodes.
 pub(super) struct Dds {
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
@@ -58,9 +57,9 @@ pub(super) struct Dds {
     static_peers: StaticPeers,
     prefix: Prefix,
     network: Network,
-    looks: u32,
-    changed_looks: u32,
-    silent_looks: u32,
+    checks: u32,
+    changed_checks: u32,
+    silent_checks: u32,
 }
 
 impl Engine for Dds {
@@ -115,9 +114,9 @@ impl Engine for Dds {
             static_peers,
             prefix: first.sender,
             network,
-            looks: 0,
-            changed_looks: 0,
-            silent_looks: 0,
+            checks: 0,
+            changed_checks: 0,
+            silent_checks: 0,
         };
         dds.announce(&settings.nodes);
         if let Some(transforms) = topics.iter().position(|topic| topic.is_kept) {
@@ -127,10 +126,10 @@ impl Engine for Dds {
         Ok((dds, queue))
     }
 
-    fn look(&mut self) -> Result<Option<String>, Reopen> {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
         let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
-        self.looks += 1;
-        if self.looks.is_multiple_of(LOOKS_PER_INFO) {
+        self.checks += 1;
+        if self.checks.is_multiple_of(CHECKS_PER_INFO) {
             self.announce(&self.settings.nodes);
         }
         if self.thread.is_finished() {
@@ -138,21 +137,21 @@ impl Engine for Dds {
         }
         match self.pulse.latest() {
             Some(announcement) => {
-                self.silent_looks = 0;
+                self.silent_checks = 0;
                 self.static_peers.announce(&announcement.bytes);
             }
-            None => self.silent_looks += 1,
+            None => self.silent_checks += 1,
         }
-        if self.silent_looks > MAX_SILENT_LOOKS {
+        if self.silent_checks > MAX_SILENT_CHECKS {
             return dead("DDS sends nothing any more");
         }
         if self.queue.is_stuck() {
             return dead("DDS no longer takes scans");
         }
         let network = Network::current(self.settings.interface, &self.settings.discovery);
-        self.changed_looks =
-            if self.network.differs(&network) { self.changed_looks + 1 } else { 0 };
-        if self.neighbours.is_one_back() || self.changed_looks >= MAX_CHANGED_LOOKS {
+        self.changed_checks =
+            if self.network.differs(&network) { self.changed_checks + 1 } else { 0 };
+        if self.neighbours.is_one_back() || self.changed_checks >= MAX_CHANGED_CHECKS {
             return Err(Reopen::Outdated);
         }
         // Readers on this machine still get scans: DDS has no central server.

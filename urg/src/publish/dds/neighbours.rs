@@ -8,9 +8,10 @@
 use std::collections::HashMap;
 use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
+use parking_lot::Mutex;
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 
 use super::rtps::{Prefix, packets};
@@ -19,7 +20,7 @@ use super::rtps::{Prefix, packets};
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 
 /// Silence after which a participant is forgotten. ROS 2 has a lease of 20 s; a second less,
-/// because looks may be late.
+/// because checks may be late.
 const LEASE: Duration = Duration::from_secs(19);
 
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
@@ -29,11 +30,10 @@ const MAX_NEIGHBOURS: usize = 10_000;
 /// new participant directly, and then be silent before it announces itself to all.
 pub(super) type Heard = Arc<Mutex<HashMap<Prefix, Instant>>>;
 
-/// Listener for announcements.
 pub(super) struct Neighbours {
     socket: UdpSocket,
     heard: Heard,
-    looked: (Instant, SystemTime),
+    checked: (Instant, SystemTime),
 }
 
 impl Neighbours {
@@ -50,16 +50,16 @@ impl Neighbours {
             // An interface without multicast receives no announcements anyway.
             let _ = socket.join_multicast_v4(&GROUP, interface);
         }
-        let looked = (Instant::now(), SystemTime::now());
-        lock(heard).values_mut().for_each(|last| *last = looked.0);
-        Ok(Self { socket: socket.into(), heard: Arc::clone(heard), looked })
+        let checked = (Instant::now(), SystemTime::now());
+        heard.lock().values_mut().for_each(|last| *last = checked.0);
+        Ok(Self { socket: socket.into(), heard: Arc::clone(heard), checked })
     }
 
     /// Checks whether a forgotten participant is back. Also true if this process itself was
     /// stopped, or the machine slept. Call it at regular intervals.
     pub(super) fn is_one_back(&mut self) -> bool {
         let (now, clock) = (Instant::now(), SystemTime::now());
-        let (before, clock_before) = std::mem::replace(&mut self.looked, (now, clock));
+        let (before, clock_before) = std::mem::replace(&mut self.checked, (now, clock));
         // Only the wall clock includes the time that the machine slept.
         let slept = clock.duration_since(clock_before).unwrap_or_default();
         if now - before > LEASE || slept > LEASE {
@@ -71,16 +71,12 @@ impl Neighbours {
 
     /// Notes an announcement. True if the participant had been forgotten.
     fn hear(&self, sender: Prefix, now: Instant) -> bool {
-        let mut heard = lock(&self.heard);
+        let mut heard = self.heard.lock();
         if heard.len() >= MAX_NEIGHBOURS {
             heard.clear();
         }
         heard.insert(sender, now).is_some_and(|before| now - before > LEASE)
     }
-}
-
-fn lock(heard: &Heard) -> MutexGuard<'_, HashMap<Prefix, Instant>> {
-    heard.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -115,9 +111,9 @@ mod tests {
     fn a_process_that_was_stopped_is_back_itself() {
         let mut neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
         assert!(!neighbours.is_one_back());
-        neighbours.looked.0 -= LEASE + Duration::from_secs(1);
+        neighbours.checked.0 -= LEASE + Duration::from_secs(1);
         assert!(neighbours.is_one_back());
-        neighbours.looked.1 -= LEASE + Duration::from_secs(1);
+        neighbours.checked.1 -= LEASE + Duration::from_secs(1);
         assert!(neighbours.is_one_back(), "its machine slept");
         assert!(!neighbours.is_one_back());
     }

@@ -7,7 +7,6 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use super::static_peers::MAX_PEER_INDEX;
 use crate::publish::discovery::{Discovery, Range};
 
-/// Maximum number of interfaces in Cyclone.
 const MAX_INTERFACES: usize = 4;
 
 /// Highest index of a participant on this machine. The index selects its ports, and a domain
@@ -35,7 +34,7 @@ impl Network {
         if discovery.range != Range::Subnet && discovery.static_peers.is_empty() {
             return Self { addresses: BTreeSet::new(), used: vec![Ipv4Addr::LOCALHOST] };
         }
-        // An error means out of memory. The next look tries again.
+        // An error means out of memory. The next check tries again.
         let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
         let found = interfaces.into_iter().filter_map(|interface| match interface.ip() {
             IpAddr::V4(address) if !address.is_loopback() => {
@@ -43,11 +42,11 @@ impl Network {
             }
             _ => None,
         });
-        Self::of(found.collect())
+        Self::from_interfaces(found.collect())
     }
 
     /// Chooses among interfaces, each with its state (up or not), name and address.
-    fn of(mut found: Vec<(bool, String, Ipv4Addr)>) -> Self {
+    fn from_interfaces(mut found: Vec<(bool, String, Ipv4Addr)>) -> Self {
         let addresses = found.iter().map(|(.., address)| *address).collect();
         // Cyclone does not mix link-local addresses with others.
         if found.iter().any(|(.., address)| !address.is_link_local()) {
@@ -141,7 +140,7 @@ mod tests {
             .iter()
             .map(|(up, name, address)| (*up, (*name).to_owned(), address.parse().unwrap()))
             .collect();
-        Network::of(found).used.iter().map(ToString::to_string).collect()
+        Network::from_interfaces(found).used.iter().map(ToString::to_string).collect()
     }
 
     #[test]

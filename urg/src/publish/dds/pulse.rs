@@ -11,7 +11,6 @@ use super::rtps::{Packet, packets};
 /// First bytes of the prefix of every participant of Cyclone: the number of the vendor.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
 
-/// Pause between two checks for the first packet.
 const CHECK_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Receiver of a participant's announcements.
@@ -57,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_beats_once_for_each_look_at_what_arrived() {
+    fn it_beats_once_for_each_check_at_what_arrived() {
         let pulse = Pulse::bind().unwrap();
         let sender = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
         assert!(pulse.latest().is_none());

@@ -7,16 +7,17 @@
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, ToSocketAddrs, UdpSocket};
+use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+
+use parking_lot::Mutex;
 
 use crate::publish::discovery::StaticPeer;
 
 /// Highest participant index to try at a peer, as in ROS 2: each index costs a packet.
 pub(super) const MAX_PEER_INDEX: u32 = 32;
 
-/// Pause between two lookups of a name.
 const LOOKUP_INTERVAL: Duration = Duration::from_secs(10);
 
 /// Hosts that get the participant's announcements.
@@ -39,7 +40,6 @@ struct Peer {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Address {
     Unknown,
-    /// The latest lookup failed.
     Missing,
     Known(Ipv4Addr),
 }
@@ -56,7 +56,7 @@ impl StaticPeers {
     /// Sends an announcement to all peers with an address. Does not block.
     pub(super) fn announce(&self, announcement: &[u8]) {
         for peer in &self.peers {
-            let Address::Known(address) = *lock(&peer.address) else { continue };
+            let Address::Known(address) = *peer.address.lock() else { continue };
             for port in peer.port.as_ref().map_or(&self.ports[..], std::slice::from_ref) {
                 // A host that is down, or a full buffer: the next announcement tries again.
                 let _ = peer.socket.send_to(announcement, (address, *port));
@@ -66,7 +66,7 @@ impl StaticPeers {
 
     /// First peer whose name has no address.
     pub(super) fn missing(&self) -> Option<&str> {
-        let is_missing = |peer: &&Peer| *lock(&peer.address) == Address::Missing;
+        let is_missing = |peer: &&Peer| *peer.address.lock() == Address::Missing;
         self.peers.iter().find(is_missing).map(|peer| peer.host.as_str())
     }
 }
@@ -99,7 +99,7 @@ fn look_up(host: String, address: Arc<Mutex<Address>>) -> io::Result<mpsc::Sende
                     IpAddr::V6(_) => None,
                 })
             });
-            let mut address = lock(&address);
+            let mut address = address.lock();
             match found {
                 Some(found) => *address = Address::Known(found),
                 None if *address == Address::Unknown => *address = Address::Missing,
@@ -112,10 +112,6 @@ fn look_up(host: String, address: Arc<Mutex<Address>>) -> io::Result<mpsc::Sende
         }
     })?;
     Ok(sender)
-}
-
-fn lock(address: &Mutex<Address>) -> MutexGuard<'_, Address> {
-    address.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]
@@ -148,7 +144,7 @@ mod tests {
         // The system refuses a label of more than 63 characters without asking a name server.
         let nobody = "x".repeat(64);
         let peers = peers(&["127.0.0.1", &nobody]);
-        while lock(&peers.peers[1].address).eq(&Address::Unknown) {
+        while peers.peers[1].address.lock().eq(&Address::Unknown) {
             std::thread::yield_now();
         }
         assert_eq!(peers.missing(), Some(nobody.as_str()));

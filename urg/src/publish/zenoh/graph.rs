@@ -8,7 +8,6 @@ use twox_hash::XxHash3_128;
 use crate::publish::engine::{Qos, Topic};
 use crate::publish::names::NodeNames;
 
-/// Node in the ROS graph.
 pub(super) struct GraphNode<'a> {
     pub(super) domain: u16,
     pub(super) session_id: &'a str,
@@ -46,7 +45,6 @@ impl GraphNode<'_> {
         )
     }
 
-    /// Key of the messages.
     pub(super) fn key(&self, topic: &Topic) -> String {
         let name = topic.name.trim_start_matches('/');
         format!("{}/{name}/{}/{}", self.domain, topic.message.dds_name(), topic.message.hash())
@@ -58,10 +56,8 @@ fn mangled(name: &str) -> String {
     name.replace('/', "%")
 }
 
-/// Identity of a publisher.
 pub(super) type Gid = [u8; 16];
 
-/// Computes the GID of the publisher with this token.
 pub(super) fn gid(token: &str) -> Gid {
     XxHash3_128::oneshot(token.as_bytes()).to_le_bytes()
 }

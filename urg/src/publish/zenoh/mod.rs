@@ -34,7 +34,6 @@ const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/
 /// keep-alives in that time.
 const LEASE: u32 = 2_000;
 
-/// Session with the tokens of its nodes.
 pub(super) struct Zenoh {
     settings: Arc<EngineSettings>,
     session: Session,
@@ -78,13 +77,13 @@ impl Engine for Zenoh {
         Ok((zenoh, queue))
     }
 
-    fn look(&mut self) -> Result<Option<String>, Reopen> {
-        let without = match self.settings.mode {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
+        let consequence = match self.settings.mode {
             Mode::Client => {
                 let answers = router::answers(&self.session);
                 self.queue.set_connected(answers);
-                let note = if answers { InTransit::confirm } else { InTransit::lose };
-                self.in_transit.iter_mut().for_each(note);
+                let update = if answers { InTransit::confirm } else { InTransit::lose };
+                self.in_transit.iter_mut().for_each(update);
                 (!answers).then_some("waiting for it, scans are dropped until then")
             }
             Mode::Peer => {
@@ -99,7 +98,7 @@ impl Engine for Zenoh {
             return Err(Reopen::Dead("zenoh no longer takes scans".to_owned()));
         }
         let router = &self.settings.router;
-        Ok(without.map(|without| format!("no zenoh router answers at {router}; {without}")))
+        Ok(consequence.map(|text| format!("no zenoh router answers at {router}; {text}")))
     }
 
     fn close(mut self) {
@@ -119,7 +118,6 @@ impl Engine for Zenoh {
     }
 }
 
-/// What a session declares to others.
 #[derive(Default)]
 struct Declared {
     tokens: Vec<LivelinessToken>,
@@ -128,7 +126,6 @@ struct Declared {
     transforms: Option<Kept>,
 }
 
-/// Declares the nodes and their topics.
 fn declare(
     session: &Session,
     settings: &EngineSettings,

@@ -49,7 +49,6 @@ impl InTransit {
         self.sent = self.counts.lock().published;
     }
 
-    /// Counts the messages in transit as possibly lost.
     pub(super) fn lose(&mut self) {
         let mut counted = self.counts.lock();
         counted.possibly_lost += counted.published.saturating_sub(self.arrived);

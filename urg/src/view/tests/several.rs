@@ -70,7 +70,7 @@ async fn each_sensor_has_its_colour_its_place_and_its_direction() {
     let model = front_and_rear().await;
     let (front, rear) = (place_of(&model, "▲1"), place_of(&model, "▼2"));
     let point = |number| {
-        let cells = cells_in(&model, Palette::Many.sensor(number), Palette::Many);
+        let cells = cells_in(&model, Palette::Coloured.sensor(number), Palette::Coloured);
         assert_eq!(cells.len(), 1, "{number}: {cells:?}");
         cells[0]
     };
@@ -81,7 +81,7 @@ async fn each_sensor_has_its_colour_its_place_and_its_direction() {
     let across = placed(&[("a", pose(0.0, 3.0, -90.0)), ("b", pose(0.0, -3.0, 90.0))]).await;
     let (left, right) = (place_of(&across, "▶1"), place_of(&across, "◀2"));
     assert!(left.1 < right.1, "{left:?} {right:?}");
-    let seen = cells_in(&across, Palette::Many.sensor(0), Palette::Many);
+    let seen = cells_in(&across, Palette::Coloured.sensor(0), Palette::Coloured);
     assert!(seen.iter().any(|cell| cell.1 > left.1 + 2), "{seen:?} {left:?}");
 }
 
@@ -156,7 +156,7 @@ async fn keys_of_a_sensor_act_on_the_selected_one_and_those_of_the_picture_on_al
 #[tokio::test(start_paused = true)]
 async fn the_trouble_of_one_sensor_is_named_and_the_other_is_drawn_as_before() {
     let mut model = front_and_rear().await;
-    let own = |model: &Model| cells_in(model, Palette::Many.sensor(0), Palette::Many);
+    let own = |model: &Model| cells_in(model, Palette::Coloured.sensor(0), Palette::Coloured);
     let before = own(&model);
     unplug(&mut model, 1, 12).await;
     let lost = screen(&model, 80, 24);
@@ -167,7 +167,11 @@ async fn the_trouble_of_one_sensor_is_named_and_the_other_is_drawn_as_before() {
     );
     assert!(lost.contains("1 front  connected"), "{lost}");
     assert_eq!(own(&model), before);
-    assert_eq!(cells_in(&model, Palette::Many.sensor(1), Palette::Many), [], "it is of the past");
+    assert_eq!(
+        cells_in(&model, Palette::Coloured.sensor(1), Palette::Coloured),
+        [],
+        "it is of the past"
+    );
 }
 
 #[tokio::test(start_paused = true)]
@@ -189,7 +193,7 @@ async fn a_small_screen_leaves_out_names_and_figures_before_trouble() {
     press(&mut model, KeyCode::BackTab);
     for width in (30..200).step_by(17) {
         for height in (10..60).step_by(9) {
-            terminal(&model, width, height, Palette::Sixteen);
+            terminal(&model, width, height, Palette::Coloured);
         }
     }
 }
@@ -205,7 +209,7 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
             let sensor = Sensor::builder().connect(ahead()).await.unwrap();
             sensors.push((source(port), sensor));
         }
-        let mut viewer = Viewer::of_sensors(sensors);
+        let mut viewer = Viewer::from_sensors(sensors);
         let source = std::io::Error::other("no such port");
         let error = Error::open("/dev/ttyACM1", source);
         viewer.started((1, Err(error))).unwrap();
@@ -218,7 +222,7 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
 async fn a_window_that_is_requested_while_the_sensor_is_opened_stays() {
     for is_open_first in [true, false] {
         let sensor = Sensor::builder().connect(ahead()).await.unwrap();
-        let mut viewer = Viewer::of_sensors(vec![(source("/dev/ttyACM0"), sensor)]);
+        let mut viewer = Viewer::from_sensors(vec![(source("/dev/ttyACM0"), sensor)]);
         let action = press(&mut viewer.model, KeyCode::Char('w'));
         viewer.act(action);
         let requested = viewer.model.layers[0].window;

@@ -1,0 +1,74 @@
+//! [`SensorHealth`]: whether scans arrive, and why not.
+
+use std::fmt::Write;
+use std::time::Duration;
+
+use tokio_scip::{Freshness, Rate, Sensor, State, Window};
+
+use crate::failure::chain;
+
+/// Tolerance for a late scan, in addition to three periods.
+const SCAN_GRACE: Duration = Duration::from_secs(2);
+
+/// State of the link in one word, and the reason if no scans arrive.
+#[derive(Debug)]
+pub(crate) struct SensorHealth {
+    pub(crate) link: &'static str,
+    /// `None` while scans arrive.
+    pub(crate) why: Option<String>,
+}
+
+impl SensorHealth {
+    /// Judges a sensor whose `window` is polled at `rate`. `None` stands for a sensor that is not
+    /// opened yet.
+    pub(crate) fn from_sensor(sensor: Option<&Sensor>, window: Window, rate: Rate) -> Self {
+        let Some(sensor) = sensor else {
+            return Self { link: "waiting", why: Some("looking for the sensor".to_owned()) };
+        };
+        let state = sensor.watch_state().get();
+        let link = match &state {
+            State::Connected { .. } => "connected",
+            State::Connecting { .. } => "waiting",
+            State::Recovering => "recovering",
+            State::Disconnected { .. } => "disconnected",
+            State::Closed { .. } => "closed",
+            _ => "unknown",
+        };
+        let why = trouble(&state).or_else(|| {
+            let wire_time = state.baud_rate().map(|rate| window.wire_time(rate));
+            let period = rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
+            overdue(&sensor.freshness(), 3 * period + SCAN_GRACE)
+        });
+        Self { link, why }
+    }
+}
+
+/// Explains why no scans arrive over a working link. Returns `None` while they do.
+fn overdue(freshness: &Freshness, limit: Duration) -> Option<String> {
+    let stale = freshness.check(limit).err()?;
+    let mut why = match stale.age {
+        Some(age) => format!("no scan for {:.1} s", age.as_secs_f64()),
+        None => "no scan yet".to_owned(),
+    };
+    if let Some(error) = &stale.source {
+        // Writing to a `String` is infallible.
+        let _ = write!(why, ": {}", error.chain());
+    }
+    Some(why)
+}
+
+/// Explains why no scan can arrive in this state; `None` while the sensor is connected.
+/// Notices, the radar and the page share this text.
+pub(crate) fn trouble(state: &State) -> Option<String> {
+    Some(match state {
+        State::Connected { .. } => return None,
+        State::Connecting { error: Some(error) } => {
+            format!("waiting for a sensor: {}", chain(error))
+        }
+        State::Connecting { error: None } => "looking for the sensor".to_owned(),
+        State::Recovering => "the sensor is silent: looking for it at every baud rate".to_owned(),
+        State::Disconnected { error, .. } | State::Closed { error: Some(error) } => chain(error),
+        State::Closed { error: None } => "the driver is closed".to_owned(),
+        _ => "the driver is in a state that this program does not know".to_owned(),
+    })
+}
