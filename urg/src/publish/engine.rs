@@ -145,7 +145,7 @@ pub(super) trait Engine: Sized + Send + 'static {
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
         memory: &Self::Memory,
-    ) -> Result<(Self, Arc<dyn Publisher>), String>;
+    ) -> OpenedEngine<Self>;
 
     /// Checks from outside whether the engine works. Called at regular intervals. May block for
     /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
@@ -162,6 +162,9 @@ pub(super) trait Publisher: Send + Sync {
     /// outcome. Does not block.
     fn publish(&self, topic: usize, message: Vec<u8>);
 }
+
+/// Engine that was opened, and its publisher.
+pub(super) type OpenedEngine<E> = Result<(E, Arc<dyn Publisher>), String>;
 
 /// Publisher of the engine; `None` while it is not open.
 pub(super) type Shared = Arc<RwLock<Option<Arc<dyn Publisher>>>>;

@@ -12,7 +12,7 @@ use foxglove::{
 };
 
 use super::counts::Counts;
-use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
+use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic};
 use crate::failure::chain;
 use crate::output::notice::notice;
 
@@ -29,11 +29,7 @@ pub(super) struct Foxglove {
 impl Engine for Foxglove {
     type Memory = ();
 
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        (): &(),
-    ) -> Result<(Self, Arc<dyn Publisher>), String> {
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
         let failed = |error: FoxgloveError| {
             format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))
         };

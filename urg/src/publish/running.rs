@@ -263,6 +263,7 @@ impl NetworkNotices {
 mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
 
+    use super::super::engine::OpenedEngine;
     use super::*;
 
     struct Dead;
@@ -276,11 +277,7 @@ mod tests {
     impl Engine for Dead {
         type Memory = ();
 
-        fn open(
-            _: &Arc<EngineSettings>,
-            _: &Arc<[Topic]>,
-            (): &(),
-        ) -> Result<(Self, Arc<dyn Publisher>), String> {
+        fn open(_: &Arc<EngineSettings>, _: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
             OPENED.fetch_add(1, Ordering::Relaxed);
             Ok((Self, Arc::new(Self)))
         }

@@ -20,6 +20,15 @@ const SENSOR_KEYS: [(&str, &str); 7] = [
     ("s", "save"),
     ("q", "quit"),
 ];
+const SEVERAL_KEYS: [(&str, &str); 7] = [
+    ("?", "help"),
+    ("Tab", "select"),
+    ("+ -", "zoom"),
+    ("space", "pause"),
+    ("w", "window"),
+    ("l", "laser"),
+    ("q", "quit"),
+];
 const PLAYBACK_KEYS: [(&str, &str); 7] = [
     ("?", "help"),
     ("space", "pause"),
@@ -139,10 +148,7 @@ pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
 pub(super) fn key_line(width: u16, subject: Subject) -> Line<'static> {
     let keys = match subject {
         Subject::Sensor => SENSOR_KEYS,
-        Subject::Several => SENSOR_KEYS.map(|key| match key {
-            ("s", _) => ("Tab", "select"),
-            key => key,
-        }),
+        Subject::Several => SEVERAL_KEYS,
         Subject::Recording => PLAYBACK_KEYS,
     };
     let columns = |(key, what): &(&str, &str)| key.chars().count() + what.len() + 5;

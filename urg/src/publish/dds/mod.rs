@@ -31,7 +31,7 @@ use self::network::Network;
 use self::pulse::Pulse;
 use self::rtps::Prefix;
 use self::static_peers::StaticPeers;
-use super::engine::{Engine, EngineSettings, Publisher, Reopen, Topic};
+use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic};
 use super::names::NodeNames;
 use super::send_queue::{MAX_SILENT_CHECKS, SendQueue};
 
@@ -69,7 +69,7 @@ impl Engine for Dds {
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
         heard: &Heard,
-    ) -> Result<(Self, Arc<dyn Publisher>), String> {
+    ) -> OpenedEngine<Self> {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);

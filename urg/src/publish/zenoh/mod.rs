@@ -24,7 +24,7 @@ use zenoh::{Config, Session, Wait};
 use self::graph::{Gid, GraphNode, attachment, gid};
 use self::kept::Kept;
 use self::router::InTransit;
-use super::engine::{Engine, EngineSettings, Mode, Publisher, Reopen, Topic};
+use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Publisher, Reopen, Topic};
 use super::send_queue::SendQueue;
 
 /// Setting for how long a put waits for room, in microseconds.
@@ -48,11 +48,7 @@ pub(super) struct Zenoh {
 impl Engine for Zenoh {
     type Memory = ();
 
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        (): &(),
-    ) -> Result<(Self, Arc<dyn Publisher>), String> {
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
         let config = config(settings).map_err(|error| format!("cannot set up zenoh: {error}"))?;
         let session = zenoh::open(config)
             .wait()

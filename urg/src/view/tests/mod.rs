@@ -60,6 +60,16 @@ async fn watched(emulator: Emulator) -> Model {
     model
 }
 
+/// Shows `count` scans of a sensor.
+async fn scanned(count: usize) -> (Sensor, Model) {
+    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
+    let mut model = model_for(&sensor).await;
+    for _ in 0..count {
+        model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
+    }
+    (sensor, model)
+}
+
 fn terminal(model: &Model, width: u16, height: u16, palette: Palette) -> Terminal<TestBackend> {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal
@@ -228,20 +238,14 @@ async fn zooming_changes_the_rings_between_its_ends() {
 
 #[tokio::test(start_paused = true)]
 async fn a_rate_that_is_not_known_yet_is_a_dash() {
-    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
-    let mut model = model_for(&sensor).await;
-    model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
+    let (_, model) = scanned(1).await;
     let small = screen(&model, 40, 12);
     assert!(small.contains("of 682 points, - Hz"), "{small}");
 }
 
 #[tokio::test(start_paused = true)]
 async fn the_trail_has_the_last_ten_scans_of_the_same_window() {
-    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
-    let mut model = model_for(&sensor).await;
-    for _ in 0..15 {
-        model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
-    }
+    let (sensor, mut model) = scanned(15).await;
     assert_eq!(model.layers[0].trail.len(), 10);
     let dots = |model: &Model| screen(model, 80, 24).chars().map(dots_of).sum::<u32>();
     let before = dots(&model);
@@ -254,11 +258,7 @@ async fn the_trail_has_the_last_ten_scans_of_the_same_window() {
 
 #[tokio::test(start_paused = true)]
 async fn trail_and_grid_are_no_dots_of_the_scan_where_there_are_no_colours() {
-    let sensor = Sensor::builder().connect(Emulator::builder().build()).await.unwrap();
-    let mut model = model_for(&sensor).await;
-    for _ in 0..15 {
-        model.scanned(0, sensor.scan(Window::DETECTION).await.unwrap());
-    }
+    let (_, mut model) = scanned(15).await;
     let symbols = |model: &Model| -> String {
         let terminal = terminal(model, 80, 24, Palette::Plain);
         terminal.backend().buffer().content().iter().map(|cell| cell.symbol()).collect()
