@@ -9,11 +9,10 @@ use super::faults::{FaultInjector, Faults};
 use super::handle::Emulator;
 use super::journal::Journal;
 use super::motor::Motor;
-use super::playback::Playback;
-use super::playback::{ReplayPace, Script};
+use super::playback::{Playback, ReplayPace, Script};
 use super::scip::{Device, EmptyCommand, Firmware, Mode, RepeatedLaser};
 use super::timed_device::TimedDevice;
-use super::timing::{DeviceTiming, Pace};
+use super::timing::{DeviceTiming, LONGEST, Pace};
 use super::world::{Room, World};
 use tokio_scip::BaudRate;
 
@@ -165,7 +164,7 @@ impl EmulatorBuilder {
 
     /// Sets the duration of one revolution of the motor, at least 1 ms. Default: 100 ms.
     pub fn revolution(mut self, revolution: Duration) -> Self {
-        self.revolution = revolution.max(Duration::from_millis(1));
+        self.revolution = revolution.clamp(Duration::from_millis(1), LONGEST);
         self
     }
 
@@ -179,21 +178,21 @@ impl EmulatorBuilder {
     /// Lets replies begin only at multiples of this interval, as USB's frames of one millisecond
     /// do. Default: zero, a reply can begin at any time.
     pub fn frame(mut self, frame: Duration) -> Self {
-        self.timing.frame = frame;
+        self.timing.frame = frame.min(LONGEST);
         self
     }
 
     /// Sets a delay of the first byte of each reply, in addition to the pace. Default:
     /// zero.
     pub fn latency(mut self, latency: Duration) -> Self {
-        self.timing.latency = latency;
+        self.timing.latency = latency.min(LONGEST);
         self
     }
 
     /// Sets how long the sensor is silent after each power-up, including the first. A
     /// real sensor needs some seconds. Default: zero.
     pub fn boot_time(mut self, boot: Duration) -> Self {
-        self.timing.boot = boot;
+        self.timing.boot = boot.min(LONGEST);
         self
     }
 

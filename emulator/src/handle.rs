@@ -11,6 +11,7 @@ use super::link::{HostBaudRate, Link};
 use super::scip::Mode;
 use super::shared::{Plugged, Shared};
 use super::timed_device::TimedDevice;
+use super::timing::LONGEST;
 use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error, ErrorKind};
 
@@ -173,7 +174,7 @@ impl Emulator {
 
     /// Delays the motor once: from now on its revolutions end later by this time.
     pub fn delay_motor(&self, by: Duration) {
-        self.change(|plugged, now| plugged.sensor.motor.delay(now, by));
+        self.change(|plugged, now| plugged.sensor.motor.delay(now, by.min(LONGEST)));
     }
 
     /// Changes the [drift](super::EmulatorBuilder::drift) of the motor, starting from its

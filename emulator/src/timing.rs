@@ -6,6 +6,9 @@ use tokio::time::Instant;
 
 use super::motor::Motor;
 
+/// Longest time of a setting or a fault. Sums of them stay far below what an `Instant` can hold.
+pub(super) const LONGEST: Duration = Duration::from_secs(365 * 24 * 60 * 60);
+
 /// When the sensor answers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]

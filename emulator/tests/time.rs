@@ -6,7 +6,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_scip::BaudRate;
 use tokio_scip::port::Port;
-use urg_emulator::{Emulator, Fixed, Link, Pace, Values, WorldTime};
+use urg_emulator::{
+    Emulator, EmulatorBuilder, Fault, Faults, Fixed, Link, Pace, Values, WorldTime,
+};
 
 use super::{ask, instant_sensor, listen};
 
@@ -254,4 +256,34 @@ async fn a_motor_that_drifts_is_slower_after_an_hour_until_the_next_power_cycle(
     sleep(3_600_000 * MS).await;
     emulator.power_cycle();
     within(period().await, 100_000);
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_time_is_too_long_or_too_short() {
+    for time in [Duration::MAX, Duration::from_secs(u64::MAX / 2), Duration::from_nanos(1)] {
+        let settings: [fn(EmulatorBuilder, Duration) -> EmulatorBuilder; 4] = [
+            EmulatorBuilder::frame,
+            EmulatorBuilder::latency,
+            EmulatorBuilder::revolution,
+            EmulatorBuilder::boot_time,
+        ];
+        let faults = [
+            Faults::none().every(Fault::Late(time)),
+            Faults::none().every(Fault::Pause(3, time)),
+            Faults::none().every(Fault::Trickle(time)),
+            Faults::none().late(1.0, time).paused(1.0, time),
+        ];
+        let emulators = settings.map(|set| set(Emulator::builder(), time).build());
+        let faulty = faults.map(|faults| Emulator::builder().faults(faults).build());
+        for emulator in emulators.into_iter().chain(faulty) {
+            emulator.delay_motor(time);
+            emulator.delay_motor(time);
+            let mut link = emulator.link();
+            link.write_all(b"V\nG04472501\nL1\n").await.unwrap();
+            let mut reply = Vec::new();
+            let read =
+                tokio::time::timeout(Duration::from_secs(3600), link.read_to_end(&mut reply));
+            assert!(read.await.is_err(), "the sensor never hangs up");
+        }
+    }
 }

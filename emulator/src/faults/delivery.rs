@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use super::Fault;
 use crate::random::Random;
+use crate::timing::LONGEST;
 
 /// Reply on its way to the host.
 #[derive(Debug, Default)]
@@ -40,7 +41,7 @@ impl Delivery {
             // These two were applied to the command, before there was a reply.
             Fault::CommandLost | Fault::Status(_) => {}
             Fault::Lost => bytes.clear(),
-            Fault::Late(delay) => self.delay += delay,
+            Fault::Late(delay) => self.delay += delay.min(LONGEST),
             Fault::Doubled => bytes.extend_from_within(..),
             Fault::Drop(range) => drop(bytes.drain(clip(range, bytes.len()))),
             Fault::Insert(at, more) if at <= bytes.len() => {
@@ -60,8 +61,8 @@ impl Delivery {
             Fault::Noise(length) => {
                 drop(bytes.splice(0..0, (0..length).map(|_| random.next() as u8)));
             }
-            Fault::Pause(at, pause) => self.pauses.push((at, pause)),
-            Fault::Trickle(byte_time) => self.byte_time = Some(byte_time),
+            Fault::Pause(at, pause) => self.pauses.push((at, pause.min(LONGEST))),
+            Fault::Trickle(byte_time) => self.byte_time = Some(byte_time.min(LONGEST)),
             Fault::CrLf => {
                 *bytes = bytes
                     .split_inclusive(|&byte| byte == b'\n')

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use super::{Fault, FaultCounts, Faults, RandomFault, Trigger};
 use crate::random::Random;
+use crate::timing::LONGEST;
 
 /// Draws the faults of one reply after another.
 #[derive(Debug)]
@@ -56,7 +57,7 @@ impl RandomFault {
     fn draw(&self, random: &mut Random) -> Fault {
         // A full scan has 1,576 bytes. In a shorter reply, a position past the end means
         // the end.
-        let mut up_to = |longest: &Duration| longest.mul_f64(random.fraction());
+        let mut up_to = |longest: &Duration| (*longest).min(LONGEST).mul_f64(random.fraction());
         match self {
             Self::Late(longest) => Fault::Late(up_to(longest)),
             Self::Pause(longest) => {
