@@ -119,7 +119,7 @@ async fn open(load: Load) -> (Vec<Sensor>, Vec<ScanStream>) {
     let start = Instant::now();
     for number in 0..load.sensors {
         sleep_until(start + period * number as u32 / load.sensors as u32).await;
-        let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+        let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
         for place in 0..load.streams {
             let first = 44 + place as u16;
             let window = Window::new(first..=first + load.points - 1).unwrap();

@@ -71,7 +71,7 @@ fn driver(scans: usize) {
         .build()
         .unwrap();
     runtime.block_on(async {
-        let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+        let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
         let mut stream = sensor.scans(Window::FULL, Rate::hz(10.0)).await.unwrap();
         for _ in 0..scans {
             stream.next().await.unwrap().unwrap();

@@ -98,7 +98,7 @@ async fn open(kind: &str, sensors: usize, lateness: &Lateness) {
 
 async fn sensor(kind: String) -> Sensor {
     if kind == "instant" {
-        return Sensor::attach(InstantSensor::new()).await.unwrap();
+        return Sensor::builder().attach(InstantSensor::new()).await.unwrap();
     }
     let world = Fixed::filled(1234);
     let emulator = Emulator::builder().world(world).pace(Pace::AtOnce).build();

@@ -52,7 +52,7 @@ fn main() {
 }
 
 async fn lateness_of_polls() -> Vec<Duration> {
-    let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+    let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
     let start = Instant::now();
     let mut stream = sensor.scans(Window::DETECTION, Rate::every(PERIOD)).await.unwrap();
     let mut samples = Vec::new();

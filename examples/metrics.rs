@@ -36,8 +36,8 @@ pub(crate) fn text(sensor: &Sensor) -> String {
     for metric in sensor.stats().metrics() {
         if name != metric.name {
             name = metric.name;
-            let kind = metric.kind.as_str();
-            text += &format!("# HELP {name} {}\n# TYPE {name} {kind}\n", metric.help);
+            let (kind, help) = (metric.kind, metric.help);
+            text += &format!("# HELP {name} {help}\n# TYPE {name} {kind}\n");
         }
         let labels = metric.labels.iter().map(|(name, value)| format!("{name}=\"{value}\""));
         let (suffix, labels) = (metric.suffix, labels.collect::<Vec<_>>().join(","));

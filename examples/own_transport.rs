@@ -57,7 +57,7 @@ async fn main() -> Result<(), Error> {
         // Any stream of bytes serves: this one is a pipe in memory, to an emulated sensor.
         let (near, far) = tokio::io::duplex(4096);
         tokio::spawn(async move { Emulator::default().serve(far).await });
-        Sensor::attach(near).await?
+        Sensor::builder().attach(near).await?
     } else {
         Sensor::builder().connect(Program::new(command)).await?
     };

@@ -59,7 +59,7 @@
 //! | `tcp` (default) | servers that pass bytes to and from a sensor, such as ser2net |
 //! | `serde` | `Serialize` for scans, windows, versions, states and counters |
 //!
-//! [`Sensor::attach`] and your own [`Connect`](port::Connect) need no feature.
+//! [`SensorBuilder::attach`] and your own [`Connect`](port::Connect) need no feature.
 //!
 //! # Other crates
 //!
@@ -88,7 +88,7 @@
 //! change at any time.
 //!
 //! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
-//! counters, [`Version`] and [`RawReply`](event::RawReply). So are the variants that only the
+//! counters, [`Version`] and [`RawReply`]. So are the variants that only the
 //! driver constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a
 //! test. [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes,
 //! [`Point`], [`scan::Pose`] and [`scan::CountsAs`] are exhaustive.
@@ -103,7 +103,6 @@
 pub mod codec;
 mod driver;
 mod error;
-pub mod event;
 #[cfg(any(doc, doctest))]
 pub mod guide;
 pub mod port;
@@ -116,8 +115,7 @@ pub mod state;
 pub mod stats;
 pub mod stream;
 
-pub use driver::Driver;
-pub use driver::ReplyObservation;
+pub use driver::{Driver, RawReply, ReplyObservation};
 pub use error::{Error, ErrorChain, ErrorKind};
 #[doc(inline)]
 pub use port::Endpoint;

@@ -51,15 +51,15 @@
 //! |---|---|---|
 //! | `/scan` | `sensor_msgs/msg/LaserScan` | a scan of the stream |
 //! | `/scip/replies` | `std_msgs/msg/UInt8MultiArray` | the unchanged bytes of a reply; the label of its dimension is the command, empty for fences and unsolicited replies |
-//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`](tokio_scip::event::Event) |
+//! | `/scip/events` | `std_msgs/msg/String` | a JSON object: [`Event`] |
 //!
 //! All messages are CDR with their definitions, of types that every ROS 2 has. The log time runs
 //! steadily from the wall clock at the beginning of the recording. The publish time is the wall
-//! clock when a reply's first byte arrived ([`Scan::stamp`](tokio_scip::Scan::stamp)). The header of a
-//! scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata `tokio_scip`
-//! identifies the sensor. Nothing in a file is ever changed, so you can read it wherever it was cut
-//! off. After 65,000 chunks, or earlier on request, a recording continues in a further file
-//! ([`RecorderBuilder::split_duration`]).
+//! clock when a reply's first byte arrived ([`Scan::stamp`](tokio_scip::Scan::stamp)). The header
+//! of a scan has the time of its [first ray](tokio_scip::Scan::first_ray_stamp). The metadata
+//! `tokio_scip` identifies the sensor. Nothing in a file is ever changed, so you can read it
+//! wherever it was cut off. After 65,000 chunks, or earlier on request, a recording continues in a
+//! further file ([`RecorderBuilder::split_duration`]).
 //!
 //! # Replaying
 //!
@@ -74,8 +74,8 @@
 //! before the first scan, `V` is answered with what the metadata have.
 //!
 //! The poll after the last reply ends the driver. Streams then end as they do after
-//! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of the
-//! file could not be read, the driver ends with
+//! [`Sensor::close`](tokio_scip::Sensor::close): with `None`, and no error before it. If a part of
+//! the file could not be read, the driver ends with
 //! [`Disconnected`](tokio_scip::ErrorKind::Disconnected), whose source contains the
 //! [`RecordingError`].
 //!
@@ -83,6 +83,7 @@
 
 mod cut;
 mod error;
+mod event;
 mod file;
 mod from_ros;
 mod identity;
@@ -107,6 +108,7 @@ mod writer;
 
 pub use self::cut::{CutOutcome, cut};
 pub use self::error::RecordingError;
+pub use self::event::{Event, EventError, Events};
 pub use self::file::RecordingFile;
 pub use self::progress::Progress;
 pub use self::reader::Recording;

@@ -7,8 +7,8 @@ use std::time::{Duration, SystemTime};
 use super::mcap::{Fields, MessageHeader, kind};
 use super::record::{Entry, Record, RecordedReply, parse_command};
 use super::topics::Topic;
+use crate::event::Event;
 use crate::ros;
-use tokio_scip::event::Event;
 
 /// Message types and channels defined up to a position in a file.
 #[derive(Debug, Default)]

@@ -93,7 +93,7 @@ impl TimeRange {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio_scip::event::Event;
+    use crate::event::Event;
 
     fn seconds(seconds: u64) -> Duration {
         Duration::from_secs(seconds)

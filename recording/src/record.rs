@@ -3,8 +3,8 @@
 use std::ops::Range;
 use std::time::SystemTime;
 
+use crate::event::Event;
 use crate::ros::LaserScan;
-use tokio_scip::event::Event;
 use tokio_scip::protocol::Command;
 use tokio_scip::{BaudRate, Window};
 

@@ -16,7 +16,8 @@ use super::parts::{Limits, further_part, next_path};
 use super::progress::Progress;
 use super::queue::{Queue, QueueSettings, WriteItem};
 use super::writer::Times;
-use tokio_scip::event::{Event, Events, RawReply};
+use crate::event::{Event, Events};
+use tokio_scip::RawReply;
 use tokio_scip::{Error, ReplyObservation, Scan, ScanStream, Sensor};
 
 /// Records the items of a [`ScanStream`] and the replies of a sensor into an

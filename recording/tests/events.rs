@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
-use tokio_scip::event::Event;
 use tokio_scip::{ErrorKind, Rate, Sensor, Window};
+use urg_recording::Event;
 use urg_recording::{Entry, Recorder, ReplayPace};
 
 use super::sink::{Sink, events, observed, polls, replayed, sensor, values};

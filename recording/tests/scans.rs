@@ -4,7 +4,7 @@ use std::io::{self, Cursor, Read};
 use std::path::Path;
 use std::time::Duration;
 
-use tokio_scip::event::RawReply;
+use tokio_scip::RawReply;
 use tokio_scip::protocol::Command;
 use tokio_scip::{Rate, Scan, Sensor, Window};
 use urg_emulator::{Emulator, Fault, Faults, Values, WorldTime};

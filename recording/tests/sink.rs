@@ -4,9 +4,9 @@ use std::io::{self, Write};
 use std::sync::{Arc, Mutex};
 
 use tokio::sync::watch;
-use tokio_scip::event::Event;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
 use urg_emulator::{Emulator, Values, WorldTime};
+use urg_recording::Event;
 use urg_recording::{Entry, Record, RecordedReply, Recorder, Recording, ReplayPace};
 
 /// A file in memory. Clones are the same file.

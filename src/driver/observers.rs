@@ -5,7 +5,7 @@ use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-use crate::event::RawReply;
+use crate::RawReply;
 
 type Observer = dyn Fn(RawReply<'_>) + Send + Sync;
 type Observers = Arc<[Arc<Observer>]>;

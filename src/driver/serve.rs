@@ -302,7 +302,6 @@ impl Service<'_> {
             lateness: revolution.lateness,
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
-            nominal_scan_time: self.scan_time,
             reconnects: self.reconnects,
         }
     }

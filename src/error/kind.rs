@@ -85,7 +85,6 @@ pub enum ErrorKind {
         found: Text,
     },
     /// Link lost: unplugged, hung up, or silent for too long.
-    #[non_exhaustive]
     Disconnected {
         /// Error of the port, if there was one.
         source: Option<Arc<io::Error>>,

@@ -66,7 +66,7 @@ impl Error {
 
     /// Name of the sensor that this error concerns: the
     /// [name](crate::SensorBuilder::name) given to it, or else the name of its port. `None` if
-    /// neither has a name, as with [`Sensor::attach`](crate::Sensor::attach), and for an error
+    /// neither has a name, as with [`attach`](crate::SensorBuilder::attach), and for an error
     /// that no driver has made.
     pub fn sensor(&self) -> Option<&str> {
         self.0.sensor.as_deref()

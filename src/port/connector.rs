@@ -3,6 +3,8 @@
 
 #[cfg(feature = "tcp")]
 use super::TcpPort;
+use std::fmt;
+
 use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "serial")]
 use super::{
@@ -15,21 +17,9 @@ use crate::Error;
 #[cfg(not(all(feature = "serial", feature = "tcp")))]
 use crate::ErrorKind;
 
-/// [`Connect`] for the port that an [`Endpoint`] names, made by
-/// [`Endpoint::into_connector`].
-///
-/// # Serial numbers
-///
-/// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with the
-/// USB id of URG sensors. Check whether it has the right sensor. If not, and
-/// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate. It
-/// skips ports that cannot be opened within 2 s, and retries busy ones four times, every half
-/// second. After the last candidate the error is
-/// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
-/// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of
-/// the ports. The next call lists the ports again.
+/// [`Connect`] for the port that an [`Endpoint`] names.
 #[derive(Debug)]
-pub struct EndpointConnector {
+pub(crate) struct EndpointConnector {
     route: Route,
     /// Text of the endpoint, for error messages.
     name: String,
@@ -58,7 +48,18 @@ const NO_TCP: &str =
 impl Endpoint {
     /// Converts the endpoint into a connector, which reopens its port after each loss of
     /// the link.
-    pub fn into_connector(self) -> EndpointConnector {
+    ///
+    /// # Serial numbers
+    ///
+    /// For [`Endpoint::SerialNumber`], each [`connect`](Connect::connect) opens the next port with
+    /// the USB id of URG sensors. Check whether it has the right sensor. If not, and
+    /// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate.
+    /// It skips ports that cannot be opened within 2 s, and retries busy ones four times, every
+    /// half second. After the last candidate the error is
+    /// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
+    /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of the
+    /// ports. The next call lists the ports again.
+    pub fn into_connector(self) -> impl Connect<Port = Box<dyn Port>> + fmt::Debug {
         EndpointConnector::new(self)
     }
 }

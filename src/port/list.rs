@@ -22,7 +22,7 @@ pub struct UsbId {
 
 impl UsbId {
     /// Id of URG sensors, the same for all models.
-    pub const URG: Self = Self { vendor: 0x15d1, product: 0x0000 };
+    pub(crate) const URG: Self = Self { vendor: 0x15d1, product: 0x0000 };
 }
 
 impl fmt::Display for UsbId {

@@ -50,9 +50,7 @@ use tokio::io::{AsyncRead, AsyncWrite};
 use crate::{BaudRate, Error};
 
 pub(crate) use any_connect::AnyConnect;
-pub use any_connect::BoxConnect;
 pub(crate) use attached::Attached;
-pub use connector::EndpointConnector;
 #[doc(no_inline)]
 pub use endpoint::Endpoint;
 pub use hints::{ConnectHints, PortHints};
@@ -62,12 +60,12 @@ pub use list::{PortInfo, UsbId, list};
 pub use serial::SerialPort;
 pub use stream_port::StreamPort;
 #[cfg(feature = "tcp")]
-pub use tcp::TcpPort;
+use tcp::TcpPort;
 
 /// Byte stream to a sensor.
 ///
 /// [`StreamPort`] turns any `AsyncRead + AsyncWrite` into one, and
-/// [`Sensor::attach`](crate::Sensor::attach) does so for you. Implement this trait if
+/// [`attach`](crate::SensorBuilder::attach) does so for you. Implement this trait if
 /// the stream has a baud rate that the driver should know or change. Everything else that
 /// a port may tell the driver is optional: [`PortHints`].
 ///
@@ -186,14 +184,6 @@ pub trait Connect: Send + 'static {
     /// Default: `None`.
     fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
         None
-    }
-
-    /// Boxes the connector, so that connectors of different types have one type.
-    fn boxed(self) -> BoxConnect
-    where
-        Self: Sized,
-    {
-        BoxConnect::new(self)
     }
 }
 

@@ -45,7 +45,7 @@ const KEEPALIVE_PROBES: u32 = 3;
 ///
 /// Dropping the port closes the connection without waiting.
 #[derive(Debug)]
-pub struct TcpPort {
+pub(super) struct TcpPort {
     stream: TcpStream,
     baud_rate: BaudRate,
 }
@@ -68,7 +68,7 @@ impl TcpPort {
     /// Fails with [`Open`](crate::ErrorKind::Open), which is transient. Its source is
     /// the system's error (refused, unreachable, no such host), or the list of addresses with the
     /// error of each.
-    pub async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
+    pub(super) async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
         match connect(host, port).await {
             Ok(stream) => Ok(Self { stream, baud_rate }),
             Err(source) => {

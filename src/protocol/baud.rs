@@ -43,7 +43,7 @@ impl BaudRate {
     }
 
     /// Six ASCII digits for the `S` command (p. 5): `057600` for 57,600 bit/s.
-    pub const fn digits(self) -> [u8; 6] {
+    pub(crate) const fn digits(self) -> [u8; 6] {
         match self {
             Self::B19200 => *b"019200",
             Self::B57600 => *b"057600",

@@ -21,7 +21,7 @@ impl Status {
     }
 
     /// Character as received.
-    pub const fn character(self) -> u8 {
+    pub(crate) const fn character(self) -> u8 {
         self.0
     }
 
@@ -49,7 +49,7 @@ impl Status {
 
     /// Returns true for `0`, and for a status of `L` or `S` that means "nothing to do":
     /// `2` for `L`, `3` for `S`.
-    pub const fn is_ok_for(self, command: &Command) -> bool {
+    pub(crate) const fn is_ok_for(self, command: &Command) -> bool {
         match command {
             Command::LaserOn | Command::LaserOff => matches!(self.0, b'0' | b'2'),
             Command::BaudRate(_) => matches!(self.0, b'0' | b'3'),

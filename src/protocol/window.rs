@@ -29,12 +29,8 @@ pub(super) const BLOCK: usize = 64;
 pub struct Step(u16);
 
 impl Step {
-    /// Step 0, -135 degrees.
-    pub const FIRST: Self = Self(0);
-    /// Step 384, straight ahead, 0 degrees.
-    pub const FRONT: Self = Self(FRONT);
     /// Step 768, +135 degrees.
-    pub const LAST: Self = Self(LAST);
+    pub(crate) const LAST: Self = Self(LAST);
 
     /// Creates the step with this number.
     ///

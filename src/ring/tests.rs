@@ -21,7 +21,6 @@ pub(super) fn scan(sequence: u64) -> Scan {
         lateness: None,
         repeat: false,
         scan_time: std::time::Duration::from_millis(100),
-        nominal_scan_time: std::time::Duration::from_millis(100),
         reconnects: 0,
     };
     Scan::new(Window::single(384), Arc::new([1000]), 0, meta)

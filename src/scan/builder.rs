@@ -47,7 +47,6 @@ pub struct ScanBuilder {
     sequence: u64,
     requested_at: Option<Instant>,
     received_at: Option<Instant>,
-    first_byte_at: Option<Instant>,
     stamp: Option<SystemTime>,
     lateness: Option<Duration>,
     repeat: bool,
@@ -63,7 +62,6 @@ impl ScanBuilder {
             sequence: 0,
             requested_at: None,
             received_at: None,
-            first_byte_at: None,
             stamp: None,
             lateness: None,
             repeat: false,
@@ -90,13 +88,6 @@ impl ScanBuilder {
         self
     }
 
-    /// Sets when the first byte was read; [`Scan::first_ray_at`] is computed from it.
-    /// Default: `received_at`.
-    pub fn first_byte_at(mut self, first_byte_at: Instant) -> Self {
-        self.first_byte_at = Some(first_byte_at);
-        self
-    }
-
     /// Sets [`Scan::lateness`], and with it [`Scan::stamp_quality`].
     pub fn lateness(mut self, lateness: impl Into<Option<Duration>>) -> Self {
         self.lateness = lateness.into();
@@ -115,7 +106,7 @@ impl ScanBuilder {
         self
     }
 
-    /// Sets [`Scan::scan_time`] and [`Scan::nominal_scan_time`].
+    /// Sets [`Scan::scan_time`].
     pub fn scan_time(mut self, scan_time: Duration) -> Self {
         self.scan_time = scan_time;
         self
@@ -146,13 +137,12 @@ impl ScanBuilder {
         let meta = ScanMeta {
             sequence: self.sequence,
             requested_at: self.requested_at.unwrap_or(received_at),
-            first_byte_at: self.first_byte_at.unwrap_or(received_at),
+            first_byte_at: received_at,
             received_at,
             stamp: self.stamp.unwrap_or_else(SystemTime::now),
             lateness: self.lateness,
             repeat: self.repeat,
             scan_time: self.scan_time,
-            nominal_scan_time: self.scan_time,
             reconnects: self.reconnects,
         };
         Ok(Scan::new(self.window, self.values, 0, meta))

@@ -56,7 +56,6 @@ struct ScanFields {
     end: u16,
     #[serde(default = "one")]
     cluster: u8,
-    angle_min: Option<f32>,
     #[serde(default = "revolution")]
     scan_time: f64,
     #[serde(default)]
@@ -88,7 +87,7 @@ impl<'de> Deserialize<'de> for Scan {
         let stamp = stamp.ok_or_else(invalid)?;
         let scan_time = Duration::try_from_secs_f64(fields.scan_time).map_err(D::Error::custom)?;
         let lateness = fields.lateness.map(Duration::try_from_secs_f64).transpose();
-        let scan = Self::builder(window, fields.values)
+        Self::builder(window, fields.values)
             .sequence(fields.sequence)
             .stamp(stamp)
             .lateness(lateness.map_err(D::Error::custom)?)
@@ -96,19 +95,6 @@ impl<'de> Deserialize<'de> for Scan {
             .repeat(fields.repeat)
             .reconnects(fields.reconnects)
             .build()
-            .map_err(D::Error::custom)?;
-        Ok(match fields.angle_min {
-            Some(angle) => scan.pointing(angle),
-            None => scan,
-        })
-    }
-}
-
-impl Scan {
-    /// Moves the first point to `angle`, if a crop can leave it there: the only cluster
-    /// of a window may be the rest of a whole one.
-    fn pointing(self, angle: f32) -> Self {
-        let whole = Self { first_cluster: self.window.cluster_count(), ..self.clone() };
-        if whole.angle_min() == angle { whole } else { self }
+            .map_err(D::Error::custom)
     }
 }

@@ -38,13 +38,8 @@ impl Pose {
         self.transformer()(x.into(), y.into())
     }
 
-    /// Transforms a point to the other frame. Changes its `x` and `y`; its range, angle and
-    /// offset stay as the sensor measured them.
-    pub fn transform_point(&self, point: Point) -> Point {
-        moved(point, self.transformer())
-    }
-
-    /// Iterates over the [points](Scan::points) of a scan in the other frame.
+    /// Iterates over the [points](Scan::points) of a scan in the other frame. Their range, angle
+    /// and offset stay as the sensor measured them.
     pub fn transform_scan<'a>(
         &self,
         scan: &'a Scan,
@@ -130,7 +125,6 @@ mod tests {
         let pose = Pose { x: 10.0, y: -4.0, heading: 1.0 };
         assert_eq!(pose.transform_scan(&scan).count(), 257);
         for (moved, point) in pose.transform_scan(&scan).zip(scan.points()) {
-            assert_eq!(moved, pose.transform_point(point));
             assert_eq!(Point { x: point.x, y: point.y, ..moved }, point);
             let (x, y) = pose.transform(point.x, point.y);
             assert_eq!((moved.x, moved.y), (x as f32, y as f32));

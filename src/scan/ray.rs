@@ -1,9 +1,5 @@
 //! [`Ray`] and [`Point`]: a scan, one direction at a time.
 
-use std::time::Duration;
-
-use tokio::time::Instant;
-
 use super::{Scan, Sector};
 use crate::protocol::{Measurement, Step};
 
@@ -20,8 +16,7 @@ pub struct Ray {
     pub angle: f32,
     /// What was measured.
     pub measurement: Measurement,
-    /// Seconds from the scan's first ray to this one. [`Scan::measured_at`] turns it into an
-    /// `Instant`.
+    /// Seconds from the scan's first ray ([`Scan::first_ray_at`]) to this one.
     pub offset: f32,
 }
 
@@ -41,7 +36,7 @@ impl Ray {
     }
 }
 
-/// Point in the sensor's frame, or after [`Pose::transform_point`](super::Pose::transform_point)
+/// Point in the sensor's frame, or after [`Pose::transform_scan`](super::Pose::transform_scan)
 /// in another one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -113,17 +108,6 @@ impl Scan {
     pub fn nearest_in(&self, sector: Sector) -> Option<Point> {
         nearest(self.points().filter(|point| sector.contains(point.angle)))
     }
-
-    /// Returns when the ray with this [`offset`](Ray::offset) was measured, on tokio's clock.
-    /// Returns [`first_ray_at`](Self::first_ray_at) for an offset that is not of this scan:
-    /// negative, or not a number.
-    ///
-    /// On the wall clock it is `first_ray_stamp() + Duration::from_secs_f32(offset)`.
-    pub fn measured_at(&self, offset: f32) -> Instant {
-        let first = self.first_ray_at();
-        let offset = Duration::try_from_secs_f32(offset).unwrap_or_default();
-        first.checked_add(offset).unwrap_or(first)
-    }
 }
 
 fn nearest(points: impl Iterator<Item = Point>) -> Option<Point> {
@@ -177,19 +161,6 @@ mod tests {
         let middle = |step: f64| crate::protocol::angle(step) as f32;
         // The last one as if it were whole.
         assert_eq!(rays, [(10, middle(11.5)), (14, middle(15.5)), (18, middle(19.5))]);
-        let part = grouped.crop(window(14, 20, 1)).unwrap();
-        assert!(part.rays().map(|ray| (ray.step.number(), ray.angle)).eq(rays[1..].to_vec()));
-    }
-
-    #[test]
-    fn each_ray_is_measured_its_offset_after_the_first() {
-        let scan = scan(Window::DETECTION);
-        let last = scan.rays().last().unwrap();
-        let after = scan.measured_at(last.offset) - scan.first_ray_at();
-        assert!((after.as_secs_f64() - 681.0 * 0.1 / 1024.0).abs() < 1e-7, "{after:?}");
-        for hostile in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-            assert_eq!(scan.measured_at(hostile), scan.first_ray_at());
-        }
     }
 
     #[test]

@@ -35,11 +35,8 @@ use crate::protocol::{Measurement, Window};
 pub struct Scan {
     pub(super) window: Window,
     pub(super) values: Arc<[u16]>,
-    /// Index of the first value in `values`, which a cropped scan shares.
+    /// Index of the first value in `values`: the driver may have asked for more.
     pub(super) first: usize,
-    /// Number of steps in the first cluster; its point lies in their middle. A crop keeps
-    /// it, so that the point keeps its direction.
-    pub(super) first_cluster: u8,
     pub(super) meta: ScanMeta,
 }
 
@@ -56,7 +53,6 @@ pub(crate) struct ScanMeta {
     pub(crate) lateness: Option<Duration>,
     pub(crate) repeat: bool,
     pub(crate) scan_time: Duration,
-    pub(crate) nominal_scan_time: Duration,
     pub(crate) reconnects: u64,
 }
 
@@ -64,7 +60,7 @@ impl Scan {
     /// Creates a scan. `values` has one value for each point of `window`, starting at
     /// `first`.
     pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
-        Self { window, values, first, first_cluster: window.first_cluster(), meta }
+        Self { window, values, first, meta }
     }
 
     /// Compares the values with those of `latest`, and marks this scan as a repeat if they are
@@ -158,10 +154,7 @@ impl PartialEq for Scan {
                 scan.meta;
             (sequence, stamp, lateness, repeat, scan_time, reconnects)
         };
-        self.window == other.window
-            && self.first_cluster == other.first_cluster
-            && meta(self) == meta(other)
-            && self.values() == other.values()
+        self.window == other.window && meta(self) == meta(other) && self.values() == other.values()
     }
 }
 
@@ -182,7 +175,6 @@ pub(super) mod tests {
             lateness: None,
             repeat: false,
             scan_time: Duration::from_millis(100),
-            nominal_scan_time: Duration::from_millis(100),
             reconnects: 0,
         };
         // Each value equals its index.
@@ -212,8 +204,5 @@ pub(super) mod tests {
         assert_eq!(a, other);
         other.values = std::iter::repeat_n(0, 682).collect();
         assert_ne!(a, other);
-        // Equal values at another position of a shared block.
-        let part = a.crop(window(50, 60, 1)).unwrap();
-        assert_eq!(part, a.crop(window(45, 60, 1)).unwrap().crop(window(50, 60, 1)).unwrap());
     }
 }

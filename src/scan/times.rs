@@ -57,8 +57,7 @@ impl Scan {
     /// counter-clockwise, and a revolution begins and ends at the rear (-180 degrees). The
     /// reply begins when a revolution ends, so the first point was measured
     /// `1 - (angle_min + pi) / (2 pi)` of a [`scan_time`](Self::scan_time) before that end: for
-    /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms. A [crop](Self::crop) has the
-    /// time of its own first point.
+    /// [`Window::DETECTION`](crate::Window::DETECTION) 83 ms.
     ///
     /// The revolution ended its [`lateness`](Self::lateness) before the reply arrived. Check
     /// [`stamp_quality`](Self::stamp_quality) to see whether the lateness is known.
@@ -114,15 +113,9 @@ impl Scan {
     }
 
     /// Time of one revolution of the motor: the measured time, once it is known to 0.01 %,
-    /// before that the [nominal](Self::nominal_scan_time) one.
+    /// before that the nominal time from the sensor's firmware line, or else 100 ms (600 rpm).
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time
-    }
-
-    /// Nominal time of one revolution of the motor, from the sensor's firmware line,
-    /// otherwise 100 ms (600 rpm).
-    pub fn nominal_scan_time(&self) -> Duration {
-        self.meta.nominal_scan_time
     }
 
     /// Exact time from one point to the next in seconds.
@@ -159,8 +152,6 @@ mod tests {
         assert_eq!(before(&scan(window(640, 700, 1))), ms(128.0 + 640.0));
         // The middle of the first cluster.
         assert_eq!(before(&scan(window(640, 700, 3))), ms(128.0 + 641.0));
-        let part = scan(Window::FULL).crop(window(384, 768, 1)).unwrap();
-        assert_eq!(before(&part), 50.0);
         let mut slow = scan(Window::FULL);
         slow.meta.scan_time = Duration::from_millis(200);
         assert_eq!(before(&slow), 175.0);
@@ -184,16 +175,11 @@ mod tests {
     fn the_measured_revolution_sets_the_time_of_each_point() {
         let mut scan = scan(Window::DETECTION);
         scan.meta.scan_time = Duration::from_micros(99_760);
-        let nominal = Duration::from_millis(100);
-        assert_eq!((scan.scan_time(), scan.nominal_scan_time()), (scan.meta.scan_time, nominal));
+        assert_eq!(scan.scan_time(), scan.meta.scan_time);
         let last = scan.points().last().unwrap();
         assert!((last.offset - 681.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
         assert!((last.offset - 681.0 * 0.09976 / 1024.0).abs() < 1e-6);
         assert_eq!(scan.points().next().unwrap().offset, 0.0);
-        // A part has the same times.
-        let part = scan.crop(window(384, 725, 1)).unwrap();
-        let into = part.first_ray_at() - scan.first_ray_at();
-        assert!((into.as_secs_f32() - 340.0 * scan.time_increment().as_secs_f32()).abs() < 1e-6);
     }
 
     #[tokio::test(start_paused = true)]

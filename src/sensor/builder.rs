@@ -7,8 +7,8 @@ use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite};
 
 use super::Sensor;
+use crate::RawReply;
 use crate::driver::{self, Config, Driver, IdleProbe};
-use crate::event::RawReply;
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Text;
 use crate::{BaudRate, Error};
@@ -75,14 +75,6 @@ impl SensorBuilder {
     /// [`Disconnected`](crate::ErrorKind::Disconnected). Default: 5 s. At most a day.
     pub fn request_timeout(mut self, timeout: Duration) -> Self {
         self.config.request_timeout = timeout.min(LONGEST);
-        self
-    }
-
-    /// Sets how long to search an open port for a sensor that has stopped answering, before the
-    /// port is reopened. Default: 2.5 s, one pass over the six baud rates. Halved where there are
-    /// no baud rates to search, as on USB. At most a day.
-    pub fn recovery_timeout(mut self, timeout: Duration) -> Self {
-        self.config.recovery_timeout = timeout.min(LONGEST);
         self
     }
 
@@ -232,11 +224,12 @@ impl SensorBuilder {
         start(self.build_for(endpoint)).await
     }
 
-    /// Opens the sensor behind an open byte stream, see [`Sensor::attach`].
+    /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
+    /// stream has no baud rate and is never reopened: when it ends, the driver ends.
     ///
     /// # Errors
     ///
-    /// See [`Sensor::attach`].
+    /// The same as [`Sensor::open`], except the errors of opening a port.
     ///
     /// # Panics
     ///

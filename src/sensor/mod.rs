@@ -3,11 +3,9 @@
 
 mod builder;
 
-use tokio::io::{AsyncRead, AsyncWrite};
-
 pub use self::builder::SensorBuilder;
+use crate::RawReply;
 use crate::driver::{Client, ReplyObservation, Request};
-use crate::event::RawReply;
 use crate::port::Endpoint;
 use crate::protocol::{Command, Version};
 use crate::state::{Freshness, State, StateWatch};
@@ -67,23 +65,6 @@ impl Sensor {
         E::Error: Into<Error>,
     {
         Self::builder().open(endpoint).await
-    }
-
-    /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
-    /// stream has no baud rate and is never reopened: when it ends, the driver ends.
-    ///
-    /// # Errors
-    ///
-    /// The same as [`open`](Self::open), except the errors of opening a port.
-    ///
-    /// # Panics
-    ///
-    /// Outside of a tokio runtime, as `tokio::spawn` does.
-    pub async fn attach<T>(stream: T) -> Result<Self, Error>
-    where
-        T: AsyncRead + AsyncWrite + Send + Unpin + 'static,
-    {
-        Self::builder().attach(stream).await
     }
 
     /// Creates a builder, to change the settings of [`open`](Self::open).
@@ -158,8 +139,8 @@ impl Sensor {
         self.client.ask(|responder| Request::Scan { window, responder }).await
     }
 
-    /// Opens a stream of scans of `window` at `rate`, starting with the next one. For more settings
-    /// use [`stream`](Self::stream).
+    /// Opens a stream of scans of `window` at `rate`, starting with the next one. Await it, or set
+    /// its [depth](StreamBuilder::depth) first.
     ///
     /// Polls lie on a fixed grid, without drift. A poll that falls due while the line is busy is
     /// sent as soon as the line is free. Further ones are skipped and never made up. Streams of the

@@ -56,12 +56,6 @@ impl Freshness {
         Self { last_scan, error }
     }
 
-    /// When the last good scan was received, on tokio's clock, or `None` before the
-    /// first.
-    pub fn last_scan(&self) -> Option<Instant> {
-        self.last_scan
-    }
-
     /// Time since the last good scan, or `None` before the first.
     pub fn age(&self) -> Option<Duration> {
         self.last_scan.map(|last_scan| last_scan.elapsed())

@@ -1,6 +1,7 @@
 //! [`Metric`]: figures of [`Stats`] in the form that monitoring systems want.
 
 use std::borrow::Cow;
+use std::fmt;
 
 use super::{MalformedCounts, ScheduleStats, Stats};
 
@@ -41,14 +42,14 @@ pub enum MetricKind {
     Summary,
 }
 
-impl MetricKind {
-    /// Word for a `# TYPE` line: `counter`, `gauge` or `summary`.
-    pub fn as_str(self) -> &'static str {
-        match self {
+/// Writes the word for a `# TYPE` line: `counter`, `gauge` or `summary`.
+impl fmt::Display for MetricKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
             Self::Counter => "counter",
             Self::Gauge => "gauge",
             Self::Summary => "summary",
-        }
+        })
     }
 }
 
@@ -65,7 +66,7 @@ impl Stats {
     /// for metric in stats.metrics() {
     ///     if name != metric.name {
     ///         name = metric.name;
-    ///         text += &format!("# HELP {name} {}\n# TYPE {name} {}\n", metric.help, metric.kind.as_str());
+    ///         text += &format!("# HELP {name} {}\n# TYPE {name} {}\n", metric.help, metric.kind);
     ///     }
     ///     let labels = metric.labels.iter().map(|(name, value)| format!("{name}=\"{value}\""));
     ///     let (suffix, labels) = (metric.suffix, labels.collect::<Vec<_>>().join(","));

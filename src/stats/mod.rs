@@ -14,7 +14,7 @@
 //! }
 //! let stats = sensor.stats();
 //! println!("{} scans, {} malformed replies", stats.scans, stats.malformed.total());
-//! println!("99 % of the replies came within {:?}", stats.reply_latency.quantile(0.99));
+//! println!("the mean reply took {:?}", stats.reply_latency.mean());
 //! # assert_eq!((stats.scans, stats.malformed.total()), (10, 0));
 //! # Ok(())
 //! # }

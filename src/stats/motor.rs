@@ -18,13 +18,6 @@ pub struct MotorStats {
     pub jumps: u64,
 }
 
-impl MotorStats {
-    /// Revolutions per minute, if known.
-    pub fn rpm(&self) -> Option<f64> {
-        self.revolution.map(|revolution| 60.0 / revolution.as_secs_f64())
-    }
-}
-
 #[cfg(feature = "serde")]
 impl serde::Serialize for MotorStats {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

@@ -60,7 +60,7 @@ fn every_future_can_be_awaited_in_a_spawned_task(
     connect: impl Connect,
 ) {
     sent(&Sensor::open("/dev/ttyACM0"));
-    sent(&Sensor::attach(tokio::io::empty()));
+    sent(&Sensor::builder().attach(tokio::io::empty()));
     sent(&Sensor::builder().connect(connect));
     sent(&state.connected());
     sent(&sensor.version());

@@ -107,7 +107,7 @@ async fn an_observation_keeps_no_driver_running_and_sensors_of_one_builder_share
     let counts = Arc::new(Mutex::new([0, 0]));
     let count = |sensor: usize| {
         let counts = Arc::clone(&counts);
-        move |_: tokio_scip::event::RawReply<'_>| counts.lock().unwrap()[sensor] += 1
+        move |_: tokio_scip::RawReply<'_>| counts.lock().unwrap()[sensor] += 1
     };
     let observations = [first.observe_replies(count(0)), second.observe_replies(count(1))];
     second.scan(Window::DETECTION).await.unwrap();

@@ -56,9 +56,7 @@ fn a_scan_that_was_written_is_read_back_as_the_same() {
         scan.scan_time(Duration::from_millis(99)).reconnects(2).build().unwrap()
     };
     let grouped = scan(window(10, 20, 4));
-    // The rest of a cluster keeps its direction.
-    let part = grouped.crop(window(18, 20, 1)).unwrap();
-    for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped, part] {
+    for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped] {
         let line = serde_json::to_string(&scan).unwrap();
         let read: Scan = serde_json::from_str(&line).unwrap();
         assert_eq!(read, scan);
@@ -160,7 +158,7 @@ fn an_error_in_a_state_is_serialized_with_all_its_causes() {
     let data = serde_json::to_value(State::Closed { error: Some(error) }).unwrap();
     let text = data["error"].as_str().unwrap();
     assert!(text.ends_with(": no such device"), "{text}");
-    assert_eq!(serde_json::to_value(UsbId::URG).unwrap(), "15d1:0000");
+    assert_eq!(serde_json::to_value(UsbId { vendor: 0x15d1, product: 0 }).unwrap(), "15d1:0000");
 }
 
 #[tokio::test(start_paused = true)]

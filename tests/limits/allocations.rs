@@ -13,7 +13,7 @@ fn runtime() -> Runtime {
 /// Opens a sensor and a stream at `rate` with copies of it, and lets them run until all
 /// buffers have their final size.
 async fn open(rate: Rate, subscribers: usize) -> (Sensor, Vec<ScanStream>) {
-    let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+    let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
     let stream = sensor.scans(Window::DETECTION, rate).await.unwrap();
     let mut streams = vec![stream; subscribers];
     take(&mut streams, 200).await;

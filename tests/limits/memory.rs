@@ -101,7 +101,7 @@ fn a_sensor_in_service_takes_at_most_16_kib_of_the_heap() {
     let info = measure(|| {
         runtime.block_on(async {
             for _ in 0..SENSORS {
-                let sensor = Sensor::attach(InstantSensor::new()).await.unwrap();
+                let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
                 let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
                 // In a task of its own, as in a service.
                 let consuming = tokio::spawn(async move {

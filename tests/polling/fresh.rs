@@ -25,7 +25,7 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
     assert!(sensor.freshness().check(LIMIT).unwrap_err().age.is_none());
     let scan = stream.next().await.unwrap().unwrap();
     for freshness in [sensor.freshness(), stream.freshness()] {
-        assert_eq!(freshness.last_scan(), Some(scan.received_at()));
+        assert_eq!(freshness.age(), Some(scan.age()));
         assert!(freshness.check(LIMIT).is_ok() && freshness.error().is_none());
     }
 
@@ -203,15 +203,11 @@ async fn a_slow_stream_that_is_well_does_not_report_the_timeouts_of_another_one(
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_debug_text_of_a_scan_has_its_own_values_and_that_of_a_deep_stream_is_short() {
+async fn the_debug_text_of_a_deep_stream_is_short() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).depth(100).await.unwrap();
-    let scan = stream.next().await.unwrap().unwrap();
-    let part = scan.crop(Window::new(100..=102).unwrap()).unwrap();
-    let text = format!("{part:?}");
-    assert!(text.contains(&format!("values: {:?}", part.values())), "{text}");
-    assert!(text.len() < 1000, "{text}");
+    stream.next().await.unwrap().unwrap();
     sleep(Duration::from_secs(15)).await;
     for text in [format!("{stream:?}"), format!("{sensor:?}")] {
         assert!(text.len() < 6000, "{}", text.len());

@@ -9,7 +9,7 @@ use std::time::SystemTime;
 
 use futures::FutureExt;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, ReadBuf};
-use tokio_scip::port::{Connect, ConnectHints, EndpointConnector, Port, PortHints, StreamPort};
+use tokio_scip::port::{Connect, ConnectHints, Port, PortHints, StreamPort};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, Sensor, Window};
 use urg_emulator::Emulator;
 
@@ -112,14 +112,6 @@ async fn opening_a_serial_port_names_the_missing_feature() {
     }
 }
 
-#[test]
-fn a_connector_can_be_moved_to_the_drivers_task() {
-    fn is_fit<C: Connect + Send + 'static>() {}
-    is_fit::<EndpointConnector>();
-    fn is_port<P: Port>() {}
-    is_port::<Box<dyn Port>>();
-}
-
 /// A port that has another answer to each question than the default.
 struct Unusual {
     is_discarded: Arc<AtomicBool>,
@@ -210,25 +202,18 @@ fn a_hint_that_is_not_given_is_the_safe_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_closure_and_a_boxed_connector_open_ports_again_after_each_loss() {
+async fn a_closure_opens_ports_again_after_each_loss() {
     let emulator = Emulator::default();
-    let closure = || {
-        let mut emulator = emulator.clone();
-        move || {
-            let link = emulator.connect().now_or_never();
-            async { link.unwrap_or(Err(ErrorKind::Closed.into())) }
-        }
+    let mut port = emulator.clone();
+    let closure = move || {
+        let link = port.connect().now_or_never();
+        async { link.unwrap_or(Err(ErrorKind::Closed.into())) }
     };
-    let boxed = [closure().boxed(), emulator.clone().boxed()];
-    assert_eq!(boxed.each_ref().map(|connect| connect.name()), [None, None]);
-    for connect in boxed {
-        let sensor = Sensor::builder().connect(connect).await.unwrap();
-        for _ in 0..2 {
-            emulator.unplug();
-            emulator.plug_in();
-            sensor.scan(Window::DETECTION).await.unwrap_or_else(|error| panic!("{error}"));
-        }
-        sensor.close().await;
+    let sensor = Sensor::builder().connect(closure).await.unwrap();
+    for _ in 0..2 {
+        emulator.unplug();
+        emulator.plug_in();
+        sensor.scan(Window::DETECTION).await.unwrap_or_else(|error| panic!("{error}"));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
-use tokio_scip::port::{Connect, Port, TcpPort};
+use tokio_scip::port::{Connect, Port};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind};
 
 #[tokio::test]
@@ -38,6 +38,11 @@ async fn bytes_go_both_ways_over_tcp() {
     }
 }
 
+fn connector(host: &str, port: u16) -> impl Connect<Port = Box<dyn Port>> {
+    let baud_rate = BaudRate::B19200;
+    Endpoint::Tcp { host: host.to_owned(), port, baud_rate }.into_connector()
+}
+
 #[tokio::test]
 async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
     // IPv6 where the machine has it.
@@ -46,7 +51,7 @@ async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
         Err(_) => ("127.0.0.1", TcpListener::bind(("127.0.0.1", 0)).await.unwrap()),
     };
     let port = server.local_addr().unwrap().port();
-    let mut port = TcpPort::connect(host, port, BaudRate::B19200).await.unwrap();
+    let mut port = connector(host, port).connect().await.unwrap();
     let (mut peer, _) = server.accept().await.unwrap();
     port.write_all(b"V\n").await.unwrap();
     port.flush().await.unwrap();
@@ -61,7 +66,7 @@ async fn a_server_that_is_not_there_yet_is_a_transient_error() {
     let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
     let port = server.local_addr().unwrap().port();
     drop(server);
-    let error = TcpPort::connect("127.0.0.1", port, BaudRate::B19200).await.unwrap_err();
+    let error = connector("127.0.0.1", port).connect().await.map(drop).unwrap_err();
     assert!(error.is_transient());
     assert_eq!(error.to_string(), format!("cannot open tcp://127.0.0.1:{port}"));
     let ErrorKind::Open { source, .. } = error.kind() else { panic!("{error:?}") };

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio_scip::protocol::{BaudRate, ErrorCode, Measurement, Text, Window};
+use tokio_scip::protocol::{BaudRate, Command, ErrorCode, Measurement, Text, Window};
 
 /// The table of error codes, p. 7.
 const MEANINGS: [&str; 20] = [
@@ -80,14 +80,12 @@ fn ranges_follow_rep_117_code_by_code() {
 
 #[test]
 fn the_six_baud_rates_have_the_digits_of_the_text() {
-    let digits: Vec<_> = BaudRate::ALL.iter().map(|speed| speed.digits()).collect();
-    assert_eq!(
-        digits,
-        [b"019200", b"057600", b"115200", b"250000", b"500000", b"750000"].map(|digits| *digits)
-    );
-    for speed in BaudRate::ALL {
+    let text = ["019200", "057600", "115200", "250000", "500000", "750000"];
+    for (speed, digits) in BaudRate::ALL.into_iter().zip(text) {
+        let sent = Command::BaudRate(speed).bytes();
+        assert_eq!(sent[1..7], *digits.as_bytes());
         let bits = speed.bits_per_second();
-        assert_eq!(format!("{bits:06}").as_bytes(), speed.digits());
+        assert_eq!(format!("{bits:06}"), digits);
         assert_eq!(BaudRate::try_from(bits), Ok(speed));
         assert_eq!(u32::from(speed), bits);
         assert_eq!(speed.to_string().parse(), Ok(speed));

@@ -4,12 +4,12 @@ use tokio_scip::protocol::{Step, Window, WindowError};
 
 #[test]
 fn steps_are_0_to_768() {
-    assert_eq!(Step::new(0), Ok(Step::FIRST));
-    assert_eq!(Step::new(768), Ok(Step::LAST));
+    assert_eq!(Step::new(0), Ok(Window::FULL.start()));
+    assert_eq!(Step::new(768), Ok(Window::FULL.end()));
     assert_eq!(Step::new(769), Err(WindowError::Step { found: 769 }));
     assert_eq!(Step::try_from(u16::MAX), Err(WindowError::Step { found: u16::MAX }));
-    assert_eq!(u16::from(Step::FRONT), 384);
-    assert_eq!(Step::LAST.to_string(), "768");
+    assert_eq!(u16::from(Step::new(384).unwrap()), 384);
+    assert_eq!(Window::FULL.end().to_string(), "768");
 }
 
 #[test]

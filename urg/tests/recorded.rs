@@ -6,9 +6,9 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use serde_json::Value;
-use tokio_scip::event::Event;
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
 use urg_emulator::Emulator;
+use urg_recording::Event;
 use urg_recording::{Entry, Recorder, Recording};
 
 use super::formats::{check, scans, values};

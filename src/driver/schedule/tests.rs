@@ -96,7 +96,6 @@ fn meta() -> ScanMeta {
         lateness: None,
         repeat: false,
         scan_time: HUNDRED_MS,
-        nominal_scan_time: HUNDRED_MS,
         reconnects: 0,
     }
 }

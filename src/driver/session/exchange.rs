@@ -9,8 +9,8 @@ use super::super::observers::ReplyObservers;
 use super::super::transport::{TimedFrame, Timing};
 use super::{Read, Session};
 use crate::ErrorKind;
+use crate::RawReply;
 use crate::codec::Frame;
-use crate::event::RawReply;
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
 
 /// Which other replies may still be on their way with the echo of a command.

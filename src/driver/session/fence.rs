@@ -11,8 +11,8 @@ use tracing::Instrument;
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::transport::{TimedFrame, Transport};
 use super::Session;
+use crate::RawReply;
 use crate::codec::Frame;
-use crate::event::RawReply;
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
 use crate::{ErrorKind, Window};
 

@@ -12,8 +12,8 @@ use std::time::Duration;
 use crate::common::limit::limit;
 use futures::FutureExt;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_scip::port::SerialPort;
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::port::{EndpointConnector, SerialPort};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind};
 use tokio_serial::SerialPort as _;
 use tokio_serial::SerialStream;
@@ -198,17 +198,17 @@ async fn a_dropped_opening_leaves_no_port_open() {
     let mut given_up = 0;
     // A program that another test starts has this one's open ports, too, for a moment:
     // from its fork until its exec. A port that stays open is busy for ever.
-    let open = async |connector: &mut EndpointConnector| {
-        loop {
-            match connector.connect().await {
-                Err(error) if matches!(error.kind(), ErrorKind::Busy { .. }) => {}
-                outcome => return outcome.unwrap(),
-            }
-        }
-    };
     for _ in 0..100 {
         given_up += usize::from(connector.connect().now_or_never().is_none());
-        drop(tokio::time::timeout(Duration::from_secs(10), open(&mut connector)).await.unwrap());
+        let open = async {
+            loop {
+                match connector.connect().await {
+                    Err(error) if matches!(error.kind(), ErrorKind::Busy { .. }) => {}
+                    outcome => return outcome.unwrap(),
+                }
+            }
+        };
+        drop(tokio::time::timeout(Duration::from_secs(10), open).await.unwrap());
     }
     assert!(given_up > 0, "opening takes a thread, which is seldom done at the first poll");
 }

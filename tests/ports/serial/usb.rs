@@ -102,9 +102,12 @@ fn list_port(name: &str, usb_id: Option<UsbId>) {
     symlink(interface, tty.join("device")).unwrap();
 }
 
+/// Id of URG sensors.
+const URG: UsbId = UsbId { vendor: 0x15d1, product: 0x0000 };
+
 /// Plugs in a sensor, at this name below /dev.
 fn plug_in(name: &str, serial_number: &str) {
-    list_port(name, Some(UsbId::URG));
+    list_port(name, Some(URG));
     let emulator = truthful().usb().serial_number(serial_number).build();
     let terminal = Pty::open(&emulator, Some(&Path::new("/dev").join(name))).unwrap();
     tokio::spawn(terminal.serve());
@@ -189,12 +192,8 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     }
     assert_eq!(list().await.unwrap(), []);
     let adapter = UsbId { vendor: 0x0403, product: 0x6001 };
-    let ports = [
-        ("ttyS0", None),
-        ("ttyS1", None),
-        ("ttyUSB0", Some(adapter)),
-        ("ttyACM0", Some(UsbId::URG)),
-    ];
+    let ports =
+        [("ttyS0", None), ("ttyS1", None), ("ttyUSB0", Some(adapter)), ("ttyACM0", Some(URG))];
     for (name, usb_id) in ports {
         list_port(name, usb_id);
         fs::write(Path::new("/dev").join(name), "").unwrap();
@@ -209,7 +208,7 @@ async fn the_list_has_sensors_first_and_no_name_without_hardware() {
     let names: Vec<_> = ports.iter().map(|port| port.path.as_str()).collect();
     assert_eq!(names, ["/dev/ttyACM0", "/dev/ttyUSB0", "/dev/ttyS0"]);
     let ids: Vec<_> = ports.iter().map(|port| port.usb_id).collect();
-    assert_eq!(ids, [Some(UsbId::URG), Some(adapter), None]);
+    assert_eq!(ids, [Some(URG), Some(adapter), None]);
     let product = ports[0].product.as_ref().map(ToString::to_string);
     assert_eq!(product.as_deref(), Some("URG-Series USB Driver"));
     assert_eq!(ports[0].stable_paths, ["/dev/serial/by-path/usb-0:1"]);

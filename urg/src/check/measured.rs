@@ -199,8 +199,8 @@ impl Measured {
             let text = "unknown: scans have the times of their arrivals";
             return Finding::ok(NAME, text);
         };
-        let mut text = match motor.rpm() {
-            Some(rpm) => format!("{rpm:.2} rpm"),
+        let mut text = match motor.revolution {
+            Some(revolution) => format!("{:.2} rpm", 60.0 / revolution.as_secs_f64()),
             None => "speed not known yet".to_owned(),
         };
         let milliseconds = |time: Duration| time.as_secs_f64() * 1000.0;

@@ -5,8 +5,8 @@ use std::time::{Duration, SystemTime};
 
 use parking_lot::Mutex;
 use tokio::time::{Instant, MissedTickBehavior};
-use tokio_scip::event::Event;
 use tokio_scip::{Rate, Scan, Sensor, Window};
+use urg_recording::Event;
 use urg_recording::ros;
 
 use super::diagnostics::Condition;

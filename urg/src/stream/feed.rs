@@ -3,8 +3,8 @@
 use std::collections::VecDeque;
 
 use serde::Serialize;
-use tokio_scip::event::{Event, Events};
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
+use urg_recording::{Event, Events};
 
 use crate::failure::Failure;
 use crate::format::{json_line, json_text};

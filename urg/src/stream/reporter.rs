@@ -3,8 +3,8 @@
 
 use std::time::Instant;
 
-use tokio_scip::event::Event;
 use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
+use urg_recording::Event;
 
 use super::feed::Update;
 use super::follow::StreamEnd;

@@ -4,8 +4,8 @@ use std::sync::{Arc, OnceLock};
 
 use parking_lot::Mutex;
 use tokio::sync::watch;
-use tokio_scip::event::Event;
 use tokio_scip::{Scan, Sensor, Version};
+use urg_recording::Event;
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;

@@ -121,7 +121,7 @@ impl Metrics {
         }
         for family in families {
             if let Some((_, first)) = family.first() {
-                self.metric(first.name, first.kind.as_str(), first.help);
+                self.metric(first.name, &first.kind.to_string(), first.help);
             }
             for (labels, metric) in family {
                 self.sample_of(metric.suffix, &labels, metric.value);

@@ -1,11 +1,9 @@
-//! What a log or a recording contains besides scans: [`Event`] for what happened to a
-//! stream, and [`RawReply`] for the bytes of each reply.
-//!
-//! [`Events`] derives the events from the items of a stream:
+//! [`Event`]: what happened to a stream, besides its scans. [`Events`] derives the events from the
+//! items of a stream:
 //!
 //! ```no_run
 //! # async fn run(mut scans: tokio_scip::ScanStream) {
-//! use tokio_scip::event::Events;
+//! use urg_recording::Events;
 //!
 //! let mut events = Events::new();
 //! while let Some(item) = scans.next().await {
@@ -18,23 +16,19 @@
 
 use std::fmt::{self, Write};
 use std::str::FromStr;
-use std::time::SystemTime;
 
-use tokio::time::Instant;
-
-use crate::protocol::Command;
-use crate::{Error, ErrorKind, Scan};
+use tokio_scip::{Error, ErrorKind, Scan};
 
 /// Event in the life of a stream. `Display` writes a JSON object, such as
 /// `{"event":"disconnected","error":"..."}`, as in recordings. `FromStr` parses
 /// it.
 ///
 /// ```
-/// use tokio_scip::event::Event;
+/// use urg_recording::Event;
 ///
 /// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
 /// assert_eq!(event, Event::Missed { scans: 3 });
-/// # Ok::<(), tokio_scip::event::EventError>(())
+/// # Ok::<(), urg_recording::EventError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -197,30 +191,10 @@ fn unquote(json: &str) -> Option<String> {
     Some(text)
 }
 
-/// Frame that the sensor sent after a command. The observers of
-/// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) and
-/// [`Sensor::observe_replies`](crate::Sensor::observe_replies) receive it. Bytes that
-/// arrive at other times are dropped and form no frame.
-#[derive(Debug, Clone, Copy)]
-#[non_exhaustive]
-pub struct RawReply<'a> {
-    /// Command that the frame answers, even if the reply is malformed. `None` for the reply
-    /// to a fence and for a frame with another echo.
-    pub command: Option<Command>,
-    /// Bytes as received, without the two LFs at the end and without NULs at the front.
-    pub bytes: &'a [u8],
-    /// When the last byte was read, on tokio's clock. Equal to the time of its [`Scan`] to
-    /// within microseconds.
-    pub received_at: Instant,
-    /// Wall clock when the first byte arrived, the same as
-    /// [`Scan::stamp`](crate::Scan::stamp).
-    pub stamp: SystemTime,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Window;
+    use tokio_scip::Window;
 
     #[test]
     fn events_stand_before_the_scan_that_follows_them() {
@@ -228,7 +202,7 @@ mod tests {
             let values = vec![0; Window::DETECTION.points()];
             Ok(Scan::builder(Window::DETECTION, values).sequence(sequence).build().unwrap())
         };
-        let lost = || Error::from(ErrorKind::disconnected(None));
+        let lost = || Error::from(ErrorKind::Disconnected { source: None });
         let closed = || Error::from(ErrorKind::Closed);
         let mut events = Events::new();
         let mut of = |item| events.of(&item).collect::<Vec<_>>();

@@ -1,0 +1,27 @@
+//! [`RawReply`]: a frame as the sensor sent it.
+
+use std::time::SystemTime;
+
+use tokio::time::Instant;
+
+use crate::protocol::Command;
+
+/// Frame that the sensor sent after a command. The observers of
+/// [`SensorBuilder::on_reply`](crate::SensorBuilder::on_reply) and
+/// [`Sensor::observe_replies`](crate::Sensor::observe_replies) receive it. Bytes that
+/// arrive at other times are dropped and form no frame.
+#[derive(Debug, Clone, Copy)]
+#[non_exhaustive]
+pub struct RawReply<'a> {
+    /// Command that the frame answers, even if the reply is malformed. `None` for the reply
+    /// to a fence and for a frame with another echo.
+    pub command: Option<Command>,
+    /// Bytes as received, without the two LFs at the end and without NULs at the front.
+    pub bytes: &'a [u8],
+    /// When the last byte was read, on tokio's clock. Equal to the time of its [`Scan`](crate::Scan) to
+    /// within microseconds.
+    pub received_at: Instant,
+    /// Wall clock when the first byte arrived, the same as
+    /// [`Scan::stamp`](crate::Scan::stamp).
+    pub stamp: SystemTime,
+}
