@@ -46,30 +46,9 @@ fn copy_to_new_block(bencher: Bencher) {
 }
 
 /// Does what the driver does with a reply: copies it into the read buffer, checks it, and
-/// decodes it into the shared values of a `Scan`, in the block of an older scan that no
-/// consumer holds.
+/// decodes it into the values of a `Scan`.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
-    let mut shared = Arc::default();
-    decode(bencher, |command, frame| {
-        Reply::parse_into_shared(command, frame, &mut shared).unwrap();
-        black_box(&mut shared);
-    });
-}
-
-/// Does the same into a new block, as when consumers keep their scans.
-#[divan::bench(sample_size = 100)]
-fn crate_decoder_to_new_block(bencher: Bencher) {
-    decode(bencher, |command, frame| {
-        let mut shared = Arc::default();
-        Reply::parse_into_shared(command, frame, &mut shared).unwrap();
-        drop(black_box(shared));
-    });
-}
-
-/// Copies a reply into the read buffer, finds its end, and passes it to `parse` where it
-/// lies.
-fn decode(bencher: Bencher, mut parse: impl FnMut(&Command, &[u8])) {
     let reply = full_scan();
     let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
     let mut buffer = BytesMut::with_capacity(4096);
@@ -79,7 +58,7 @@ fn decode(bencher: Bencher, mut parse: impl FnMut(&Command, &[u8])) {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
         let Some(Frame::Reply(length)) = codec.find(&mut buffer) else { panic!("no frame") };
-        parse(black_box(&command), &buffer[..length]);
+        drop(black_box(Reply::parse(black_box(&command), &buffer[..length]).unwrap()));
         buffer.clear();
     });
 }
@@ -92,31 +71,26 @@ fn crate_decoder_of_framed(bencher: Bencher) {
     let mut buffer = BytesMut::with_capacity(4096);
     codec.encode(&command, &mut buffer).unwrap();
     buffer.clear();
-    let mut shared = Arc::default();
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        Reply::parse_into_shared(black_box(&command), &frame, &mut shared).unwrap();
-        black_box(&mut shared);
+        drop(black_box(Reply::parse(black_box(&command), &frame).unwrap()));
     });
 }
 
-/// Decodes into a new block by the general steps, which report the place of an error.
+/// Searches for the end of the reply, as a codec does that has not sent its command.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder_in_steps(bencher: Bencher) {
     let reply = full_scan();
     let command = Command::Distances(Window::FULL);
     let mut codec = ScipCodec::default();
     let mut buffer = BytesMut::with_capacity(4096);
-    let mut values = Vec::new();
     bencher.bench_local(|| {
         buffer.reserve(4096);
         buffer.extend_from_slice(black_box(&reply));
         let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
-        values.clear();
-        Reply::parse(black_box(&command), &frame).unwrap().values_into(&mut values);
-        drop(black_box(Arc::<[u16]>::from(&values[..])));
+        drop(black_box(Reply::parse(black_box(&command), &frame).unwrap()));
     });
 }
 

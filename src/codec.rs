@@ -162,8 +162,12 @@ impl ScipCodec {
         *self = Self { expected: self.expected, ..Self::default() };
     }
 
-    /// Remembers `command` as sent, as [`encode`](Encoder::encode) does.
-    pub(crate) fn expect(&mut self, command: &Command) {
+    /// Appends `command` and its terminator to `buffer`, and expects its reply from now on.
+    pub(crate) fn write(&mut self, command: &Command, buffer: &mut BytesMut) {
+        let bytes = command.bytes();
+        buffer.reserve(bytes.len() + 1);
+        buffer.put_slice(&bytes);
+        buffer.put_u8(b'\n');
         self.expected = match command {
             Command::Distances(window) => Some(ExpectedScan::new(window)),
             _ => None,
@@ -223,11 +227,7 @@ impl Encoder<&Command> for ScipCodec {
     type Error = io::Error;
 
     fn encode(&mut self, command: &Command, buffer: &mut BytesMut) -> io::Result<()> {
-        let bytes = command.bytes();
-        buffer.reserve(bytes.len() + 1);
-        buffer.put_slice(&bytes);
-        buffer.put_u8(b'\n');
-        self.expect(command);
+        self.write(command, buffer);
         Ok(())
     }
 }

@@ -177,7 +177,7 @@ impl Iterator for Polls {
 
 impl RecordedReply {
     /// Parses a successful reply to its command.
-    pub(super) fn parse(&self) -> Option<Reply<'_>> {
+    pub(super) fn parse(&self) -> Option<Reply> {
         let frame = self.bytes.strip_suffix(b"\n\n")?;
         let reply = Reply::parse(self.command.as_ref()?, frame).ok()?;
         reply.status().is_ok().then_some(reply)
@@ -186,8 +186,6 @@ impl RecordedReply {
     /// Values of a successful reply to `G`.
     pub(super) fn values(&self) -> Option<Vec<u16>> {
         let Some(Command::Distances(_)) = self.command else { return None };
-        let mut values = Vec::new();
-        self.parse()?.values_into(&mut values);
-        Some(values)
+        Some(self.parse()?.values().to_vec())
     }
 }

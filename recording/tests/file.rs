@@ -93,9 +93,8 @@ async fn a_recording_is_read_as_the_driver_delivered_it() {
         let frame = reply.bytes.strip_suffix(b"\n\n").unwrap();
         let command = reply.command.unwrap();
         assert!(frame.starts_with(&command.bytes()));
-        let mut values = Vec::new();
-        Parsed::parse(&command, frame).unwrap().values_into(&mut values);
-        assert!(values.ends_with(scan.values()));
+        let parsed = Parsed::parse(&command, frame).unwrap();
+        assert!(parsed.values().ends_with(scan.values()));
     }
     assert!(replies.iter().any(|reply| reply.bytes.starts_with(b"G041725")), "no surplus groups");
     let version = records.iter().find_map(|record| match &record.entry {

@@ -16,9 +16,9 @@ impl Backoff {
         Self { shortest, longest, next: shortest, seed }
     }
 
-    /// Notes how long a link lasted. Starts over with the shortest delay only if the link
-    /// outlasted the next delay: a flapping link keeps backing off.
-    pub(crate) fn note_uptime(&mut self, up: Duration) {
+    /// Starts over with the shortest delay if a link that lasted this long has outlasted the
+    /// next delay: a flapping link keeps backing off.
+    pub(crate) fn restart_if_outlasted(&mut self, up: Duration) {
         if up > self.next {
             self.restart();
         }
@@ -70,9 +70,9 @@ mod tests {
     fn only_a_link_that_outlasts_the_next_wait_starts_over() {
         let mut backoff = Backoff::new((ms(100), ms(1000)), 1);
         backoff.next();
-        backoff.note_uptime(ms(200));
+        backoff.restart_if_outlasted(ms(200));
         assert!(backoff.next() >= ms(200));
-        backoff.note_uptime(ms(401));
+        backoff.restart_if_outlasted(ms(401));
         assert!(backoff.next() < ms(200));
     }
 }

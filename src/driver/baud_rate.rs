@@ -33,7 +33,7 @@ pub(crate) async fn find(
         for &baud_rate in baud_rates {
             let mut latency = SEARCH_LATENCY;
             if session.transport.baud_rate().is_some() {
-                match session.transport.set_baud_rate(baud_rate) {
+                match session.set_baud_rate(baud_rate) {
                     Ok(()) => {}
                     Err(error) if error.kind() == io::ErrorKind::Unsupported => {
                         latency = session.transport.latency(&Command::Distances(Window::FULL));
@@ -47,7 +47,7 @@ pub(crate) async fn find(
             usable = true;
             // The system may have buffered more bytes than the flood limit of one
             // exchange allows.
-            session.transport.discard_pending().await?;
+            session.discard_pending().await?;
             match session.fence_once(latency).await {
                 Ok(_) => return Ok(()),
                 Err(ExchangeError::Command(ErrorKind::Timeout { .. })) => {}
@@ -89,23 +89,23 @@ pub(crate) async fn change(
     let old = session.transport.baud_rate();
     if old == Some(baud_rate) {
         // The sensor may have restarted unnoticed.
-        return session.fence().await.map(drop).map_err(|error| error.of(command));
+        return session.fence().await.map(drop).map_err(|error| error.on_behalf_of(command));
     }
     // Try the port first: the sensor must not move to a baud rate that the port lacks.
-    if let Err(error) = session.transport.set_baud_rate(baud_rate) {
+    if let Err(error) = session.set_baud_rate(baud_rate) {
         let source = session.transport.is_adjustable().then(|| Arc::new(error));
         if let Some(old) = old.filter(|_| session.transport.is_adjustable()) {
-            session.transport.set_baud_rate(old).map_err(lost)?;
+            session.set_baud_rate(old).map_err(lost)?;
         }
         return Err(ExchangeError::Command(ErrorKind::UnsupportedBaudRate { baud_rate, source }));
     }
     let Some(old) = old else {
         // Over USB the sensor accepts `S` without effect (C-42-3320-A p. 5).
-        return session.command_twice(command, &mut |_| ()).await.map(drop);
+        return session.command_twice(command).await.map(drop);
     };
-    session.transport.set_baud_rate(old).map_err(lost)?;
-    let status = match session.command(command, &mut |_| ()).await {
-        Ok((status, _)) => Some(status),
+    session.set_baud_rate(old).map_err(lost)?;
+    let status = match session.command(command).await {
+        Ok((reply, _)) => Some(reply.status()),
         // Without a reply, nothing tells whether the sensor has changed.
         Err(ExchangeError::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })) => {
             None
@@ -117,11 +117,11 @@ pub(crate) async fn change(
         return Err(LinkError::Silent(not_confirmed).into());
     }
     sleep(CHANGE_TIME).await;
-    session.transport.set_baud_rate(baud_rate).map_err(lost)?;
+    session.set_baud_rate(baud_rate).map_err(lost)?;
     if answers(session, 3).await? {
         return Ok(());
     }
-    session.transport.set_baud_rate(old).map_err(lost)?;
+    session.set_baud_rate(old).map_err(lost)?;
     if !session.is_closing() && answers(session, 3).await? {
         return Err(ExchangeError::Command(not_confirmed));
     }

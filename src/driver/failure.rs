@@ -34,7 +34,7 @@ impl ExchangeError {
 
     /// Names `command` in the error of a fence that was sent on its behalf: the caller
     /// knows nothing of fences.
-    pub(crate) fn of(self, command: Command) -> Self {
+    pub(crate) fn on_behalf_of(self, command: Command) -> Self {
         match self {
             Self::Link(LinkError::Silent(error)) => LinkError::Silent(match error {
                 ErrorKind::Timeout { after, .. } => ErrorKind::Timeout { command, after },

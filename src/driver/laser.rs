@@ -21,14 +21,14 @@ pub(crate) async fn set_laser(session: &mut Session, on: bool) -> Result<(), Exc
     let mut tries = 2;
     loop {
         tries -= 1;
-        let (status, _) = session.command_twice(command, &mut |_| ()).await?;
+        let (reply, _) = session.command_twice(command).await?;
         // The caller asked for `command` and knows nothing of fences.
-        let measured = session.fence().await.map_err(|error| error.of(command))?;
+        let measured = session.fence().await.map_err(|error| error.on_behalf_of(command))?;
         if measured.is_ok() == on {
             return Ok(());
         }
         if tries == 0 {
-            let (status, refusal) = (Some(status), Some(measured).filter(|_| on));
+            let (status, refusal) = (Some(reply.status()), Some(measured).filter(|_| on));
             return Err(ExchangeError::Command(ErrorKind::NotConfirmed {
                 command,
                 status,
@@ -52,8 +52,8 @@ impl LaserRecovery {
         Self { backoff: Backoff::new(RETRY, seed), failed: None }
     }
 
-    /// Notes that the laser is on, because a scan was received.
-    pub(crate) fn note_scan(&mut self) {
+    /// Records that the laser is on, because a scan was received.
+    pub(crate) fn record_scan(&mut self) {
         if self.failed.take().is_some() {
             self.backoff.restart();
         }
@@ -95,8 +95,8 @@ impl LaserRecovery {
         Err(ExchangeError::Command(error))
     }
 
-    /// Notes that the sensor refuses to measure although its laser is on.
-    pub(crate) fn note_refusal(&mut self) {
+    /// Records that the sensor refuses to measure although its laser is on.
+    pub(crate) fn record_refusal(&mut self) {
         self.failed = Some((None, Instant::now() + self.backoff.next()));
     }
 }

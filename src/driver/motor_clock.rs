@@ -105,10 +105,6 @@ const SHARE_REPLIES: f64 = 256.0;
 /// Least time from a request to the end of a revolution that answers it, in revolutions.
 const LEAST_WAIT: f64 = 0.1;
 
-/// Adding this to a number rounds the sum: floats from 2⁵² to 2⁵³ have no fraction. The middle
-/// of that range leaves room for negative numbers.
-const WHOLE: f64 = 1.5 * (1_u64 << 52) as f64;
-
 /// What is known of the revolution that a reply shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Revolution {
@@ -128,17 +124,22 @@ struct Misfits {
     /// Smallest lag behind the line of the agreeing misfits, in seconds.
     lag: f64,
     /// The same chance, of the row since the latest agreeing misfit.
-    stale: f64,
+    chance_since_agreeing: f64,
 }
 
 impl Misfits {
-    const NONE: Self =
-        Self { in_a_row: 0, chance: 1.0, agreeing: 0, lag: f64::INFINITY, stale: 1.0 };
+    const NONE: Self = Self {
+        in_a_row: 0,
+        chance: 1.0,
+        agreeing: 0,
+        lag: f64::INFINITY,
+        chance_since_agreeing: 1.0,
+    };
 }
 
-/// Line that a jump has replaced.
+/// Line that the latest jump has replaced.
 #[derive(Debug, Clone, Copy)]
-struct Former {
+struct ReplacedLine {
     /// Time from this line to the one that replaced it, in seconds.
     lag: f64,
     /// Weight of its phase.
@@ -154,8 +155,7 @@ struct Moments {
     determinant: f64,
 }
 
-/// Line through the ends of revolutions. Its times are in seconds from `origin`: a reply costs
-/// half the instructions that it would with the arithmetic of [`Instant`].
+/// Line through the ends of revolutions. Its times are in seconds from `origin`.
 #[derive(Debug, Clone)]
 pub(crate) struct MotorClock {
     origin: Instant,
@@ -183,7 +183,7 @@ pub(crate) struct MotorClock {
     answered: (Instant, f64),
     misfits: Misfits,
     /// Line before the latest jump, until the jump is certain.
-    former: Option<Former>,
+    replaced: Option<ReplacedLine>,
     jumps: u64,
 }
 
@@ -207,7 +207,7 @@ impl MotorClock {
             counted: ENOUGH as f64,
             answered: (origin, 0.0),
             misfits: Misfits::NONE,
-            former: None,
+            replaced: None,
             jumps: 0,
         }
     }
@@ -221,7 +221,7 @@ impl MotorClock {
     fn add(&mut self, requested: Instant, arrived: f64) -> Revolution {
         let Some(latest) = self.latest else { return self.start(arrived) };
         let since = arrived - latest;
-        let turns = nearest(since / self.period);
+        let turns = (since / self.period).round();
         let lag = since - turns * self.period;
         let end = latest + turns * self.period;
         let moments = self.moments(since, turns);
@@ -275,7 +275,7 @@ impl MotorClock {
     /// Adds a reply `lag` behind `end`, the end of a revolution on the line.
     fn fit(&mut self, moments: Moments, end: f64, lag: f64, arrived: f64) -> Revolution {
         self.misfits = Misfits::NONE;
-        self.note_share(MOST_SHARE);
+        self.update_share(MOST_SHARE);
         self.fitting += 1;
         // While the period is unknown, an early arrival says nothing about the edge.
         let weight = match self.fitting {
@@ -300,7 +300,7 @@ impl MotorClock {
         self.on_line(end, arrived)
     }
 
-    /// Notes a reply `lag` behind `end`, which is late unless the phase has changed.
+    /// Judges a reply `lag` after `end`, which is late unless the phase has changed.
     fn misfit(
         &mut self,
         requested: Instant,
@@ -318,7 +318,7 @@ impl MotorClock {
         let (answered, answer) = self.answered;
         let more = passed(wait) - passed(self.wait(answered, answer));
         let end = end - more.max(0.0) * self.period;
-        self.note_share(0.0);
+        self.update_share(0.0);
         if self.share < LEAST_SHARE {
             return self.start(arrived);
         }
@@ -326,13 +326,13 @@ impl MotorClock {
         let misfits = &mut self.misfits;
         misfits.in_a_row = misfits.in_a_row.saturating_add(1);
         misfits.chance *= late;
-        misfits.stale *= late;
+        misfits.chance_since_agreeing *= late;
         if (lag - misfits.lag).abs() <= gate {
             misfits.lag = misfits.lag.min(lag);
             misfits.agreeing += 1;
-            misfits.stale = 1.0;
-        } else if lag < misfits.lag || misfits.stale < CHANCE_OF_LATENESS {
-            (misfits.lag, misfits.agreeing, misfits.stale) = (lag, 1, 1.0);
+            misfits.chance_since_agreeing = 1.0;
+        } else if lag < misfits.lag || misfits.chance_since_agreeing < CHANCE_OF_LATENESS {
+            (misfits.lag, misfits.agreeing, misfits.chance_since_agreeing) = (lag, 1, 1.0);
         }
         let Misfits { in_a_row, chance, agreeing, lag, .. } = *misfits;
         if in_a_row < JUMP || chance >= CHANCE_OF_LATENESS {
@@ -341,7 +341,7 @@ impl MotorClock {
             self.start(arrived)
         } else if f64::from(agreeing) >= self.fewest_agreeing(in_a_row) {
             let [weight, ..] = self.sums;
-            self.former = Some(Former { lag, weight, chance });
+            self.replaced = Some(ReplacedLine { lag, weight, chance });
             // The agreeing ones were not late.
             self.share = (self.share + f64::from(agreeing) / self.counted).min(MOST_SHARE);
             let end = end + lag;
@@ -352,15 +352,15 @@ impl MotorClock {
         }
     }
 
-    /// Notes whether a reply fits the line.
-    fn note_share(&mut self, fits: f64) {
+    /// Updates the part of the replies that fit. `fits` is 0 for a reply that does not fit.
+    fn update_share(&mut self, fits: f64) {
         self.counted = (self.counted + 1.0).min(SHARE_REPLIES);
         self.share += (fits - self.share) / self.counted;
-        let Some(mut former) = self.former else { return };
-        former.chance *= self.chance_of_lateness();
-        let is_certain = former.chance < CHANCE_OF_A_FALSE_JUMP;
+        let Some(mut replaced) = self.replaced else { return };
+        replaced.chance *= self.chance_of_lateness();
+        let is_certain = replaced.chance < CHANCE_OF_A_FALSE_JUMP;
         self.jumps += u64::from(is_certain);
-        self.former = (!is_certain).then_some(former);
+        self.replaced = (!is_certain).then_some(replaced);
     }
 
     fn fewest_agreeing(&self, misfits: u8) -> f64 {
@@ -379,9 +379,9 @@ impl MotorClock {
 
     /// Corrects a line that an arrival shows to be late.
     fn early(&mut self, requested: Instant, arrived: f64) -> Revolution {
-        if let (Some(former), Some(latest)) = (self.former.take(), self.latest) {
+        if let (Some(replaced), Some(latest)) = (self.replaced.take(), self.latest) {
             // The replies that seemed to show a jump were late.
-            self.set_phase(latest - former.lag, former.weight);
+            self.set_phase(latest - replaced.lag, replaced.weight);
             return self.add(requested, arrived);
         }
         // A second early arrival this soon means that the period is wrong, too.
@@ -399,7 +399,7 @@ impl MotorClock {
         self.lateness = USUAL_LATENESS;
         self.fitting = 0;
         (self.share, self.counted) = (USUAL_SHARE, ENOUGH as f64);
-        self.former = None;
+        self.replaced = None;
         self.sums = [0.0; 3];
         self.set_phase(arrived, 1.0);
         self.at_arrival()
@@ -444,28 +444,15 @@ impl MotorClock {
     }
 }
 
-/// Rounds to the nearest whole number. `f64::round` is a function call on a processor
-/// without SSE 4.1.
-fn nearest(turns: f64) -> f64 {
-    turns + WHOLE - WHOLE
-}
-
 /// Seconds from one time to another. Negative if `to` is earlier.
 fn seconds(from: Instant, to: Instant) -> f64 {
     match to.checked_duration_since(from) {
-        Some(after) => in_seconds(after),
-        None => -in_seconds(from.duration_since(to)),
+        Some(after) => after.as_secs_f64(),
+        None => -from.duration_since(to).as_secs_f64(),
     }
 }
 
-/// `Duration::as_secs_f64` converts an unsigned number, which takes more instructions.
-fn in_seconds(duration: Duration) -> f64 {
-    duration.as_secs() as i64 as f64 + f64::from(duration.subsec_nanos()) * 1e-9
-}
-
-/// Duration of seconds to the nearest nanosecond, or zero if they are negative, in a tenth of
-/// the instructions that `Duration::from_secs_f64` takes. At most 26 days.
+/// Duration of these seconds, or zero if they are negative.
 fn duration(seconds: f64) -> Duration {
-    let nanos = (seconds * 1e9).clamp(0.0, WHOLE / 3.0);
-    Duration::from_nanos((nanos + WHOLE).to_bits() - WHOLE.to_bits())
+    Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }

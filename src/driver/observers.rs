@@ -2,7 +2,6 @@
 //! from it while the driver runs.
 
 use std::fmt;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::RawReply;
@@ -12,11 +11,7 @@ type Observers = Arc<[Arc<Observer>]>;
 
 /// Observers of all replies, in the order of their calls.
 #[derive(Default)]
-pub(crate) struct ReplyObservers {
-    /// False while the list is empty, so that a driver without observers takes no lock.
-    is_used: AtomicBool,
-    list: Mutex<Observers>,
-}
+pub(crate) struct ReplyObservers(Mutex<Observers>);
 
 impl ReplyObservers {
     pub(crate) fn add(&self, call: impl Fn(RawReply<'_>) + Send + Sync + 'static) {
@@ -36,41 +31,34 @@ impl ReplyObservers {
     fn add_shared(&self, observer: Arc<Observer>) {
         let mut list = self.locked();
         *list = list.iter().cloned().chain([observer]).collect();
-        self.is_used.store(true, Ordering::Relaxed);
     }
 
     fn remove(&self, observer: &Arc<Observer>) {
         let mut list = self.locked();
         let others = list.iter().filter(|other| !Arc::ptr_eq(other, observer));
         let others: Observers = others.cloned().collect();
-        self.is_used.store(!others.is_empty(), Ordering::Relaxed);
         // Dropped after the lock, because an observer may own an observation.
         let _before = std::mem::replace(&mut *list, others);
         drop(list);
     }
 
-    /// Passes `reply` to each observer. Builds it only if there is one.
-    pub(crate) fn pass<'a>(&self, reply: impl FnOnce() -> RawReply<'a>) {
-        if !self.is_used.load(Ordering::Relaxed) {
-            return;
-        }
+    /// Passes `reply` to each observer.
+    pub(crate) fn pass(&self, reply: RawReply<'_>) {
         // Called without the lock, so that an observer may add and remove others.
         let list = Arc::clone(&*self.locked());
-        let reply = reply();
         list.iter().for_each(|observer| observer(reply));
     }
 
     fn locked(&self) -> MutexGuard<'_, Observers> {
         // No code that holds the lock can panic.
-        self.list.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 /// Copies the list: what is added to the clone is not added to the original.
 impl Clone for ReplyObservers {
     fn clone(&self) -> Self {
-        let list = Arc::clone(&*self.locked());
-        Self { is_used: AtomicBool::new(!list.is_empty()), list: Mutex::new(list) }
+        Self(Mutex::new(Arc::clone(&*self.locked())))
     }
 }
 

@@ -33,7 +33,7 @@ pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
     config: Config,
     telemetry: Arc<Telemetry>,
-    wanted: Wanted,
+    desired: DesiredSettings,
     /// Baud rate of the sensor when it was last found.
     found: Option<BaudRate>,
     /// Expected sensor: the one asked for, or the first one found.
@@ -49,7 +49,7 @@ pub(crate) struct Opener {
 
 /// Settings that the service asked for, restored whenever the sensor may have lost them.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct DesiredSettings {
     pub(crate) laser: Option<bool>,
     pub(crate) baud_rate: Option<BaudRate>,
 }
@@ -63,7 +63,7 @@ impl Opener {
         let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
         let asked = asked.map(Text::from);
         Self {
-            wanted: Wanted { laser: None, baud_rate: config.baud_rate },
+            desired: DesiredSettings { laser: None, baud_rate: config.baud_rate },
             found: None,
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
@@ -76,8 +76,8 @@ impl Opener {
         }
     }
 
-    pub(crate) fn wanted(&mut self) -> &mut Wanted {
-        &mut self.wanted
+    pub(crate) fn desired(&mut self) -> &mut DesiredSettings {
+        &mut self.desired
     }
 
     pub(crate) fn serial_number(&self) -> Text {
@@ -190,7 +190,7 @@ impl Opener {
 
     /// Lists all six baud rates, likeliest first.
     fn baud_rates(&self) -> Vec<BaudRate> {
-        let likely = self.found.into_iter().chain(self.wanted.baud_rate).chain([BaudRate::B19200]);
+        let likely = self.found.into_iter().chain(self.desired.baud_rate).chain([BaudRate::B19200]);
         let mut baud_rates = Vec::with_capacity(BaudRate::ALL.len());
         for baud_rate in likely.chain(BaudRate::ALL) {
             if !baud_rates.contains(&baud_rate) {
@@ -242,7 +242,7 @@ impl Opener {
 
     /// Restores the settings that the service asked for.
     async fn restore(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
-        if let Some(baud_rate) = self.wanted.baud_rate
+        if let Some(baud_rate) = self.desired.baud_rate
             && session.transport.baud_rate().is_some_and(|now| now != baud_rate)
         {
             match baud_rate::change(session, baud_rate).await {
@@ -254,7 +254,7 @@ impl Opener {
                 outcome => outcome?,
             }
         }
-        if let Some(on) = self.wanted.laser {
+        if let Some(on) = self.desired.laser {
             set_laser(session, on).await?;
         }
         Ok(())

@@ -4,7 +4,6 @@
 #[cfg(test)]
 mod tests;
 
-use std::iter::repeat_n;
 use std::mem::{Discriminant, discriminant};
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,8 +11,8 @@ use std::time::Duration;
 use tokio::time::Instant;
 
 use super::rate_meter::RateMeter;
-use crate::ring::{Cursor, Pushed, Ring};
-use crate::scan::{Scan, ScanMeta};
+use crate::ring::{Cursor, Ring};
+use crate::scan::Scan;
 use crate::state::Telemetry;
 use crate::stats::{ScheduleStats, Shortfall};
 use crate::{Error, ErrorKind, Rate, Window};
@@ -36,10 +35,6 @@ struct Schedule {
     ring: Arc<Ring>,
     /// Next grid point. At [`Rate::UNLIMITED`], the end of the last poll.
     due: Instant,
-    sequence: u64,
-    /// Values of the latest scan that the ring has dropped. The next reply is decoded into
-    /// the same block unless another owner still holds it.
-    spare: Option<Arc<[u16]>>,
     /// Number of scans that readers had missed by the latest poll.
     missed: u64,
     /// Kind of the last error since the last scan.
@@ -55,22 +50,11 @@ pub(crate) struct DuePoll {
 }
 
 /// What the end of a poll changed.
-#[derive(Debug)]
-struct Ended {
-    /// Number of scans that readers have missed since the previous poll.
-    missed: u64,
-    /// True if a span of the rate meter is over.
-    changed: bool,
-    /// Why the rate falls short, if that is news.
-    shortfall: Option<Shortfall>,
-}
-
-/// Result of a poll.
 #[derive(Debug, Default)]
-pub(crate) struct Delivered {
-    /// True if the values equal the previous ones.
-    pub(crate) repeat: bool,
-    /// Why the rate is not reached, reported once.
+pub(crate) struct Ended {
+    /// True if the scan's values equal the previous ones.
+    pub(crate) repeats: bool,
+    /// Why the rate falls short, if that is news.
     pub(crate) shortfall: Option<Shortfall>,
 }
 
@@ -145,50 +129,38 @@ impl Schedules {
         }
     }
 
-    /// Takes the block for decoding the reply to `poll`.
-    pub(crate) fn take_spare(&mut self, poll: DuePoll) -> Arc<[u16]> {
-        // Room for the extra points of a widened request.
-        let points = poll.window.points() + usize::from(Window::MAX_EXTRA_POINTS);
-        let spare = self.find(poll.window, poll.rate).and_then(|schedule| schedule.spare.take());
-        spare.unwrap_or_else(|| repeat_n(0, points).collect())
-    }
-
-    /// Delivers the `values` that `poll` received. Those before `first` are outside its
-    /// window.
-    pub(crate) fn deliver(
-        &mut self,
-        poll: DuePoll,
-        values: Arc<[u16]>,
-        first: usize,
-        mut meta: ScanMeta,
-    ) -> Delivered {
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
-        meta.sequence = schedule.sequence;
-        schedule.sequence += 1;
+    /// Delivers the scan that `poll` received.
+    pub(crate) fn deliver(&mut self, poll: DuePoll, scan: Scan) -> Ended {
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
-        let scan = Scan::new(poll.window, values, first, meta);
         let latency = scan.received_at().saturating_duration_since(scan.requested_at());
         schedule.speed.count_scan(latency, scan.scan_time());
-        let Pushed { displaced, repeats, missed } = schedule.ring.push(scan);
-        schedule.spare = displaced.map(Scan::into_block);
-        let ended = schedule.end_poll(missed);
-        Delivered { repeat: repeats, shortfall: self.note_end(ended) }
+        let repeats = schedule.ring.push(scan);
+        Ended { repeats, shortfall: self.end_poll(poll) }
     }
 
     /// Reports the error of one poll.
-    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) -> Delivered {
-        let Some(schedule) = self.find(poll.window, poll.rate) else { return Delivered::default() };
+    pub(crate) fn fail(&mut self, poll: DuePoll, error: &Error) -> Ended {
+        let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        let ended = schedule.end_poll(schedule.ring.missed());
-        Delivered { repeat: false, shortfall: self.note_end(ended) }
+        Ended { repeats: false, shortfall: self.end_poll(poll) }
     }
 
-    /// Adds the results of a finished poll to the totals, and returns its shortfall.
-    fn note_end(&mut self, ended: Ended) -> Option<Shortfall> {
-        self.changed |= ended.changed;
-        self.missed += ended.missed;
-        ended.shortfall
+    /// Ends a poll, and returns why the rate falls short, if that is news. At [`Rate::UNLIMITED`] the
+    /// next poll is due now.
+    fn end_poll(&mut self, poll: DuePoll) -> Option<Shortfall> {
+        let now = Instant::now();
+        let schedule = self.find(poll.window, poll.rate)?;
+        if poll.rate.period().is_none() {
+            schedule.due = now;
+        }
+        let missed = schedule.newly_missed();
+        let span = schedule.speed.finish_span(now);
+        let shortfall = span.and_then(|span| schedule.speed.report(span));
+        self.missed += missed;
+        self.changed |= span.is_some();
+        shortfall
     }
 
     /// Reports a lost link to all streams.
@@ -207,7 +179,7 @@ impl Schedules {
     }
 
     /// Publishes the statistics if they have changed.
-    pub(crate) fn note(&mut self, telemetry: &Telemetry) {
+    pub(crate) fn publish(&mut self, telemetry: &Telemetry) {
         if std::mem::take(&mut self.changed) {
             let rings = self.all.iter().map(|one| (one.stats(), Arc::downgrade(&one.ring)));
             telemetry.set_schedules(rings);
@@ -238,7 +210,7 @@ impl Schedules {
         all.retain_mut(|schedule| {
             let read = schedule.ring.readers() > 0;
             if !read {
-                *missed += schedule.newly_missed(schedule.ring.missed());
+                *missed += schedule.newly_missed();
                 *changed = true;
             }
             read
@@ -258,8 +230,6 @@ impl Schedule {
             rate,
             ring: Ring::new(),
             due: now,
-            sequence: 0,
-            spare: None,
             missed: 0,
             condition: None,
             speed: RateMeter::new(rate, now),
@@ -289,9 +259,9 @@ impl Schedule {
         skipped
     }
 
-    /// Number of scans that readers missed since the last call. They missed `missed` in
-    /// total.
-    fn newly_missed(&mut self, missed: u64) -> u64 {
+    /// Number of scans that readers missed since the last call.
+    fn newly_missed(&mut self) -> u64 {
+        let missed = self.ring.missed();
         missed - std::mem::replace(&mut self.missed, missed)
     }
 
@@ -313,18 +283,5 @@ impl Schedule {
             failed: span.map_or(0, |span| span.failed),
             shortfall: span.and_then(|span| span.shortfall),
         }
-    }
-
-    /// Ends a poll. At [`Rate::UNLIMITED`] the next poll is due now.
-    fn end_poll(&mut self, missed: u64) -> Ended {
-        let (now, missed) = (Instant::now(), self.newly_missed(missed));
-        if self.rate.period().is_none() {
-            self.due = now;
-        }
-        let Some(span) = self.speed.finish_span(now) else {
-            return Ended { missed, changed: false, shortfall: None };
-        };
-        let shortfall = self.speed.report(span);
-        Ended { missed, changed: true, shortfall }
     }
 }

@@ -1,22 +1,18 @@
 //! Serves an open session: requests and polls in turn.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep_until};
 
 use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::{LaserRecovery, Refusal, set_laser};
 use super::motor_clock::{MotorClock, Revolution};
-use super::open::Wanted;
+use super::open::DesiredSettings;
 use super::poll_timer::PollTimer;
-use super::probe::Probe;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
-use super::schedule::{Delivered, DuePoll, Schedules};
+use super::schedule::{DuePoll, Ended, Schedules};
 use super::session::{Polled, Session};
-use super::transport::Timing;
-use crate::protocol::Status;
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::{ScheduleStats, Shortfall};
@@ -49,10 +45,11 @@ impl From<Abandoned> for Stop {
 pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
-    pub(crate) wanted: &'a mut Wanted,
+    pub(crate) desired: &'a mut DesiredSettings,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
-    pub(crate) probe: Probe,
+    /// Silence after which an idle link is probed with a fence, if it is.
+    pub(crate) probe_interval: Option<Duration>,
     pub(crate) motor_clock: MotorClock,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
@@ -68,7 +65,7 @@ impl Service<'_> {
         self.schedules.resume(Instant::now());
         let mut request_served = false;
         loop {
-            let outcome = self.turn(session, &mut request_served).await;
+            let outcome = self.serve_next(session, &mut request_served).await;
             if let Err(stop) = outcome {
                 return stop;
             }
@@ -77,18 +74,22 @@ impl Service<'_> {
 
     /// Serves one request or one poll, or waits for either. Alternates when both are due,
     /// so that neither starves the other.
-    async fn turn(&mut self, session: &mut Session, request_served: &mut bool) -> Result<(), Stop> {
-        let probe = self.probe.due(session.transport.received());
-        if probe.is_some_and(|due| due <= Instant::now()) {
-            session.transport.mark_dirty();
-        }
+    async fn serve_next(
+        &mut self,
+        session: &mut Session,
+        request_served: &mut bool,
+    ) -> Result<(), Stop> {
+        // Only bytes from the sensor show that the link is alive: some requests are answered
+        // without it.
+        let latest = session.transport.latest_at();
+        let probe = self.probe_interval.zip(latest).map(|(interval, latest)| latest + interval);
         // Now, while nothing else is due, a fence delays no poll.
-        if session.transport.is_dirty() {
+        if !session.is_settled() || probe.is_some_and(|due| due <= Instant::now()) {
             let outcome = self.resynchronise(session).await;
             ignore_command_errors(outcome)?;
         }
-        let polling = !self.schedules.is_empty() && self.wanted.laser != Some(false);
-        self.note_streaming(polling);
+        let polling = !self.schedules.is_empty() && self.desired.laser != Some(false);
+        self.publish_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
         let poll_is_due = due.is_some_and(|due| due <= Instant::now());
         if !(*request_served && poll_is_due)
@@ -112,11 +113,12 @@ impl Service<'_> {
         Ok(())
     }
 
-    /// Sends a fence. If the sensor answers with a distance although its laser should be
+    /// Drops pending input and sends a fence. If the sensor answers with a distance although its laser should be
     /// off, it was reset: switches the laser off again.
     async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
-        let status = session.settle().await?;
-        if self.wanted.laser == Some(false) && status.is_some_and(Status::is_ok) {
+        session.discard_pending().await?;
+        let status = session.fence().await?;
+        if self.desired.laser == Some(false) && status.is_ok() {
             set_laser(session, false).await?;
         }
         Ok(())
@@ -133,14 +135,14 @@ impl Service<'_> {
             Request::Laser { on, responder } => {
                 // Also on failure: the driver restores the setting whenever it finds the
                 // sensor again.
-                self.wanted.laser = Some(on);
+                self.desired.laser = Some(on);
                 self.telemetry.set_laser_off(!on);
                 let outcome = set_laser(session, on).await;
                 if on {
                     self.schedules.resume(Instant::now());
                 } else {
                     self.schedules.pause();
-                    self.note_schedules();
+                    self.schedules.publish(self.telemetry);
                 }
                 Self::respond(responder, outcome)
             }
@@ -148,8 +150,8 @@ impl Service<'_> {
                 let before = session.transport.baud_rate();
                 let mut outcome = baud_rate::change(session, baud_rate).await;
                 if outcome.is_ok() {
-                    self.wanted.baud_rate = Some(baud_rate);
-                    if self.wanted.laser == Some(false) {
+                    self.desired.baud_rate = Some(baud_rate);
+                    if self.desired.laser == Some(false) {
                         // The sensor may have restarted unnoticed.
                         outcome = set_laser(session, false).await;
                     }
@@ -166,7 +168,7 @@ impl Service<'_> {
             Request::Subscribe { window, rate, depth, responder } => {
                 // Drops the stream if no caller waits for it.
                 let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
-                self.note_schedules();
+                self.schedules.publish(self.telemetry);
                 Ok(())
             }
             Request::Close(responder) => Err(Stop::Closed(responder)),
@@ -174,102 +176,79 @@ impl Service<'_> {
     }
 
     async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
-        if self.wanted.laser == Some(false) {
+        if self.desired.laser == Some(false) {
             return Err(ExchangeError::Command(ErrorKind::LaserOff));
         }
         let mut tries = 2;
         loop {
             tries -= 1;
-            let mut values = Arc::default();
-            match self.poll(session, window, false, &mut values).await {
-                Ok(Polled { timing, first }) => {
-                    return Ok(Scan::new(window, values, first, self.meta(timing)));
-                }
+            match self.poll(session, window).await {
                 Err(ExchangeError::Command(
                     ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
                 )) if tries > 0 && !self.telemetry.is_closing() => {}
-                Err(failure) => return Err(failure),
+                outcome => return outcome,
             }
         }
     }
 
     async fn poll_due(&mut self, session: &mut Session) -> Result<(), Stop> {
         let Some((poll, skipped)) = self.schedules.take_due(Instant::now()) else {
-            self.note_schedules();
+            self.schedules.publish(self.telemetry);
             return Ok(());
         };
-        let mut values = self.schedules.take_spare(poll);
-        let (outcome, delivered) = match self
-            .poll(session, poll.window, poll.rate.period().is_some(), &mut values)
-            .await
+        // Instead of a fence, which costs a revolution: the line is then as quiet as before a
+        // poll of a slower grid.
+        if poll.rate.period().is_some()
+            && let Some(copies_end) = session.copies_end(poll.window)
         {
-            Ok(Polled { timing, first }) => {
-                let meta = self.meta(timing);
-                (Ok(()), self.schedules.deliver(poll, values, first, meta))
-            }
+            sleep_until(copies_end).await;
+        }
+        let (outcome, ended) = match self.poll(session, poll.window).await {
+            Ok(scan) => (Ok(()), self.schedules.deliver(poll, scan)),
             Err(failure) => match command_error(failure) {
                 Ok(kind) => (Ok(()), self.schedules.fail(poll, &self.telemetry.error(kind))),
-                Err(failure) => (Err(failure.into()), Delivered::default()),
+                Err(failure) => (Err(failure.into()), Ended::default()),
             },
         };
-        if let Some(shortfall) = delivered.shortfall
+        if let Some(shortfall) = ended.shortfall
             && let Some(stats) = self.schedules.stats(poll)
         {
             warn_of(shortfall, poll, stats);
         }
         let mut stats = self.telemetry.stats();
-        stats.repeats += u64::from(delivered.repeat);
+        stats.repeats += u64::from(ended.repeats);
         stats.polls_skipped += skipped;
         stats.missed = self.schedules.missed();
         drop(stats);
-        self.note_schedules();
+        self.schedules.publish(self.telemetry);
         outcome
     }
 
-    /// Polls, and records the scan or the reason why there is none.
-    async fn poll(
-        &mut self,
-        session: &mut Session,
-        window: Window,
-        can_wait: bool,
-        values: &mut Arc<[u16]>,
-    ) -> Result<Polled, ExchangeError> {
-        let outcome = self.poll_with_laser(session, window, can_wait, values).await;
-        match &outcome {
-            Ok(Polled { timing, .. }) => {
-                self.telemetry.stats().scanned(timing.requested, timing.received);
+    /// Polls, and records the scan or the reason why there is none. If the sensor refuses
+    /// because its laser is off, and this driver did not switch it off, switches it on and polls
+    /// once more.
+    async fn poll(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
+        let mut outcome = session.poll(window).await;
+        if let Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) = outcome {
+            let refusal = Refusal { command, status };
+            outcome = match self.laser_recovery.switch_on(session, refusal).await {
+                Ok(()) => session.poll(window).await,
+                Err(failure) => Err(failure),
+            };
+            if let Err(ExchangeError::Command(ErrorKind::Refused { .. })) = &outcome {
+                self.laser_recovery.record_refusal();
             }
-            Err(failure) => self.telemetry.fail(failure.kind().clone()),
         }
-        outcome
-    }
-
-    /// Polls. If the sensor refuses because its laser is off, and this driver did not
-    /// switch it off, switches it on and polls once more.
-    async fn poll_with_laser(
-        &mut self,
-        session: &mut Session,
-        window: Window,
-        can_wait: bool,
-        values: &mut Arc<[u16]>,
-    ) -> Result<Polled, ExchangeError> {
-        let refusal = match session.poll(window, can_wait, values).await {
-            Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) => {
-                Refusal { command, status }
+        match outcome {
+            Ok(polled) => {
+                self.laser_recovery.record_scan();
+                Ok(self.scan_from(window, polled))
             }
-            outcome => {
-                if outcome.is_ok() {
-                    self.laser_recovery.note_scan();
-                }
-                return outcome;
+            Err(failure) => {
+                self.telemetry.fail(failure.kind().clone());
+                Err(failure)
             }
-        };
-        self.laser_recovery.switch_on(session, refusal).await?;
-        let outcome = session.poll(window, can_wait, values).await;
-        if let Err(ExchangeError::Command(ErrorKind::Refused { .. })) = &outcome {
-            self.laser_recovery.note_refusal();
         }
-        outcome
     }
 
     /// Answers a request. Also returns a reason to stop if the line failed.
@@ -286,14 +265,18 @@ impl Service<'_> {
         stop
     }
 
-    /// Returns the properties of a new scan, whose arrival tells about the motor.
-    fn meta(&mut self, timing: Timing) -> ScanMeta {
+    /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
+    fn scan_from(&mut self, window: Window, polled: Polled) -> Scan {
+        let Polled { values, first, timing } = polled;
         let revolution = match timing.is_replayed {
             true => Revolution::default(),
             false => self.motor_clock.observe(timing.requested, timing.began),
         };
-        self.telemetry.stats().motor = self.motor_clock.stats();
-        ScanMeta {
+        let mut stats = self.telemetry.stats();
+        stats.scanned(timing.requested, timing.received);
+        stats.motor = self.motor_clock.stats();
+        drop(stats);
+        let meta = ScanMeta {
             sequence: 0,
             requested_at: timing.requested,
             first_byte_at: timing.began,
@@ -303,18 +286,15 @@ impl Service<'_> {
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
             reconnects: self.reconnects,
-        }
+        };
+        Scan::new(window, values, first, meta)
     }
 
     /// Updates the state only on a change, because a user may hold a borrow of it.
-    fn note_streaming(&mut self, now: bool) {
+    fn publish_streaming(&mut self, now: bool) {
         if std::mem::replace(&mut self.streaming, now) != now {
             self.telemetry.set_streaming(now);
         }
-    }
-
-    fn note_schedules(&mut self) {
-        self.schedules.note(self.telemetry);
     }
 }
 

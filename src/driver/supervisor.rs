@@ -1,11 +1,13 @@
 //! Keeps a session open: connects, and after a lost link recovers or reconnects and
 //! restores the service's settings.
 
-use std::future::Future;
+use std::any::Any;
+use std::future::{Future, poll_fn};
 use std::mem::discriminant;
-use std::panic::resume_unwind;
-use std::pin::pin;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::pin::{Pin, pin};
 use std::sync::Arc;
+use std::task::Poll;
 
 use tokio::time::{Instant, sleep};
 
@@ -15,9 +17,7 @@ use super::failure::LinkError;
 use super::laser::LaserRecovery;
 use super::motor_clock::MotorClock;
 use super::open::Opener;
-use super::panic;
 use super::poll_timer::PollTimer;
-use super::probe::Probe;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
@@ -67,7 +67,7 @@ impl Supervisor {
 
     /// Runs until the driver is closed or abandoned, or the link is lost permanently.
     pub(crate) async fn run(mut self) -> Result<(), Error> {
-        let outcome = panic::catch(pin!(self.supervise())).await;
+        let outcome = catch_panic(pin!(self.supervise())).await;
         match outcome {
             Ok(Stop::Closed(responder)) => {
                 self.end(None);
@@ -85,7 +85,7 @@ impl Supervisor {
                 Err(error)
             }
             Err(payload) => {
-                let message = panic::message(&*payload);
+                let message = panic_message(&*payload);
                 let error = self.telemetry.error(ErrorKind::Panicked { message });
                 self.end(Some(&error));
                 resume_unwind(payload)
@@ -111,7 +111,7 @@ impl Supervisor {
         loop {
             let since = Instant::now();
             let stop = self.serve(&mut session).await;
-            self.backoff.note_uptime(since.elapsed());
+            self.backoff.restart_if_outlasted(since.elapsed());
             let next = match stop {
                 Stop::Link(LinkError::Silent(kind)) => Box::pin(self.recover(session, kind)).await,
                 Stop::Link(LinkError::Lost(kind)) => Box::pin(self.reconnect(session, kind)).await,
@@ -129,16 +129,15 @@ impl Supervisor {
         let serial_number = self.opener.serial_number();
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
         let scan_time = self.opener.scan_time();
-        let probe =
-            Probe::new(self.config.idle_probe.interval(session.transport.can_die_silently()));
+        let probe_interval = self.config.idle_probe.interval(session.transport.can_die_silently());
         let reconnects = self.telemetry.stats().reconnects;
         let mut service = Service {
             queue: &mut self.offline.queue,
             schedules: &mut self.offline.schedules,
-            wanted: self.opener.wanted(),
+            desired: self.opener.desired(),
             telemetry: &self.telemetry,
             scan_time,
-            probe,
+            probe_interval,
             motor_clock: MotorClock::new(scan_time),
             reconnects,
             laser_recovery: LaserRecovery::new(self.config.seed()),
@@ -156,7 +155,7 @@ impl Supervisor {
         let mut latest: Option<ErrorKind> = None;
         loop {
             // Streams see no error yet; the state has the reason.
-            let kind = match self.offline.attend(None, self.opener.open()).await? {
+            let kind = match self.offline.run(None, self.opener.open()).await? {
                 Ok(session) => return Ok(session),
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
                 Err(failure) => failure.into_kind(),
@@ -170,7 +169,7 @@ impl Supervisor {
             }
             let error = self.telemetry.error(kind.clone());
             self.telemetry.enter(State::Connecting { error: Some(error) });
-            self.offline.attend(None, sleep(self.backoff.next())).await?;
+            self.offline.run(None, sleep(self.backoff.next())).await?;
             latest = Some(kind);
         }
     }
@@ -180,7 +179,7 @@ impl Supervisor {
     async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
         let error = self.telemetry.error(kind.clone());
-        let found = self.offline.attend(Some(&error), self.opener.find_again(&mut session)).await?;
+        let found = self.offline.run(Some(&error), self.opener.find_again(&mut session)).await?;
         match found {
             Ok(()) => {
                 self.telemetry.stats().reconnects += 1;
@@ -212,8 +211,8 @@ impl Supervisor {
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
         loop {
-            self.offline.attend(Some(&latest), sleep(self.backoff.next())).await?;
-            let error = match self.offline.attend(Some(&latest), self.opener.open()).await? {
+            self.offline.run(Some(&latest), sleep(self.backoff.next())).await?;
+            let error = match self.offline.run(Some(&latest), self.opener.open()).await? {
                 Ok(session) => {
                     self.telemetry.stats().reconnects += 1;
                     return Ok(session);
@@ -233,15 +232,15 @@ impl Supervisor {
 }
 
 impl OfflineQueue {
-    /// Notes that polling has stopped, so that no schedule shows a rate.
+    /// Stops polling, so that no schedule shows a rate.
     fn pause(&mut self) {
         self.schedules.pause();
-        self.schedules.note(&self.telemetry);
+        self.schedules.publish(&self.telemetry);
     }
 
     /// Runs `work` while there is no link, and serves the requests that need none. New
     /// schedules begin with `trouble`, if any.
-    async fn attend<T>(
+    async fn run<T>(
         &mut self,
         trouble: Option<&Error>,
         work: impl Future<Output = T>,
@@ -285,4 +284,24 @@ impl Drop for FinalState {
             self.0.enter(State::Closed { error: None });
         }
     }
+}
+
+/// Runs `work`, and turns its panic into an output, so that each caller gets it as the cause.
+/// Never polls `work` again after a panic; whatever it borrows must tolerate that.
+///
+/// `std::thread::panicking` does not work: it is also true while another panic drops the runtime
+/// and the driver with it.
+fn catch_panic<T>(
+    mut work: Pin<&mut impl Future<Output = T>>,
+) -> impl Future<Output = Result<T, Box<dyn Any + Send>>> {
+    poll_fn(move |cx| match catch_unwind(AssertUnwindSafe(|| work.as_mut().poll(cx))) {
+        Ok(outcome) => outcome.map(Ok),
+        Err(payload) => Poll::Ready(Err(payload)),
+    })
+}
+
+/// Extracts the message of a panic.
+fn panic_message(payload: &(dyn Any + Send)) -> String {
+    let text = payload.downcast_ref::<String>().map(String::as_str);
+    text.or(payload.downcast_ref::<&str>().copied()).unwrap_or("no message").to_owned()
 }

@@ -11,8 +11,7 @@
 //! let frame = b"G38438501\n0\nCB06"; // as received, without the two LFs at its end
 //! let reply = Reply::parse(&command, frame)?;
 //!
-//! let mut values = Vec::new();
-//! reply.values_into(&mut values);
+//! let values = reply.values();
 //! assert_eq!(Measurement::from_value(values[0]), Measurement::Distance(1234));
 //! assert_eq!(Measurement::from_value(values[1]).range(), f32::INFINITY); // error code 6
 //! # Ok::<(), Box<dyn std::error::Error>>(())

@@ -4,114 +4,46 @@
 //! SCIP 1.1 has no checksum, so every other sign of damage is checked. A frame that
 //! passes has exactly the shape that its command asked for.
 
+use std::iter::repeat_n;
 use std::sync::Arc;
 
 use super::malformed::{foreign, no_status};
 use super::window::BLOCK;
-use super::{Command, MalformedError, ReplyError, Status, Window};
+use super::{Command, MalformedError, ReplyError, Status};
 
 /// First of the 64 characters that carry 6 bits (p. 5).
 const FIRST_CHARACTER: u8 = 0x30;
 const FIRST_PAIR: u16 = u16::from_le_bytes([FIRST_CHARACTER; 2]);
 
 /// Complete, well-formed reply to a [`Command`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reply<'a> {
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reply {
     status: Status,
-    data: &'a [u8],
-    /// Number of values in the data of a successful `G`, otherwise 0.
-    points: usize,
+    /// Data of a successful `V`, otherwise empty.
+    text: Vec<u8>,
+    /// Values of a successful `G`, otherwise empty.
+    values: Arc<[u16]>,
 }
 
-impl<'a> Reply<'a> {
-    /// Validates `frame`, a reply without its terminator, against `command`.
+impl Reply {
+    /// Validates `frame`, a reply without its terminator, against `command`, and decodes it.
     ///
     /// # Errors
     ///
     /// Returns a [`ReplyError`] unless the frame is exactly what a SCIP 1.1 sensor
     /// answers to this command: the same bytes back, a status of one character, data of
     /// the right shape after success, and no data after any other status.
-    pub fn parse(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
-        // On the stack: the check decodes all values, and the caller does not need them.
-        let mut values = [0; Window::FULL.points()];
-        let values = values.get_mut(..points(command)).unwrap_or_default();
-        Self::parse_slice(command, frame, values)
-    }
-
-    /// Parses like [`parse`](Self::parse), and replaces `values` by the values of the
-    /// reply, 0..=4095 each, in the order of their steps. Use it to decode and check in
-    /// one pass. Leaves `values` empty unless the reply is a successful `G`.
-    ///
-    /// # Errors
-    ///
-    /// The same as [`parse`](Self::parse).
     ///
     /// ```
     /// use tokio_scip::protocol::{Command, Reply, Window};
     ///
     /// let command = Command::Distances(Window::new(384..=385)?);
-    /// let mut values = Vec::new();
-    /// Reply::parse_into(&command, b"G38438501\n0\nCB06", &mut values)?;
-    /// assert_eq!(values, [1234, 6]);
+    /// let reply = Reply::parse(&command, b"G38438501\n0\nCB06")?;
+    /// assert!(reply.status().is_ok());
+    /// assert_eq!(reply.values(), [1234, 6]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    #[doc(hidden)] // For the driver and benches.
-    pub fn parse_into(
-        command: &Command,
-        frame: &'a [u8],
-        values: &mut Vec<u16>,
-    ) -> Result<Self, ReplyError> {
-        // Does nothing if the previous reply had the same number.
-        values.resize(points(command), 0);
-        let outcome = Self::parse_slice(command, frame, values);
-        match &outcome {
-            Ok(reply) if reply.status.is_ok() => {}
-            _ => values.clear(),
-        }
-        outcome
-    }
-
-    /// Parses like [`parse`](Self::parse), and writes the values of a successful `G` to
-    /// the front of `values`. Reuses their block if it is not shared and has room;
-    /// otherwise allocates one that is not shorter. So a scan shares the block that its
-    /// reply was decoded into. After any other reply, and after an error, the content of
-    /// `values` is unspecified.
-    ///
-    /// # Errors
-    ///
-    /// The same as [`parse`](Self::parse).
-    ///
-    /// ```
-    /// use std::sync::Arc;
-    /// use tokio_scip::protocol::{Command, Reply, Window};
-    ///
-    /// let command = Command::Distances(Window::new(384..=385)?);
-    /// let mut values = Arc::default();
-    /// Reply::parse_into_shared(&command, b"G38438501\n0\nCB06", &mut values)?;
-    /// assert_eq!(*values, [1234, 6]);
-    /// # Ok::<(), Box<dyn std::error::Error>>(())
-    /// ```
-    #[doc(hidden)] // For the driver and benches.
-    pub fn parse_into_shared(
-        command: &Command,
-        frame: &'a [u8],
-        values: &mut Arc<[u16]>,
-    ) -> Result<Self, ReplyError> {
-        let points = points(command);
-        if let Some(block) = Arc::get_mut(values).and_then(|block| block.get_mut(..points)) {
-            return Self::parse_slice(command, frame, block);
-        }
-        *values = std::iter::repeat_n(0, values.len().max(points)).collect();
-        let block = Arc::get_mut(values).and_then(|block| block.get_mut(..points));
-        Self::parse_slice(command, frame, block.unwrap_or_default())
-    }
-
-    /// Parses, and replaces `values`, one for each [point](points) of the command.
-    fn parse_slice(
-        command: &Command,
-        frame: &'a [u8],
-        values: &mut [u16],
-    ) -> Result<Self, ReplyError> {
+    pub fn parse(command: &Command, frame: &[u8]) -> Result<Self, ReplyError> {
         let rest = match command.strip_echo(frame) {
             Some([b'\n', rest @ ..]) => rest,
             Some([]) => return Err(MalformedError::NoStatus.into()),
@@ -123,22 +55,20 @@ impl<'a> Reply<'a> {
             [status @ b'!'..=b'~'] => (Status::new(*status), None),
             _ => return Err(no_status(rest)),
         };
-        match (data, status.is_ok(), command) {
+        let (text, values) = match (data, status.is_ok(), command) {
             (Some(data), true, Command::Distances(window)) => {
-                if !decode(data, values) {
-                    find_fault(data, window.points() * 2)?;
-                }
-                Ok(Self { status, data, points: window.points() })
+                (Vec::new(), decode(data, window.points())?)
             }
             (None | Some([]), true, Command::Version) | (None, true, Command::Distances(_)) => {
-                Err(MalformedError::NoData.into())
+                return Err(MalformedError::NoData.into());
             }
-            (Some(data), true, Command::Version) => Ok(Self { status, data, points: 0 }),
-            (None, ..) => Ok(Self { status, data: &[], points: 0 }),
+            (Some(data), true, Command::Version) => (data.to_vec(), Arc::default()),
+            (None, ..) => (Vec::new(), Arc::default()),
             (Some(data), ..) => {
-                Err(MalformedError::UnexpectedData { status, bytes: data.len() }.into())
+                return Err(MalformedError::UnexpectedData { status, bytes: data.len() }.into());
             }
-        }
+        };
+        Ok(Self { status, text, values })
     }
 
     /// Finds the reply to `command` at the end of `frame`, whatever precedes it. A reply
@@ -153,7 +83,7 @@ impl<'a> Reply<'a> {
     /// The errors of [`Reply::parse`] for the whole frame, if it does not end with the
     /// reply.
     #[doc(hidden)] // For the driver and tests.
-    pub fn parse_end(command: &Command, frame: &'a [u8]) -> Result<Self, ReplyError> {
+    pub fn parse_end(command: &Command, frame: &[u8]) -> Result<Self, ReplyError> {
         // With data and without. Both lengths include the two LFs.
         let lengths = [command.reply_len() - 2, command.bytes().len() + 2];
         lengths
@@ -169,34 +99,40 @@ impl<'a> Reply<'a> {
         self.status
     }
 
-    /// Frame of a reply to `command`, as it was parsed.
-    pub(crate) fn frame(&self, command: &Command) -> Vec<u8> {
-        let status = [b'\n', self.status.character(), b'\n'];
-        [&*command.bytes(), &status, self.data].concat()
+    /// Values of a successful `G`, 0..=4095 each, in the order of their steps. Empty for any
+    /// other reply.
+    pub fn values(&self) -> &[u16] {
+        &self.values
     }
 
-    /// Iterates over the lines after the status, except empty ones.
-    pub fn lines(&self) -> impl Iterator<Item = &'a [u8]> {
-        self.data.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
+    pub(crate) fn into_values(self) -> Arc<[u16]> {
+        self.values
     }
 
-    /// Appends the values of a successful `G`, 0..=4095 each, in the order of their
-    /// steps. Appends nothing for any other reply.
-    #[doc(hidden)] // For the driver and tests.
-    pub fn values_into(&self, values: &mut Vec<u16>) {
-        let before = values.len();
-        values.resize(before + self.points, 0);
-        let fresh = values.get_mut(before..).unwrap_or_default();
-        if !fresh.is_empty() {
-            decode(self.data, fresh);
-        }
+    /// Iterates over the lines of a successful `V` after the status, except empty ones.
+    pub fn lines(&self) -> impl Iterator<Item = &[u8]> {
+        self.text.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
+    }
+
+    /// Frame of a reply to `V`, as it was parsed.
+    pub(crate) fn version_frame(&self) -> Vec<u8> {
+        [&b"V\n"[..], &[self.status.character(), b'\n'], &self.text].concat()
     }
 }
 
-/// Decodes the data of a `G` reply into `values`. Returns true if the data has the right
-/// shape for `values.len()` values: if [`find_fault`] finds no fault, but many times as
-/// fast.
-fn decode(data: &[u8], values: &mut [u16]) -> bool {
+/// Decodes the data of a `G` reply with this number of `points`. Fails if [`find_fault`] finds a
+/// fault, but checks many times as fast.
+fn decode(data: &[u8], points: usize) -> Result<Arc<[u16]>, MalformedError> {
+    let mut values: Arc<[u16]> = repeat_n(0, points).collect();
+    let is_whole = Arc::get_mut(&mut values).is_some_and(|values| decode_into(data, values));
+    if !is_whole {
+        find_fault(data, points * 2)?;
+    }
+    Ok(values)
+}
+
+/// Decodes the data into `values`. Returns true if it has the right shape for their number.
+fn decode_into(data: &[u8], values: &mut [u16]) -> bool {
     let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
     let right_length = data.len() == 2 * values.len() + lines.len() && !last.is_empty();
     let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
@@ -227,14 +163,6 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), MalformedError> {
         left -= expected;
     }
     if left == 0 { Ok(()) } else { Err(MalformedError::Short { expected, found: expected - left }) }
-}
-
-/// Number of values in a successful reply to `command`.
-fn points(command: &Command) -> usize {
-    match command {
-        Command::Distances(window) => window.points(),
-        _ => 0,
-    }
 }
 
 /// Returns true for the 64 characters that carry 6 bits: `0` to `o`.

@@ -36,7 +36,7 @@ pub struct Version {
 
 impl Version {
     /// Parses the lines of a reply to `V`. Never fails: see [`Version`].
-    pub fn from_reply(reply: &Reply<'_>) -> Self {
+    pub fn from_reply(reply: &Reply) -> Self {
         let mut version = Self::default();
         for line in reply.lines() {
             let (name, value) = match line.iter().position(|&byte| byte == b':') {

@@ -4,26 +4,18 @@ use futures::FutureExt;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::task::{Context, Wake, Waker};
-use tokio::time::Instant;
 
 use super::*;
-use crate::scan::ScanMeta;
 use crate::{ErrorKind, Window};
 
-pub(super) fn scan(sequence: u64) -> Scan {
-    let now = Instant::now();
-    let meta = ScanMeta {
-        sequence,
-        requested_at: now,
-        first_byte_at: now,
-        received_at: now,
-        stamp: std::time::SystemTime::now(),
-        lateness: None,
-        repeat: false,
-        scan_time: std::time::Duration::from_millis(100),
-        reconnects: 0,
-    };
-    Scan::new(Window::single(384), Arc::new([1000]), 0, meta)
+pub(super) fn scan() -> Scan {
+    Scan::builder(Window::single(384), [1000]).build().unwrap()
+}
+
+fn push(ring: &Ring, scans: usize) {
+    for _ in 0..scans {
+        ring.push(scan());
+    }
 }
 
 /// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
@@ -36,7 +28,7 @@ fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
 fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(2);
-    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 5);
     assert_eq!(take(&mut reader), Some(Some(Ok(3))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
@@ -48,7 +40,7 @@ fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
     ring.report(ErrorKind::LaserOff.into());
-    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 5);
     assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
     assert_eq!(take(&mut reader), Some(Some(Ok(4))));
     assert_eq!(take(&mut reader), None);
@@ -58,13 +50,13 @@ fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
 fn an_error_comes_behind_the_scans_from_before_it() {
     let ring = Ring::new();
     let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
-    (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 3);
     ring.report(ErrorKind::LaserOff.into());
     assert_eq!(take(&mut reader), Some(Some(Ok(1))));
     assert_eq!(take(&mut reader), Some(Some(Ok(2))));
     assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
     assert_eq!(take(&mut reader), None);
-    ring.push(scan(3));
+    ring.push(scan());
     assert_eq!(take(&mut reader), Some(Some(Ok(3))));
     // One of the two kept scans is from before the error.
     assert_eq!(take(&mut slow), Some(Some(Ok(2))));
@@ -77,7 +69,7 @@ fn an_error_comes_behind_the_scans_from_before_it() {
 fn the_end_comes_after_what_is_left_and_its_cause() {
     let ring = Ring::new();
     let (mut reader, mut other) = (ring.subscribe(1), ring.subscribe(1));
-    ring.push(scan(0));
+    ring.push(scan());
     ring.end(Some(ErrorKind::Loopback.into()));
     ring.end(Some(ErrorKind::Closed.into()));
     for reader in [&mut reader, &mut other] {
@@ -97,10 +89,10 @@ fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since(
     let (mut during, kept) = (ring.subscribe(1), ring.subscribe(1));
     assert_eq!(take(&mut during), Some(Some(Err(ErrorKind::Loopback.to_string()))));
     assert_eq!(take(&mut during), None);
-    (0..5).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 5);
     let mut after = kept.resubscribe();
     assert_eq!(take(&mut after), None);
-    ring.push(scan(5));
+    ring.push(scan());
     assert_eq!(take(&mut after), Some(Some(Ok(5))));
     // Nor does it count earlier scans as missed. `during` never read them.
     assert_eq!((after.missed(), kept.missed(), ring.missed()), (0, 0, 0));
@@ -121,7 +113,7 @@ fn a_reader_that_comes_late_begins_with_the_latest_of_two_errors() {
 fn each_reader_has_a_depth_of_its_own() {
     let ring = Ring::new();
     let (mut newest, mut all) = (ring.subscribe(1), ring.subscribe(4));
-    (0..6).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 6);
     assert_eq!((take(&mut newest), take(&mut newest)), (Some(Some(Ok(5))), None));
     for sequence in 2..6 {
         assert_eq!(take(&mut all), Some(Some(Ok(sequence))));
@@ -130,7 +122,7 @@ fn each_reader_has_a_depth_of_its_own() {
     // Once the deepest reader is gone, the ring drops the scans that only it could read.
     drop(all);
     assert_eq!(ring.lock().scans.len(), 1);
-    (6..9).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 3);
     assert_eq!(ring.lock().scans.len(), 1);
     assert_eq!(take(&mut newest), Some(Some(Ok(8))));
 }
@@ -140,7 +132,7 @@ fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(2);
     assert!(reader.latest().is_none() && reader.next_if_ready().is_none());
-    (0..3).for_each(|sequence| drop(ring.push(scan(sequence))));
+    push(&ring, 3);
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
     let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
     assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
@@ -159,7 +151,7 @@ fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
     let error = || reader.freshness().1.map(|error| error.to_string());
     ring.report(ErrorKind::LaserOff.into());
     assert_eq!((reader.freshness().0, error()), (None, Some(ErrorKind::LaserOff.to_string())));
-    let scan = scan(0);
+    let scan = scan();
     ring.push(scan.clone());
     assert_eq!((reader.freshness().0, error()), (Some(scan.received_at()), None));
     ring.report(ErrorKind::Loopback.into());
@@ -170,8 +162,8 @@ fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
 fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(8);
-    ring.push(scan(0));
-    ring.push(scan(1));
+    ring.push(scan());
+    ring.push(scan());
     assert_eq!(take(&mut reader), Some(Some(Ok(0))));
     let (mut clone, mut late) = (reader.clone(), ring.subscribe(8));
     assert_eq!(take(&mut late), None);
@@ -203,7 +195,7 @@ fn a_reader_that_moves_to_another_task_is_woken_there_and_not_where_it_was() {
         let waker = Waker::from(Arc::clone(task));
         assert!(reader.poll_next(&mut Context::from_waker(&waker)).is_pending());
     }
-    ring.push(scan(7));
+    ring.push(scan());
     assert_eq!([former, latter].map(|task| task.0.load(Relaxed)), [false, true]);
 }
 
@@ -212,8 +204,8 @@ async fn a_reader_that_always_finds_a_scan_lets_other_tasks_run() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
     let other = tokio::spawn(async {});
-    for sequence in 0..1000 {
-        ring.push(scan(sequence));
+    for _ in 0..1000 {
+        ring.push(scan());
         poll_fn(|cx| reader.poll_next(cx)).await;
         if other.is_finished() {
             return;

@@ -37,7 +37,7 @@ pub struct Scan {
     pub(super) values: Arc<[u16]>,
     /// Index of the first value in `values`: the driver may have asked for more.
     pub(super) first: usize,
-    pub(super) meta: ScanMeta,
+    pub(crate) meta: ScanMeta,
 }
 
 /// Properties of a scan besides its values.
@@ -61,18 +61,6 @@ impl Scan {
     /// `first`.
     pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
         Self { window, values, first, meta }
-    }
-
-    /// Compares the values with those of `latest`, and marks this scan as a repeat if they are
-    /// equal.
-    pub(crate) fn note_repeat_of(&mut self, latest: &Self) -> bool {
-        self.meta.repeat = self.values() == latest.values();
-        self.meta.repeat
-    }
-
-    /// Unwraps the block with the values.
-    pub(crate) fn into_block(self) -> Arc<[u16]> {
-        self.values
     }
 
     /// Requested window.

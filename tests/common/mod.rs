@@ -63,7 +63,7 @@ pub(crate) struct Truth {
 impl Truth {
     /// Reads from the sensor's log when each `G` arrived. Assumes that none was refused,
     /// because only answered ones have a number.
-    pub(crate) fn of(log: &[Received]) -> Self {
+    pub(crate) fn from_log(log: &[Received]) -> Self {
         let scans = log.iter().filter(|line| is_poll(line));
         let arrivals = (0..).zip(scans.map(|line| line.at)).collect();
         Self { arrivals, seen: Default::default(), last: None }

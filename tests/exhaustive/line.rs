@@ -17,7 +17,7 @@ use tokio_scip::{BaudRate, Error};
 
 use super::chooser::Chooser;
 use super::fate::Fate;
-use super::sensor::Sensor;
+use super::sensor::ModelSensor;
 use crate::common::test_port::{FarEnd, TestPort};
 
 /// The time from a command to its reply.
@@ -52,9 +52,9 @@ pub(crate) struct Depth {
 }
 
 /// The sensor, the line to it, and the choices.
-pub(crate) struct State {
+pub(crate) struct LineState {
     pub(crate) chooser: Chooser,
-    pub(crate) sensor: Sensor,
+    pub(crate) sensor: ModelSensor,
     fates: &'static [Fate],
     /// The rest of the depth; 0 before the choices begin.
     left: Depth,
@@ -77,7 +77,7 @@ pub(crate) struct State {
 
 /// A handle to the line, which opens links to it.
 #[derive(Clone)]
-pub(crate) struct Line(Arc<Mutex<State>>);
+pub(crate) struct Line(Arc<Mutex<LineState>>);
 
 impl Line {
     pub(crate) fn new(
@@ -86,9 +86,9 @@ impl Line {
         fates: &'static [Fate],
         draws: bool,
     ) -> Self {
-        Self(Arc::new(Mutex::new(State {
+        Self(Arc::new(Mutex::new(LineState {
             chooser,
-            sensor: Sensor::new(baud_rate),
+            sensor: ModelSensor::new(baud_rate),
             fates,
             left: Depth { exchanges: 0, faults: 0 },
             queue: VecDeque::new(),
@@ -103,7 +103,7 @@ impl Line {
         })))
     }
 
-    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, LineState> {
         self.0.lock().unwrap()
     }
 
@@ -131,7 +131,7 @@ impl Line {
     }
 }
 
-impl State {
+impl LineState {
     fn draw(&mut self, text: &str) {
         let at = self.started_at.elapsed().as_millis();
         if let Some(drawing) = &mut self.drawing {

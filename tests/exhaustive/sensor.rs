@@ -10,7 +10,7 @@ const VERSION: &[u8] = b"V\n0\nVEND:Hokuyo\nPROD:Model\nFIRM:1\nPROT:1\nSERI:7\n
 /// The new baud rate applies a revolution after `S`.
 const REVOLUTION: Duration = Duration::from_millis(100);
 
-pub(crate) struct Sensor {
+pub(crate) struct ModelSensor {
     pub(crate) is_laser_on: bool,
     /// `None` on USB.
     pub(crate) baud_rate: Option<BaudRate>,
@@ -19,7 +19,7 @@ pub(crate) struct Sensor {
     measured: Vec<Instant>,
 }
 
-impl Sensor {
+impl ModelSensor {
     pub(crate) fn new(baud_rate: Option<BaudRate>) -> Self {
         Self { is_laser_on: true, baud_rate, next_baud_rate: None, measured: Vec::new() }
     }

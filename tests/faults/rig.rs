@@ -36,7 +36,7 @@ pub(crate) async fn scans(stream: &mut ScanStream, count: usize) -> Vec<Scan> {
 
 /// Returns why scans are wrong, a line each; none if all answer their own requests.
 pub(crate) fn wrong_scans(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
-    let mut truth = Truth::of(&emulator.log());
+    let mut truth = Truth::from_log(&emulator.log());
     scans.iter().filter_map(|scan| truth.check(scan).err()).collect()
 }
 

@@ -238,16 +238,16 @@ fn a11_the_driver_never_times_anything_by_the_wall_clock() {
             }
             files += 1;
             let text = std::fs::read_to_string(&path).unwrap();
-            let code = text.split("#[cfg(test)]").next().unwrap();
+            let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap();
             let asks = |line: &str| line.contains("SystemTime::") && !line.contains("use ");
             assert!(!code.contains("UNIX_EPOCH"), "{path:?}");
             if code.contains("wall_clock") || code.lines().any(asks) {
-                asking.push(path.file_name().unwrap().to_owned());
+                asking.push(path);
             }
         }
     }
     assert!(files > 5, "the sources were not read");
-    assert_eq!(asking, ["arrivals.rs"]);
+    assert!(matches!(&asking[..], [path] if path.ends_with("transport/mod.rs")), "{asking:?}");
 }
 
 #[test]

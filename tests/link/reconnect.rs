@@ -35,7 +35,7 @@ async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
     let start = Instant::now();
     let scan = stream.next().await.unwrap().unwrap();
     assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
-    Truth::of(&emulator.log()).check(&scan).unwrap();
+    Truth::from_log(&emulator.log()).check(&scan).unwrap();
     assert!(scan.sequence() >= 1);
     late.next().await.unwrap().unwrap();
     let stats = sensor.stats();

@@ -23,7 +23,7 @@ async fn stream(emulator: &Emulator, window: Window, rate: Rate, polls: u64) -> 
 }
 
 fn wrong(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
-    let mut truth = Truth::of(&emulator.log());
+    let mut truth = Truth::from_log(&emulator.log());
     scans.iter().filter_map(|scan| truth.check(scan).err()).collect()
 }
 

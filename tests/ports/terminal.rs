@@ -100,7 +100,7 @@ async fn o01_o16_a_stream_goes_on_after_unplug_and_replug_without_a_busy_loop() 
         assert_eq!(counts.dead_reads.load(Relaxed), round);
         emulator.plug_in();
         let scan = stream.next().await.unwrap().unwrap();
-        Truth::of(&emulator.log()).check(&scan).unwrap();
+        Truth::from_log(&emulator.log()).check(&scan).unwrap();
         assert!(matches!(state.get(), State::Connected { .. }));
         assert_eq!(counts.opened.load(Relaxed), round + 1);
     }
@@ -119,7 +119,7 @@ async fn a_sensor_at_another_baud_rate_is_found_and_changed_on_a_real_terminal()
     assert_eq!(emulator.baud_rate(), Some(BaudRate::B250000));
     assert!(emulator.counts().garbled > 0, "bytes at the wrong baud rate were not garbled");
     let scan = sensor.scan(Window::DETECTION).await.unwrap();
-    Truth::of(&emulator.log()).check(&scan).unwrap();
+    Truth::from_log(&emulator.log()).check(&scan).unwrap();
     // Another program opens the port, at its old baud rate, when the driver is gone.
     sensor.close().await;
     let sensor = builder().open(path.to_str().unwrap()).await.unwrap();
@@ -141,7 +141,7 @@ async fn scans_through_a_tcp_bridge_are_right() {
     while scans.len() < 5 {
         scans.push(stream.next().await.unwrap().unwrap());
     }
-    let mut truth = Truth::of(&emulator.log());
+    let mut truth = Truth::from_log(&emulator.log());
     assert!(scans.iter().all(|scan| truth.check(scan).is_ok()));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::UnsupportedBaudRate { .. }), "{error:?}");

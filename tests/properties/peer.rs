@@ -23,9 +23,9 @@ use super::test_port::{FarEnd, TestPort};
 
 /// A handle to the sensor; opens ports to it.
 #[derive(Clone)]
-pub(crate) struct Peer(Arc<Mutex<State>>);
+pub(crate) struct Peer(Arc<Mutex<PeerState>>);
 
-pub(crate) struct State {
+pub(crate) struct PeerState {
     script: VecDeque<u8>,
     /// Bytes that each read delivers and each write accepts, repeated; 0 is "not ready".
     sizes: Vec<u8>,
@@ -62,7 +62,7 @@ impl Peer {
         let mut header = Script::new(script);
         let sizes = header.take(4).to_vec();
         let script = header.take(usize::MAX).iter().copied().collect();
-        Self(Arc::new(Mutex::new(State {
+        Self(Arc::new(Mutex::new(PeerState {
             script,
             sizes,
             turns: 0,
@@ -83,7 +83,7 @@ impl Peer {
         })))
     }
 
-    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+    pub(crate) fn lock(&self) -> MutexGuard<'_, PeerState> {
         self.0.lock().unwrap()
     }
 
@@ -100,7 +100,7 @@ fn code(request: u64, step: u64) -> u16 {
     20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u16
 }
 
-impl State {
+impl PeerState {
     fn next(&mut self) -> u8 {
         self.script.pop_front().unwrap_or(0)
     }

@@ -126,14 +126,9 @@ fn an_expected_scan_is_the_one_that_a_search_finds(window: Window, frame: &[u8])
     let bytes = BytesMut::from(&[frame, b"\n\nL1"].concat()[..]);
     let command = Command::Distances(window);
     let first = |mut codec: ScipCodec| {
-        let (mut buffer, mut values) = (bytes.clone(), vec![7; 3]);
+        let mut buffer = bytes.clone();
         let Some(Frame::Reply(frame)) = codec.decode(&mut buffer).unwrap() else { return None };
-        let reply = Reply::parse_into(&command, &frame, &mut values).ok()?;
-        let expected = reference(&command, &frame).map(|(_, values)| values);
-        let of_success = reply.status().is_ok();
-        assert_eq!(of_success.then_some(&values), expected.as_ref().filter(|_| of_success));
-        assert!(of_success || values.is_empty());
-        Some((reply.status(), values, buffer))
+        Some((Reply::parse(&command, &frame).ok()?, buffer))
     };
     let mut expecting = ScipCodec::default();
     expecting.encode(&command, &mut BytesMut::new()).unwrap();
@@ -144,17 +139,11 @@ fn an_expected_scan_is_the_one_that_a_search_finds(window: Window, frame: &[u8])
 fn compare(
     command: &Command,
     frame: &[u8],
-    found: Result<Reply<'_>, tokio_scip::protocol::ReplyError>,
+    found: Result<Reply, tokio_scip::protocol::ReplyError>,
     expected: Option<(u8, Vec<u16>)>,
 ) {
     let found = match found {
-        Ok(reply) => {
-            let mut values = Vec::new();
-            if matches!(command, Command::Distances(_)) {
-                reply.values_into(&mut values);
-            }
-            Some((char::from(reply.status()) as u8, values))
-        }
+        Ok(reply) => Some((char::from(reply.status()) as u8, reply.values().to_vec())),
         Err(error) => {
             let shown = error.to_string();
             assert!(shown.bytes().all(|byte| (b' '..=b'~').contains(&byte)), "{shown}");

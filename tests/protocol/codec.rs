@@ -152,9 +152,8 @@ fn an_expected_scan_is_the_frame_that_a_search_finds_however_it_is_split() {
         for _ in 0..2 {
             let Some(Frame::Reply(frame)) = codec.decode(&mut buffer).unwrap() else { panic!() };
             assert_eq!(frame, reply[..reply.len() - 2], "split at {split}");
-            let mut values = vec![];
-            Reply::parse_into(&Command::Distances(window), &frame, &mut values).unwrap();
-            assert_eq!(values, expected);
+            let reply = Reply::parse(&Command::Distances(window), &frame).unwrap();
+            assert_eq!(reply.values(), expected);
         }
         assert_eq!(codec.decode(&mut buffer).unwrap(), Some(self::reply(b"L1\n0")));
     }

@@ -24,11 +24,7 @@ fn accepted(command: &Command, bytes: &[u8]) -> Vec<Vec<u16>> {
         .into_iter()
         .filter_map(|frame| Reply::parse(command, frame).ok())
         .filter(|reply| reply.status().is_ok())
-        .map(|reply| {
-            let mut values = Vec::new();
-            reply.values_into(&mut values);
-            values
-        })
+        .map(|reply| reply.values().to_vec())
         .collect()
 }
 
@@ -168,8 +164,7 @@ fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
             let parsed = Reply::parse(&command, &frame);
             assert_eq!(parsed.is_ok(), hidden, "bit {bit} of byte {at}");
             if let Ok(reply) = parsed {
-                let mut found = Vec::new();
-                reply.values_into(&mut found);
+                let found = reply.values();
                 let wrong = found.iter().zip(values).filter(|(found, sent)| found != sent).count();
                 assert_eq!((found.len(), wrong), (values.len(), 1));
                 undetected += 1;

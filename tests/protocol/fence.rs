@@ -27,9 +27,7 @@ fn w15_a_fence_is_found_behind_a_reply_truncated_at_every_length() {
             let glued = [&before[..length], &accepted].concat();
             let found = Reply::parse_end(&command, &glued).unwrap();
             assert_eq!(found.status(), Status::OK);
-            let mut values = Vec::new();
-            found.values_into(&mut values);
-            assert_eq!(values, [1234]);
+            assert_eq!(found.values(), [1234]);
             let glued = [&before[..length], &refused].concat();
             let found = Reply::parse_end(&command, &glued).unwrap();
             assert_eq!(found.status(), Status::new(b'6'));

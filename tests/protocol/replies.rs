@@ -1,7 +1,5 @@
 //! Whole replies: those in the protocol text, and error replies.
 
-use std::sync::Arc;
-
 use tokio_scip::protocol::{
     BaudRate, Command, MalformedError, Reply, ReplyError, Status, Text, Window,
 };
@@ -12,10 +10,8 @@ fn window(start: u16, end: u16, cluster_count: u8) -> Window {
     Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
 }
 
-fn values(reply: &Reply<'_>) -> Vec<u16> {
-    let mut values = Vec::new();
-    reply.values_into(&mut values);
-    values
+fn values(reply: &Reply) -> Vec<u16> {
+    reply.values().to_vec()
 }
 
 #[test]
@@ -84,7 +80,8 @@ fn data_around_whole_lines_is_cut_after_64_bytes() {
         let command = Command::Distances(window(0, points as u16 - 1, 1));
         assert_eq!(&*command.bytes(), echo.as_bytes());
         let reply = Reply::parse(&command, &frame).unwrap();
-        assert_eq!(reply.lines().map(<[u8]>::len).collect::<Vec<_>>(), cut, "{points} points");
+        let lines = frame.split(|byte| *byte == b'\n').skip(2);
+        assert_eq!(lines.map(<[u8]>::len).collect::<Vec<_>>(), cut, "{points} points");
         assert_eq!(values(&reply), sent);
         assert_eq!(command.reply_len(), frame.len() + 2);
     }
@@ -129,7 +126,8 @@ fn a_full_scan_is_1576_bytes_and_the_detection_window_1399() {
         assert_eq!(window.points(), points);
         let command = Command::Distances(window);
         let parsed = Reply::parse(&command, &reply[..bytes - 2]).unwrap();
-        assert_eq!(parsed.lines().count(), data_lines);
+        assert_eq!(parsed.lines().count(), 0, "only `V` has lines of text");
+        assert_eq!(reply.split(|byte| *byte == b'\n').count(), 2 + data_lines + 2);
         assert_eq!(values(&parsed), sent);
     }
 }
@@ -312,25 +310,4 @@ fn the_encoder_of_these_tests_is_that_of_the_text() {
     assert_eq!(super::encoder::characters(0), *b"00");
     assert_eq!(super::encoder::characters(4095), *b"oo");
     assert_eq!(lines(&[b'0'; 66]), [&[b'0'; 64][..], b"\n00"].concat());
-}
-
-#[test]
-fn values_go_into_their_block_unless_it_is_shared_or_too_small() {
-    let parse = |command, frame: &[u8], values: &mut Arc<[u16]>| {
-        Reply::parse_into_shared(&command, frame, values).map(|reply| reply.status())
-    };
-    let command = Command::Distances(window(384, 385, 1));
-    let frame = b"G38438501\n0\nCB06";
-    let mut values: Arc<[u16]> = Arc::new([9, 9, 9]);
-    let block = values.as_ptr();
-    assert_eq!(parse(command, frame, &mut values), Ok(Status::OK));
-    assert_eq!((&values[..], values.as_ptr()), (&[1234, 6, 9][..], block));
-    // A scan that somebody holds keeps its values.
-    let held = Arc::clone(&values);
-    assert_eq!(parse(command, b"G38438501\n0\n0000", &mut values), Ok(Status::OK));
-    assert_eq!((&held[..], &values[..]), (&[1234, 6, 9][..], &[0; 3][..]));
-    let longer = Command::Distances(window(384, 387, 1));
-    assert_eq!(parse(longer, b"G38438701\n0\nCB060007", &mut values), Ok(Status::OK));
-    assert_eq!(values[..], [1234, 6, 0, 7]);
-    assert_eq!(parse(Command::LaserOn, b"L1\n2", &mut values), Ok(Status::new(b'2')));
 }

@@ -54,11 +54,7 @@ impl Client {
             let Frame::Reply(frame) = frame.unwrap().unwrap() else { return None };
             match Reply::parse(&command, &frame) {
                 Ok(reply) if reply.status().is_ok() => {
-                    let mut values = Vec::new();
-                    if let Command::Distances(_) = command {
-                        reply.values_into(&mut values);
-                    }
-                    return Some(values);
+                    return Some(reply.values().to_vec());
                 }
                 // A reply to another command.
                 Err(ReplyError::Foreign { .. }) => {}

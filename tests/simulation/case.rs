@@ -30,7 +30,7 @@ pub(crate) struct Case {
     pub(crate) overlaps: bool,
     /// The time by which an effect of these faults outlasts them.
     pub(crate) lingers: Duration,
-    pub(crate) events: Events,
+    pub(crate) events: CaseEvents,
     pub(crate) truth: Truth,
     pub(crate) script: LinkScript,
 }
@@ -44,7 +44,7 @@ impl std::fmt::Debug for Case {
 
 /// Events besides faults of replies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Events {
+pub(crate) struct CaseEvents {
     pub(crate) unplug: bool,
     pub(crate) power_cycle: bool,
     pub(crate) other_sensor: bool,
@@ -83,7 +83,7 @@ impl Case {
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
-            events: Events {
+            events: CaseEvents {
                 unplug: random.once_in(4),
                 power_cycle: random.once_in(4),
                 other_sensor: random.once_in(10),
@@ -95,7 +95,7 @@ impl Case {
         };
         case.events.unplug |= case.events.other_sensor;
         case.draw_faults(random);
-        let Events { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } =
+        let CaseEvents { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } =
             case.events;
         case.torn |= unplug || power_cycle || other_sensor || other_program || case.script.fails;
         case.overlaps |= case.torn || unrequested_bytes;

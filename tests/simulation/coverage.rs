@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use tokio_scip::{Error, ErrorKind, State, Stats};
 use urg_emulator::{Emulator, FaultCounts};
 
-use super::case::Events;
+use super::case::CaseEvents;
 
 /// Counters by name.
 #[derive(Default)]
@@ -71,8 +71,9 @@ impl Coverage {
         self.count(format!("state {}", kind(state)), 1);
     }
 
-    pub(crate) fn add(&mut self, stats: &Stats, emulator: &Emulator, events: Events) {
-        let Events { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } = events;
+    pub(crate) fn add(&mut self, stats: &Stats, emulator: &Emulator, events: CaseEvents) {
+        let CaseEvents { unplug, power_cycle, other_sensor, other_program, unrequested_bytes } =
+            events;
         let malformed = stats.malformed;
         for (name, by) in [
             ("did unplug", u64::from(unplug)),

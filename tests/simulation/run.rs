@@ -44,7 +44,7 @@ pub(crate) struct Outcome {
 
 impl Run {
     /// Adds an event to the trace.
-    pub(crate) fn note(&self, event: std::fmt::Arguments<'_>) {
+    pub(crate) fn trace(&self, event: std::fmt::Arguments<'_>) {
         let at = self.start.elapsed();
         if std::env::var_os("SCIP_SIMULATION_TRACE").is_some() {
             eprintln!("{:9.3} {event}", at.as_secs_f64());
@@ -65,9 +65,9 @@ impl Run {
         let outcome = timeout(CALL_LIMIT, call).await;
         let outcome = outcome.unwrap_or_else(|_| panic!("{name} never ended"));
         match &outcome {
-            Ok(_) => self.note(format_args!("{name}: done")),
+            Ok(_) => self.trace(format_args!("{name}: done")),
             Err(error) => {
-                self.note(format_args!("{name}: {error}"));
+                self.trace(format_args!("{name}: {error}"));
                 assert!(!matches!(error.kind(), ErrorKind::Closed), "the driver ended");
                 self.coverage.lock().unwrap().error(error);
             }
@@ -112,7 +112,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
         start: Instant::now(),
     };
     let case = &run.case;
-    run.note(format_args!("{case:?}"));
+    run.trace(format_args!("{case:?}"));
     let connect = SimulatedConnect {
         emulator: case.emulator.clone(),
         script: case.script,
@@ -184,7 +184,7 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
             sleep(random.ms(3000)).await;
         }
         let deed = random.below(5);
-        run.note(format_args!("deed {deed}"));
+        run.trace(format_args!("deed {deed}"));
         match deed {
             0 if case.events.unplug => {
                 emulator.unplug();
@@ -223,7 +223,7 @@ async fn cause_faults(run: &Run, sensor: &Sensor, random: &mut Random) {
 /// Ends all faults and checks that scans come again in time.
 async fn recover(run: &Run, sensor: &Sensor) -> Duration {
     let (case, emulator) = (&run.case, &run.case.emulator);
-    run.note(format_args!("faults stop"));
+    run.trace(format_args!("faults stop"));
     let limit = Duration::from_secs(if case.speed.is_none() { 2 } else { 5 });
     // The time that outlasts the faults, and that is no part of the recovery.
     let mut allowance = case.lingers;

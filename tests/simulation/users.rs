@@ -55,7 +55,7 @@ pub(crate) async fn watcher(run: Run, sensor: Sensor, seed: u64) {
             match item.expect("the stream ended") {
                 Ok(scan) => check(&run, window, &scan, &mut last),
                 Err(error) => {
-                    run.note(format_args!("item: {error}"));
+                    run.trace(format_args!("item: {error}"));
                     run.coverage.lock().unwrap().error(&error);
                 }
             }
@@ -72,7 +72,7 @@ fn check(run: &Run, window: Window, scan: &Scan, last: &mut Option<(u64, Scan)>)
         .truth
         .check(&scan.into(), run.case.flips)
         .unwrap_or_else(|wrong| panic!("{wrong}"));
-    run.note(format_args!("scan {} is {request}", scan.sequence()));
+    run.trace(format_args!("scan {} is {request}", scan.sequence()));
     if let Some((before, last)) = last {
         assert!(*before < request, "a scan was delivered twice");
         assert!(last.sequence() < scan.sequence(), "the sequence does not rise");
@@ -94,7 +94,7 @@ pub(crate) async fn requester(run: Run, sensor: Sensor, seed: u64) {
         let window = window(&mut random);
         if random.once_in(3) {
             let _ = timeout(limit, sensor.scan(window)).await;
-            run.note(format_args!("cancelled"));
+            run.trace(format_args!("cancelled"));
         } else if random.once_in(4) {
             let _ = run.call("version", sensor.version()).await;
         } else if let Ok(scan) = run.call("scan", sensor.scan(window)).await {

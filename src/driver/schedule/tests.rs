@@ -76,7 +76,7 @@ async fn equal_schedules_are_one_and_one_without_readers_ends() {
     let same = (Window::FULL, Rate::UNLIMITED);
     let (mut schedules, readers) = schedules(&[same, same]);
     let telemetry = Telemetry::new(None);
-    schedules.note(&telemetry);
+    schedules.publish(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 1);
     assert!(schedules.take_due(Instant::now()).is_some());
     drop(readers);
@@ -85,19 +85,8 @@ async fn equal_schedules_are_one_and_one_without_readers_ends() {
     assert!(schedules.is_empty());
 }
 
-fn meta() -> ScanMeta {
-    let now = Instant::now();
-    ScanMeta {
-        sequence: 0,
-        requested_at: now,
-        first_byte_at: now,
-        received_at: now,
-        stamp: std::time::SystemTime::now(),
-        lateness: None,
-        repeat: false,
-        scan_time: HUNDRED_MS,
-        reconnects: 0,
-    }
+fn scan() -> Scan {
+    Scan::builder(Window::single(384), [1000]).build().unwrap()
 }
 
 #[tokio::test(start_paused = true)]
@@ -107,7 +96,7 @@ async fn one_window_at_two_rates_and_two_windows_at_one_rate_are_schedules_of_th
     let narrow = (Window::DETECTION, Rate::hz(4.0));
     let (mut schedules, _readers) = schedules(&[fast, slow, narrow]);
     let telemetry = Telemetry::new(None);
-    schedules.note(&telemetry);
+    schedules.publish(&telemetry);
     assert_eq!(telemetry.snapshot().schedules.len(), 3);
 }
 
@@ -118,7 +107,7 @@ async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_go
     let poll = DuePoll { window, rate };
     let mut deliver_three_and_read_one = |schedules: &mut Schedules| {
         for _ in 0..3 {
-            schedules.deliver(poll, Arc::new([1000]), 0, meta());
+            schedules.deliver(poll, scan());
         }
         assert!(readers.iter_mut().all(|reader| reader.next_if_ready().is_some()));
         schedules.missed()
@@ -141,7 +130,7 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
     let mut count = |schedules: &mut Schedules, error: Option<Error>| {
         match error {
             Some(error) => drop(schedules.fail(poll, &error)),
-            None => drop(schedules.deliver(poll, Arc::new([1000]), 0, meta())),
+            None => drop(schedules.deliver(poll, scan())),
         }
         let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));
         let items = next.filter_map(FutureExt::now_or_never);
@@ -153,12 +142,4 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
     assert_eq!(count(&mut schedules, Some(ErrorKind::Loopback.into())), 2);
     assert_eq!(count(&mut schedules, None), 2);
     assert_eq!(count(&mut schedules, Some(ErrorKind::Loopback.into())), 3);
-}
-
-#[test]
-fn a_new_block_has_room_for_the_points_of_a_poll_and_no_more() {
-    let (window, rate) = (Window::DETECTION, Rate::hz(10.0));
-    let (mut schedules, _readers) = schedules(&[(window, rate)]);
-    let block = schedules.take_spare(DuePoll { window, rate });
-    assert_eq!(block.len(), window.points() + usize::from(Window::MAX_EXTRA_POINTS));
 }

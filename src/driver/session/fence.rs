@@ -9,7 +9,7 @@ use std::time::Duration;
 use tracing::Instrument;
 
 use super::super::failure::{ExchangeError, LinkError};
-use super::super::transport::{TimedFrame, Transport};
+use super::super::transport::Transport;
 use super::Session;
 use crate::RawReply;
 use crate::codec::Frame;
@@ -48,7 +48,7 @@ impl Session {
     /// the wire.
     pub(crate) async fn fence_once(&mut self, latency: Duration) -> Result<Status, ExchangeError> {
         let command = Command::Distances(self.unique_requests.fence());
-        self.transport.mark_dirty();
+        self.is_settled = false;
         self.telemetry.stats().fences += 1;
         let span = tracing::trace_span!("fence", %command);
         let mut malformed = None;
@@ -62,7 +62,7 @@ impl Session {
         };
         match &answer {
             Ok(_) => {
-                self.transport.mark_clean();
+                self.is_settled = true;
                 self.unique_requests.clear();
             }
             Err(ExchangeError::Command(
@@ -86,9 +86,10 @@ impl Session {
         let deadline = self.transport.send(command, latency).await?;
         let sent = self.transport.sent().to_vec();
         loop {
-            let TimedFrame { frame, timing, .. } = self.transport.next_frame(deadline).await?;
+            let received = self.transport.next_frame(deadline).await?;
+            let (frame, timing) = (received.frame(), received.timing);
             if let Frame::Reply(bytes) = frame {
-                self.observers.pass(|| RawReply {
+                self.observers.pass(RawReply {
                     command: None,
                     bytes,
                     received_at: timing.received,
@@ -100,9 +101,8 @@ impl Session {
                     return Err(LinkError::Lost(ErrorKind::Loopback).into());
                 }
                 Ok(status) => {
-                    if timing.disproves_baud_rate(command, status) {
-                        self.transport.note_outrun();
-                    }
+                    drop(received);
+                    self.check_speed(command, status, timing);
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {
@@ -111,7 +111,10 @@ impl Session {
                 }
                 Err(error) => error,
             };
-            self.telemetry.stats().malformed.count(&error);
+            let mut stats = self.telemetry.stats();
+            stats.malformed.count(&error);
+            stats.bytes_skipped += received.wire_len();
+            drop(stats);
             if let ReplyError::Malformed(source) = error {
                 let error = ErrorKind::Malformed { command: *command, source };
                 *malformed = Some(ExchangeError::Command(error));
@@ -136,7 +139,7 @@ fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
 
 /// Explains why no frame answered `command`, if the unfinished frame shows the cause.
 fn explain_silence(transport: &Transport, command: &Command) -> Option<ExchangeError> {
-    let pending = transport.unfinished_frame();
+    let pending = transport.pending();
     if pending.starts_with(b"\n") && pending == transport.sent() {
         return Some(LinkError::Lost(ErrorKind::Loopback).into());
     }

@@ -2,43 +2,66 @@
 //!
 //! SCIP 1.1 numbers nothing, and two polls of the same window have the same echo. A reply
 //! answers its command only because no older reply can still be on its way. Three things cast
-//! doubt on that: unsolicited bytes, a malformed reply, and a missed deadline. Each makes the
-//! link dirty, and a dirty link is fenced before the next command.
+//! doubt on that: unsolicited bytes, a malformed reply, and a missed deadline. So a command
+//! leaves the link unsettled until its reply is accepted, and an unsettled link is fenced before
+//! the next command.
 //!
-//! `exchange` sends a command and judges its reply, `fence` proves that no older
-//! reply can follow, and `unique_requests` chooses what each `G` asks for.
+//! `fence` proves that no older reply can follow, and `unique_requests` chooses what each `G`
+//! asks for.
 
-mod exchange;
 mod fence;
 mod unique_requests;
 
+use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use self::exchange::EchoKind;
+use tokio::time::Instant;
+use tracing::Instrument;
+
 pub(crate) use self::unique_requests::UniqueRequests;
 use super::failure::ExchangeError;
 use super::observers::ReplyObservers;
-use super::transport::{Timing, Transport};
+use super::transport::{ReceivedFrame, Timing, Transport};
+use crate::RawReply;
+use crate::codec::Frame;
 use crate::port::Port;
-use crate::protocol::{Command, Reply, Status, Version};
+use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status, Version};
 use crate::state::{Telemetry, VersionReply};
-use crate::{ErrorKind, Window};
+use crate::{BaudRate, ErrorKind, Window};
 
-/// Reader of a reply. A trait object, so that the driver is compiled only once.
-type Read<'a> = dyn FnMut(&Reply<'_>) + Send + 'a;
+/// How long after a reply a faulty line may deliver a copy of it.
+const COPY_TIME: Duration = Duration::from_millis(20);
 
-/// Result of a successful poll, besides its values.
-#[derive(Debug, Clone, Copy)]
+/// Result of a successful poll.
+#[derive(Debug)]
 pub(crate) struct Polled {
-    pub(crate) timing: Timing,
+    pub(crate) values: Arc<[u16]>,
     /// Index of the window's first value. Successive polls ask for extra values before or
     /// after the window.
     pub(crate) first: usize,
+    pub(crate) timing: Timing,
+}
+
+/// Which other replies may still be on their way with the echo of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum EchoKind {
+    /// No other reply. If this one arrives too fast for its bytes, the baud rate is
+    /// wrong.
+    Unique,
+    /// The latest reply. If this one arrives too fast, it is a copy of the latest.
+    Repeated,
+    /// Any reply to this kind of command.
+    Common,
 }
 
 pub(crate) struct Session {
     pub(crate) transport: Transport,
+    /// True if no reply older than the next command can be on its way.
+    is_settled: bool,
+    /// True once a reply arrived faster than the port's baud rate allows, as on a
+    /// pseudo-terminal, a USB adapter or a server on a fast line.
+    is_outrun: bool,
     unique_requests: UniqueRequests,
     observers: Arc<ReplyObservers>,
     telemetry: Arc<Telemetry>,
@@ -52,8 +75,11 @@ impl Session {
         observers: Arc<ReplyObservers>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
-        let transport = Transport::new(port, latency, Arc::clone(&telemetry));
-        Self { transport, unique_requests, observers, telemetry }
+        telemetry.stats().baud_rate_outrun = false;
+        let transport = Transport::new(port, latency);
+        // The last user of the port may have left bytes behind.
+        let is_settled = false;
+        Self { transport, is_settled, is_outrun: false, unique_requests, observers, telemetry }
     }
 
     /// Closes the port, and returns the requests that the next session must not repeat.
@@ -61,66 +87,87 @@ impl Session {
         self.unique_requests
     }
 
-    /// Drops pending input, and sends a fence if the link is dirty. Returns the status of the
-    /// fence.
-    pub(crate) async fn settle(&mut self) -> Result<Option<Status>, ExchangeError> {
-        self.transport.discard_pending().await?;
-        if !self.transport.is_dirty() {
-            return Ok(None);
-        }
-        self.fence().await.map(Some)
-    }
-
     /// Returns true while the driver is closing. A silent sensor then gets no second try.
     pub(crate) fn is_closing(&self) -> bool {
         self.telemetry.is_closing()
     }
 
-    /// Polls `window`, and decodes the reply into `values`. Set `can_wait` if the poll may be
-    /// a few milliseconds late.
-    pub(crate) async fn poll(
-        &mut self,
-        window: Window,
-        can_wait: bool,
-        values: &mut Arc<[u16]>,
-    ) -> Result<Polled, ExchangeError> {
+    /// Returns true if the next command needs no fence before it, as far as known without
+    /// reading.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.is_settled && self.transport.pending().is_empty()
+    }
+
+    /// Sets this side's baud rate. Forgets what is known of the line at the former one.
+    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        self.is_settled = false;
+        self.is_outrun = false;
+        self.telemetry.stats().baud_rate_outrun = false;
+        self.transport.set_baud_rate(baud_rate)
+    }
+
+    /// Drops pending input. Bytes without a command cast doubt on the link.
+    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
+        let dropped = self.transport.discard_pending().await?;
+        if dropped > 0 {
+            self.is_settled = false;
+            self.telemetry.stats().bytes_skipped += dropped;
+        }
+        Ok(())
+    }
+
+    /// Drops pending input, and sends a fence if there is doubt about the link.
+    async fn settle(&mut self) -> Result<(), ExchangeError> {
+        self.discard_pending().await?;
+        if self.is_settled { Ok(()) } else { self.fence().await.map(drop) }
+    }
+
+    /// Polls `window`.
+    pub(crate) async fn poll(&mut self, window: Window) -> Result<Polled, ExchangeError> {
+        let on_behalf = |error: ExchangeError| error.on_behalf_of(Command::Distances(window));
         // First, so that the fence's `clear` cannot forget this poll.
-        self.settle().await.map_err(|error| error.of(Command::Distances(window)))?;
+        self.settle().await.map_err(on_behalf)?;
         let mut widened = self.unique_requests.widen(window);
-        if widened.repeats && self.transport.may_echo() {
-            // A copy of the latest reply would match this poll. A fence rules the copy out,
-            // but costs a revolution. A poll on a grid can wait instead: then the line is as
-            // quiet as before a poll of a slower grid.
-            let is_fenced = if can_wait {
-                self.transport.wait_for_echo().await;
-                self.settle().await.map(|status| status.is_some())
-            } else {
-                self.fence().await.map(|_| true)
-            };
-            if is_fenced.map_err(|error| error.of(Command::Distances(window)))? {
-                widened = self.unique_requests.widen(window);
-            }
+        if widened.repeats && self.may_be_copied() {
+            // A copy of the latest reply would match this poll.
+            self.fence().await.map_err(on_behalf)?;
+            widened = self.unique_requests.widen(window);
         }
         self.telemetry.stats().polls += 1;
         let echo = if widened.repeats { EchoKind::Repeated } else { EchoKind::Unique };
-        let (_, timing) =
-            self.exchange(Command::Distances(widened.asked), echo, values, &mut |_| ()).await?;
-        Ok(Polled { timing, first: widened.first })
+        let (reply, timing) = self.exchange(Command::Distances(widened.asked), echo).await?;
+        Ok(Polled { values: reply.into_values(), first: widened.first, timing })
     }
 
-    /// Reads the version of the sensor.
+    /// Returns when [`poll`](Self::poll) of this window needs no fence to rule out a copy of the
+    /// latest reply, or `None` if it needs no fence now.
+    pub(crate) fn copies_end(&self, window: Window) -> Option<Instant> {
+        let may_match = self.may_be_copied() && self.unique_requests.repeats(window);
+        self.transport.latest_at().filter(|_| may_match).map(|latest| latest + COPY_TIME)
+    }
+
+    /// Returns true if a copy of the latest frame may still be on its way: on a serial line, for
+    /// [`COPY_TIME`] after the frame.
+    fn may_be_copied(&self) -> bool {
+        // Last, because reading the clock costs more than the rest.
+        self.believed_baud_rate().is_some()
+            && self.transport.latest_at().is_some_and(|latest| latest.elapsed() < COPY_TIME)
+    }
+
+    /// Baud rate of the line, unless it has none or a reply has disproved it.
+    fn believed_baud_rate(&self) -> Option<BaudRate> {
+        self.transport.baud_rate().filter(|_| !self.is_outrun)
+    }
+
+    /// Reads the version of the sensor. Asks once more if there was no answer.
     pub(crate) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
-        let (mut version, mut frame) = (Version::default(), Vec::new());
-        let mut read = |reply: &Reply<'_>| {
-            version = Version::from_reply(reply);
-            frame = reply.frame(&Command::Version);
-        };
-        let (_, timing) = self.command_twice(Command::Version, &mut read).await?;
-        let Timing { received, stamp, .. } = timing;
-        Ok(VersionReply { version, frame: frame.into(), received_at: received, stamp })
+        let (reply, Timing { received, stamp, .. }) = self.command_twice(Command::Version).await?;
+        let version = Version::from_reply(&reply);
+        let frame = reply.version_frame().into();
+        Ok(VersionReply { version, frame, received_at: received, stamp })
     }
 
-    /// Sends `command`, shows its reply to `read`, and returns its status and its times.
+    /// Sends `command`, and returns its reply and its times.
     ///
     /// # Errors
     ///
@@ -128,10 +175,9 @@ impl Session {
     pub(crate) async fn command(
         &mut self,
         command: Command,
-        read: &mut Read<'_>,
-    ) -> Result<(Status, Timing), ExchangeError> {
-        self.settle().await.map_err(|error| error.of(command))?;
-        self.exchange(command, EchoKind::Common, &mut Arc::default(), read).await
+    ) -> Result<(Reply, Timing), ExchangeError> {
+        self.settle().await.map_err(|error| error.on_behalf_of(command))?;
+        self.exchange(command, EchoKind::Common).await
     }
 
     /// Like [`command`](Self::command), but sends the command once more if there was no
@@ -139,13 +185,200 @@ impl Session {
     pub(crate) async fn command_twice(
         &mut self,
         command: Command,
-        read: &mut Read<'_>,
-    ) -> Result<(Status, Timing), ExchangeError> {
-        match self.command(command, read).await {
+    ) -> Result<(Reply, Timing), ExchangeError> {
+        match self.command(command).await {
             Err(ExchangeError::Command(
                 ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
-            )) if !self.telemetry.is_closing() => self.command(command, read).await,
+            )) if !self.is_closing() => self.command(command).await,
             outcome => outcome,
         }
+    }
+
+    /// Sends `command` on a settled link, and judges the next frame: it is the answer, or
+    /// the command has failed. Waiting for a better frame would cost the whole deadline
+    /// each time a reply is damaged.
+    async fn exchange(
+        &mut self,
+        command: Command,
+        echo: EchoKind,
+    ) -> Result<(Reply, Timing), ExchangeError> {
+        self.is_settled = false;
+        let latency = self.transport.latency(&command);
+        let baud_rate = self.believed_baud_rate();
+        let span = tracing::trace_span!("exchange", %command);
+        let received = match self.transport.ask(&command, latency).instrument(span.clone()).await {
+            Ok(received) => received,
+            Err(failure) => {
+                if let ExchangeError::Command(error) = &failure {
+                    self.telemetry.stats().timeouts += 1;
+                    tracing::trace!(parent: &span, %error, "no answer");
+                }
+                return Err(failure);
+            }
+        };
+        let (timing, wire_len) = (received.timing, received.wire_len());
+        let error = match judge(&command, echo, received, baud_rate, &self.observers) {
+            Ok(reply) => {
+                self.is_settled = true;
+                if reply.status().is_ok_for(&command) {
+                    if echo == EchoKind::Unique {
+                        self.check_speed(&command, reply.status(), timing);
+                    }
+                    return Ok((reply, timing));
+                }
+                self.telemetry.stats().refused += 1;
+                ErrorKind::Refused { command, status: reply.status() }
+            }
+            Err(error) => {
+                let mut stats = self.telemetry.stats();
+                stats.malformed.count(&error);
+                if !is_echoed(&error) {
+                    stats.bytes_skipped += wire_len;
+                }
+                failure(command, error)
+            }
+        };
+        tracing::trace!(parent: &span, %error, "no answer");
+        Err(ExchangeError::Command(error))
+    }
+
+    /// Checks whether the reply arrived faster than its bytes and the bytes of its `command`
+    /// can: then the port's baud rate is wrong. The command's echo must be unique, so that the
+    /// reply cannot be an older one.
+    fn check_speed(&mut self, command: &Command, status: Status, timing: Timing) {
+        let echo = command.bytes().len() + 1;
+        let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
+        let took = timing.received.saturating_duration_since(timing.requested);
+        if self.believed_baud_rate().is_some_and(|baud_rate| took < baud_rate.wire_time(bytes)) {
+            self.is_outrun = true;
+            self.telemetry.stats().baud_rate_outrun = true;
+            tracing::debug!("replies come faster than the baud rate can carry");
+        }
+    }
+}
+
+/// Compares a frame with `command`, and shows it to the observers.
+fn judge(
+    command: &Command,
+    echo: EchoKind,
+    received: ReceivedFrame<'_>,
+    baud_rate: Option<BaudRate>,
+    observers: &ReplyObservers,
+) -> Result<Reply, ReplyError> {
+    let timing = received.timing;
+    let bytes = match received.frame() {
+        Frame::Reply(bytes) => bytes,
+        Frame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
+    };
+    let outcome = Reply::parse(command, bytes);
+    observers.pass(RawReply {
+        command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
+        bytes,
+        received_at: timing.received,
+        stamp: timing.stamp,
+    });
+    // The first byte of the reply cannot arrive before the command has left the wire.
+    if echo == EchoKind::Repeated
+        && outcome.is_ok()
+        && let Some(baud_rate) = baud_rate
+    {
+        let least = baud_rate.wire_time(command.bytes().len() + 2);
+        let after = timing.began - timing.requested;
+        if after < least {
+            return Err(MalformedError::Early { after, least }.into());
+        }
+    }
+    outcome
+}
+
+/// Converts the error of a reply into the error of its command.
+fn failure(command: Command, error: ReplyError) -> ErrorKind {
+    match error {
+        ReplyError::Malformed(source) => ErrorKind::Malformed { command, source },
+        ReplyError::Scip2 { status } => ErrorKind::WrongProtocol { status },
+        ReplyError::Foreign { found } => {
+            ErrorKind::Malformed { command, source: MalformedError::Echo { found } }
+        }
+    }
+}
+
+/// Returns true if a reply with this error began with its command.
+fn is_echoed(error: &ReplyError) -> bool {
+    !matches!(
+        error,
+        ReplyError::Foreign { .. } | ReplyError::Malformed(MalformedError::Overlong { .. })
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use tokio::time::advance;
+
+    use super::super::transport::scripted_port::ScriptedPort;
+    use super::*;
+
+    const NANOSECOND: Duration = Duration::from_nanos(1);
+
+    /// Creates a session at 19,200 baud that receives these bytes in one piece.
+    fn session(input: &[u8]) -> Session {
+        let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
+        let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
+        let telemetry = Arc::new(Telemetry::new(None));
+        Session::new(Box::new(port), None, UniqueRequests::default(), Arc::default(), telemetry)
+    }
+
+    #[tokio::test]
+    async fn a_reply_disproves_the_baud_rate_if_it_comes_a_nanosecond_before_its_bytes_can() {
+        let refused = Status::new(b'6');
+        let full = Command::Distances(Window::FULL);
+        // The bytes of the command and its reply, and their time.
+        for (command, status, wire) in [
+            (Command::LaserOff, Status::OK, 4_687_500),
+            (full, Status::OK, 826_041_666),
+            // A refusal has its echo, a status and two LFs: 10 and 13 bytes.
+            (full, refused, 11_979_166),
+        ] {
+            for (early, is_outrun) in [(Duration::ZERO, false), (NANOSECOND, true)] {
+                let mut session = session(b"");
+                let requested = Instant::now();
+                let received = requested + Duration::from_nanos(wire) - early;
+                let (stamp, is_replayed) = (SystemTime::UNIX_EPOCH, false);
+                let timing = Timing { requested, began: received, received, stamp, is_replayed };
+                session.check_speed(&command, status, timing);
+                assert_eq!(session.is_outrun, is_outrun, "{command}");
+                assert_eq!(session.telemetry.stats().baud_rate_outrun, is_outrun);
+                assert_eq!(session.believed_baud_rate().is_none(), is_outrun);
+            }
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_copy_of_a_reply_may_come_for_less_than_20_ms() {
+        let mut session = session(b"L0\n0\n\n");
+        assert!(!session.may_be_copied(), "there is nothing to copy");
+        session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+        advance(COPY_TIME - NANOSECOND).await;
+        assert!(session.may_be_copied());
+        advance(NANOSECOND).await;
+        assert!(!session.may_be_copied());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_malformed_reply_and_a_missed_deadline_leave_the_link_unsettled() {
+        for (reply, is_settled) in [(&b"L0\n0\n\n"[..], true), (b"L1\n0\n\n", false), (b"", false)]
+        {
+            let mut session = session(reply);
+            session.is_settled = true;
+            let _ = session.exchange(Command::LaserOff, EchoKind::Common).await;
+            assert_eq!(session.is_settled(), is_settled, "{reply:?}");
+        }
+        // Bytes after the answer may belong to an older reply.
+        let mut session = session(b"L0\n0\n\nL");
+        session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+        assert!(!session.is_settled());
+        session.discard_pending().await.unwrap();
+        assert!(!session.is_settled());
     }
 }

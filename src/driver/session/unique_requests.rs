@@ -42,9 +42,18 @@ impl UniqueRequests {
     /// even a reply that a faulty line delivers twice cannot match the next poll.
     pub(crate) fn widen(&mut self, window: Window) -> Widened {
         let (asked, first) = self.choose(window);
-        let repeats = self.recent.first() == Some(&Some(asked));
-        self.note(asked);
+        let repeats = self.is_latest(asked);
+        self.record(asked);
         Widened { asked, first, repeats }
+    }
+
+    /// Returns true if the next request for `window` must have the echo of the latest `G`.
+    pub(crate) fn repeats(&self, window: Window) -> bool {
+        self.is_latest(self.choose(window).0)
+    }
+
+    fn is_latest(&self, asked: Window) -> bool {
+        self.recent.first() == Some(&Some(asked))
     }
 
     fn choose(&self, window: Window) -> (Window, usize) {
@@ -71,16 +80,16 @@ impl UniqueRequests {
         }
         let window = Window::single(self.fence);
         self.fence = (self.fence + 1) % STEPS;
-        self.note(window);
+        self.record(window);
         window
     }
 
-    /// Notes an answered fence: no older reply is on its way.
+    /// Forgets the single steps: a fence was answered, so no older reply is on its way.
     pub(crate) fn clear(&mut self) {
         self.single = Default::default();
     }
 
-    fn note(&mut self, window: Window) {
+    fn record(&mut self, window: Window) {
         self.recent.rotate_right(1);
         if let Some(newest) = self.recent.first_mut() {
             *newest = Some(window);

@@ -1,41 +1,39 @@
 //! [`Transport`]: sends one command and receives frames until a deadline. It knows a port, a
 //! codec and a clock, but not which frame answers which command.
 //!
-//! It also tracks doubt about the link. Unexpected and missing bytes make the link dirty,
-//! and only an answered fence makes it clean again.
+//! The codec finds a frame, and `pause` decides when to sleep while one arrives.
 
-mod arrivals;
 mod link;
 mod pause;
 #[cfg(test)]
-mod scripted_port;
+pub(super) mod scripted_port;
 #[cfg(test)]
 mod tests;
-mod timing;
 
 use std::future::{Future, poll_fn};
 use std::io;
 use std::pin::{Pin, pin};
-use std::sync::Arc;
 use std::task::{Context, Poll, Waker, ready};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use bytes::{Buf, BufMut, BytesMut};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::task::coop::{consume_budget, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use self::arrivals::{Arrivals, flood};
 use self::pause::Pauses;
-pub(crate) use self::timing::{Deadline, TimedFrame, Timing};
 use super::failure::ExchangeError;
 use crate::codec::{Frame, ScipCodec, TERMINATOR};
 use crate::port::{Port, PortHints};
 use crate::protocol::Command;
-use crate::state::Telemetry;
+use crate::{BaudRate, ErrorKind};
 
 /// After this many frames for one command, the link counts as flooded.
 const MAX_FRAMES: usize = 64;
+/// Number of bytes that may arrive between two commands. A sensor answers a command with at
+/// most 1,576. Without this limit, a line that always has more to read would keep the driver
+/// from checking its deadline.
+const FLOOD_BYTES: u64 = 64 * 1024;
 /// Room for any reply of a sensor; the longest has 1,576 bytes. A little more, because a
 /// read that fills the buffer needs a second one to see the end. Garbage can make the buffer
 /// grow to 8 KiB.
@@ -54,16 +52,19 @@ const SCRATCH_BYTES: usize = 512;
 /// drained.
 pub(crate) struct Transport {
     port: PromptPort,
-    arrivals: Arrivals,
     codec: ScipCodec,
     /// Received bytes. Frames are judged in place: copying one out costs a fifth of decoding
     /// a scan (`benches/README.md`, item 1).
     input: BytesMut,
-    /// Last returned frame, if it followed the latest command. A reply stays at the front of
-    /// the input until the next frame is awaited.
-    latest: Option<Frame<usize>>,
+    /// Number of bytes received so far, and before the latest command was written.
+    received: u64,
+    received_before: u64,
+    /// First two bytes ever received.
+    first_bytes: [u8; 2],
     /// Number of frames since the latest command.
     frames: usize,
+    /// When the latest frame arrived.
+    latest_at: Option<Instant>,
     /// Latest command, as it was written.
     output: BytesMut,
     deadline_timer: Timer,
@@ -74,55 +75,70 @@ pub(crate) struct Transport {
     pauses: Pauses,
     /// How long the sensor may take to begin its answer, if set.
     latency: Option<Duration>,
-    /// True if a reply older than the next command may be on its way.
-    dirty: bool,
     /// True if a command may have been written only in part.
     interrupted: bool,
     /// True if the port can change its baud rate.
     adjustable: bool,
-    /// True once a reply arrived faster than the port's baud rate allows, as on a
-    /// pseudo-terminal, a USB adapter or a server on a fast line.
-    outrun: bool,
-    /// When the latest frame arrived.
-    latest_at: Option<Instant>,
-    telemetry: Arc<Telemetry>,
+}
+
+/// Absolute deadline of an exchange: the wire time of the command and its reply at the
+/// port's baud rate, and a latency.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Deadline {
+    command: Command,
+    requested: Instant,
+    after: Duration,
+}
+
+/// Times of a command and its reply.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Timing {
+    pub(crate) requested: Instant,
+    /// When the first byte was read.
+    pub(crate) began: Instant,
+    /// When the last byte was read.
+    pub(crate) received: Instant,
+    /// Wall-clock time when the first byte arrived.
+    pub(crate) stamp: SystemTime,
+    /// True if the reply comes from a recording: its time tells nothing about the motor.
+    pub(crate) is_replayed: bool,
+}
+
+/// Frame received after a command. Dropping it removes it from the input.
+#[derive(Debug)]
+pub(crate) struct ReceivedFrame<'a> {
+    input: &'a mut BytesMut,
+    frame: Frame<usize>,
+    pub(crate) timing: Timing,
 }
 
 impl Transport {
-    pub(crate) fn new(
-        port: Box<dyn Port>,
-        latency: Option<Duration>,
-        telemetry: Arc<Telemetry>,
-    ) -> Self {
-        telemetry.stats().baud_rate_outrun = false;
+    pub(crate) fn new(port: Box<dyn Port>, latency: Option<Duration>) -> Self {
         Self {
             port: PromptPort(port),
-            arrivals: Arrivals::default(),
             codec: ScipCodec::default(),
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
-            latest: None,
+            received: 0,
+            received_before: 0,
+            first_bytes: [0; 2],
             frames: 0,
+            latest_at: None,
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
             deadline_timer: Timer::default(),
             pause_timer: Timer::default(),
             retry_timer: Timer::default(),
             pauses: Pauses::default(),
             latency,
-            // The last user of the port may have left bytes behind.
-            dirty: true,
+            // The last user of the port may have left half a command behind.
             interrupted: true,
             adjustable: false,
-            outrun: false,
-            latest_at: None,
-            telemetry,
         }
     }
 
     /// Drops the bytes received since the last reply, because they are older than the next
-    /// command. Such bytes make the link dirty.
-    pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
-        self.remove_latest();
-        let before = self.received();
+    /// command. Returns their number.
+    pub(crate) async fn discard_pending(&mut self) -> Result<u64, ExchangeError> {
+        let before = self.received - self.input.len() as u64;
         let is_open = match self.drop_bytes(PromptPort::try_read) {
             Some(is_open) => is_open,
             None => {
@@ -137,15 +153,10 @@ impl Transport {
         if !is_open.map_err(|error| self.lost(Some(error)))? {
             return Err(self.lost(None));
         }
-        let skipped = self.received() - before + self.input.len() as u64;
-        if skipped > 0 {
-            self.telemetry.stats().bytes_skipped += skipped;
-            self.dirty = true;
-            self.drop_input();
-        }
+        self.clear_input();
         // Without this, replies would use up the buffer and need two reads.
         self.input.reserve(READ_BUFFER_BYTES);
-        Ok(())
+        Ok(self.received - before)
     }
 
     /// Sends `command` and returns the first frame: [`send`](Self::send) followed by
@@ -154,7 +165,7 @@ impl Transport {
         &mut self,
         command: &Command,
         latency: Duration,
-    ) -> Result<TimedFrame<'_>, ExchangeError> {
+    ) -> Result<ReceivedFrame<'_>, ExchangeError> {
         let deadline = self.send(command, latency).await?;
         self.next_frame(deadline).await
     }
@@ -173,15 +184,11 @@ impl Transport {
         // The calls on the port take none: if its replies are ready at once, the driver would
         // never let other tasks run.
         consume_budget().await;
-        self.remove_latest();
         self.frames = 0;
-        self.arrivals.begin_command();
-        self.pauses.begin_reply();
-        self.codec.expect(command);
+        self.received_before = self.received;
         self.output.clear();
         self.output.put_slice(if self.interrupted { b"\n" } else { b"" });
-        self.output.put_slice(&command.bytes());
-        self.output.put_u8(b'\n');
+        self.codec.write(command, &mut self.output);
         // Stays set if this future is dropped half way.
         self.interrupted = true;
         let deadline = Deadline::new(*command, self.baud_rate(), latency);
@@ -192,8 +199,7 @@ impl Transport {
     }
 
     /// Receives the next frame after a command; no other function receives frames. A frame
-    /// that is complete at the deadline wins. Any earlier frame was not the answer, so the
-    /// link is dirty. Sleeps while the rest of a reply is on its way.
+    /// that is complete at the deadline wins. Sleeps while the rest of a reply is on its way.
     ///
     /// # Errors
     ///
@@ -201,43 +207,30 @@ impl Transport {
     pub(crate) async fn next_frame(
         &mut self,
         deadline: Deadline,
-    ) -> Result<TimedFrame<'_>, ExchangeError> {
-        if let Some(unwanted) = self.remove_latest() {
-            self.dirty = true;
-            self.arrivals.begin_reply();
-            self.pauses.begin_reply();
-            self.telemetry.stats().bytes_skipped += unwanted.wire_len();
-        }
+    ) -> Result<ReceivedFrame<'_>, ExchangeError> {
         if self.frames == MAX_FRAMES {
             return Err(self.lost(Some(flood())));
         }
-        let found = loop {
-            match self.until(deadline, |transport, cx| transport.poll_frame(cx, deadline)).await? {
+        self.frames += 1;
+        self.pauses.begin_reply();
+        let mut first_byte = None;
+        let frame = loop {
+            let step = self.until(deadline, |transport, cx| {
+                transport.poll_frame(cx, deadline, &mut first_byte)
+            });
+            match step.await? {
                 FrameStep::Frame(frame) => break frame,
                 FrameStep::Pause(until) => poll_fn(|cx| self.pause_timer.poll(cx, until)).await,
                 FrameStep::End => return Err(self.lost(None)),
             }
         };
         let received = Instant::now();
-        self.frames += 1;
-        self.latest = Some(found);
         self.latest_at = Some(received);
-        let wire_len = found.wire_len();
-        self.pauses.end_reply(received, wire_len);
-        let first_byte = self.arrivals.first_byte(&mut self.port);
-        let timing = Timing {
-            requested: deadline.requested,
-            began: first_byte.at,
-            received,
-            stamp: first_byte.stamp,
-            is_replayed: first_byte.is_replayed,
-            baud_rate: self.believed_baud_rate(),
-        };
-        let frame = match found {
-            Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
-            Frame::Overlong { bytes } => Frame::Overlong { bytes },
-        };
-        Ok(TimedFrame { frame, wire_len, timing })
+        self.pauses.end_reply(received, frame.wire_len());
+        let Arrival { at: began, stamp, is_replayed } =
+            first_byte.unwrap_or_else(|| Arrival::now(&mut self.port));
+        let timing = Timing { requested: deadline.requested, began, received, stamp, is_replayed };
+        Ok(ReceivedFrame { input: &mut self.input, frame, timing })
     }
 
     /// Writes the output from `written` on.
@@ -252,37 +245,54 @@ impl Transport {
         Poll::Ready(Ok(()))
     }
 
-    /// Reads until a frame is at the front of the input, or until a pause is worthwhile.
+    /// Reads until a frame is at the front of the input, or until a pause is worthwhile. Stores
+    /// when its first byte arrived.
     fn poll_frame(
         &mut self,
         cx: &mut Context<'_>,
         deadline: Deadline,
+        first_byte: &mut Option<Arrival>,
     ) -> Poll<io::Result<FrameStep>> {
-        let Self { port, arrivals, codec, input, retry_timer, pauses, .. } = self;
         loop {
-            if !input.is_empty()
-                && let Some(frame) = codec.find(input)
+            if !self.input.is_empty()
+                && let Some(frame) = self.codec.find(&mut self.input)
             {
                 return Poll::Ready(Ok(FrameStep::Frame(frame)));
             }
-            let outcome = port.poll_read(cx, input);
-            match again_if_interrupted(outcome, retry_timer, cx) {
-                Poll::Ready(Ok(0)) => return Poll::Ready(Ok(FrameStep::End)),
-                Poll::Ready(Ok(read)) => {
-                    let fresh = input.len().saturating_sub(read);
-                    arrivals.count(input.get(fresh..).unwrap_or_default(), port)?;
+            match self.poll_read(cx)? {
+                Poll::Ready(0) => return Poll::Ready(Ok(FrameStep::End)),
+                Poll::Ready(read) => {
+                    let fresh = self.input.len().saturating_sub(read);
+                    let mut fresh = self.input.iter().skip(fresh);
+                    // The codec skips the NULs that a line leaves in front of a reply when it
+                    // changes its speed or breaks.
+                    if first_byte.is_none() && fresh.any(|byte| *byte != 0) {
+                        *first_byte = Some(Arrival::now(&mut self.port));
+                    }
                 }
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
                 Poll::Pending => break,
             }
         }
-        let missing = codec.missing(input);
-        match missing.and_then(|missing| pauses.next(input.len(), missing, deadline.at())) {
-            Some(until) if port.hints().is_some_and(PortHints::suspend_wakeups) => {
+        let pause = self
+            .codec
+            .missing(&self.input)
+            .and_then(|missing| self.pauses.next(self.input.len(), missing, deadline.at()));
+        match pause {
+            Some(until) if self.port.hints().is_some_and(PortHints::suspend_wakeups) => {
                 Poll::Ready(Ok(FrameStep::Pause(until)))
             }
             _ => Poll::Pending,
         }
+    }
+
+    /// Reads more bytes into the input, and returns their number.
+    fn poll_read(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
+        let outcome = self.port.poll_read(cx, &mut self.input);
+        let read = ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))?;
+        let before = self.input.len().saturating_sub(read);
+        let fresh = self.input.get(before..).unwrap_or_default();
+        count(fresh, &mut self.received, &mut self.first_bytes);
+        Poll::Ready(self.check_flood().map(|()| read))
     }
 
     /// Drops the bytes that `read` returns until it would block. Repeats an interrupted
@@ -299,7 +309,8 @@ impl Transport {
                 Ok(0) => return Some(Ok(false)),
                 Ok(read) => {
                     let fresh = scratch.get(..read).unwrap_or_default();
-                    if let Err(flood) = self.arrivals.count(fresh, &mut self.port) {
+                    count(fresh, &mut self.received, &mut self.first_bytes);
+                    if let Err(flood) = self.check_flood() {
                         return Some(Err(flood));
                     }
                 }
@@ -315,8 +326,13 @@ impl Transport {
         }
     }
 
-    /// Awaits `work` until the deadline, and marks the link dirty if it is missed. Polls
-    /// `work` first, so that it succeeds if it is done at its deadline.
+    /// Fails if too many bytes have arrived since the latest command.
+    fn check_flood(&self) -> io::Result<()> {
+        if self.received - self.received_before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
+    }
+
+    /// Awaits `work` until the deadline. Polls `work` first, so that it succeeds if it is done
+    /// at its deadline.
     async fn until<T>(
         &mut self,
         deadline: Deadline,
@@ -327,26 +343,14 @@ impl Transport {
                 return Poll::Ready(outcome.map_err(|error| self.lost(Some(error))));
             }
             ready!(self.deadline_timer.poll(cx, deadline.at()));
-            self.dirty = true;
             Poll::Ready(Err(ExchangeError::Command(deadline.error())))
         })
         .await
     }
 
-    /// Removes the last returned frame from the front of the input.
-    fn remove_latest(&mut self) -> Option<Frame<usize>> {
-        let latest = self.latest.take()?;
-        if let Frame::Reply(length) = latest {
-            let end = length + TERMINATOR;
-            if end < self.input.len() {
-                self.input.advance(end);
-            } else {
-                // Cheaper than `advance`, and the next reply starts at the front of the
-                // buffer again.
-                self.input.clear();
-            }
-        }
-        Some(latest)
+    fn clear_input(&mut self) {
+        self.input.clear();
+        self.codec.reset();
     }
 }
 
@@ -356,6 +360,84 @@ impl Drop for Transport {
             hints.discard_output();
         }
     }
+}
+
+impl Deadline {
+    fn new(command: Command, baud_rate: Option<BaudRate>, latency: Duration) -> Self {
+        let bytes = command.bytes().len() + 1 + command.reply_len();
+        let wire = baud_rate.map_or(Duration::ZERO, |rate| rate.wire_time(bytes));
+        Self { command, requested: Instant::now(), after: wire + latency }
+    }
+
+    fn at(&self) -> Instant {
+        self.requested + self.after
+    }
+
+    /// Error of an exchange that has reached its deadline.
+    fn error(&self) -> ErrorKind {
+        ErrorKind::Timeout { command: self.command, after: self.after }
+    }
+}
+
+impl ReceivedFrame<'_> {
+    pub(crate) fn frame(&self) -> Frame<&[u8]> {
+        match self.frame {
+            Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
+            Frame::Overlong { bytes } => Frame::Overlong { bytes },
+        }
+    }
+
+    /// Number of its bytes on the wire.
+    pub(crate) fn wire_len(&self) -> u64 {
+        self.frame.wire_len()
+    }
+}
+
+impl Drop for ReceivedFrame<'_> {
+    fn drop(&mut self) {
+        let Frame::Reply(length) = self.frame else { return };
+        let end = length + TERMINATOR;
+        if end < self.input.len() {
+            self.input.advance(end);
+        } else {
+            // Cheaper than `advance`, and the next reply starts at the front of the buffer
+            // again.
+            self.input.clear();
+        }
+    }
+}
+
+/// Arrival of a byte, by both clocks.
+#[derive(Debug, Clone, Copy)]
+struct Arrival {
+    at: Instant,
+    stamp: SystemTime,
+    /// True if the wall clock is a recording's.
+    is_replayed: bool,
+}
+
+impl Arrival {
+    fn now(port: &mut PromptPort) -> Self {
+        let at = Instant::now();
+        let recorded = port.hints().and_then(|hints| hints.wall_clock());
+        let stamp = recorded.unwrap_or_else(SystemTime::now);
+        Self { at, stamp, is_replayed: recorded.is_some() }
+    }
+}
+
+/// Counts received bytes, and keeps the `first` two.
+fn count(fresh: &[u8], received: &mut u64, first: &mut [u8; 2]) {
+    let unset = first.iter_mut().skip((*received).min(2) as usize);
+    unset.zip(fresh).for_each(|(first, byte)| *first = *byte);
+    *received += fresh.len() as u64;
+}
+
+/// Error for a line that sends far more than any sensor does.
+fn flood() -> io::Error {
+    io::Error::new(
+        io::ErrorKind::InvalidData,
+        "expected at most 64 KiB and 64 replies after a command, found more: check that the port leads to a sensor",
+    )
 }
 
 /// Port whose calls have no part in tokio's budget. Without budget, a port that takes part returns

@@ -59,7 +59,7 @@ struct Current {
 }
 
 impl Pauses {
-    /// Notes that the next byte is the first of a reply.
+    /// Expects the next byte as the first of a reply.
     pub(super) fn begin_reply(&mut self) {
         self.current = None;
     }
@@ -80,7 +80,7 @@ impl Pauses {
         let length = present + missing;
         let first = Current { since: now, missing, length, paused_until: None };
         let current = *self.current.get_or_insert(first);
-        self.note_end_of_pause(current, now);
+        self.record_end_of_pause(current, now);
         // Counts from the first piece, because the last piece takes no time once it is
         // complete.
         let end = self.shortest_time(current.missing).map(|shortest| {
@@ -102,10 +102,10 @@ impl Pauses {
         pause
     }
 
-    /// Notes when the last byte of a frame was read, and the frame's length on the wire.
+    /// Records when the last byte of a frame was read, and the frame's length on the wire.
     pub(super) fn end_reply(&mut self, received: Instant, wire_len: u64) {
         let Some(current) = self.current.take() else { return };
-        self.note_end_of_pause(current, received);
+        self.record_end_of_pause(current, received);
         // Counts with and without a pause, so that late timers cannot end all pauses.
         self.timed += 1;
         if self.timed >= MEASURED_LATELY {
@@ -119,15 +119,15 @@ impl Pauses {
         let time = received.saturating_duration_since(current.since);
         if current.paused_until.is_none() {
             self.unseen = 0;
-            self.note(time.as_secs_f64() / current.missing as f64);
+            self.record_time(time.as_secs_f64() / current.missing as f64);
         } else if self.shortest_time(current.missing).is_some_and(|shortest| time < shortest) {
             self.unseen += 1;
         }
     }
 
-    /// Notes how late the driver woke from a pause. The next pause ends earlier by the same
+    /// Records how late the driver woke from a pause. The next pause ends earlier by the same
     /// time.
-    fn note_end_of_pause(&mut self, current: Current, now: Instant) {
+    fn record_end_of_pause(&mut self, current: Current, now: Instant) {
         let Some(until) = current.paused_until else { return };
         let late = now.saturating_duration_since(until).checked_sub(TIMER_DELAY);
         // A little earlier still: a pause that ends exactly with the scan would hide how late
@@ -147,8 +147,8 @@ impl Pauses {
         Some(Duration::from_secs_f64(shortest * bytes as f64))
     }
 
-    /// Notes a measured time per byte.
-    fn note(&mut self, time: f64) {
+    /// Records a measured time per byte.
+    fn record_time(&mut self, time: f64) {
         let [lately, before] = &mut self.shortest;
         if self.measured >= MEASURED_LATELY {
             *before = lately.take();

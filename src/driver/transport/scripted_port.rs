@@ -16,15 +16,15 @@ use crate::port::{Port, PortHints};
 /// Port that returns these reads, one after the other, and then no bytes. It accepts all
 /// writes.
 #[derive(Debug, Default)]
-pub(super) struct ScriptedPort {
-    pub(super) reads: VecDeque<Result<Vec<u8>, ErrorKind>>,
-    pub(super) baud_rate: Option<BaudRate>,
+pub(crate) struct ScriptedPort {
+    pub(crate) reads: VecDeque<Result<Vec<u8>, ErrorKind>>,
+    pub(crate) baud_rate: Option<BaudRate>,
     /// True if it can be read only without waiting.
-    pub(super) has_try_read: bool,
+    pub(crate) has_try_read: bool,
     /// True if it takes part in tokio's budget: without budget, no read returns bytes.
-    pub(super) takes_budget: bool,
+    pub(crate) takes_budget: bool,
     /// Error of all further reads, with a count, in place of waiting.
-    pub(super) refusal: Option<(ErrorKind, Arc<AtomicU64>)>,
+    pub(crate) refusal: Option<(ErrorKind, Arc<AtomicU64>)>,
 }
 
 impl ScriptedPort {

@@ -1,26 +1,22 @@
 //! Tests of a transport on a line in memory, to the byte and to the nanosecond.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::SystemTime;
 
 use tokio::io::AsyncWriteExt;
 use tokio::task::coop::has_budget_remaining;
-use tokio::time::{advance, timeout};
+use tokio::time::{sleep, timeout};
 
 use super::super::failure::LinkError;
-use super::arrivals::FLOOD_BYTES;
-use super::link::QUIET_TIME;
 use super::scripted_port::ScriptedPort;
 use super::*;
+use crate::Window;
 use crate::port::StreamPort;
-use crate::protocol::Status;
-use crate::{BaudRate, ErrorKind, Window};
 
 const LATENCY: Duration = Duration::from_millis(100);
-const NANOSECOND: Duration = Duration::from_nanos(1);
 
 fn on(port: impl Port) -> Transport {
-    Transport::new(Box::new(port), None, Arc::new(Telemetry::new(None)))
+    Transport::new(Box::new(port), None)
 }
 
 /// Creates a transport at 19,200 baud that receives these bytes in one piece.
@@ -41,9 +37,7 @@ fn transports(reads: &[Result<usize, io::ErrorKind>]) -> [Transport; 2] {
 
 /// Drops pending bytes, and returns their number.
 async fn discard(transport: &mut Transport) -> Result<u64, ErrorKind> {
-    let before = transport.received();
-    transport.discard_pending().await.map_err(|failure| LinkError::from(failure).into_kind())?;
-    Ok(transport.received() - before)
+    transport.discard_pending().await.map_err(|failure| LinkError::from(failure).into_kind())
 }
 
 #[tokio::test]
@@ -144,8 +138,8 @@ async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_lat
     let deadline = transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
-    let received = transport.next_frame(deadline).await.unwrap();
-    assert_eq!(received.frame, Frame::Reply(&b"L0\n0"[..]));
+    let received = transport.next_frame(deadline).await;
+    assert_eq!(received.unwrap().frame(), Frame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame(deadline).await;
     assert!(matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))));
 }
@@ -170,60 +164,37 @@ async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_
 }
 
 #[tokio::test(start_paused = true)]
-async fn of_two_replies_in_one_read_each_is_a_frame_and_the_second_makes_the_link_dirty() {
+async fn two_replies_in_one_read_are_two_frames() {
     let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
-    transport.mark_clean();
     let deadline = transport.send(&Command::LaserOff, LATENCY).await.unwrap();
-    let stale = transport.next_frame(deadline).await.unwrap();
-    assert_eq!(stale.frame, Frame::Reply(&b"L1\n0"[..]));
-    assert!(!transport.is_dirty());
-    let answer = transport.next_frame(deadline).await.unwrap();
-    assert_eq!(answer.frame, Frame::Reply(&b"L0\n0"[..]));
-    assert!(transport.is_dirty());
-    assert_eq!(transport.telemetry.stats().bytes_skipped, 6);
-}
-
-#[test]
-fn a_reply_disproves_the_baud_rate_if_it_comes_a_nanosecond_before_its_bytes_can() {
-    let refused = Status::new(b'6');
-    let full = Command::Distances(Window::FULL);
-    // The bytes of the command and its reply, and their time.
-    for (command, status, wire) in [
-        (Command::LaserOff, Status::OK, 4_687_500),
-        (full, Status::OK, 826_041_666),
-        // A refusal has its echo, a status and two LFs: 10 and 13 bytes.
-        (full, refused, 11_979_166),
-    ] {
-        for (early, is_outrun) in [(Duration::ZERO, false), (NANOSECOND, true)] {
-            let requested = Instant::now();
-            let received = requested + Duration::from_nanos(wire) - early;
-            let (stamp, baud_rate) = (SystemTime::UNIX_EPOCH, Some(BaudRate::B19200));
-            let is_replayed = false;
-            let timing =
-                Timing { requested, began: received, received, stamp, is_replayed, baud_rate };
-            assert_eq!(timing.disproves_baud_rate(&command, status), is_outrun, "{command}");
-        }
+    for reply in [&b"L1\n0"[..], b"L0\n0"] {
+        assert_eq!(transport.next_frame(deadline).await.unwrap().frame(), Frame::Reply(reply));
     }
 }
 
 #[tokio::test(start_paused = true)]
-async fn no_timing_has_the_baud_rate_that_a_reply_has_disproved() {
-    let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
-    let deadline = transport.send(&Command::LaserOff, LATENCY).await.unwrap();
-    let before = transport.next_frame(deadline).await.unwrap().timing.baud_rate;
-    transport.note_outrun();
-    let after = transport.next_frame(deadline).await.unwrap().timing.baud_rate;
-    assert_eq!((before, after), (Some(BaudRate::B19200), None));
-    assert!(transport.telemetry.stats().baud_rate_outrun);
+async fn bytes_after_the_answer_are_pending() {
+    let mut transport = transport(b"L0\n0\n\nL0\n0\n");
+    transport.ask(&Command::LaserOff, LATENCY).await.unwrap();
+    assert_eq!(transport.pending(), b"L0\n0\n");
+    assert_eq!(discard(&mut transport).await.unwrap(), 5);
+    assert_eq!(transport.pending(), b"");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_copy_of_a_reply_may_come_for_less_than_20_ms() {
-    let mut transport = transport(b"L0\n0\n\n");
-    assert!(!transport.may_echo(), "there is nothing to copy");
-    transport.ask(&Command::LaserOff, LATENCY).await.unwrap();
-    advance(QUIET_TIME - NANOSECOND).await;
-    assert!(transport.may_echo());
-    advance(NANOSECOND).await;
-    assert!(!transport.may_echo());
+async fn a_nul_in_front_of_a_reply_is_not_its_first_byte() {
+    let (near, mut far) = tokio::io::duplex(64);
+    let mut transport = on(StreamPort::new(near));
+    let begin = Instant::now();
+    let send = async {
+        for piece in [&b"\0\0"[..], b"\0L0\n", b"0\n\n"] {
+            sleep(Duration::from_millis(80)).await;
+            far.write_all(piece).await.unwrap();
+        }
+    };
+    let ask = transport.ask(&Command::LaserOff, Duration::from_secs(1));
+    let (received, ()) = tokio::join!(ask, send);
+    let timing = received.unwrap().timing;
+    assert_eq!(timing.began - begin, Duration::from_millis(160));
+    assert_eq!(timing.received - begin, Duration::from_millis(240));
 }
