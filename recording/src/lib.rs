@@ -108,7 +108,7 @@ mod writer;
 
 pub use self::cut::{CutOutcome, cut};
 pub use self::error::RecordingError;
-pub use self::event::{Event, EventError, Events};
+pub use self::event::{Event, Events};
 pub use self::file::RecordingFile;
 pub use self::progress::Progress;
 pub use self::reader::Recording;

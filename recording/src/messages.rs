@@ -92,11 +92,7 @@ pub(super) fn parse_channel(content: &[u8]) -> Option<(u16, u16, Option<Topic>)>
 fn parse_entry(topic: Topic, header: MessageHeader, data: &[u8]) -> Option<Entry> {
     Some(match topic {
         Topic::Scans => Entry::Scan(ros::read_scan(data)?),
-        Topic::Events => {
-            let text = ros::read_text(data)?;
-            let unknown = || Event::Unknown { text: text.to_owned() };
-            Entry::Event(text.parse().unwrap_or_else(|_| unknown()))
-        }
+        Topic::Events => Entry::Event(Event::from(ros::read_text(data)?)),
         Topic::Replies => {
             let (command, bytes) = ros::read_labelled_bytes(data)?;
             let (command, bytes) = (parse_command(command), bytes.to_vec());

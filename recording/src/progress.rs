@@ -1,8 +1,7 @@
 //! [`Progress`]: counts of a running recording.
 
 /// Progress of a recording.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize))]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 #[non_exhaustive]
 pub struct Progress {
     /// Scans in the file, or on their way into it.

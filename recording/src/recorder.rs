@@ -169,7 +169,7 @@ impl Recorder {
                 Times { steady, wall: SystemTime::now() }
             }
         };
-        for event in self.events.of(item) {
+        for event in self.events.from_item(item) {
             self.event(&event, times);
         }
         if let Ok(scan) = item {

@@ -88,7 +88,7 @@ impl Feed {
     pub(crate) async fn next(&mut self) -> Option<Update> {
         if self.next.is_empty() {
             let item = self.scans.next().await?;
-            let events = self.events.of(&item);
+            let events = self.events.from_item(&item);
             match item {
                 Ok(scan) => {
                     if let Some(recorded) = self.port.recorded() {
