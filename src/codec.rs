@@ -2,7 +2,7 @@
 //! [`protocol`](crate::protocol) validates the replies.
 //!
 //! Searching a full scan for its two LFs takes 887 instructions, and everything else about it
-//! 1,609 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
+//! 2,030 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
 //! successful reply to a `G` ends. Only a reply that does not end there is
 //! searched. Both ways yield the same kind of frame, for the same parser.
 
@@ -111,7 +111,7 @@ impl ExpectedScan {
 impl ScipCodec {
     /// Finds the first frame in `buffer` and leaves it there. Use this instead of
     /// [`decode`](Decoder::decode) to validate a reply in place: `decode` also copies the
-    /// frame, which costs a fifth as much as decoding a scan.
+    /// frame, which costs a twentieth of decoding a scan.
     ///
     /// For a reply, returns its length. The reply is at the front of `buffer`, followed by
     /// the two LFs of its terminator: remove both yourself. Bytes that belong to no reply

@@ -53,8 +53,8 @@ const SCRATCH_BYTES: usize = 512;
 pub(crate) struct Transport {
     port: PromptPort,
     codec: ScipCodec,
-    /// Received bytes. Frames are judged in place: copying one out costs a fifth of decoding
-    /// a scan (`benches/README.md`, item 1).
+    /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a
+    /// scan.
     input: BytesMut,
     /// Number of bytes received so far, and before the latest command was written.
     received: u64,
