@@ -9,7 +9,7 @@ use futures_util::future::select_all;
 use tokio::sync::watch;
 
 use crate::failure::Failure;
-use crate::wait::some;
+use crate::wait::wait_for_value;
 
 /// Time that an interrupted command has to finish.
 const COMMAND_GRACE: Duration = Duration::from_secs(1);
@@ -35,7 +35,7 @@ impl Interrupt {
     }
 
     pub(crate) async fn requested(&self) -> Instant {
-        some(self.since.clone()).await
+        wait_for_value(self.since.clone()).await
     }
 
     /// Waits until an interrupted command has used up its time to finish.

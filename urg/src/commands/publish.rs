@@ -147,7 +147,7 @@ impl Publish {
                 time_offset: self.time_offset,
                 outlet,
                 epoch,
-                turn: place as f64 / count as f64,
+                phase: place as f64 / count as f64,
                 condition: Mutex::default(),
             });
             let scanned = Arc::clone(&source);

@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::output::notice::notice;
 use crate::recording::recorded::Recorded;
 use crate::recording::reel::Reel;
-use crate::wait::some;
+use crate::wait::wait_for_value;
 
 /// Longest time between two updates of the position, even in a gap of the recording.
 const REPORT_INTERVAL: Duration = Duration::from_millis(250);
@@ -93,7 +93,7 @@ impl Player {
 
     /// Waits until the playback fails, and returns the reason.
     pub(crate) async fn failed(&self) -> Failure {
-        some(self.failure.clone()).await
+        wait_for_value(self.failure.clone()).await
     }
 
     pub(crate) fn version(&self) -> &Version {

@@ -33,11 +33,11 @@ pub(crate) struct Source {
     /// Seconds to add to each stamp.
     pub(crate) time_offset: f64,
     pub(crate) outlet: Outlet,
-    /// First turn of the first sensor.
+    /// When the first sensor is due first.
     pub(crate) epoch: Instant,
     /// Delay of this sensor's polls after the first sensor's, as a fraction of the period, in
     /// 0..1. Spreads the scans of all sensors evenly.
-    pub(crate) turn: f64,
+    pub(crate) phase: f64,
     pub(crate) condition: Mutex<Condition>,
 }
 
@@ -54,12 +54,12 @@ impl Source {
     async fn publish_stream(&self) -> Result<(), Failure> {
         // The motor of an emulated sensor starts when it is opened. Like real motors, several
         // of them must not run in phase.
-        tokio::time::sleep_until(self.next_turn(Instant::now())).await;
+        tokio::time::sleep_until(self.next_due(Instant::now())).await;
         let sensor = begin(&self.port, &self.link, Delivery::Newest)?;
         self.condition.lock().sensor = Some(sensor.clone());
         opened(&self.port, &self.link, &sensor).await?;
         self.identify(&sensor).await;
-        tokio::time::sleep_until(self.next_turn(Instant::now())).await;
+        tokio::time::sleep_until(self.next_due(Instant::now())).await;
         let mut feed = Feed::open(&self.port, &sensor, self.window, self.rate).await?;
         let mut reporter =
             Reporter::new(self.port.clone(), sensor.clone()).with_rate(self.window, self.rate);
@@ -78,7 +78,7 @@ impl Source {
     /// completes.
     pub(crate) async fn publish_diagnostics(&self) {
         let node = self.names.full_name();
-        let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.turn);
+        let first = self.epoch + DIAGNOSTICS_PERIOD.mul_f64(self.phase);
         let mut ticks = tokio::time::interval_at(first, DIAGNOSTICS_PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
@@ -104,12 +104,12 @@ impl Source {
         message
     }
 
-    /// Computes this sensor's next turn. A schedule that starts there keeps to the grid.
-    fn next_turn(&self, now: Instant) -> Instant {
+    /// Computes when this sensor is due next. A schedule that starts then keeps to the grid.
+    fn next_due(&self, now: Instant) -> Instant {
         let Some(period) = self.rate.period().filter(|period| !period.is_zero()) else {
             return now;
         };
-        let first = self.epoch + period.mul_f64(self.turn);
+        let first = self.epoch + period.mul_f64(self.phase);
         let behind = now.saturating_duration_since(first).as_nanos();
         let periods = behind.div_ceil(period.as_nanos());
         let ahead = u64::try_from(periods * period.as_nanos()).unwrap_or(u64::MAX);
@@ -150,7 +150,7 @@ mod tests {
             time_offset: 0.0,
             outlet: Outlet::new(place as usize, shared, &Arc::default()),
             epoch,
-            turn: f64::from(place) / f64::from(count),
+            phase: f64::from(place) / f64::from(count),
             condition: Mutex::default(),
         }
     }
@@ -183,17 +183,17 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_turn_is_on_the_grid_of_the_sensors_place_and_not_in_the_past() {
+    async fn a_sensor_is_due_on_its_grid() {
         let epoch = Instant::now();
         let source = source(3, 4, epoch, Rate::hz(10.0), &Shared::default());
-        let turn = |after_ms: u64| {
-            let turn = source.next_turn(epoch + Duration::from_millis(after_ms));
-            (turn - epoch).as_millis()
+        let due = |after_ms: u64| {
+            let due = source.next_due(epoch + Duration::from_millis(after_ms));
+            (due - epoch).as_millis()
         };
-        assert_eq!([turn(0), turn(75), turn(76), turn(1_000)], [75, 75, 175, 1_075]);
+        assert_eq!([due(0), due(75), due(76), due(1_000)], [75, 75, 175, 1_075]);
         let now = epoch + Duration::from_millis(5);
         let fastest = self::source(3, 4, epoch, Rate::UNLIMITED, &Shared::default());
-        assert_eq!(fastest.next_turn(now), now);
+        assert_eq!(fastest.next_due(now), now);
     }
 
     #[test]

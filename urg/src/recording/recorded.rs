@@ -37,8 +37,8 @@ pub(crate) struct Recorded {
     pace: ReplayPace,
     /// Part to read; `None` means all of it.
     range: Option<TimeSpan>,
-    /// Number of scans taken from feeds.
-    taken: Arc<watch::Sender<u64>>,
+    /// Number of scans that feeds have yielded.
+    consumed: Arc<watch::Sender<u64>>,
 }
 
 impl Recorded {
@@ -52,7 +52,7 @@ impl Recorded {
             rate: None,
             pace: ReplayPace::Recorded,
             range: None,
-            taken: Arc::default(),
+            consumed: Arc::default(),
         })
     }
 
@@ -136,7 +136,7 @@ impl Recorded {
             let pipe =
                 PipeReplay { recording: Some((recording, self.pace)), name: self.to_string() };
             let (sensor, driver) = builder.build(pipe);
-            let run = run(driver, sensor.clone(), delivery, self.taken.subscribe());
+            let run = run(driver, sensor.clone(), delivery, self.consumed.subscribe());
             // Reading a pipe blocks the thread of its driver.
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
             let runtime = runtime.map_err(|error| self.failure(&error))?;
@@ -148,13 +148,13 @@ impl Recorded {
         }
         let emulator = recording.replay(self.pace).map_err(|error| self.no_scans(&error))?;
         let (sensor, driver) = builder.build(emulator);
-        tokio::spawn(run(driver, sensor.clone(), delivery, self.taken.subscribe()));
+        tokio::spawn(run(driver, sensor.clone(), delivery, self.consumed.subscribe()));
         Ok(sensor)
     }
 
-    /// Counts a scan taken from a feed.
-    pub(crate) fn record_taken(&self) {
-        self.taken.send_modify(|taken| *taken += 1);
+    /// Counts a scan that a feed has yielded.
+    pub(crate) fn count_consumed(&self) {
+        self.consumed.send_modify(|consumed| *consumed += 1);
     }
 
     pub(super) fn open(&self) -> Result<Recording, Failure> {
@@ -229,7 +229,12 @@ impl Connect for PipeReplay {
 
 /// Runs the driver. With [`Delivery::All`], pauses it while it is more than [`MAX_SCANS_AHEAD`]
 /// scans ahead of the consumer. The driver sees this as a busy machine.
-async fn run(driver: Driver, sensor: Sensor, delivery: Delivery, mut taken: watch::Receiver<u64>) {
+async fn run(
+    driver: Driver,
+    sensor: Sensor,
+    delivery: Delivery,
+    mut consumed: watch::Receiver<u64>,
+) {
     if delivery == Delivery::Newest {
         // The driver ends with the last handle. Its end is in the state of the sensor.
         drop(sensor);
@@ -239,7 +244,9 @@ async fn run(driver: Driver, sensor: Sensor, delivery: Delivery, mut taken: watc
     loop {
         let enough = sensor.stats().scans.saturating_sub(MAX_SCANS_AHEAD);
         // Fails after the last consumer is dropped.
-        let Ok(seen) = taken.wait_for(|taken| *taken >= enough).await.map(|taken| *taken) else {
+        let Ok(seen) =
+            consumed.wait_for(|consumed| *consumed >= enough).await.map(|consumed| *consumed)
+        else {
             return;
         };
         let ended = poll_fn(|cx| {

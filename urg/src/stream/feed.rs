@@ -92,7 +92,7 @@ impl Feed {
             match item {
                 Ok(scan) => {
                     if let Some(recorded) = self.port.recorded() {
-                        recorded.record_taken();
+                        recorded.count_consumed();
                     }
                     self.next.extend(events.map(Update::Event));
                     self.next.push_back(Update::Scan(scan));

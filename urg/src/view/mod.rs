@@ -53,7 +53,7 @@ pub(crate) struct Viewer {
     /// One per layer of the model, in the same order.
     sources: Vec<ViewSource>,
     /// Number of sources that have not ended.
-    going: usize,
+    open_sources: usize,
     /// Sensors that are still opening.
     starts: JoinSet<Started>,
     /// Pending requests that a key started.
@@ -104,7 +104,7 @@ impl Viewer {
     fn new(sources: Vec<ViewSource>, model: Model) -> Self {
         let palette = Palette::from_environment(|name| std::env::var_os(name));
         let (starts, jobs) = (JoinSet::new(), JoinSet::new());
-        Self { going: sources.len(), sources, starts, jobs, model, palette }
+        Self { open_sources: sources.len(), sources, starts, jobs, model, palette }
     }
 
     /// Runs until the user quits or every source has ended.
@@ -148,7 +148,7 @@ impl Viewer {
                     Arrival::Scan(scan) => self.scanned(number, scan),
                     Arrival::Trouble(error) => self.trouble(number, &error),
                     Arrival::Moved(scan, status) => self.model.moved(&scan, status),
-                    Arrival::End => self.going = self.going.saturating_sub(1),
+                    Arrival::End => self.open_sources = self.open_sources.saturating_sub(1),
                 },
                 Some(started) = self.starts.join_next() => {
                     if let Ok(started) = started {
@@ -164,7 +164,7 @@ impl Viewer {
                 () = change_of_any(&mut states), if !states.is_empty() => {}
                 _ = tick.tick() => {}
             }
-            if self.going == 0 {
+            if self.open_sources == 0 {
                 return Ok(StreamEnd::ByItself);
             }
             changed = true;
@@ -319,8 +319,8 @@ impl Viewer {
             }
             Err(error) => {
                 let failure = Failure::at(&live.port, &error);
-                self.going = self.going.saturating_sub(1);
-                if self.going == 0 {
+                self.open_sources = self.open_sources.saturating_sub(1);
+                if self.open_sources == 0 {
                     return Err(failure);
                 }
                 self.show(number, failure.line());

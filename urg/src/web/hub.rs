@@ -17,7 +17,7 @@ use crate::stream::follow::StreamEnd;
 use crate::stream::health::SensorHealth;
 use crate::stream::jitter::{Jitter, RecentTimes};
 use crate::stream::reporter::Reporter;
-use crate::wait::some;
+use crate::wait::wait_for_value;
 
 /// Sensor with one stream for all viewers.
 #[derive(Debug)]
@@ -71,7 +71,7 @@ impl Hub {
 
     /// Waits until the sensor is found, then creates a feed for a viewer.
     pub(super) async fn feed(&self) -> Feed {
-        some(self.feed.subscribe()).await
+        wait_for_value(self.feed.subscribe()).await
     }
 
     /// Latest scan, if no scans arrive at the moment.

@@ -98,12 +98,4 @@ mod tests {
         assert!(dark.contains("--s0: #6cc5ff; --s1: #ffb057; "), "{dark}");
         assert!(dark.ends_with("--d7: #adb5ff; "), "{dark}");
     }
-
-    #[test]
-    fn a_minus_sign_is_that_of_the_terminal_and_the_options() {
-        // The only U+2212 is the label of the button that zooms out.
-        assert_eq!(HTML.matches('\u{2212}').count(), 1);
-        assert!(HTML.contains(">\u{2212}</button>"));
-        assert!(!SCRIPTS.concat().contains('\u{2212}'));
-    }
 }

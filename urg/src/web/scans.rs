@@ -28,7 +28,7 @@ pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
     let client = ScansClient {
         interrupt: site.interrupt.clone(),
         lines: stream::select_all(site.sources.iter().map(|source| source.lines(query.with_old))),
-        left: query.max,
+        scans_left: query.max,
         format,
         _counted: Arc::clone(&site.viewers),
     };
@@ -104,7 +104,7 @@ struct ScansClient {
     interrupt: Interrupt,
     /// Lines of all sources, in turn.
     lines: SelectAll<BoxStream<'static, ViewerLine>>,
-    left: u64,
+    scans_left: u64,
     format: ScansFormat,
     _counted: Arc<()>,
 }
@@ -112,7 +112,7 @@ struct ScansClient {
 impl ScansClient {
     /// Waits for the next bytes. Returns `None` after the end.
     async fn next(mut self) -> Option<(Bytes, Self)> {
-        if self.left == 0 {
+        if self.scans_left == 0 {
             return None;
         }
         let interrupt = self.interrupt.clone();
@@ -121,7 +121,7 @@ impl ScansClient {
             _ = interrupt.requested() => return None,
             line = self.lines.next() => {
                 let line = line?;
-                self.left -= u64::from(line.is_scan);
+                self.scans_left -= u64::from(line.is_scan);
                 self.format.bytes(&line)
             }
             () = tokio::time::sleep(KEEPALIVE_INTERVAL) => self.format.keepalive(),

@@ -24,7 +24,7 @@ use zenoh::{Config, Session, Wait};
 use self::graph::{Gid, GraphNode, attachment, gid};
 use self::kept::Kept;
 use self::router::InTransit;
-use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Publisher, Reopen, Topic};
+use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Reopen, Topic};
 use super::send_queue::SendQueue;
 
 /// Setting for how long a put waits for room, in microseconds.
