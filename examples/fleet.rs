@@ -48,7 +48,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         before = scans;
         for (name, sensor) in &fleet {
             if let Err(stale) = sensor.freshness().check(LIMIT) {
-                eprintln!("{name}: {}", ErrorChain::new(&stale));
+                eprintln!("{name}: {}", ErrorChain(&stale));
             }
         }
     }

@@ -57,7 +57,5 @@ async fn health(State(scans): State<ScanStream>) -> Result<&'static str, Refusal
 
 fn check(scans: &ScanStream) -> Result<(), Refusal> {
     let fresh = scans.freshness().check(LIMIT);
-    fresh.map_err(|stale| {
-        (StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", ErrorChain::new(&stale)))
-    })
+    fresh.map_err(|stale| (StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", ErrorChain(&stale))))
 }

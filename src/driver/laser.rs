@@ -130,7 +130,7 @@ mod tests {
     async fn the_laser_is_tried_again_at_the_instant_that_is_due_and_not_before() {
         let (near, _silent) = tokio::io::duplex(4096);
         let mut session = Session::new(
-            Box::new(StreamPort::new(near)),
+            Box::new(StreamPort(near)),
             None,
             UniqueRequests::default(),
             Arc::default(),

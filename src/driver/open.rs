@@ -113,7 +113,7 @@ impl Opener {
             if candidates == MAX_CANDIDATES || !has_more {
                 return Err(fail(error));
             }
-            tracing::trace!(error = %ErrorChain::new(&error), "port skipped");
+            tracing::trace!(error = %ErrorChain(&error), "port skipped");
             candidates += 1;
             sleep_until(started + CANDIDATE_TIME).await;
         }
@@ -248,7 +248,7 @@ impl Opener {
             match baud_rate::change(session, baud_rate).await {
                 // Scans at another baud rate are better than no scans.
                 Err(ExchangeError::Command(error)) if self.opened => {
-                    let error = ErrorChain::new(&error);
+                    let error = ErrorChain(&error);
                     tracing::warn!(%error, "the baud rate is not restored");
                 }
                 outcome => outcome?,
@@ -264,6 +264,6 @@ impl Opener {
 /// Logs the error of an attempt, at trace: the default back-off makes one attempt a
 /// second, and the state logs each reason once.
 fn fail(error: ErrorKind) -> LinkError {
-    tracing::trace!(error = %ErrorChain::new(&error), "opening failed");
+    tracing::trace!(error = %ErrorChain(&error), "opening failed");
     LinkError::Lost(error)
 }

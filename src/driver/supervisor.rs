@@ -188,7 +188,7 @@ impl Supervisor {
             Err(ended @ LinkError::Ended(_)) => Err(ended.into()),
             Err(failure) => {
                 let failure = failure.kind();
-                tracing::debug!(error = %ErrorChain::new(failure), "the sensor was not found at any baud rate");
+                tracing::debug!(error = %ErrorChain(failure), "the sensor was not found at any baud rate");
                 self.reconnect(session, kind).await
             }
         }

@@ -5,17 +5,10 @@ use std::fmt;
 /// Error and its causes on one line: `Display` joins them with `: `.
 ///
 /// Leaves out a cause whose text already ends the line: some errors include the text of their
-/// cause.
+/// cause. Wraps any error: `ErrorChain(&error)`. [`Error::chain`](crate::Error::chain) does the same
+/// for the errors of this crate.
 #[derive(Debug, Clone, Copy)]
-pub struct ErrorChain<'a>(&'a (dyn std::error::Error + 'a));
-
-impl<'a> ErrorChain<'a> {
-    /// Wraps any error. [`Error::chain`](crate::Error::chain) does the same for the errors of
-    /// this crate.
-    pub fn new(error: &'a (dyn std::error::Error + 'a)) -> Self {
-        Self(error)
-    }
-}
+pub struct ErrorChain<'a>(pub &'a (dyn std::error::Error + 'a));
 
 impl fmt::Display for ErrorChain<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -49,7 +42,7 @@ mod tests {
 
         let lost = Error::from(ErrorKind::disconnected(Some(io::Error::other("device removed"))));
         let text = "cannot start: the link to the sensor is lost: device removed";
-        assert_eq!(ErrorChain::new(&Outer(lost)).to_string(), text);
+        assert_eq!(ErrorChain(&Outer(lost)).to_string(), text);
         let closed = Error::from(ErrorKind::Closed);
         assert_eq!(closed.chain().to_string(), closed.to_string());
     }

@@ -94,7 +94,7 @@ impl Error {
     /// assert_eq!(error.chain().to_string(), "cannot open /dev/ttyACM0: device removed");
     /// ```
     pub fn chain(&self) -> ErrorChain<'_> {
-        ErrorChain::new(self)
+        ErrorChain(self)
     }
 }
 

@@ -25,6 +25,6 @@ where
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let gone = || ErrorKind::disconnected(Some(io::ErrorKind::BrokenPipe.into()));
-        Ok(self.0.take().map(StreamPort::new).ok_or_else(gone)?)
+        Ok(self.0.take().map(StreamPort).ok_or_else(gone)?)
     }
 }

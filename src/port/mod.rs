@@ -14,7 +14,7 @@
 //! let sensor = Sensor::builder()
 //!     .connect(|| async {
 //!         let stream = TcpStream::connect("robot:10940").await;
-//!         Ok(StreamPort::new(stream.map_err(|error| Error::open("robot", error))?))
+//!         Ok(StreamPort(stream.map_err(|error| Error::open("robot", error))?))
 //!     })
 //!     .await?;
 //! # Ok(())
@@ -118,7 +118,6 @@ impl<P: Port + ?Sized> Port for Box<P> {
 /// ```
 /// # #[cfg(unix)] {
 /// use std::path::PathBuf;
-/// use std::sync::Arc;
 /// use tokio::net::UnixStream;
 /// use tokio_scip::port::{Connect, StreamPort};
 /// use tokio_scip::{Error, Sensor};
@@ -130,11 +129,10 @@ impl<P: Port + ?Sized> Port for Box<P> {
 ///     type Port = StreamPort<UnixStream>;
 ///
 ///     async fn connect(&mut self) -> Result<StreamPort<UnixStream>, Error> {
-///         let stream = UnixStream::connect(&self.0).await.map_err(|error| ErrorKind::Open {
-///             port: self.0.display().to_string(),
-///             source: Arc::new(error),
-///         })?;
-///         Ok(StreamPort::new(stream))
+///         let stream = UnixStream::connect(&self.0).await;
+///         let path = self.0.display().to_string();
+///         let stream = stream.map_err(|error| Error::open(path, error))?;
+///         Ok(StreamPort(stream))
 ///     }
 /// }
 ///

@@ -13,14 +13,7 @@ use super::Port;
 /// Use it in your own [`Connect`](super::Connect), which has an example. Dropping the
 /// port drops the stream.
 #[derive(Debug)]
-pub struct StreamPort<T>(T);
-
-impl<T> StreamPort<T> {
-    /// Wraps `stream`.
-    pub fn new(stream: T) -> Self {
-        Self(stream)
-    }
-}
+pub struct StreamPort<T>(pub T);
 
 impl<T: AsyncRead + AsyncWrite + Send + Unpin + 'static> Port for StreamPort<T> {}
 

@@ -102,11 +102,6 @@ impl ErrorCode {
     pub const fn is_beyond_range(self) -> bool {
         matches!(self.0, 0 | 6 | 16)
     }
-
-    /// Returns true if too little light was reflected: error codes 1 to 5.
-    pub const fn is_low_intensity(self) -> bool {
-        matches!(self.0, 1..=5)
-    }
 }
 
 impl fmt::Display for ErrorCode {

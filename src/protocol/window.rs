@@ -46,11 +46,6 @@ impl Step {
         self.0
     }
 
-    /// Its direction in radians, counter-clockwise from the front.
-    pub fn angle(self) -> f32 {
-        angle(f64::from(self.0)) as f32
-    }
-
     /// Its direction in degrees, counter-clockwise from the front.
     pub fn degrees(self) -> f32 {
         ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_REVOLUTION) as f32

@@ -272,15 +272,6 @@ impl Cursor {
         Poll::Pending
     }
 
-    /// Takes the next error or scan without waiting. Returns `None` if nothing is ready,
-    /// and after the end.
-    pub(crate) fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
-        match self.place.take(&mut self.ring.lock()) {
-            Poll::Ready(item) => item,
-            Poll::Pending => None,
-        }
-    }
-
     /// Newest scan, read or not.
     pub(crate) fn latest(&self) -> Option<Scan> {
         self.ring.latest()

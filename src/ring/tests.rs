@@ -18,6 +18,11 @@ fn push(ring: &Ring, scans: usize) {
     }
 }
 
+/// Returns the next item if it is ready.
+fn next_if_ready(cursor: &mut Cursor) -> Option<Result<Scan, Error>> {
+    poll_fn(|cx| cursor.poll_next(cx)).now_or_never().flatten()
+}
+
 /// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
 fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
     let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
@@ -131,17 +136,17 @@ fn each_reader_has_a_depth_of_its_own() {
 fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(2);
-    assert!(reader.latest().is_none() && reader.next_if_ready().is_none());
+    assert!(reader.latest().is_none() && next_if_ready(&mut reader).is_none());
     push(&ring, 3);
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
-    let mut next = || reader.next_if_ready().and_then(Result::ok).map(|scan| scan.sequence());
+    let mut next = || next_if_ready(&mut reader).and_then(Result::ok).map(|scan| scan.sequence());
     assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
     assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
     ring.report(ErrorKind::LaserOff.into());
-    let error = reader.next_if_ready().unwrap().unwrap_err();
+    let error = next_if_ready(&mut reader).unwrap().unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::LaserOff));
     ring.end(None);
-    assert!(reader.next_if_ready().is_none() && reader.is_finished());
+    assert!(next_if_ready(&mut reader).is_none() && reader.is_finished());
 }
 
 #[test]

@@ -7,7 +7,7 @@ impl Scan {
     /// Iterates over the directions of the points in radians. Point `n` lies at
     /// `angle_min + n * angle_increment`, the middle of its cluster's steps. A last
     /// cluster with fewer steps counts as a whole one.
-    pub fn angles(&self) -> impl ExactSizeIterator<Item = f32> + Clone + use<> {
+    pub(super) fn angles(&self) -> impl ExactSizeIterator<Item = f32> + Clone + use<> {
         let (from, increment) = (self.first_angle(), self.window.angle_increment());
         // In double precision, because a sum of rounded steps would drift.
         (0..self.len()).map(move |n| (from + n as f64 * increment) as f32)

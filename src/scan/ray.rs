@@ -141,7 +141,7 @@ mod tests {
         for (n, (ray, angle)) in rays.iter().zip(scan.angles()).enumerate() {
             assert_eq!((ray.step.number(), ray.angle), (44 + n as u16, angle));
             assert_eq!(ray.measurement.value(), scan.values()[n]);
-            assert!((ray.angle - ray.step.angle()).abs() < 1e-6);
+            assert!((ray.angle - ray.step.degrees().to_radians()).abs() < 1e-6);
         }
         let with_point: Vec<&Ray> = rays.iter().filter(|ray| ray.point().is_some()).collect();
         assert_eq!(with_point.len(), scan.points().count());

@@ -37,8 +37,8 @@ use crate::{Error, ErrorChain};
 /// # emulator.unplug();
 /// # tokio::time::sleep(Duration::from_secs(2)).await;
 /// let stale = scans.freshness().check(LIMIT).unwrap_err();
-/// println!("not healthy: {}", ErrorChain::new(&stale));
-/// # assert!(ErrorChain::new(&stale).to_string().contains("no port"), "{stale}");
+/// println!("not healthy: {}", ErrorChain(&stale));
+/// # assert!(ErrorChain(&stale).to_string().contains("no port"), "{stale}");
 /// # Ok(())
 /// # }
 /// ```
@@ -116,7 +116,7 @@ pub struct StaleError {
 /// Writes the error and its cause, as [`Error`] does.
 impl fmt::Debug for StaleError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(&ErrorChain::new(self), f)
+        fmt::Display::fmt(&ErrorChain(self), f)
     }
 }
 
@@ -142,7 +142,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn before_the_first_scan_nothing_is_fresh_and_the_reason_is_the_cause() {
         let none = Freshness::new(None, Some(ErrorKind::LaserOff.into()));
-        let stale = none.check(LIMIT).map_err(|stale| ErrorChain::new(&stale).to_string());
+        let stale = none.check(LIMIT).map_err(|stale| ErrorChain(&stale).to_string());
         let text = "expected a scan within 500.0ms, but none has arrived yet: \
                     the laser of the sensor is switched off: switch it on before asking for scans";
         assert_eq!(stale, Err(text.to_owned()));

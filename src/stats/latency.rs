@@ -33,11 +33,6 @@ pub struct LatencyStats {
 }
 
 impl LatencyStats {
-    /// Mean time, or zero before the first reply.
-    pub fn mean(&self) -> Duration {
-        if self.count == 0 { Duration::ZERO } else { self.total.div_f64(self.count as f64) }
-    }
-
     /// Time within which the fraction `q` of the replies arrived: pass 0.5 for the
     /// median, or 0.99 for the time that one reply in a hundred exceeds. Zero before the
     /// first reply. Clamps `q` to 0..=1.

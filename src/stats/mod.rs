@@ -14,7 +14,7 @@
 //! }
 //! let stats = sensor.stats();
 //! println!("{} scans, {} malformed replies", stats.scans, stats.malformed.total());
-//! println!("the mean reply took {:?}", stats.reply_latency.mean());
+//! println!("the slowest reply took {:?}", stats.reply_latency.max);
 //! # assert_eq!((stats.scans, stats.malformed.total()), (10, 0));
 //! # Ok(())
 //! # }

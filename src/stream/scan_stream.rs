@@ -49,12 +49,6 @@ impl ScanStream {
         poll_fn(|cx| self.cursor.poll_next(cx)).await
     }
 
-    /// Takes the next scan or error without waiting. `None` means that nothing new has arrived, or
-    /// that the stream has ended: [`is_terminated`](FusedStream::is_terminated) tells which.
-    pub fn next_if_ready(&mut self) -> Option<Result<Scan, Error>> {
-        self.cursor.next_if_ready()
-    }
-
     /// Newest scan, read or not, or `None` before the first. Reads nothing: [`next`](Self::next)
     /// still yields a scan that you have not read. The newest scan may be old: check its
     /// [age](Scan::age), or [`freshness`](Self::freshness).

@@ -85,9 +85,8 @@ async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() 
     sensor.laser_on().await.unwrap();
     emulator.unplug();
     let lost = loop {
-        match scans.next_if_ready() {
-            Some(Err(error)) => break error,
-            _ => tokio::time::sleep(ms(10)).await,
+        if let Err(error) = scans.next().await.unwrap() {
+            break error;
         }
     };
     assert!(matches!(named(lost).kind(), ErrorKind::Disconnected { .. }));

@@ -315,7 +315,7 @@ async fn a_latency_of_zero_does_not_make_the_search_a_busy_loop() {
     let written = Arc::new(AtomicU64::new(0));
     let count = CountWrites(Arc::clone(&written));
     let (near, _silent) = duplex(1 << 20);
-    let port = Hooked { port: StreamPort::new(near), hooks: count };
+    let port = Hooked { port: StreamPort(near), hooks: count };
     let mut ports = Some(port).into_iter();
     let connect =
         move || Ok(ports.next().ok_or(ErrorKind::NoSuchPort { port: "it".to_owned() })?);

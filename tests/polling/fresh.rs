@@ -3,7 +3,7 @@
 use std::future::ready;
 use std::time::Duration;
 
-use futures::StreamExt;
+use futures::{FutureExt, StreamExt};
 use tokio::time::{Instant, sleep};
 use tokio_scip::{ErrorChain, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults};
@@ -36,7 +36,7 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
     for freshness in [sensor.freshness(), stream.freshness()] {
         let stale = freshness.check(LIMIT).unwrap_err();
         assert!(stale.age.unwrap() > Duration::from_secs(4), "{stale}");
-        let text = ErrorChain::new(&stale).to_string();
+        let text = ErrorChain(&stale).to_string();
         assert!(
             text.contains("the reply of the sensor to G") && text.contains("expected"),
             "{text}"
@@ -65,7 +65,7 @@ async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_d
     emulator.unplug();
     sleep(Duration::from_secs(2)).await;
     for freshness in [sensor.freshness(), stream.freshness()] {
-        let text = ErrorChain::new(&freshness.check(LIMIT).unwrap_err()).to_string();
+        let text = ErrorChain(&freshness.check(LIMIT).unwrap_err()).to_string();
         assert!(text.contains("no port") || text.contains("is lost"), "{text}");
     }
     sensor.close().await;
@@ -86,10 +86,10 @@ async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_po
     // It may have been opened after the first scan.
     assert!(newest.missed() + 1 >= latest.sequence(), "{}", newest.missed());
     for sequence in 0..=latest.sequence() {
-        assert_eq!(all.next_if_ready().unwrap().unwrap().sequence(), sequence);
+        assert_eq!(all.next().await.unwrap().unwrap().sequence(), sequence);
     }
     assert_eq!(all.missed(), 0);
-    assert!(all.next_if_ready().is_none(), "nothing is new");
+    assert!(all.next().now_or_never().is_none(), "nothing is new");
 }
 
 #[tokio::test(start_paused = true)]
@@ -165,7 +165,7 @@ async fn a_stream_gets_no_error_because_another_one_is_opened_while_the_link_is_
     sleep(Duration::from_secs(5)).await;
     let mut second = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
     assert!(second.next().await.unwrap().is_err());
-    let item = first.next_if_ready();
+    let item = first.next().now_or_never();
     assert!(item.is_none(), "{item:?}");
 }
 

@@ -26,7 +26,7 @@ async fn on_a_clean_link_the_port_is_read_for_pending_bytes_once_a_poll() {
     let reads = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&reads);
     let connect = ConnectFn(move || {
-        let port = StreamPort::new(InstantSensor::new());
+        let port = StreamPort(InstantSensor::new());
         Ok(Hooked { port, hooks: CountReads(Arc::clone(&count)) })
     });
     let sensor = builder().connect(connect).await.unwrap();

@@ -31,7 +31,7 @@ async fn at_the_highest_rate_a_port_whose_replies_are_ready_leaves_other_tasks_t
     let commands = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&commands);
     let connect = move || {
-        let port = StreamPort::new(InstantSensor::new());
+        let port = StreamPort(InstantSensor::new());
         Ok(ReadyPort::new(Hooked { port, hooks: CountCommands(Arc::clone(&counted)) }))
     };
     let sensor = builder().reconnect(false).connect(ConnectFn(connect)).await.unwrap();

@@ -247,19 +247,16 @@ async fn a_stream_goes_on_after_an_error_and_ends_when_it_is_closed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_time_that_replies_take_is_reported_with_its_mean() {
+async fn the_time_that_replies_take_is_reported() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
-    assert_eq!(sensor.stats().reply_latency.mean(), Duration::ZERO);
     emulator.set_faults(Faults::none().at(1, Fault::Late(ms(90))));
     for _ in 0..3 {
         sensor.scan(Window::DETECTION).await.unwrap();
     }
     let latency = sensor.stats().reply_latency;
     assert_eq!(latency.count, 3);
-    assert!(latency.min <= latency.mean() && latency.mean() <= latency.max);
     assert!(latency.max - latency.min >= ms(80), "{latency:?}");
-    assert_eq!(latency.mean() * 3, latency.total, "{latency:?}");
 }
 
 #[tokio::test(start_paused = true)]

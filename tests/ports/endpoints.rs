@@ -175,7 +175,7 @@ fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_has_no_hints() {
     hints.discard_output();
     assert!(is_discarded.load(Ordering::Relaxed));
 
-    let mut plain = StreamPort::new(tokio::io::empty());
+    let mut plain = StreamPort(tokio::io::empty());
     assert_eq!(plain.baud_rate(), None);
     let refused = plain.set_baud_rate(BaudRate::B19200).unwrap_err();
     assert_eq!(refused.kind(), io::ErrorKind::Unsupported);
@@ -220,7 +220,7 @@ async fn a_closure_opens_ports_again_after_each_loss() {
 #[tokio::test]
 async fn a_stream_port_flushes_and_shuts_down_its_stream() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut port = StreamPort::new(tokio::io::BufStream::new(near));
+    let mut port = StreamPort(tokio::io::BufStream::new(near));
     let mut bytes = [0; 8];
     port.write_all(b"V\n").await.unwrap();
     assert!(far.read(&mut bytes).now_or_never().is_none(), "the stream holds it back");

@@ -41,7 +41,7 @@ impl Failure {
 
 /// Joins an error and its causes with ": ".
 pub(crate) fn chain(error: &dyn Error) -> String {
-    tokio_scip::ErrorChain::new(error).to_string()
+    tokio_scip::ErrorChain(error).to_string()
 }
 
 #[cfg(test)]

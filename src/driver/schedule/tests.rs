@@ -109,7 +109,9 @@ async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_go
         for _ in 0..3 {
             schedules.deliver(poll, scan());
         }
-        assert!(readers.iter_mut().all(|reader| reader.next_if_ready().is_some()));
+        assert!(readers.iter_mut().all(|reader| {
+            poll_fn(|cx| reader.poll_next(cx)).now_or_never().flatten().is_some()
+        }));
         schedules.missed()
     };
     // Known at the next poll.

@@ -134,7 +134,7 @@ async fn an_empty_budget_is_no_quiet_line() {
 #[tokio::test(start_paused = true)]
 async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_late() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut transport = on(StreamPort::new(near));
+    let mut transport = on(StreamPort(near));
     let deadline = transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
@@ -184,7 +184,7 @@ async fn bytes_after_the_answer_are_pending() {
 #[tokio::test(start_paused = true)]
 async fn a_nul_in_front_of_a_reply_is_not_its_first_byte() {
     let (near, mut far) = tokio::io::duplex(64);
-    let mut transport = on(StreamPort::new(near));
+    let mut transport = on(StreamPort(near));
     let begin = Instant::now();
     let send = async {
         for piece in [&b"\0\0"[..], b"\0L0\n", b"0\n\n"] {

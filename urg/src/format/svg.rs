@@ -155,15 +155,15 @@ impl Paper {
         writeln!(out, r#"<path class="sector" d="M{x:.2} {y:.2}L{rim}Z"/>"#)?;
         let half = plot::width(scan.window().cluster_count()) / 2.0;
         let (mut seen, mut open) = (String::new(), false);
-        for (angle, measurement) in scan.angles().map(f64::from).zip(scan.measurements()) {
-            let Some(millimetres) = measurement.distance() else {
+        for ray in scan.rays() {
+            let Some(millimetres) = ray.measurement.distance() else {
                 open = false;
                 continue;
             };
             if !std::mem::replace(&mut open, true) {
                 write!(seen, "M{x:.2} {y:.2}")?;
             }
-            let range = f64::from(millimetres) / 1000.0;
+            let (range, angle) = (f64::from(millimetres) / 1000.0, f64::from(ray.angle));
             for angle in [angle - half, angle + half] {
                 let (x, y) = self.at(plot::place(range, angle));
                 write!(seen, "L{x:.2} {y:.2}")?;
@@ -203,7 +203,7 @@ impl Paper {
             let radius = REACH + f64::from(track) * TRACK / self.scale;
             let mut arcs = String::new();
             let mut run: Option<Sector> = None;
-            let directions = scan.angles().map(f64::from).zip(scan.measurements().map(Some));
+            let directions = scan.rays().map(|ray| (f64::from(ray.angle), Some(ray.measurement)));
             // An extra item ends the last run.
             for (angle, measurement) in directions.chain([(0.0, None)]) {
                 if measurement.and_then(MissingKind::from_measurement) == Some(kind) {

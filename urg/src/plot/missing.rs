@@ -24,7 +24,7 @@ impl MissingKind {
             Measurement::Distance(_) => None,
             Measurement::Saturated => Some(Self::Far),
             Measurement::Error(code) if code.is_beyond_range() => Some(Self::Far),
-            Measurement::Error(code) if code.is_low_intensity() => Some(Self::Weak),
+            Measurement::Error(code) if matches!(code.number(), 1..=5) => Some(Self::Weak),
             Measurement::Error(_) => Some(Self::Nothing),
         }
     }

@@ -9,6 +9,7 @@ pub(crate) mod summary;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 use tokio_scip::Window;
+use tokio_scip::protocol::Step;
 
 /// Radius of a whole plot, in metres: a little more than a URG can measure.
 pub(crate) const REACH: f64 = 4.2;
@@ -71,7 +72,8 @@ impl Extent {
 
 impl Sector {
     pub(crate) fn from_window(window: Window) -> Self {
-        Self { from: window.start().angle().into(), to: window.end().angle().into() }
+        let angle = |step: Step| f64::from(step.degrees()).to_radians();
+        Self { from: angle(window.start()), to: angle(window.end()) }
     }
 
     /// Computes the rectangle around the sector, for a radius of 1.

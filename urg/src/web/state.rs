@@ -76,7 +76,7 @@ impl<'a> SensorReport<'a> {
             age: sensor.and_then(|sensor| sensor.freshness().age()).map(|age| age.as_secs_f64()),
             latency: latency.filter(|latency| latency.count > 0).map(|latency| LatencySeconds {
                 last: latency.last.as_secs_f64(),
-                mean: latency.mean().as_secs_f64(),
+                mean: latency.total.as_secs_f64() / latency.count.max(1) as f64,
                 max: latency.max.as_secs_f64(),
             }),
             jitter: hub.and_then(Hub::jitter),
