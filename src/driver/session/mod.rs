@@ -381,4 +381,15 @@ mod tests {
         session.discard_pending().await.unwrap();
         assert!(!session.is_settled());
     }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_copy_that_waits_in_the_port_answers_no_command() {
+        let mut session = session(b"L0\n0\n\n");
+        session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
+        let copy =
+            ScriptedPort { reads: [Ok(b"L0\n0\n\n".to_vec())].into(), ..ScriptedPort::default() };
+        session.transport = Transport::new(Box::new(copy), None);
+        assert!(session.is_settled());
+        assert!(session.command(Command::LaserOff).await.is_err());
+    }
 }
