@@ -2,7 +2,7 @@
 //!
 //! ```sh
 //! cargo run --example fleet emulated 100
-//! cargo run --example fleet /dev/ttyACM0 tcp://10.0.0.7:10940 serial:H0713090
+//! cargo run --example fleet /dev/ttyACM0 tcp://10.0.0.7:2000 serial:H0713090
 //! ```
 //!
 //! Sensors may be absent at the start, come and go. A line names those without a fresh scan.

@@ -8,7 +8,7 @@ use urg_emulator::{Emulator, Room};
 #[allow(dead_code, reason = "not each example takes just one port")]
 pub(crate) fn argument() -> String {
     std::env::args().nth(1).unwrap_or_else(|| {
-        eprintln!("expected a port, such as /dev/ttyACM0 or tcp://10.0.0.7:10940, or: emulated");
+        eprintln!("expected a port, such as /dev/ttyACM0 or tcp://10.0.0.7:2000, or: emulated");
         std::process::exit(2)
     })
 }

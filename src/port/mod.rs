@@ -13,7 +13,7 @@
 //! # async fn open() -> Result<(), Error> {
 //! let sensor = Sensor::builder()
 //!     .connect(|| async {
-//!         let stream = TcpStream::connect("robot:10940").await;
+//!         let stream = TcpStream::connect("robot:2000").await;
 //!         Ok(StreamPort(stream.map_err(|error| Error::open("robot", error))?))
 //!     })
 //!     .await?;
