@@ -36,10 +36,10 @@ use self::kind::Sentence;
 ///
 /// A direction without a distance is not an error but a [`Measurement`](crate::Measurement).
 #[derive(Clone)]
-pub struct Error(Arc<Inner>);
+pub struct Error(Arc<ErrorParts>);
 
 #[derive(Clone)]
-struct Inner {
+struct ErrorParts {
     kind: ErrorKind,
     sensor: Option<Arc<str>>,
 }
@@ -47,7 +47,7 @@ struct Inner {
 impl Error {
     /// Creates the error of a sensor with this name, if it has one.
     pub(crate) fn new(kind: ErrorKind, sensor: Option<&Arc<str>>) -> Self {
-        Self(Arc::new(Inner { kind, sensor: sensor.cloned() }))
+        Self(Arc::new(ErrorParts { kind, sensor: sensor.cloned() }))
     }
 
     /// Creates an [`ErrorKind::Open`], for a [`Connect`](crate::port::Connect) of your own.
@@ -107,7 +107,7 @@ impl fmt::Display for Error {
 impl fmt::Debug for Error {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if f.alternate() {
-            let Inner { kind, sensor } = &*self.0;
+            let ErrorParts { kind, sensor } = &*self.0;
             return f.debug_struct("Error").field("kind", kind).field("sensor", sensor).finish();
         }
         // Not `Debug` of the chain, which would come back here.

@@ -137,7 +137,7 @@ impl<P: Ports> Search<P> {
                     }
                     Err(error) => {
                         tracing::trace!(path, error = %error.chain(), "port skipped");
-                        pass.note(path, error);
+                        pass.record_failure(path, error);
                     }
                 }
             }
@@ -157,7 +157,7 @@ impl<P: Ports> Search<P> {
 }
 
 impl Pass {
-    fn note(&mut self, path: String, error: Error) {
+    fn record_failure(&mut self, path: String, error: Error) {
         match error.kind() {
             ErrorKind::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
             ErrorKind::PermissionDenied { .. } => self.denied = Some(error),
