@@ -45,27 +45,10 @@ fn copy_to_new_block(bencher: Bencher) {
     bencher.bench_local(|| drop(black_box(black_box(&reply).to_vec())));
 }
 
-/// Does what the driver does with a reply: copies it into the read buffer, checks it, and
-/// decodes it into the values of a `Scan`.
+/// Does what a program with a `Framed` does with a reply: copies it into the read buffer, splits
+/// it off, checks it, and decodes it into the values of a `Scan`.
 #[divan::bench(sample_size = 100)]
 fn crate_decoder(bencher: Bencher) {
-    let reply = full_scan();
-    let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
-    let mut buffer = BytesMut::with_capacity(4096);
-    codec.encode(&command, &mut buffer).unwrap();
-    buffer.clear();
-    bencher.bench_local(|| {
-        buffer.reserve(4096);
-        buffer.extend_from_slice(black_box(&reply));
-        let Some(Frame::Reply(length)) = codec.find(&mut buffer) else { panic!("no frame") };
-        drop(black_box(Reply::parse(black_box(&command), &buffer[..length]).unwrap()));
-        buffer.clear();
-    });
-}
-
-/// Does what a program with a `Framed` does, for which the frame is split off the buffer.
-#[divan::bench(sample_size = 100)]
-fn crate_decoder_of_framed(bencher: Bencher) {
     let reply = full_scan();
     let (mut codec, command) = (ScipCodec::default(), Command::Distances(Window::FULL));
     let mut buffer = BytesMut::with_capacity(4096);

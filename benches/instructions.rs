@@ -11,7 +11,7 @@ use instant_sensor::InstantSensor;
 use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Rate, Sensor, Window};
-use tokio_util::codec::Encoder;
+use tokio_util::codec::{Decoder, Encoder};
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;
@@ -54,9 +54,8 @@ fn decode(scans: usize) {
     for _ in 0..scans {
         buffer.reserve(4096);
         buffer.extend_from_slice(&reply);
-        let Some(Frame::Reply(length)) = codec.find(&mut buffer) else { panic!("no frame") };
-        drop(std::hint::black_box(Reply::parse(&command, &buffer[..length]).unwrap()));
-        buffer.clear();
+        let Ok(Some(Frame::Reply(frame))) = codec.decode(&mut buffer) else { panic!("no frame") };
+        drop(std::hint::black_box(Reply::parse(&command, &frame).unwrap()));
     }
 }
 

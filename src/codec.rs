@@ -2,7 +2,7 @@
 //! [`protocol`](crate::protocol) validates the replies.
 //!
 //! Searching a full scan for its two LFs takes 887 instructions, and everything else about it
-//! 2,030 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
+//! 2,163 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
 //! successful reply to a `G` ends. Only a reply that does not end there is
 //! searched. Both ways yield the same kind of frame, for the same parser.
 
@@ -14,28 +14,36 @@ use tokio_util::codec::{Decoder, Encoder};
 use crate::protocol::{Command, Window};
 
 /// Longest reply in bytes, without its terminator. A sensor's longest reply has 1,574.
-#[doc(hidden)] // For tests.
-pub const MAX_FRAME: usize = 4096;
+const MAX_FRAME: usize = 4096;
 /// Length of a terminator, two LFs.
 pub(crate) const TERMINATOR: usize = 2;
 
-/// Bytes between two terminators: in a buffer of their own, as a slice (`&[u8]`), or only
-/// their number (`usize`).
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// Bytes between two terminators.
+#[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
-pub enum Frame<B = BytesMut> {
+pub enum Frame {
     /// Reply without its terminator. It may hold anything:
     /// [`Reply::parse`](crate::protocol::Reply::parse) validates it.
-    Reply(B),
-    /// More than [`MAX_FRAME`] bytes without a terminator, dropped up to and including the
-    /// next terminator.
+    Reply(BytesMut),
+    /// More than 4,096 bytes without a terminator, dropped up to and including the next
+    /// terminator.
     Overlong {
         /// Number of bytes dropped, without the terminator.
         bytes: usize,
     },
 }
 
-impl Frame<usize> {
+/// Frame in a buffer: its length, or its bytes (`&[u8]`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FoundFrame<B = usize> {
+    Reply(B),
+    /// As [`Frame::Overlong`]; no longer in the buffer.
+    Overlong {
+        bytes: usize,
+    },
+}
+
+impl FoundFrame {
     /// Number of bytes on the wire, terminator included.
     pub(crate) fn wire_len(&self) -> u64 {
         let (Self::Reply(bytes) | Self::Overlong { bytes }) = self;
@@ -56,7 +64,7 @@ impl Frame<usize> {
 /// inside.
 ///
 /// Reads can cut the bytes up in any way: the decoder looks at each byte a constant number
-/// of times. It holds at most [`MAX_FRAME`] bytes and half a terminator.
+/// of times. It holds at most 4,096 bytes and half a terminator.
 ///
 /// ```
 /// use bytes::BytesMut;
@@ -109,29 +117,12 @@ impl ExpectedScan {
 }
 
 impl ScipCodec {
-    /// Finds the first frame in `buffer` and leaves it there. Use this instead of
-    /// [`decode`](Decoder::decode) to validate a reply in place: `decode` also copies the
-    /// frame, which costs a twentieth of decoding a scan.
+    /// Finds the first frame in `buffer` and leaves a reply there, for the driver to validate in
+    /// place.
     ///
-    /// For a reply, returns its length. The reply is at the front of `buffer`, followed by
-    /// the two LFs of its terminator: remove both yourself. Bytes that belong to no reply
-    /// are removed for you: NULs in front of a reply, and an over-long frame with its
-    /// terminator.
-    ///
-    /// ```
-    /// use bytes::{Buf, BytesMut};
-    /// use tokio_scip::codec::{Frame, ScipCodec};
-    ///
-    /// let mut codec = ScipCodec::default();
-    /// let mut buffer = BytesMut::from("\0L1\n0\n\nL0");
-    /// assert_eq!(codec.find(&mut buffer), Some(Frame::Reply(4)));
-    /// assert_eq!(buffer[..4], *b"L1\n0");
-    /// buffer.advance(4 + 2);
-    /// assert_eq!(codec.find(&mut buffer), None);
-    /// assert_eq!(buffer[..], *b"L0");
-    /// ```
-    #[doc(hidden)] // For the driver and benches.
-    pub fn find(&mut self, buffer: &mut BytesMut) -> Option<Frame<usize>> {
+    /// For a reply, returns its length. Remove it and the two LFs behind it. Bytes that belong to
+    /// no reply are removed: NULs in front of a reply, and an over-long frame with its terminator.
+    pub(crate) fn find(&mut self, buffer: &mut BytesMut) -> Option<FoundFrame> {
         if self.searched == 0 && self.skipped.is_none() && buffer.first() == Some(&0) {
             let nulls = buffer.iter().take_while(|&&byte| byte == 0).count();
             buffer.advance(nulls);
@@ -151,10 +142,10 @@ impl ScipCodec {
         self.searched = 0;
         let skipped = self.skipped.take();
         if skipped.is_none() && length <= MAX_FRAME {
-            return Some(Frame::Reply(length));
+            return Some(FoundFrame::Reply(length));
         }
         buffer.advance(length + TERMINATOR);
-        Some(Frame::Overlong { bytes: skipped.unwrap_or(0) + length })
+        Some(FoundFrame::Overlong { bytes: skipped.unwrap_or(0) + length })
     }
 
     /// Forgets all progress. Call it after you empty the buffer.
@@ -202,12 +193,12 @@ impl Decoder for ScipCodec {
 
     fn decode(&mut self, buffer: &mut BytesMut) -> io::Result<Option<Frame>> {
         Ok(self.find(buffer).map(|frame| match frame {
-            Frame::Reply(length) => {
+            FoundFrame::Reply(length) => {
                 let mut reply = buffer.split_to(length + TERMINATOR);
                 reply.truncate(length);
                 Frame::Reply(reply)
             }
-            Frame::Overlong { bytes } => Frame::Overlong { bytes },
+            FoundFrame::Overlong { bytes } => Frame::Overlong { bytes },
         }))
     }
 

@@ -1,11 +1,14 @@
 //! The framing: where replies end, in whatever pieces their bytes arrive. `properties`
 //! checks it for any bytes.
 
-use bytes::{Buf, BytesMut};
+use bytes::BytesMut;
 use tokio_scip::Window;
-use tokio_scip::codec::{Frame, MAX_FRAME, ScipCodec};
+use tokio_scip::codec::{Frame, ScipCodec};
 use tokio_scip::protocol::{BaudRate, Command, Reply};
 use tokio_util::codec::{Decoder, Encoder};
+
+/// Longest reply, as the documentation of `Frame` states it.
+const MAX_FRAME: usize = 4096;
 
 /// Decodes `chunks` one after the other, and takes every frame as soon as it is complete.
 fn decode<'a>(chunks: impl IntoIterator<Item = &'a [u8]>) -> (Vec<Frame>, BytesMut) {
@@ -85,20 +88,6 @@ fn a_reply_of_the_greatest_length_is_a_reply() {
         let (frames, _) = decode(bytes.chunks(chunk));
         assert_eq!(frames, [reply(&bytes[..MAX_FRAME])], "in chunks of {chunk}");
     }
-}
-
-#[test]
-fn a_reply_that_is_only_found_stays_in_the_buffer_until_it_is_removed() {
-    let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&b"\0L1\n0\n\nV\n"[..]));
-    for _ in 0..2 {
-        assert_eq!(codec.find(&mut buffer), Some(Frame::Reply(4)));
-        assert_eq!(&*buffer, b"L1\n0\n\nV\n");
-    }
-    // What is behind it was not searched yet.
-    buffer.advance(6);
-    assert_eq!(codec.find(&mut buffer), None);
-    buffer.extend_from_slice(b"0\n\n");
-    assert_eq!(codec.find(&mut buffer), Some(Frame::Reply(3)));
 }
 
 #[test]

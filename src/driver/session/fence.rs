@@ -12,7 +12,7 @@ use super::super::failure::{ExchangeError, LinkError};
 use super::super::transport::Transport;
 use super::Session;
 use crate::RawReply;
-use crate::codec::Frame;
+use crate::codec::FoundFrame;
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status};
 use crate::{ErrorKind, Window};
 
@@ -88,7 +88,7 @@ impl Session {
         loop {
             let received = self.transport.next_frame(deadline).await?;
             let (frame, timing) = (received.frame(), received.timing);
-            if let Frame::Reply(bytes) = frame {
+            if let FoundFrame::Reply(bytes) = frame {
                 self.observers.pass(RawReply {
                     command: None,
                     bytes,
@@ -124,16 +124,16 @@ impl Session {
 }
 
 /// Looks for the reply to `command` at the end of `frame`: the bytes before it are older.
-fn judge(command: &Command, frame: Frame<&[u8]>) -> Result<Status, ReplyError> {
+fn judge(command: &Command, frame: FoundFrame<&[u8]>) -> Result<Status, ReplyError> {
     match frame {
-        Frame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status()),
-        Frame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
+        FoundFrame::Reply(bytes) => Reply::parse_end(command, bytes).map(|reply| reply.status()),
+        FoundFrame::Overlong { bytes } => Err(MalformedError::Overlong { bytes }.into()),
     }
 }
 
 /// Returns true if `frame` is the bytes that were sent, followed by a reply to them.
-fn is_echoed(sent: &[u8], command: &Command, frame: Frame<&[u8]>) -> bool {
-    let Frame::Reply(bytes) = frame else { return false };
+fn is_echoed(sent: &[u8], command: &Command, frame: FoundFrame<&[u8]>) -> bool {
+    let FoundFrame::Reply(bytes) = frame else { return false };
     bytes.strip_prefix(sent).is_some_and(|rest| rest.starts_with(&command.bytes()))
 }
 

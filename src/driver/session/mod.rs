@@ -24,7 +24,7 @@ use super::failure::ExchangeError;
 use super::observers::ReplyObservers;
 use super::transport::{ReceivedFrame, Timing, Transport};
 use crate::RawReply;
-use crate::codec::Frame;
+use crate::codec::FoundFrame;
 use crate::port::Port;
 use crate::protocol::{Command, MalformedError, Reply, ReplyError, Status, Version};
 use crate::state::{Telemetry, VersionReply};
@@ -267,8 +267,8 @@ fn judge(
 ) -> Result<Reply, ReplyError> {
     let timing = received.timing;
     let bytes = match received.frame() {
-        Frame::Reply(bytes) => bytes,
-        Frame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
+        FoundFrame::Reply(bytes) => bytes,
+        FoundFrame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse(command, bytes);
     observers.pass(RawReply {

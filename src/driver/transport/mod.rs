@@ -23,7 +23,7 @@ use tokio::time::{Instant, Sleep, sleep_until};
 
 use self::pause::Pauses;
 use super::failure::ExchangeError;
-use crate::codec::{Frame, ScipCodec, TERMINATOR};
+use crate::codec::{FoundFrame, ScipCodec, TERMINATOR};
 use crate::port::{Port, PortHints};
 use crate::protocol::Command;
 use crate::{BaudRate, ErrorKind};
@@ -108,7 +108,7 @@ pub(crate) struct Timing {
 #[derive(Debug)]
 pub(crate) struct ReceivedFrame<'a> {
     input: &'a mut BytesMut,
-    frame: Frame<usize>,
+    frame: FoundFrame,
     pub(crate) timing: Timing,
 }
 
@@ -380,10 +380,12 @@ impl Deadline {
 }
 
 impl ReceivedFrame<'_> {
-    pub(crate) fn frame(&self) -> Frame<&[u8]> {
+    pub(crate) fn frame(&self) -> FoundFrame<&[u8]> {
         match self.frame {
-            Frame::Reply(length) => Frame::Reply(self.input.get(..length).unwrap_or_default()),
-            Frame::Overlong { bytes } => Frame::Overlong { bytes },
+            FoundFrame::Reply(length) => {
+                FoundFrame::Reply(self.input.get(..length).unwrap_or_default())
+            }
+            FoundFrame::Overlong { bytes } => FoundFrame::Overlong { bytes },
         }
     }
 
@@ -395,7 +397,7 @@ impl ReceivedFrame<'_> {
 
 impl Drop for ReceivedFrame<'_> {
     fn drop(&mut self) {
-        let Frame::Reply(length) = self.frame else { return };
+        let FoundFrame::Reply(length) = self.frame else { return };
         let end = length + TERMINATOR;
         if end < self.input.len() {
             self.input.advance(end);
@@ -487,7 +489,7 @@ impl PromptPort {
 
 /// Step towards a frame.
 enum FrameStep {
-    Frame(Frame<usize>),
+    Frame(FoundFrame),
     /// The reply cannot be complete before this time.
     Pause(Instant),
     /// End of the stream.

@@ -139,7 +139,7 @@ async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_lat
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
     let received = transport.next_frame(deadline).await;
-    assert_eq!(received.unwrap().frame(), Frame::Reply(&b"L0\n0"[..]));
+    assert_eq!(received.unwrap().frame(), FoundFrame::Reply(&b"L0\n0"[..]));
     let outcome = transport.next_frame(deadline).await;
     assert!(matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))));
 }
@@ -168,7 +168,7 @@ async fn two_replies_in_one_read_are_two_frames() {
     let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
     let deadline = transport.send(&Command::LaserOff, LATENCY).await.unwrap();
     for reply in [&b"L1\n0"[..], b"L0\n0"] {
-        assert_eq!(transport.next_frame(deadline).await.unwrap().frame(), Frame::Reply(reply));
+        assert_eq!(transport.next_frame(deadline).await.unwrap().frame(), FoundFrame::Reply(reply));
     }
 }
 
