@@ -72,7 +72,7 @@ impl Extent {
 
 impl Sector {
     pub(crate) fn from_window(window: Window) -> Self {
-        let angle = |step: Step| f64::from(step.degrees()).to_radians();
+        let angle = |step: Step| f64::from(step.degrees().to_radians());
         Self { from: angle(window.start()), to: angle(window.end()) }
     }
 
