@@ -174,7 +174,7 @@ impl ErrorKind {
     }
 }
 
-/// Sentence that says what failed, of which sensor.
+/// One sentence: what failed, and the name of the sensor.
 pub(super) struct Sentence<'a> {
     pub(super) kind: &'a ErrorKind,
     pub(super) sensor: &'a str,

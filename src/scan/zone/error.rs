@@ -46,13 +46,13 @@ pub enum ZoneError {
     /// The zone has directions that no step has.
     #[error("the zone reaches {:.1}°: the sensor sees -135 to 135 degrees", angle.to_degrees())]
     BeyondView {
-        /// One of these directions in radians.
+        /// First of these directions, in radians.
         angle: f64,
     },
     /// The zone ends where no point can be measured behind it.
     #[error("the zone ends at {far:.3} m at {:.1}°: the sensor measures up to 4.094 m", angle.to_degrees())]
     BeyondRange {
-        /// A direction in radians in which it does.
+        /// Direction of this end in radians.
         angle: f64,
         /// Distance to its end in metres.
         far: f64,
