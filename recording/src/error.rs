@@ -75,9 +75,14 @@ pub enum RecordingError {
     },
     /// The recording has neither replies to polls nor `/scan` messages of a URG.
     #[error(
-        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan"
+        "no scan in this recording: expected replies of a sensor, or messages of a URG on the topic /scan{}",
+        others(topics)
     )]
-    NoScans,
+    NoScans {
+        /// Other topics with laser scans, at most 16: [`Recording::topic`](super::Recording::topic)
+        /// reads them.
+        topics: Vec<String>,
+    },
 }
 
 impl RecordingError {
@@ -86,6 +91,13 @@ impl RecordingError {
             Some(reason) => Self::Gone { reason },
             None => Self::Write { source: Arc::new(error) },
         }
+    }
+}
+
+fn others(topics: &[String]) -> String {
+    match topics {
+        [] => String::new(),
+        topics => format!("; choose a topic: {}", topics.join(", ")),
     }
 }
 

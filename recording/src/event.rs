@@ -14,10 +14,11 @@
 //! # }
 //! ```
 
+use std::collections::VecDeque;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
-use tokio_scip::{Error, ErrorKind, Scan};
+use tokio_scip::{Error, ErrorKind, Scan, Window};
 
 /// Event in the life of a stream. `Display` writes a JSON object, such as
 /// `{"event":"disconnected","error":"..."}`, as in recordings. `From<&str>` reads it.
@@ -69,11 +70,15 @@ impl From<&Error> for Event {
     }
 }
 
-/// Derives the events of one stream from its items.
+/// Largest number of streams to tell apart.
+const MAX_STREAMS: usize = 16;
+
+/// Derives the events of streams from their items. Tells streams apart by the windows and numbers
+/// of their scans.
 #[derive(Debug, Clone, Default)]
 pub struct Events {
-    /// Number of the next scan if none is missed.
-    expected: Option<u64>,
+    /// Window of each stream, and the number of its next scan if none is missed.
+    expected: VecDeque<(Window, u64)>,
     is_disconnected: bool,
 }
 
@@ -89,8 +94,7 @@ impl Events {
     pub fn from_item(&mut self, item: &Result<Scan, Error>) -> impl Iterator<Item = Event> + use<> {
         let events = match item {
             Ok(scan) => {
-                let expected = self.expected.replace(scan.sequence().saturating_add(1));
-                let scans = expected.map_or(0, |expected| scan.sequence().saturating_sub(expected));
+                let scans = self.count_missed(scan);
                 let is_back = std::mem::take(&mut self.is_disconnected);
                 [
                     is_back.then_some(Event::Reconnected),
@@ -103,6 +107,22 @@ impl Events {
             }
         };
         events.into_iter().flatten()
+    }
+
+    fn count_missed(&mut self, scan: &Scan) -> u64 {
+        let (window, number) = (scan.window(), scan.sequence());
+        let streams = self.expected.iter_mut();
+        let before = streams.filter(|(known, expected)| *known == window && *expected <= number);
+        let next = number.saturating_add(1);
+        if let Some((_, expected)) = before.max_by_key(|(_, expected)| *expected) {
+            return number - std::mem::replace(expected, next);
+        }
+        // The first scan of another stream.
+        if self.expected.len() == MAX_STREAMS {
+            self.expected.pop_front();
+        }
+        self.expected.push_back((window, next));
+        0
     }
 }
 
@@ -126,7 +146,6 @@ impl From<&str> for Event {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio_scip::Window;
 
     #[test]
     fn events_stand_before_the_scan_that_follows_them() {
@@ -147,6 +166,8 @@ mod tests {
         assert_eq!(of(Err(closed())), [Event::Error { error: closed().to_string() }]);
         assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
         assert_eq!(of(scan(15)), []);
+        // Of another stream, and of the first one again.
+        assert_eq!((of(scan(0)), of(scan(1)), of(scan(16))), (vec![], vec![], vec![]));
     }
 
     #[test]

@@ -46,7 +46,7 @@ mod tests {
         let version = parse_version(&version_frame(&metadata)).unwrap();
         assert_eq!(version.serial_number.to_string(), "H1");
         assert_eq!(version.status.map(|status| status.to_string()), Some("good".to_owned()));
-        assert!(version.vendor.is_empty() && version.firmware.is_empty());
+        assert_eq!((version.vendor, version.firmware), Default::default());
         let nothing = parse_version(&version_frame(&BTreeMap::new())).unwrap();
         assert_eq!(nothing, Version::default());
     }

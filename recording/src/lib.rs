@@ -81,7 +81,7 @@
 //!
 //! A replay reads the recording on demand, in small pieces, on the runtime's thread.
 
-mod cut;
+mod copy;
 mod error;
 mod event;
 mod file;
@@ -98,7 +98,6 @@ mod range;
 mod reader;
 mod record;
 mod recorder;
-mod repair;
 mod replay;
 pub mod ros;
 mod scans;
@@ -106,7 +105,7 @@ mod sync;
 mod topics;
 mod writer;
 
-pub use self::cut::{CutOutcome, cut};
+pub use self::copy::{Copied, cut, repair};
 pub use self::error::RecordingError;
 pub use self::event::{Event, Events};
 pub use self::file::RecordingFile;
@@ -114,7 +113,6 @@ pub use self::progress::Progress;
 pub use self::reader::Recording;
 pub use self::record::{Entry, Record, RecordedReply};
 pub use self::recorder::{Recorder, RecorderBuilder};
-pub use self::repair::{Repaired, repair};
 #[doc(no_inline)]
 pub use self::ros::LaserScan;
 pub use self::scans::RecordedScans;

@@ -1,27 +1,38 @@
-//! [`Messages`]: what the messages of a file mean. Knows the topic of each channel. Reading
-//! and repairing agree because this is the only judge of a message.
+//! [`Messages`]: what the messages of a file mean. Knows the topic of each channel.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::mcap::{Fields, MessageHeader, kind};
+use super::mcap::{self, Fields, MessageHeader, kind};
 use super::record::{Entry, Record, RecordedReply, parse_command};
 use super::topics::Topic;
 use crate::event::Event;
 use crate::ros;
+
+/// Longest name of a topic of ROS 2.
+const MAX_NAME_BYTES: usize = 255;
 
 /// Message types and channels defined up to a position in a file.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
     /// Name of each message type, if recordings use it.
     types: HashMap<u16, Option<&'static str>>,
-    /// Message type and topic of each channel, or no topic if recordings do not have it.
-    channels: HashMap<u16, (u16, Option<Topic>)>,
+    channels: HashMap<u16, Channel>,
 }
 
-/// Message that is malformed, or whose channel is not defined.
 #[derive(Debug)]
-pub(super) struct InvalidMessage;
+struct Channel {
+    schema: u16,
+    /// `None` if recordings do not have the topic.
+    topic: Option<Topic>,
+    /// Name of the topic if its messages are CDR, else empty.
+    name: Arc<str>,
+}
+
+/// Message whose channel is not defined.
+#[derive(Debug)]
+pub(super) struct UnknownChannel;
 
 impl Messages {
     /// Remembers a well-formed record that defines a message type or a channel.
@@ -42,108 +53,71 @@ impl Messages {
     }
 
     fn define_channel(&mut self, content: &[u8]) -> Option<()> {
-        let (id, schema, topic) = parse_channel(content)?;
-        self.channels.insert(id, (schema, topic));
+        let mut fields = Fields(content);
+        let (id, schema) = (fields.u16()?, fields.u16()?);
+        let (name, encoding) = (fields.string()?, fields.bytes()?);
+        // Other names and encodings are not of ROS.
+        let name = Some(name).filter(|name| name.len() <= MAX_NAME_BYTES && encoding == b"cdr");
+        let topic = Topic::ALL.into_iter().find(|topic| Some(topic.name()) == name);
+        self.channels.insert(id, Channel { schema, topic, name: name.unwrap_or_default().into() });
         Some(())
     }
 
-    /// Returns the topic of a channel, or `None` if recordings do not have it. The types are looked
-    /// up for each message, since a damaged file may define one again: then it makes no difference
-    /// whether a channel is repeated, and a repaired file does not repeat any.
-    fn topic(&self, channel: u16) -> Result<Option<Topic>, InvalidMessage> {
-        let (schema, topic) = self.channels.get(&channel).ok_or(InvalidMessage)?;
-        // Number 0 stands for no type. If a type was lost with a damaged part, assume the topic's own
-        // type where the number is the one that recordings give it: a repaired file defines these,
-        // and no others.
-        Ok(topic.filter(|topic| match self.types.get(schema) {
-            Some(name) => *name == Some(topic.message_type().name()),
-            None => *schema == 0 || *schema == topic.schema(),
-        }))
-    }
-
-    /// Defines the message type of a topic. Returns false if its number has a type already.
-    pub(super) fn add_type(&mut self, schema: u16, topic: Topic) -> bool {
-        let is_new = !self.types.contains_key(&schema);
-        self.types.entry(schema).or_insert(Some(topic.message_type().name()));
-        is_new
+    /// Returns the topic of a channel, or `None` if recordings do not have it. Scans may be on any
+    /// topic. The types are looked up for each message, since a damaged file may define one again:
+    /// then it makes no difference whether a channel is repeated.
+    fn topic(&self, channel: &Channel) -> Option<Topic> {
+        let kind = self.types.get(&channel.schema);
+        let is_a = |topic: &Topic| kind == Some(&Some(topic.message_type().name()));
+        match channel.topic {
+            // Without a type, or if it was lost with a damaged part, assume the topic's own.
+            Some(topic) => Some(topic).filter(|topic| kind.is_none() || is_a(topic)),
+            None if channel.name.is_empty() => None,
+            None => Some(Topic::Scans).filter(is_a),
+        }
     }
 
     /// Parses the content of a message. Returns `None` for a topic that recordings do not
-    /// have.
-    pub(super) fn parse(&self, content: &[u8]) -> Result<Option<Record>, InvalidMessage> {
-        let (header, data) = MessageHeader::parse(content).ok_or(InvalidMessage)?;
-        let Some(topic) = self.topic(header.channel)? else { return Ok(None) };
-        let entry = parse_entry(topic, header, data).ok_or(InvalidMessage)?;
-        let (at, sequence) = (time(header.log_time), header.sequence);
-        Ok(Some(Record { at, sequence, entry }))
+    /// have, and for a message in another form, such as a compressed one.
+    pub(super) fn parse(&self, content: &[u8]) -> Result<Option<Record>, UnknownChannel> {
+        let Some((header, data)) = MessageHeader::parse(content) else { return Ok(None) };
+        let channel = self.channels.get(&header.channel).ok_or(UnknownChannel)?;
+        let (at, stamp) = (time(header.log_time), time(header.publish_time));
+        let (sequence, topic) = (header.sequence, channel.topic.is_none());
+        let topic = topic.then(|| Arc::clone(&channel.name));
+        let entry = self.topic(channel).and_then(|topic| parse_entry(topic, stamp, data));
+        Ok(entry.map(|entry| Record { at, stamp, topic, sequence, entry }))
     }
 }
 
-/// Parses a channel: its number, its message type's number, and the topic of a recording
-/// that its name and encoding stand for.
-pub(super) fn parse_channel(content: &[u8]) -> Option<(u16, u16, Option<Topic>)> {
-    let mut fields = Fields(content);
-    let (id, schema) = (fields.u16()?, fields.u16()?);
-    let (name, encoding) = (fields.bytes()?, fields.bytes()?);
-    let named = |topic: &Topic| topic.name().as_bytes() == name && encoding == b"cdr";
-    Some((id, schema, Topic::ALL.into_iter().find(named)))
+/// Encodes the type of a channel whose schema was lost, as after its number. `content` is that of
+/// the channel after its number. Returns `None` for a channel that recordings do not have.
+pub(super) fn lost_schema(channel: u16, content: &[u8]) -> Option<Vec<u8>> {
+    let known = own_topic(channel, content)?.message_type();
+    Some(mcap::schema(known.name(), known.definition()))
 }
 
-fn parse_entry(topic: Topic, header: MessageHeader, data: &[u8]) -> Option<Entry> {
+/// Topic of a channel as recordings of this crate have it. `content` follows its number.
+fn own_topic(channel: u16, content: &[u8]) -> Option<Topic> {
+    let own = |topic: &Topic| {
+        topic.channel() == channel && mcap::channel(topic.schema(), topic.name()) == content
+    };
+    Topic::ALL.into_iter().find(own)
+}
+
+fn parse_entry(topic: Topic, stamp: SystemTime, data: &[u8]) -> Option<Entry> {
     Some(match topic {
         Topic::Scans => Entry::Scan(ros::read_scan(data)?),
         Topic::Events => Entry::Event(Event::from(ros::read_text(data)?)),
         Topic::Replies => {
             let (command, bytes) = ros::read_labelled_bytes(data)?;
             let (command, bytes) = (parse_command(command), bytes.to_vec());
-            Entry::Reply(RecordedReply { command, bytes, stamp: time(header.publish_time) })
+            Entry::Reply(RecordedReply { command, bytes, stamp })
         }
     })
 }
 
-fn time(nanos: u64) -> SystemTime {
+/// Converts from the form in files.
+pub(super) fn time(nanos: u64) -> SystemTime {
     SystemTime::UNIX_EPOCH + Duration::from_nanos(nanos)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Content of a record that begins with numbers, followed by texts.
-    fn content(numbers: &[u16], texts: [&str; 3]) -> Vec<u8> {
-        let mut content: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-        for text in texts {
-            content.extend((text.len() as u32).to_le_bytes());
-            content.extend(text.as_bytes());
-        }
-        content
-    }
-
-    fn channel(schema: u16) -> Vec<u8> {
-        content(&[0, schema], [Topic::Events.name(), "cdr", ""])
-    }
-
-    #[test]
-    fn a_channel_whose_type_was_lost_has_the_number_that_recordings_give_its_type() {
-        for (schema, is_known) in [(Topic::Events.schema(), true), (Topic::Scans.schema(), false)] {
-            let mut messages = Messages::default();
-            messages.define(kind::CHANNEL, &channel(schema));
-            assert_eq!(messages.topic(0).unwrap().is_some(), is_known);
-        }
-    }
-
-    #[test]
-    fn a_type_that_is_defined_again_counts_whether_or_not_its_channels_are_repeated() {
-        for is_repeated in [false, true] {
-            let mut messages = Messages::default();
-            for (name, is_known) in [("std_msgs/msg/String", true), ("std_msgs/msg/Header", false)]
-            {
-                messages.define(kind::SCHEMA, &content(&[5], [name, "ros2msg", ""]));
-                if is_known || is_repeated {
-                    messages.define(kind::CHANNEL, &channel(5));
-                }
-                assert_eq!(messages.topic(0).unwrap().is_some(), is_known, "{name}");
-            }
-        }
-    }
 }

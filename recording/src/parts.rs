@@ -149,12 +149,15 @@ impl Parts {
     }
 }
 
-/// Path of the next file of a recording, after all existing ones, or `path` if there are
-/// none.
-pub(super) fn next_path(path: &Path) -> PathBuf {
-    match highest_part(path) {
-        0 => path.to_owned(),
-        number => part_path(path, number + 1),
+/// Path of the next file of a recording, after all existing ones, or `path` if there are none. Fails
+/// if another recorder writes the last one: the files of both would alternate.
+pub(super) fn next_path(path: &Path) -> Result<PathBuf, RecordingError> {
+    let number = highest_part(path);
+    let last = if number > 1 { part_path(path, number) } else { path.to_owned() };
+    match number {
+        0 => Ok(last),
+        _ if RecordingFile::is_busy(&last) => Err(RecordingError::Busy { path: last }),
+        number => Ok(part_path(path, number + 1)),
     }
 }
 
@@ -244,7 +247,7 @@ mod tests {
         for name in names.iter().chain(&["run_x.mcap", "other_0002.mcap", "run_2.mcap"]) {
             fs::write(folder.join(name), [0; 100]).unwrap();
         }
-        assert_eq!(next_path(&path), folder.join("run_10001.mcap"));
+        assert_eq!(next_path(&path).unwrap(), folder.join("run_10001.mcap"));
         let current = folder.join("run_10000.mcap");
         let left = |limits: Limits, length| {
             Parts::new(limits, Some(path.clone()), &current, |out| out).remove_old(length);

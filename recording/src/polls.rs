@@ -1,42 +1,32 @@
-//! [`Polls`]: the recorded replies to polls, or the `/scan` messages of a recording without
-//! replies. A replay sends them and [`Recording::scans`] decodes them, so both have the same scans.
+//! [`Polls`]: the recorded replies to polls, and the `/scan` messages whose reply was not recorded. A
+//! replay sends them and [`Recording::scans`] decodes them, so both have the same scans.
 
 use std::collections::VecDeque;
 use std::time::{Duration, SystemTime};
 
 use super::from_ros::MessageScan;
 use super::identity::{parse_version, version_frame};
-use super::record::{Entry, RecordedReply};
+use super::record::{Entry, Record, RecordedReply};
 use super::{Recording, RecordingError};
 use tokio_scip::protocol::{Command, Reply};
 use tokio_scip::{Version, Window};
 
-/// Number of polls to search for the window of a stream. The driver does not widen one of
-/// four polls of a stream, and polls of other streams may be between them.
-const WINDOW_SEARCH_POLLS: usize = 8;
-
-/// Replies to `G`, in the order of their arrival.
-pub(super) struct Polls {
-    recording: Recording,
-    /// Window of the stream, from the metadata or else from the first polls.
-    window: Option<Window>,
-    /// First successful reply to `V`.
-    version: Option<RecordedReply>,
-    /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
-    revolution: Option<Duration>,
-    /// Set once a reply to any command was read: the replies have all scans then, and each comes
-    /// before the message that was made of it.
-    has_replies: bool,
-    /// Polls read in advance.
-    ahead: VecDeque<Result<PollReply, RecordingError>>,
-}
+/// Number of polls to search for the window of a stream that is not described. They stay in memory,
+/// so the search also ends after this many bytes of replies.
+const WINDOW_SEARCH_POLLS: usize = 256;
+const WINDOW_SEARCH_BYTES: usize = 1 << 20;
+/// Number of replies whose scans may still follow, from a consumer that is behind.
+const MAX_STAMPS: usize = 1 << 16;
 
 /// Answer to a poll.
+#[derive(Debug)]
 pub(super) struct PollReply {
     /// Log time of its receipt.
     pub(super) at: SystemTime,
     /// Requested window.
     pub(super) asked: Window,
+    /// Window of the recorded stream, if this is a poll of it.
+    pub(super) window: Option<Window>,
     /// Wall clock when the first byte arrived.
     pub(super) stamp: SystemTime,
     /// Time of one revolution, if the answer has it.
@@ -45,6 +35,7 @@ pub(super) struct PollReply {
 }
 
 /// What a recording has of an answer.
+#[derive(Debug)]
 pub(super) enum Answer {
     Reply(RecordedReply),
     /// Values of a `/scan` message.
@@ -61,19 +52,110 @@ impl Answer {
     }
 }
 
-impl Polls {
-    pub(super) fn new(recording: Recording) -> Self {
-        let window = recording.window();
-        let version = parse_version(&version_frame(recording.metadata()));
-        let revolution = version.as_ref().and_then(revolution);
-        let (ahead, has_replies) = (VecDeque::new(), false);
-        Self { recording, window, version: None, revolution, has_replies, ahead }
+impl PollReply {
+    /// Values of the stream's window, if this is a scan of it.
+    pub(super) fn stream_values(&self) -> Option<(Window, Vec<u16>)> {
+        let window = self.window?;
+        let mut values = self.answer.values()?;
+        // The driver may have asked for extra points before or after the window.
+        let surplus = window.start().number().saturating_sub(self.asked.start().number());
+        values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
+        values.truncate(window.points());
+        (values.len() == window.points()).then_some((window, values))
+    }
+}
+
+/// Finds the polls among the records of a file, and the stream that they belong to.
+#[derive(Debug, Default)]
+pub(super) struct StreamPolls {
+    /// Window of the stream: from the latest metadata, or else from the first polls.
+    window: Option<Window>,
+    /// Stamps of the latest replies to polls.
+    stamps: VecDeque<SystemTime>,
+    /// Polls that wait to be returned, and the bytes of their replies.
+    waiting: VecDeque<PollReply>,
+    waiting_bytes: usize,
+}
+
+impl StreamPolls {
+    /// The records that follow belong to a stream of this window.
+    pub(super) fn describe(&mut self, window: Option<Window>) {
+        self.window = window.or(self.window);
     }
 
-    /// Window of the stream, or `None` before the first poll if the metadata does not
-    /// have it.
-    pub(super) fn window(&self) -> Option<Window> {
-        self.window
+    /// Takes the next record of the file.
+    pub(super) fn add(&mut self, record: Record) {
+        let Record { at, stamp, .. } = record;
+        let poll =
+            |asked, answer| PollReply { at, asked, window: None, stamp, scan_time: None, answer };
+        let poll = match record.entry {
+            Entry::Reply(reply) => {
+                let Some(Command::Distances(asked)) = reply.command else { return };
+                if self.stamps.len() >= MAX_STAMPS {
+                    self.stamps.pop_front();
+                }
+                self.stamps.push_back(stamp);
+                self.waiting_bytes += reply.bytes.len();
+                poll(asked, Answer::Reply(reply))
+            }
+            // The driver delivers the stamp of the reply.
+            Entry::Scan(_) if self.stamps.iter().rev().any(|known| *known == stamp) => return,
+            Entry::Scan(message) => {
+                let Some(scan) = MessageScan::from_message(&message, self.window) else { return };
+                let MessageScan { window, values, stamp, scan_time } = scan;
+                PollReply { stamp, scan_time, ..poll(window, Answer::Values(values)) }
+            }
+            Entry::Event(_) => return,
+        };
+        self.waiting.push_back(poll);
+    }
+
+    /// Returns the next poll, once the window of the stream is known, or `is_end` is true because no
+    /// record follows.
+    pub(super) fn next(&mut self, is_end: bool) -> Option<PollReply> {
+        if self.window.is_none() {
+            let is_enough = self.waiting.len() >= WINDOW_SEARCH_POLLS
+                || self.waiting_bytes >= WINDOW_SEARCH_BYTES;
+            if !is_end && !is_enough {
+                return None;
+            }
+            self.find_window();
+        }
+        let mut poll = self.waiting.pop_front()?;
+        poll.window = self.window.filter(|window| window.is_polled_as(poll.asked));
+        Some(poll)
+    }
+
+    /// Finds the window of the stream to which the first poll belongs. The first polls may be
+    /// widened ones, because a part of a recording begins anywhere. The driver does not widen one of
+    /// four.
+    fn find_window(&mut self) {
+        let mut asked = self.waiting.iter().map(|poll| poll.asked);
+        let Some(first) = asked.next() else { return };
+        let narrower = asked.filter(|asked| asked.is_polled_as(first));
+        self.window = narrower.chain([first]).min_by_key(Window::steps);
+    }
+}
+
+/// Polls of a recording, in the order of the file.
+pub(super) struct Polls {
+    recording: Recording,
+    stream: StreamPolls,
+    /// Number of metadata records that describe the stream so far.
+    descriptions: u64,
+    /// First successful reply to `V`.
+    version: Option<RecordedReply>,
+    /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
+    revolution: Option<Duration>,
+    is_over: bool,
+}
+
+impl Polls {
+    pub(super) fn new(recording: Recording) -> Self {
+        let version = parse_version(&version_frame(recording.metadata()));
+        let revolution = version.as_ref().and_then(revolution);
+        let (stream, version) = (StreamPolls::default(), None);
+        Self { recording, stream, descriptions: 0, version, revolution, is_over: false }
     }
 
     /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
@@ -98,61 +180,53 @@ impl Polls {
         self.recording.since_first_scan(poll.at)
     }
 
+    pub(super) fn no_scans(&self) -> RecordingError {
+        self.recording.no_scans()
+    }
+
     pub(super) fn is_truncated(&self) -> bool {
         self.recording.is_truncated()
     }
 
-    /// Returns true if `asked` is the stream's window, possibly widened by the driver.
-    pub(super) fn is_of_stream(&self, asked: Window) -> bool {
-        self.window.is_some_and(|window| window.is_polled_as(asked))
+    /// Describes the stream by the metadata before the latest record, or at the end of the file.
+    fn describe(&mut self) {
+        let descriptions = self.recording.descriptions();
+        if std::mem::replace(&mut self.descriptions, descriptions) != descriptions {
+            self.stream.describe(self.recording.window());
+        }
     }
 
-    /// Finds the window of the stream to which the first poll belongs. The first poll may
-    /// be a widened one, because a part of a recording begins anywhere.
-    fn find_window(&mut self) {
-        self.ahead = std::iter::from_fn(|| self.read()).take(WINDOW_SEARCH_POLLS).collect();
-        let mut asked = self.ahead.iter().flatten().map(|poll| poll.asked);
-        let Some(first) = asked.next() else { return };
-        let narrower = asked.filter(|asked| asked.is_polled_as(first));
-        self.window = narrower.chain([first]).min_by_key(Window::steps);
+    fn add(&mut self, record: Record) {
+        self.describe();
+        if let Entry::Reply(reply) = &record.entry
+            && reply.command == Some(Command::Version)
+        {
+            let version = reply.parse().map(|reply| Version::from_reply(&reply));
+            self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
+            if version.is_some() && self.version.is_none() {
+                self.version = Some(reply.clone());
+            }
+        }
+        self.stream.add(record);
     }
+}
 
-    fn read(&mut self) -> Option<Result<PollReply, RecordingError>> {
+impl Iterator for Polls {
+    type Item = Result<PollReply, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let record = match self.recording.next()? {
-                Ok(record) => record,
-                Err(error) => return Some(Err(error)),
-            };
-            let reply = match record.entry {
-                Entry::Reply(reply) => reply,
-                Entry::Scan(message) if !self.has_replies => {
-                    let scan = MessageScan::from_message(&message, self.window);
-                    let Some(scan) = scan else { continue };
-                    return Some(Ok(PollReply {
-                        at: record.at,
-                        asked: scan.window,
-                        stamp: scan.stamp,
-                        scan_time: scan.scan_time,
-                        answer: Answer::Values(scan.values),
-                    }));
+            if let Some(poll) = self.stream.next(self.is_over) {
+                return Some(Ok(poll));
+            }
+            match self.recording.next() {
+                Some(Ok(record)) => self.add(record),
+                Some(Err(error)) => return Some(Err(error)),
+                None if self.is_over => return None,
+                None => {
+                    self.describe();
+                    self.is_over = true;
                 }
-                _ => continue,
-            };
-            self.has_replies = true;
-            match reply.command {
-                Some(Command::Distances(asked)) => {
-                    let (at, stamp, scan_time) = (record.at, reply.stamp, None);
-                    let answer = Answer::Reply(reply);
-                    return Some(Ok(PollReply { at, asked, stamp, scan_time, answer }));
-                }
-                Some(Command::Version) => {
-                    let version = reply.parse().map(|reply| Version::from_reply(&reply));
-                    self.revolution = version.as_ref().and_then(revolution).or(self.revolution);
-                    if version.is_some() {
-                        self.version.get_or_insert(reply);
-                    }
-                }
-                _ => {}
             }
         }
     }
@@ -162,17 +236,6 @@ impl Polls {
 fn revolution(version: &Version) -> Option<Duration> {
     let rpm = version.specification.as_ref()?.motor_speed?;
     Some(Duration::from_secs(60) / u32::from(rpm.max(1)))
-}
-
-impl Iterator for Polls {
-    type Item = Result<PollReply, RecordingError>;
-
-    fn next(&mut self) -> Option<Self::Item> {
-        if self.window.is_none() && self.ahead.is_empty() {
-            self.find_window();
-        }
-        self.ahead.pop_front().or_else(|| self.read())
-    }
 }
 
 impl RecordedReply {

@@ -20,4 +20,6 @@ pub struct Progress {
     /// Syncs that took longer than the [interval](super::RecorderBuilder::sync_interval):
     /// if the power fails, you may then lose more than two seconds.
     pub late_syncs: u64,
+    /// True if the file system cannot sync: if the power fails, you may lose more.
+    pub cannot_sync: bool,
 }

@@ -166,12 +166,18 @@ impl Queue {
     }
 
     /// Ends the file after all queued items. The receiver resolves once the file is
-    /// written, or with an error if the thread has failed.
+    /// written, or with an error if the thread has ended before.
     pub(super) fn finish(&self) -> oneshot::Receiver<()> {
         let (done, finished) = oneshot::channel();
         // Fails if the thread has ended, and the file with it.
         let _ = self.items.send(WriteItem::Finish(done));
         finished
+    }
+
+    /// Waits until the thread has ended, and everything is on the disk.
+    pub(super) async fn ended(&self) {
+        // Fails only without a sender, and `self` owns it.
+        let _ = self.waiting.subscribe().wait_for(Option::is_none).await;
     }
 
     pub(super) fn progress(&self) -> Progress {
@@ -184,6 +190,7 @@ impl Queue {
             lost: count(&self.lost),
             lost_replies: count(&self.lost_replies),
             late_syncs: self.syncer.as_ref().map_or(0, Syncer::late),
+            cannot_sync: self.syncer.as_ref().is_some_and(Syncer::is_unsupported),
         }
     }
 
@@ -208,7 +215,7 @@ impl Queue {
         if let Err(error) = outcome.map_err(RecordingError::write) {
             let cause = std::error::Error::source(&error);
             tracing::error!(cause = cause.map(tracing::field::display), "{error}");
-            *self.failure.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         }
     }
 }
@@ -234,10 +241,10 @@ fn write_all(
             Ok(WriteItem::Metadata(metadata)) => writer.metadata(metadata)?,
             Ok(WriteItem::Finish(done)) => {
                 // First, because the waiting recorder looks for the error at once.
-                queue.fail(writer.finish().and_then(|()| queue.sync_rest()));
+                queue.fail(writer.finish());
                 // Fails if the recorder's future was dropped.
                 let _ = done.send(());
-                return Ok(());
+                return queue.sync_rest();
             }
             Err(RecvTimeoutError::Timeout) => {
                 writer.flush()?;
@@ -332,6 +339,53 @@ mod tests {
             write_all(writer, &items, &queue).unwrap();
             assert_eq!(*queue.waiting.borrow(), Some(0));
         }
+    }
+
+    /// Disk that syncs once its sender is dropped.
+    struct Hangs(Arc<Mutex<std::sync::mpsc::Receiver<()>>>);
+
+    impl Write for Hangs {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Durable for Hangs {
+        fn sync(&self) -> io::Result<()> {
+            let _ = self.0.lock().unwrap().recv();
+            Ok(())
+        }
+
+        fn sync_folder(&self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Output for Hangs {
+        fn durable(&self) -> Option<Box<dyn Durable>> {
+            Some(Box::new(Self(Arc::clone(&self.0))))
+        }
+    }
+
+    #[tokio::test]
+    async fn a_file_is_written_before_a_disk_that_hangs_has_synced_it() {
+        let (go, wait) = mpsc::channel();
+        let settings = QueueSettings {
+            limits: Limits::default(),
+            frame_id: String::new(),
+            sync_interval: Some(Duration::ZERO),
+        };
+        let disk = Box::new(Hangs(Arc::new(Mutex::new(wait))));
+        let queue = Queue::into_file(disk, Path::new(""), None, settings).unwrap();
+        queue.finish().await.unwrap();
+        assert!(queue.ended().now_or_never().is_none());
+        drop(go);
+        queue.ended().await;
+        assert!(queue.failure().is_none());
     }
 
     /// The thread is marked as ended before its end of the channel closes.

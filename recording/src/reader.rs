@@ -1,7 +1,7 @@
 //! [`Recording`]: reads a file record by record, or a part of it, from its beginning to
 //! wherever it ends. Parses only the records that a recording needs.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
@@ -10,12 +10,12 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
-use super::mcap::{Input, Records, kind, nanos, parse_metadata};
-use super::messages::{InvalidMessage, Messages};
-use super::range::{RecordPlace, TimeRange};
+use super::mcap::{Input, Records, kind, parse_metadata};
+use super::messages::{Messages, UnknownChannel};
+use super::range::TimeRange;
 use super::record::Record;
+use super::topics::Topic;
 use super::{METADATA, RecordingError};
-use crate::ros::since_1970;
 use tokio_scip::{Rate, Window};
 
 /// Number of records to search for the metadata. The search stops after the section that
@@ -23,8 +23,10 @@ use tokio_scip::{Rate, Window};
 /// it stay in memory.
 const METADATA_SEARCH_RECORDS: usize = 256;
 const METADATA_SEARCH_BYTES: u64 = 1 << 20;
+/// Number of other topics to name.
+const MAX_OTHER_TOPICS: usize = 16;
 /// Reason for damage that no checksum covers.
-const MALFORMED: &str = "a message is malformed, or its channel is not defined";
+const UNKNOWN_CHANNEL: &str = "the channel of a message is not defined";
 
 /// Iterates over the records of a recording, in file order.
 ///
@@ -50,10 +52,16 @@ pub struct Recording {
     records: Records,
     messages: Messages,
     metadata: BTreeMap<String, String>,
+    /// Number of metadata records of a sensor read so far.
+    descriptions: u64,
     /// Records read in advance.
     ahead: VecDeque<Result<Record, RecordingError>>,
     /// Part to read.
     range: TimeRange,
+    /// Topic to read instead of `/scan`.
+    topic: Option<Arc<str>>,
+    /// Other topics with laser scans.
+    other_topics: BTreeSet<Arc<str>>,
     /// Position of the last reported damage.
     damaged_at: Option<u64>,
     is_over: bool,
@@ -84,7 +92,7 @@ impl Recording {
     ///
     /// The same as for [`open`](Self::open).
     pub fn read(input: impl Read + Send + 'static) -> Result<Self, RecordingError> {
-        Self::from_input(Input::Stream(Box::new(input)))
+        Self::from_input(Input::new(input))
     }
 
     fn from_input(input: Input) -> Result<Self, RecordingError> {
@@ -92,8 +100,11 @@ impl Recording {
             records: Records::new(input),
             messages: Messages::default(),
             metadata: BTreeMap::new(),
+            descriptions: 0,
             ahead: VecDeque::new(),
             range: TimeRange::new(&..),
+            topic: None,
+            other_topics: BTreeSet::new(),
             damaged_at: None,
             is_over: false,
         };
@@ -117,15 +128,10 @@ impl Recording {
     /// Restricts the recording to a part: the records whose time since the first scan is
     /// in `range`, and the first reply to `V`, which begins a replay.
     ///
-    /// Reads nothing after the part. If you [`open`](Self::open) a complete file, it also
-    /// skips the chunks before the part, except the first ones, up to the metadata, a
-    /// reply to `V` and a scan. To do so it reads the file's index, which takes at most 16
-    /// MiB of memory and is proved by a checksum. Any other file is read from its
-    /// beginning.
-    ///
-    /// An `Entry::Scan` that its consumer recorded late comes after later replies, and may
-    /// be missing at the end of a part. Use [`scans`](Self::scans) to get it from its
-    /// reply.
+    /// If you [`open`](Self::open) a complete file, only the chunks of the part are read, and the
+    /// first ones, up to the metadata, a reply to `V` and a scan. To do so it reads the file's
+    /// index, which takes at most 16 MiB of memory and is proved by a checksum. Any other file is
+    /// read from its beginning to its end, because messages may be in any order.
     ///
     /// ```no_run
     /// use std::time::Duration;
@@ -143,6 +149,23 @@ impl Recording {
         self
     }
 
+    /// Reads the laser scans of this topic, and nothing else: those of another program, for example
+    /// of several sensors.
+    ///
+    /// ```no_run
+    /// use urg_recording::Recording;
+    ///
+    /// for scan in Recording::open("bag.mcap")?.topic("/front/scan").scans() {
+    ///     println!("{:?}", scan?.stamp());
+    /// }
+    /// # Ok::<(), urg_recording::RecordingError>(())
+    /// ```
+    #[must_use]
+    pub fn topic(mut self, topic: &str) -> Self {
+        self.topic = (topic != Topic::Scans.name()).then(|| topic.into());
+        self
+    }
+
     /// Metadata of the sensor, as recorded by
     /// [`Recorder::describe`](super::Recorder::describe): `vendor`, `product`, `firmware`,
     /// `protocol`, `serial_number`, `status`, `baud_rate` (`none` on USB), `start`, `end`,
@@ -151,11 +174,10 @@ impl Recording {
         &self.metadata
     }
 
-    /// Window of the recorded stream, or `None` if the metadata does not have it.
+    /// Window of the recorded stream, or `None` if the metadata does not have it, or you chose
+    /// another [topic](Self::topic).
     pub fn window(&self) -> Option<Window> {
-        let number = |key| self.metadata.get(key)?.parse().ok();
-        let window = Window::new(number("start")?..=number("end")?).ok()?;
-        window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
+        self.topic.is_none().then(|| window_of(&self.metadata))?
     }
 
     /// Rate of the recorded stream, or `None` if the metadata does not have it.
@@ -171,19 +193,21 @@ impl Recording {
         self.records.is_truncated()
     }
 
+    /// Number of metadata records of a sensor among the records read so far. While records that were
+    /// read in advance are returned, the metadata after them does not count.
+    pub(super) fn descriptions(&self) -> u64 {
+        if self.ahead.is_empty() { self.descriptions } else { 0 }
+    }
+
+    /// Reports that there was no scan, and on which topics there are others.
+    pub(super) fn no_scans(&self) -> RecordingError {
+        let topics = self.other_topics.iter().map(|topic| topic.to_string()).collect();
+        RecordingError::NoScans { topics }
+    }
+
     /// Time from the first scan to a record.
     pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
         self.range.since_first_scan(at)
-    }
-
-    /// Leaves out the records before `begin`, if the file's index lists them.
-    fn leave_out_before(&mut self, begin: SystemTime) -> Result<(), RecordingError> {
-        let index = self.records.leave_out_before(nanos(since_1970(begin)))?;
-        // Other programs define a channel only once, in its first chunk.
-        for (kind, content) in index.definitions() {
-            self.messages.define(kind, content);
-        }
-        Ok(())
     }
 
     /// Reads the next record of a recording. After an error other than
@@ -227,16 +251,16 @@ impl Recording {
         match kind {
             kind::SCHEMA | kind::CHANNEL => self.messages.define(kind, content),
             kind::METADATA => {
-                if let Some((METADATA, pairs)) = parse_metadata(content) {
-                    let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
-                    self.metadata = pairs.into_iter().map(owned).collect();
+                if let Some(metadata) = parse_sensor_metadata(content) {
+                    self.metadata = metadata;
+                    self.descriptions += 1;
                 }
             }
             kind::MESSAGE => match self.messages.parse(content) {
                 Ok(Some(record)) => return Ok(ReadStep::Record(record)),
                 Ok(None) => {}
-                Err(InvalidMessage) => {
-                    let (offset, reason) = (self.records.offset(), MALFORMED);
+                Err(UnknownChannel) => {
+                    let (offset, reason) = (self.records.offset(), UNKNOWN_CHANNEL);
                     return Err(RecordingError::Damaged { offset, reason });
                 }
             },
@@ -244,6 +268,20 @@ impl Recording {
         }
         Ok(ReadStep::Other)
     }
+}
+
+/// Parses the metadata of a recorded sensor, or returns `None` for other metadata.
+pub(super) fn parse_sensor_metadata(content: &[u8]) -> Option<BTreeMap<String, String>> {
+    let (_, pairs) = parse_metadata(content).filter(|(name, _)| *name == METADATA)?;
+    let owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
+    Some(pairs.into_iter().map(owned).collect())
+}
+
+/// Window of the stream that metadata describe.
+pub(super) fn window_of(metadata: &BTreeMap<String, String>) -> Option<Window> {
+    let number = |key| metadata.get(key)?.parse().ok();
+    let window = Window::new(number("start")?..=number("end")?).ok()?;
+    window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
 }
 
 /// Outcome of reading one record of the file.
@@ -261,21 +299,22 @@ impl Iterator for Recording {
         loop {
             let item = self.ahead.pop_front().or_else(|| self.advance())?;
             let Ok(record) = &item else { return Some(item) };
-            let place = self.range.place(record);
-            if let Some(begin) = self.range.take_begin()
-                && let Err(error) = self.leave_out_before(begin)
+            if record.topic != self.topic {
+                if self.other_topics.len() < MAX_OTHER_TOPICS {
+                    self.other_topics.extend(record.topic.clone());
+                }
+                continue;
+            }
+            let is_version = self.range.see(record);
+            let is_inside = is_version || self.range.contains(record.at);
+            if let Some(times) = self.range.take_times()
+                && let Err(error) = self.records.leave_out_others(&times)
             {
                 self.is_over = true;
-                return Some(Err(error));
+                return Some(Err(error.into()));
             }
-            match place {
-                RecordPlace::Inside => return Some(item),
-                RecordPlace::Outside => {}
-                RecordPlace::Behind => {
-                    self.is_over = true;
-                    self.ahead.clear();
-                    return None;
-                }
+            if is_inside {
+                return Some(item);
             }
         }
     }

@@ -1,6 +1,7 @@
 //! [`Record`]: one message of a recording.
 
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::SystemTime;
 
 use crate::event::Event;
@@ -15,6 +16,10 @@ pub struct Record {
     /// When it happened: the wall clock at the start of the recording, continued by a
     /// steady clock, which is never set.
     pub at: SystemTime,
+    /// Publish time: for a recorded scan or reply, its stamp.
+    pub(super) stamp: SystemTime,
+    /// Topic of a scan if it is not `/scan`.
+    pub(super) topic: Option<Arc<str>>,
     /// Number among the records of its kind. For a scan, its number in its schedule.
     pub sequence: u32,
     /// Content.

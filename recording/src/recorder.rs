@@ -36,6 +36,7 @@ pub struct Recorder {
     queue: Arc<Queue>,
     events: Events,
     observation: Option<ReplyObservation>,
+    is_complete: bool,
 }
 
 /// Settings of a [`Recorder`]; made by [`Recorder::builder`].
@@ -193,8 +194,8 @@ impl Recorder {
         self.queue.progress()
     }
 
-    /// Writes all queued items, the file's index and its end. Returns the final
-    /// counts.
+    /// Writes all queued items, the file's index and its end. Returns the final counts once all of
+    /// it is on the disk.
     ///
     /// Continues even if you drop this future.
     ///
@@ -202,10 +203,27 @@ impl Recorder {
     ///
     /// Fails with [`RecordingError::Write`] if this or any earlier write failed.
     pub async fn finish(mut self) -> Result<Progress, RecordingError> {
+        if !self.is_complete {
+            self.complete().await?;
+        }
+        self.queue.ended().await;
+        self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
+    }
+
+    /// Does the same as [`finish`](Self::finish), but does not wait until the file is on the disk: a
+    /// slow disk may take longer for that than you want to wait. Records nothing afterwards.
+    ///
+    /// Continues even if you drop this future.
+    ///
+    /// # Errors
+    ///
+    /// The same as for [`finish`](Self::finish).
+    pub async fn complete(&mut self) -> Result<Progress, RecordingError> {
         // First: replies that come meanwhile are not lost ones.
         self.observation = None;
         // An error means that the thread has ended; `failure` has the reason.
         let _ = self.queue.finish().await;
+        self.is_complete = true;
         self.queue.failure().map_or_else(|| Ok(self.progress()), Err)
     }
 
@@ -265,11 +283,12 @@ impl RecorderBuilder {
 
     /// Removes the oldest files of a split recording while all files together are larger than
     /// this. Never removes the current file. If you also limit the [size of a
-    /// file](Self::split_bytes), the recording never takes more space, except for a second of
-    /// data.
+    /// file](Self::split_bytes) to at most half of it, the recording never takes more space, except
+    /// for the index of the current file: old files are removed before a second of data is written.
     ///
     /// If you restart and create a recorder under the same name, it continues after the last
-    /// file: it neither refuses nor overwrites existing files.
+    /// file: it neither refuses nor overwrites existing files. While another recorder writes the
+    /// last file, it fails with [`RecordingError::Busy`].
     pub fn keep_bytes(mut self, bytes: u64) -> Self {
         self.limits.keep_bytes = Some(bytes);
         self
@@ -315,7 +334,7 @@ impl RecorderBuilder {
     pub fn open(&self, path: impl AsRef<Path>) -> Result<RecordingFile, RecordingError> {
         let path = path.as_ref();
         if self.limits.removes_old() {
-            return RecordingFile::open_part(path.to_owned(), next_path(path), self.overwrite);
+            return RecordingFile::open_part(path.to_owned(), next_path(path)?, self.overwrite);
         }
         // Further files of an older recording would lie between the files of this one.
         if let Some(path) = further_part(path) {
@@ -357,6 +376,6 @@ impl RecorderBuilder {
         let Self { limits, frame_id, sync_interval, .. } = self;
         let settings = QueueSettings { limits, frame_id, sync_interval };
         let queue = Queue::into_file(out, current, path, settings)?;
-        Ok(Recorder { queue, events: Events::new(), observation: None })
+        Ok(Recorder { queue, events: Events::new(), observation: None, is_complete: false })
     }
 }

@@ -74,11 +74,11 @@ impl Replies {
             failure: None,
         };
         replies.read();
-        let (Some(first), Some(window)) = (&replies.next, replies.polls.window()) else {
-            return Err(replies.failure.unwrap_or(RecordingError::NoScans));
+        let Some(first) = &replies.next else {
+            return Err(replies.failure.unwrap_or_else(|| replies.polls.no_scans()));
         };
         replies.stamp = replies.polls.version_stamp().unwrap_or(first.stamp);
-        (replies.began, replies.window) = (first.at, window);
+        replies.began = first.at;
         Ok(replies)
     }
 
@@ -88,11 +88,16 @@ impl Replies {
         self.next = None;
         while let Some(item) = self.polls.next() {
             let Some(poll) = keep_error(item, &mut self.failure) else { continue };
-            if self.polls.is_of_stream(poll.asked) {
-                self.next = Some(poll);
-                return;
+            let Some(window) = poll.window else {
+                self.remember(&poll);
+                continue;
+            };
+            // Another stream begins, which says nothing about the steps of the one before.
+            if std::mem::replace(&mut self.window, window) != window {
+                self.memory.fill(UNKNOWN);
             }
-            self.remember(&poll);
+            self.next = Some(poll);
+            return;
         }
     }
 

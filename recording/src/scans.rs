@@ -18,9 +18,12 @@ impl Recording {
     /// recording's own consumer missed, and the same ones as in a replay. Refused and
     /// malformed replies are left out; find them in the events.
     ///
-    /// If the recording has no replies, they are made of its `/scan` messages, also of ones that
+    /// Scans whose reply was not recorded are made of the `/scan` messages, also of ones that
     /// another program recorded, if their directions are steps of a URG. Distances are the
     /// recorded ones. Messages have no error codes: a value is 16 for `+Inf` and 19 for `NaN`.
+    ///
+    /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
+    /// the latest metadata before a scan decides which stream it must belong to.
     ///
     /// - `values`, `window` and `stamp` are the recorded ones.
     /// - `sequence` numbers the scans from 0.
@@ -119,12 +122,7 @@ impl RecordedScans {
 
     /// Decodes the scan of a reply to the stream's poll, if it has one.
     fn scan(&mut self, poll: &PollReply) -> Option<Scan> {
-        let window = self.polls.window()?;
-        let mut values = poll.answer.values()?;
-        // The driver may have asked for extra points before or after the window.
-        let surplus = window.start().number().saturating_sub(poll.asked.start().number());
-        values.drain(..usize::from(surplus / u16::from(window.cluster_count())).min(values.len()));
-        values.truncate(window.points());
+        let (window, values) = poll.stream_values()?;
         let (first, began) = *self.started.get_or_insert_with(|| (poll.at, Instant::now()));
         let since = poll.at.duration_since(first).unwrap_or_default();
         let mut scan = Scan::builder(window, values.as_slice())
@@ -152,14 +150,13 @@ impl Iterator for RecordedScans {
                 None => {
                     self.is_over = true;
                     if !self.has_polls {
-                        return Some(Err(RecordingError::NoScans));
+                        return Some(Err(self.polls.no_scans()));
                     }
                 }
                 Some(Err(error)) => return Some(Err(error)),
                 Some(Ok(poll)) => {
                     self.has_polls = true;
-                    let is_of_stream = self.polls.is_of_stream(poll.asked);
-                    if let Some(scan) = is_of_stream.then(|| self.scan(&poll)).flatten() {
+                    if let Some(scan) = self.scan(&poll) {
                         return Some(Ok(scan));
                     }
                 }

@@ -2,9 +2,9 @@
 //! slow disk delays neither the writing thread nor a stream.
 
 use std::io;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::output::Durable;
@@ -19,9 +19,53 @@ pub(super) struct Syncer {
 /// Results of the syncs.
 #[derive(Debug, Default)]
 pub(super) struct SyncOutcome {
-    /// Number of syncs that took longer than the interval.
+    /// Number of finished syncs that took longer than the interval.
     late: AtomicU64,
-    failure: Mutex<Option<io::Error>>,
+    /// Set once the file system has refused to sync.
+    is_unsupported: AtomicBool,
+    state: Mutex<SyncState>,
+}
+
+#[derive(Debug, Default)]
+struct SyncState {
+    /// When the current sync is late, if one is running.
+    late_at: Option<Instant>,
+    failure: Option<io::Error>,
+}
+
+impl SyncOutcome {
+    fn state(&self) -> MutexGuard<'_, SyncState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Syncs a file, unless its file system cannot. Returns when it began.
+    fn sync(&self, file: Option<&dyn Durable>, interval: Duration) -> Instant {
+        let began = Instant::now();
+        let Some(file) = file.filter(|_| !self.is_unsupported.load(Ordering::Relaxed)) else {
+            return began;
+        };
+        self.state().late_at = began.checked_add(interval);
+        let synced = file.sync();
+        let mut state = self.state();
+        state.late_at = None;
+        if began.elapsed() > interval {
+            self.late.fetch_add(1, Ordering::Relaxed);
+        }
+        match synced {
+            Ok(()) => {}
+            Err(error) if is_unsupported(&error) => {
+                tracing::warn!(%error, "the file system cannot sync: a power failure may cost more");
+                self.is_unsupported.store(true, Ordering::Relaxed);
+            }
+            Err(error) => drop(state.failure.get_or_insert(error)),
+        }
+        began
+    }
+}
+
+/// EINVAL, ENOSYS and EOPNOTSUPP, as some file systems in user space answer.
+fn is_unsupported(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported)
 }
 
 enum SyncStep {
@@ -66,9 +110,15 @@ impl Syncer {
         self.failure()
     }
 
-    /// Number of syncs that took longer than the interval.
+    /// Number of syncs that took longer than the interval, including the running one.
     pub(super) fn late(&self) -> u64 {
-        self.outcome.late.load(Ordering::Relaxed)
+        let is_late = self.outcome.state().late_at.is_some_and(|late_at| Instant::now() > late_at);
+        self.outcome.late.load(Ordering::Relaxed) + u64::from(is_late)
+    }
+
+    /// Returns true if the file system cannot sync.
+    pub(super) fn is_unsupported(&self) -> bool {
+        self.outcome.is_unsupported.load(Ordering::Relaxed)
     }
 
     fn send(&self, step: SyncStep) {
@@ -77,8 +127,7 @@ impl Syncer {
     }
 
     fn failure(&self) -> io::Result<()> {
-        let failure = self.outcome.failure.lock().unwrap_or_else(PoisonError::into_inner);
-        match &*failure {
+        match &self.outcome.state().failure {
             Some(error) => {
                 let text = format!("cannot sync the recording to the disk: {error}");
                 Err(io::Error::new(error.kind(), text))
@@ -93,18 +142,7 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, outcome: &SyncOutco
     // When to sync next, once there is something to sync.
     let mut due: Option<Instant> = None;
     let mut next = Instant::now();
-    let sync = |file: &Option<Box<dyn Durable>>| {
-        let began = Instant::now();
-        let synced = file.as_ref().map_or(Ok(()), |file| file.sync());
-        if began.elapsed() > interval {
-            outcome.late.fetch_add(1, Ordering::Relaxed);
-        }
-        if let Err(error) = synced {
-            let mut failure = outcome.failure.lock().unwrap_or_else(PoisonError::into_inner);
-            failure.get_or_insert(error);
-        }
-        began + interval
-    };
+    let sync = |file: &Option<Box<dyn Durable>>| outcome.sync(file.as_deref(), interval) + interval;
     loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
@@ -212,14 +250,29 @@ mod tests {
         syncer.written().unwrap();
         logged.recv().unwrap();
         logged.recv().unwrap();
-        // The disk hangs, but each of these calls returns.
+        // The disk hangs, but each of these calls returns, and it is counted meanwhile.
         for _ in 0..1000 {
             syncer.written().unwrap();
         }
+        assert!(syncer.late() > 0);
         answer.send(Ok(())).unwrap();
         drop(answer);
         syncer.finish().unwrap();
         assert!(syncer.late() > 0);
+    }
+
+    #[test]
+    fn a_file_system_without_sync_fails_nothing() {
+        let (log, _logged) = mpsc::channel();
+        let syncer = Syncer::start(Duration::ZERO).unwrap();
+        let (file, answer) = disk("one", &log);
+        // ENOSYS.
+        answer.send(Err(io::ErrorKind::Unsupported.into())).unwrap();
+        syncer.begin(file);
+        syncer.written().unwrap();
+        // The disk is not asked again: it would not answer.
+        syncer.finish().unwrap();
+        assert!(syncer.is_unsupported());
     }
 
     #[test]

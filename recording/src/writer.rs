@@ -156,9 +156,9 @@ impl Writer {
     /// Ends the chunk: all messages so far are in the file and can be read.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         self.chunk_began = None;
-        self.mcap.flush()?;
+        // First, because the disk may have no room for both.
         self.parts.remove_old(self.mcap.len());
-        Ok(())
+        self.mcap.flush()
     }
 
     /// Writes the index and the end of the file.

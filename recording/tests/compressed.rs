@@ -135,10 +135,11 @@ async fn a_compressed_recording_is_read_replayed_and_copied_as_the_original() {
         let read: Vec<_> = open().scans().collect::<Result<_, _>>().unwrap();
         assert_eq!(format!("{read:?}"), format!("{scans:?}"));
 
-        let mut repaired = Vec::new();
+        let (mut repaired, mut expected) = (Vec::new(), Vec::new());
         let outcome = repair(Cursor::new(form.clone()), &mut repaired).unwrap();
         assert_eq!((outcome.was_truncated, outcome.damaged_parts), (false, 0));
-        assert!(repaired == sink.bytes());
+        repair(Cursor::new(sink.bytes()), &mut expected).unwrap();
+        assert!(repaired == expected);
         let mut cut_out = Vec::new();
         cut([Cursor::new(form.clone())], part.clone(), &mut cut_out).unwrap();
         assert!(cut_out == expected_part);
@@ -293,6 +294,33 @@ fn a_chunk_that_decompresses_to_more_than_it_claims_is_damaged_and_takes_no_memo
         let most = most + 4 * file.len() as u64;
         assert!(counted.bytes_max < most, "{name}: {} bytes in memory", counted.bytes_max);
     }
+}
+
+/// Each chunk has a schema of 2 MiB and a message of its type.
+#[test]
+fn compressed_schemas_do_not_fill_the_memory() {
+    const MIB: usize = 1 << 20;
+    let chunk = |number: u8| {
+        let channel = [&[number, 0, number, 0][..], &text("/a"), &text("cdr"), &[0; 4]].concat();
+        let name = text(&format!("a/msg/A{number}"));
+        let definition = [&(2 * MIB as u32).to_le_bytes()[..], &vec![b' '; 2 * MIB]].concat();
+        let schema = [&[number, 0][..], &name, &text("ros2msg"), &definition].concat();
+        let message = [&[number][..], &[0; 21]].concat();
+        let records =
+            [of_kind(0x03, &schema), of_kind(0x04, &channel), of_kind(0x05, &message)].concat();
+        compressed_chunk("lz4", records.len() as u64, &compress("lz4", &records))
+    };
+    let chunks: Vec<u8> = (1..=60).flat_map(chunk).collect();
+    let file = [MAGIC, &chunks, &end()].concat();
+    assert!(file.len() < 2 * MIB);
+    let counted = allocation_counter::measure(|| {
+        let outcome = repair(Cursor::new(file), std::io::sink()).unwrap();
+        // Those whose schema did not fit have none.
+        assert_eq!((outcome.messages, outcome.damaged_parts), (60, 29));
+    });
+    // The definitions of the file, and twice those of its copy: for its chunks, and for its index.
+    let most = (3 * 64 + 16) * MIB as u64;
+    assert!(counted.bytes_max < most, "{} bytes in memory", counted.bytes_max);
 }
 
 #[test]

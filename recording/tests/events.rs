@@ -120,3 +120,27 @@ async fn missed_scans_are_recorded_as_an_event_and_by_their_replies() {
     assert_eq!(events(&records), [Event::Missed { scans: missed }]);
     assert!(polls(&records).len() as u64 >= missed + 2);
 }
+
+#[tokio::test(start_paused = true)]
+async fn two_streams_miss_nothing_of_each_other() {
+    let sink = Sink::new();
+    let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
+    let sensor = Sensor::builder().depth(100).connect(sensor()).await.unwrap();
+    let (fast, slow) = (Rate::hz(5.0), Rate::hz(2.0));
+    let mut streams = Vec::new();
+    for (window, rate) in
+        [(Window::DETECTION, fast), (Window::DETECTION, slow), (Window::FULL, slow)]
+    {
+        streams.push(sensor.scans(window, rate).await.unwrap());
+    }
+    for _ in 0..10 {
+        for stream in &mut streams {
+            recorder.record(&stream.next().await.unwrap()).unwrap();
+            while let Some(item) = futures::FutureExt::now_or_never(stream.next()) {
+                recorder.record(&item.unwrap()).unwrap();
+            }
+        }
+    }
+    recorder.finish().await.unwrap();
+    assert_eq!(events(&sink.records()), []);
+}

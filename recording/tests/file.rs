@@ -130,7 +130,7 @@ fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
     assert!(matches!(open, Err(RecordingError::Open { .. })));
     // A file of no bytes: nothing was recorded yet.
     let replayed = Recording::read(&b""[..]).unwrap().replay(Default::default());
-    assert!(matches!(replayed, Err(RecordingError::NoScans)));
+    assert!(matches!(replayed, Err(RecordingError::NoScans { .. })));
 }
 
 #[tokio::test(start_paused = true)]

@@ -72,3 +72,33 @@ async fn a_recording_that_another_program_copied_is_read_and_repaired_as_the_ori
         assert_eq!(messages(&repaired).len(), records.len() + 1);
     }
 }
+
+#[tokio::test(start_paused = true)]
+async fn the_scans_of_several_sensors_are_read_by_topic() {
+    let sink = Sink::new();
+    record(sensor(), &sink, Window::DETECTION, 20).await;
+    let mut writer = WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+    let recorded = sink.bytes();
+    let messages = mcap::MessageStream::new(&recorded).unwrap().map(Result::unwrap);
+    for (number, message) in messages.filter(|message| message.channel.topic == "/scan").enumerate()
+    {
+        for (id, topic) in [(10, "/front/scan"), (11, "/rear/scan")] {
+            if topic == "/front/scan" || number < 5 {
+                let mut channel = (*message.channel).clone();
+                channel.id = id;
+                topic.clone_into(&mut channel.topic);
+                writer
+                    .write(&mcap::Message { channel: channel.into(), ..message.clone() })
+                    .unwrap();
+            }
+        }
+    }
+    writer.finish().unwrap();
+    let file = writer.into_inner().into_inner();
+    let open = || Recording::read(Cursor::new(file.clone())).unwrap();
+    for (topic, count) in [("/front/scan", 20), ("/rear/scan", 5)] {
+        assert_eq!(open().topic(topic).scans().map(Result::unwrap).count(), count);
+    }
+    let error = open().scans().next().unwrap().unwrap_err().to_string();
+    assert!(error.ends_with("; choose a topic: /front/scan, /rear/scan"), "{error}");
+}

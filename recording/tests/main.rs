@@ -15,6 +15,7 @@ mod examples;
 mod field;
 mod file;
 mod foreign;
+mod histories;
 mod hostile;
 mod index;
 mod memory;

@@ -105,8 +105,8 @@ async fn a_recording_without_scans_is_an_error_and_not_an_empty_replay() {
     recorder.observe(&sensor);
     recorder.finish().await.unwrap();
     let items: Vec<_> = sink.open().scans().collect();
-    assert!(matches!(items[..], [Err(RecordingError::NoScans)]), "{items:?}");
-    assert!(matches!(sink.open().replay(ReplayPace::Max), Err(RecordingError::NoScans)));
+    assert!(matches!(items[..], [Err(RecordingError::NoScans { .. })]), "{items:?}");
+    assert!(matches!(sink.open().replay(ReplayPace::Max), Err(RecordingError::NoScans { .. })));
 }
 
 /// Sensor whose scans have distances and, in every seventh step, an error code.
@@ -263,7 +263,7 @@ async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
     assert_eq!(values(&replayed), expected);
     // A part without a scan.
     let mut none = sink.open().range(Duration::from_secs(99)..).scans();
-    assert!(matches!(none.next(), Some(Err(RecordingError::NoScans))));
+    assert!(matches!(none.next(), Some(Err(RecordingError::NoScans { .. }))));
 }
 
 fn scans_from(path: &Path, place: Duration) -> RecordedScans {

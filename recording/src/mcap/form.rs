@@ -28,29 +28,46 @@ pub(super) fn fields_length(kind: u8, content: &[u8]) -> Option<usize> {
     Some(content.len() - fields.0.len())
 }
 
-/// Checks that a record has the fields of its kind and nothing else. Reader and repair
-/// both use it, so a repaired file has exactly the records that the reader returns.
-pub(in super::super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
-    match kind {
-        kind::MESSAGE => MessageHeader::parse(content).is_some(),
-        kind::METADATA => parse_metadata(content).is_some(),
-        _ => fields_length(kind, content) == Some(content.len()),
-    }
+/// Checks that a record has the fields of its kind and nothing else. Other readers refuse a text
+/// that is not UTF-8.
+pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
+    let mut fields = Fields(content);
+    let is_right = match kind {
+        kind::HEADER => fields.string().and(fields.string()).is_some(),
+        kind::SCHEMA => {
+            let number = fields.u16().filter(|number| *number > 0);
+            number.and(fields.string()).and(fields.string()).and(fields.bytes()).is_some()
+        }
+        kind::CHANNEL => {
+            let numbers = fields.u16().and(fields.u16());
+            numbers.and(fields.string()).and(fields.string()).is_some()
+                && map(&mut fields).is_some()
+        }
+        kind::METADATA => fields.string().is_some() && map(&mut fields).is_some(),
+        kind::MESSAGE => return MessageHeader::parse(content).is_some(),
+        _ => return true,
+    };
+    is_right && fields.0.is_empty()
 }
 
 /// Splits metadata into its name and its pairs.
 pub(in super::super) fn parse_metadata(content: &[u8]) -> Option<(&str, Vec<(&str, &str)>)> {
     let mut fields = Fields(content);
-    let (name, mut rest) = (fields.string()?, Fields(fields.bytes()?));
+    let (name, pairs) = (fields.string()?, map(&mut fields)?);
+    fields.0.is_empty().then_some((name, pairs))
+}
+
+fn map<'a>(fields: &mut Fields<'a>) -> Option<Vec<(&'a str, &'a str)>> {
+    let mut rest = Fields(fields.bytes()?);
     let mut pairs = Vec::new();
     while !rest.0.is_empty() {
         pairs.push((rest.string()?, rest.string()?));
     }
-    fields.0.is_empty().then_some((name, pairs))
+    Some(pairs)
 }
 
 /// Splits off the first record of a chunk: its kind, its content, and the rest.
-pub(in super::super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
+pub(super) fn split_record(records: &[u8]) -> Option<(u8, &[u8], &[u8])> {
     let (kind, length) = record_head(records)?;
     let rest = records.get(RECORD_HEAD..)?;
     let (content, rest) = rest.split_at_checked(usize::try_from(length).ok()?)?;

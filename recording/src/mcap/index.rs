@@ -23,6 +23,7 @@ pub(super) struct Index {
     /// Latest schema and channel of each number, as records.
     schemas: BTreeMap<u16, Vec<u8>>,
     channels: BTreeMap<u16, Vec<u8>>,
+    channel_bytes: usize,
     /// One record for each chunk.
     chunk_indexes: Vec<u8>,
     /// One record for each metadata record.
@@ -99,6 +100,11 @@ impl Index {
         self.channels.values().map(Vec::as_slice)
     }
 
+    /// Length of those records.
+    pub(super) fn channel_bytes(&self) -> usize {
+        self.channel_bytes
+    }
+
     /// Keeps a schema or a channel for the summary. Returns its record if it is new.
     pub(super) fn declare(&mut self, kind: u8, content: &[u8]) -> Option<&[u8]> {
         let id = Fields(content).u16()?;
@@ -109,6 +115,9 @@ impl Index {
             return None;
         }
         let kept = group.entry(id).or_default();
+        if kind == kind::CHANNEL {
+            self.channel_bytes = self.channel_bytes - kept.len() + record.len();
+        }
         *kept = record;
         Some(kept)
     }
@@ -174,25 +183,26 @@ impl Index {
             return [0, 0];
         }
         let start = base + out.len() as u64;
-        let groups = [
-            (kind::SCHEMA, self.schemas.values().flatten().copied().collect()),
-            (kind::CHANNEL, self.channels.values().flatten().copied().collect()),
-            (kind::STATISTICS, self.statistics()),
-            (kind::CHUNK_INDEX, self.chunk_indexes),
-            (kind::METADATA_INDEX, self.metadata_indexes),
-        ];
+        let statistics = self.statistics();
         let mut offsets: Vec<u8> = Vec::new();
-        for (kind, group) in groups {
-            if group.is_empty() {
-                continue;
+        let mut put_group = |kind, group: Vec<Vec<u8>>| {
+            let from = out.len();
+            // Frees each record before the next one is copied.
+            group.into_iter().for_each(|records| out.extend_from_slice(&records));
+            if out.len() == from {
+                return;
             }
             put_record(&mut offsets, kind::SUMMARY_OFFSET, |offset| {
                 offset.push(kind);
-                offset.extend_from_slice(&(base + out.len() as u64).to_le_bytes());
-                offset.extend_from_slice(&(group.len() as u64).to_le_bytes());
+                offset.extend_from_slice(&(base + from as u64).to_le_bytes());
+                offset.extend_from_slice(&((out.len() - from) as u64).to_le_bytes());
             });
-            out.extend_from_slice(&group);
-        }
+        };
+        put_group(kind::SCHEMA, self.schemas.into_values().collect());
+        put_group(kind::CHANNEL, self.channels.into_values().collect());
+        put_group(kind::STATISTICS, vec![statistics]);
+        put_group(kind::CHUNK_INDEX, vec![self.chunk_indexes]);
+        put_group(kind::METADATA_INDEX, vec![self.metadata_indexes]);
         let offsets_start = base + out.len() as u64;
         out.extend_from_slice(&offsets);
         [start, offsets_start]

@@ -1,11 +1,12 @@
 //! [`Input`]: the bytes of a recording. In a file with a complete index, later parts can be
 //! read without the parts before them.
 
+use std::any::Any;
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
-use super::form::split_record;
+use super::form::{is_well_formed, split_record};
 use super::{FILE_END, FOOTER_BYTES, Fields, RECORD_HEAD, kind};
 
 /// Longest index to read. The longest that this crate writes has 7 MB.
@@ -19,6 +20,17 @@ pub(in super::super) enum Input {
 }
 
 impl Input {
+    /// Knows a file by its type.
+    pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
+        let mut input = Some(input);
+        let file = (&mut input as &mut dyn Any).downcast_mut::<Option<File>>();
+        match (file.and_then(Option::take), input) {
+            (Some(file), _) => Self::File(file),
+            (None, Some(input)) => Self::Stream(Box::new(input)),
+            (None, None) => Self::Stream(Box::new(io::empty())),
+        }
+    }
+
     /// Continues at this position of the file.
     pub(super) fn continue_at(&mut self, place: u64) -> io::Result<()> {
         match self {
@@ -41,16 +53,22 @@ impl Input {
 
 /// Records of the index at the end of a file.
 #[derive(Default)]
-pub(in super::super) struct FileIndex(Vec<u8>);
+pub(in super::super) struct FileIndex {
+    records: Vec<u8>,
+    /// Position of the next record for [`next_definition`](Self::next_definition).
+    at: usize,
+}
 
 impl FileIndex {
-    /// Lists the parts of the file, in their order, that contain only chunks with messages
-    /// before `time` (nanoseconds since 1970).
-    pub(super) fn parts_before(&self, time: u64) -> Vec<Range<u64>> {
-        let before = |content: &[u8]| chunk(content).filter(|(_, last)| *last < time);
+    /// Lists the parts of the file, in their order, that contain only chunks without a message at
+    /// these times (nanoseconds since 1970).
+    pub(super) fn parts_outside(&self, times: &RangeInclusive<u64>) -> Vec<Range<u64>> {
+        let outside = |content: &[u8]| {
+            let (place, first, last) = chunk(content)?;
+            (last < *times.start() || first > *times.end()).then_some(place)
+        };
         let chunks = self.records().filter(|(kind, _)| *kind == kind::CHUNK_INDEX);
-        let chunks = chunks.filter_map(|(_, content)| before(content));
-        let mut chunks: Vec<_> = chunks.map(|(place, _)| place).collect();
+        let mut chunks: Vec<_> = chunks.filter_map(|(_, content)| outside(content)).collect();
         chunks.sort_unstable_by_key(|place| place.start);
         let mut parts: Vec<Range<u64>> = Vec::new();
         for chunk in chunks {
@@ -64,13 +82,27 @@ impl FileIndex {
         parts
     }
 
-    /// Message types and channels, which the index repeats: kind and content of each.
-    pub(in super::super) fn definitions(&self) -> impl Iterator<Item = (u8, &[u8])> {
-        self.records().filter(|(kind, _)| matches!(*kind, kind::SCHEMA | kind::CHANNEL))
+    /// Returns the next of the schemas and channels, which the index repeats: its kind, and the
+    /// place of its content.
+    pub(super) fn next_definition(&mut self) -> Option<(u8, Range<usize>)> {
+        loop {
+            let (kind, content, rest) = split_record(self.records.get(self.at..)?)?;
+            let is_wanted =
+                matches!(kind, kind::SCHEMA | kind::CHANNEL) && is_well_formed(kind, content);
+            let (length, end) = (content.len(), self.records.len() - rest.len());
+            self.at = end;
+            if is_wanted {
+                return Some((kind, end - length..end));
+            }
+        }
+    }
+
+    pub(super) fn bytes(&self, place: Range<usize>) -> &[u8] {
+        self.records.get(place).unwrap_or_default()
     }
 
     fn records(&self) -> impl Iterator<Item = (u8, &[u8])> {
-        let mut rest = self.0.as_slice();
+        let mut rest = self.records.as_slice();
         std::iter::from_fn(move || {
             let (kind, content, after) = split_record(rest)?;
             rest = after;
@@ -108,47 +140,24 @@ fn index(file: &mut File) -> Option<FileIndex> {
     let mut checked = crc32fast::Hasher::new();
     checked.update(&index);
     checked.update(footer.get(..RECORD_HEAD + FOOTER_BYTES - 4)?);
-    (checked.finalize() == crc).then_some(FileIndex(index))
+    (checked.finalize() == crc).then_some(FileIndex { records: index, at: 0 })
 }
 
-/// Parses a chunk's index: its position, including the lists of its messages, and the time
-/// of its last message.
-fn chunk(content: &[u8]) -> Option<(Range<u64>, u64)> {
+/// Parses a chunk's index: its position, including the lists of its messages, and the times
+/// of its first and last message.
+fn chunk(content: &[u8]) -> Option<(Range<u64>, u64, u64)> {
     let mut fields = Fields(content);
-    let (_first, last) = (fields.u64()?, fields.u64()?);
+    let (first, last) = (fields.u64()?, fields.u64()?);
     let (start, length) = (fields.u64()?, fields.u64()?);
     let (_places, lists) = (fields.bytes()?, fields.u64()?);
     let end = start.checked_add(length)?.checked_add(lists)?;
-    Some((start..end, last))
+    Some((start..end, first, last))
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::{MAGIC, put_record};
     use super::*;
-
-    /// Index entry of a chunk at `start`, with 10 bytes and 5 bytes of lists.
-    fn entry(start: u64, last: u64) -> Vec<u8> {
-        let mut record = vec![kind::CHUNK_INDEX];
-        let mut content = Vec::new();
-        for field in [0, last, start, 10_u64] {
-            content.extend_from_slice(&field.to_le_bytes());
-        }
-        content.extend_from_slice(&[0; 4]);
-        content.extend_from_slice(&5_u64.to_le_bytes());
-        content.extend_from_slice(&[0; 4 + 16]);
-        record.extend_from_slice(&(content.len() as u64).to_le_bytes());
-        record.extend_from_slice(&content);
-        record
-    }
-
-    #[test]
-    fn chunks_that_touch_are_one_part_and_what_is_between_others_is_read() {
-        let index = [entry(40, 2), entry(10, 1), entry(25, 1), entry(60, 3), entry(80, 9)].concat();
-        let index = FileIndex(index);
-        assert_eq!(index.parts_before(4), [10..55, 60..75]);
-        assert_eq!(index.parts_before(1), []);
-    }
 
     /// The checksum is right, but the memory for it is limited all the same.
     #[test]
@@ -164,17 +173,8 @@ mod tests {
             bytes.extend_from_slice(&MAGIC);
             std::fs::write(&path, &bytes).unwrap();
             let found = index(&mut File::open(&path).unwrap());
-            assert_eq!(found.map(|index| index.0.len()), is_read.then_some(length));
+            assert_eq!(found.map(|index| index.records.len()), is_read.then_some(length));
         }
         std::fs::remove_file(&path).unwrap();
-    }
-
-    #[test]
-    fn an_index_of_no_sense_leaves_nothing_out() {
-        let mut wide = entry(u64::MAX - 3, 1);
-        assert_eq!(FileIndex(wide.clone()).parts_before(4), []);
-        wide.truncate(30);
-        assert_eq!(FileIndex(wide.clone()).parts_before(4), []);
-        assert_eq!(FileIndex(vec![0xff; 100]).parts_before(4), []);
     }
 }

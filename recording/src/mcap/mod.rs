@@ -8,6 +8,7 @@
 //! damaged length. Its writer keeps an entry for every chunk; here an index has at most
 //! 65,536. The tests read with that crate what is written here.
 
+mod definitions;
 mod form;
 mod index;
 mod input;
@@ -17,12 +18,13 @@ mod write;
 
 use std::time::Duration;
 
-pub(super) use self::form::{is_well_formed, parse_metadata, split_record};
+pub(super) use self::definitions::{DefinitionWriter, Definitions};
+pub(super) use self::form::parse_metadata;
 pub(super) use self::index::MAX_INDEX_ENTRIES;
 pub(super) use self::input::Input;
-pub(super) use self::read::{FileError, Section, Sections};
+pub(super) use self::read::FileError;
 pub(super) use self::records::Records;
-pub(super) use self::write::{McapWriter, header};
+pub(super) use self::write::{McapWriter, channel, header, schema};
 
 /// Starts and ends every file.
 pub(super) const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";

@@ -1,6 +1,6 @@
 //! [`Records`]: the records of a file one by one, including those in chunks.
 
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
 use super::Input;
 use super::form::{is_well_formed, split_record};
@@ -16,11 +16,13 @@ pub(in super::super) struct Records {
     /// Records of the current chunk that were not returned yet.
     rest: Range<usize>,
     is_cut: bool,
+    /// Index of the file, once its definitions are needed.
+    index: Option<FileIndex>,
 }
 
 impl Records {
     pub(in super::super) fn new(input: Input) -> Self {
-        Self { sections: Sections::new(input), rest: 0..0, is_cut: false }
+        Self { sections: Sections::new(input), rest: 0..0, is_cut: false, index: None }
     }
 
     /// Returns true if the whole file was read and its end is missing.
@@ -33,15 +35,37 @@ impl Records {
         self.sections.offset()
     }
 
-    /// Leaves out chunks that contain only messages before `time`, if the file's index
-    /// lists them. Returns the index.
-    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<FileIndex, FileError> {
-        self.sections.leave_out_before(time)
+    /// Leaves out chunks without a message at these times, if the file's index lists them.
+    /// Returns its definitions next: the chunks may have them.
+    pub(in super::super) fn leave_out_others(
+        &mut self,
+        times: &RangeInclusive<u64>,
+    ) -> Result<(), FileError> {
+        self.index = Some(self.sections.leave_out_others(times)?);
+        Ok(())
     }
 
     /// Reads the kind and content of the next record, or returns `None` at the end of the
-    /// data. After an error other than [`FileError::Damaged`], no records follow.
+    /// data. After the first damage, which may have hit definitions, those of the file's index
+    /// follow. After an error other than [`FileError::Damaged`], no records follow.
     pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
+        if let Some((kind, content)) = self.index.as_mut().and_then(FileIndex::next_definition) {
+            let content = self.index.as_ref().map(|index| index.bytes(content));
+            return Ok(Some((kind, content.unwrap_or_default())));
+        }
+        match self.next_place() {
+            Ok(place) => Ok(place.map(|(kind, content)| (kind, self.sections.bytes(content)))),
+            Err(error) => {
+                if matches!(error, FileError::Damaged { .. }) && self.index.is_none() {
+                    self.index = Some(self.sections.index()?);
+                }
+                Err(error)
+            }
+        }
+    }
+
+    /// Finds the next record among the bytes of the section.
+    fn next_place(&mut self) -> Result<Option<(u8, Range<usize>)>, FileError> {
         loop {
             if !self.rest.is_empty() {
                 let rest = self.rest.clone();
@@ -59,7 +83,7 @@ impl Records {
                 if !is_right {
                     return Err(self.sections.damaged(MALFORMED));
                 }
-                return Ok(Some((kind, self.sections.bytes(content))));
+                return Ok(Some((kind, content)));
             }
             match self.sections.next()? {
                 None => return Ok(None),
@@ -67,14 +91,10 @@ impl Records {
                     if !is_well_formed(kind, self.sections.bytes(content.clone())) {
                         return Err(self.sections.damaged(MALFORMED));
                     }
-                    return Ok(Some((kind, self.sections.bytes(content))));
+                    return Ok(Some((kind, content)));
                 }
-                Some(Section::Chunk { records, .. }) => {
-                    (self.rest, self.is_cut) = (records, false);
-                }
-                Some(Section::CutChunk { records }) => {
-                    (self.rest, self.is_cut) = (records, true);
-                }
+                Some(Section::Chunk { records }) => (self.rest, self.is_cut) = (records, false),
+                Some(Section::CutChunk { records }) => (self.rest, self.is_cut) = (records, true),
             }
         }
     }

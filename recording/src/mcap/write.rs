@@ -17,9 +17,9 @@ pub(in super::super) struct McapWriter<W> {
     offset: u64,
     chunk: OpenChunk,
     index: Index,
-    /// True if each chunk begins with all channels, so that losing one chunk does not
-    /// affect the others.
-    repeats_channels: bool,
+    /// Bytes of messages since a chunk began with all channels, in a copy. A recording repeats
+    /// them in each chunk, so that losing one chunk does not affect the others.
+    since_channels: Option<usize>,
 }
 
 /// Chunk that grows in memory.
@@ -42,14 +42,14 @@ impl<W: Write> McapWriter<W> {
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
         let (chunk, index) = (OpenChunk::default(), Index::new(max_index_entries));
-        Ok(Self { out, offset: head.len() as u64, chunk, index, repeats_channels: true })
+        Ok(Self { out, offset: head.len() as u64, chunk, index, since_channels: None })
     }
 
-    /// Starts a copy of another file, and declares its channels only once: a hostile file
-    /// has many long ones, and chunks of one message.
+    /// Starts a copy of other files, and repeats its channels only if they are shorter than the
+    /// messages before: a hostile file has many long ones, and chunks of one message.
     pub(in super::super) fn start_copy(out: W, header: &[u8]) -> io::Result<Self> {
         let writer = Self::start(out, header, usize::MAX)?;
-        Ok(Self { repeats_channels: false, ..writer })
+        Ok(Self { since_channels: Some(0), ..writer })
     }
 
     /// Length of the file so far, including the open chunk.
@@ -69,21 +69,12 @@ impl<W: Write> McapWriter<W> {
 
     /// Declares a channel of a message type.
     pub(in super::super) fn add_channel(&mut self, id: u16, schema: u16, topic: &str) {
-        let mut content = id.to_le_bytes().to_vec();
-        content.extend_from_slice(&schema.to_le_bytes());
-        put_bytes(&mut content, topic.as_bytes());
-        put_bytes(&mut content, b"cdr");
-        put_bytes(&mut content, b"");
-        self.declare(kind::CHANNEL, &content);
+        self.declare(kind::CHANNEL, &[&id.to_le_bytes(), &*channel(schema, topic)].concat());
     }
 
     /// Declares a message type of ROS 2.
     pub(in super::super) fn add_schema(&mut self, id: u16, message: &str, definition: &str) {
-        let mut content = id.to_le_bytes().to_vec();
-        put_bytes(&mut content, message.as_bytes());
-        put_bytes(&mut content, b"ros2msg");
-        put_bytes(&mut content, definition.as_bytes());
-        self.declare(kind::SCHEMA, &content);
+        self.declare(kind::SCHEMA, &[&id.to_le_bytes(), &*schema(message, definition)].concat());
     }
 
     /// Writes the content of a schema or channel record, unless it was written before.
@@ -105,6 +96,7 @@ impl<W: Write> McapWriter<W> {
             self.end_chunk()?;
         }
         self.begin_chunk();
+        self.since_channels = self.since_channels.map(|bytes| bytes.saturating_add(data.len()));
         self.chunk.messages.add(header, self.chunk.record.len() - CHUNK_HEAD);
         put_record(&mut self.chunk.record, kind::MESSAGE, |out| {
             out.extend_from_slice(&header.channel.to_le_bytes());
@@ -149,28 +141,6 @@ impl<W: Write> McapWriter<W> {
         self.out.flush()
     }
 
-    /// Copies a whole chunk: `record` includes its head, `records` is its contents.
-    pub(in super::super) fn copy_chunk(&mut self, record: &[u8], records: &[u8]) -> io::Result<()> {
-        self.end_chunk()?;
-        let mut messages = ChunkMessages::default();
-        let mut rest = records;
-        while let Some((kind, content, after)) = super::split_record(rest) {
-            match kind {
-                kind::SCHEMA | kind::CHANNEL => {
-                    self.index.declare(kind, content);
-                }
-                kind::MESSAGE => {
-                    if let Some((header, _)) = MessageHeader::parse(content) {
-                        messages.add(header, records.len() - rest.len());
-                    }
-                }
-                _ => {}
-            }
-            rest = after;
-        }
-        self.write_chunk(record, records.len(), messages)
-    }
-
     /// Writes the index and the end of the file, and returns the inner writer.
     pub(in super::super) fn finish(mut self) -> io::Result<W> {
         self.end()?;
@@ -203,12 +173,15 @@ impl<W: Write> McapWriter<W> {
         let record = &mut self.chunk.record;
         if record.is_empty() {
             record.resize(CHUNK_HEAD, 0);
-            if self.repeats_channels {
+            let channel_bytes = self.index.channel_bytes();
+            if self.since_channels.is_none_or(|bytes| channel_bytes <= bytes) {
+                self.since_channels = self.since_channels.map(|_| 0);
                 self.index.channels().for_each(|channel| record.extend_from_slice(channel));
             }
         }
     }
 
+    /// Writes the open chunk, followed by the positions of its messages.
     fn end_chunk(&mut self) -> io::Result<()> {
         let mut chunk = std::mem::take(&mut self.chunk);
         if chunk.record.is_empty() {
@@ -228,26 +201,15 @@ impl<W: Write> McapWriter<W> {
         if let Some(place) = chunk.record.get_mut(..CHUNK_HEAD) {
             place.copy_from_slice(&head);
         }
-        self.write_chunk(&chunk.record, size, chunk.messages)?;
+        let start = self.offset;
+        self.write(&chunk.record)?;
+        let indexes = chunk.messages.indexes(self.offset);
+        self.write(&indexes.records)?;
+        let place = ChunkPlace { start, length: chunk.record.len() as u64, size: size as u64 };
+        self.index.add_chunk(&place, &chunk.messages, &indexes);
         // The next chunk reuses the memory.
         chunk.record.clear();
         self.chunk.record = chunk.record;
-        Ok(())
-    }
-
-    /// Writes a chunk, followed by the positions of its messages.
-    fn write_chunk(
-        &mut self,
-        record: &[u8],
-        size: usize,
-        messages: ChunkMessages,
-    ) -> io::Result<()> {
-        let start = self.offset;
-        self.write(record)?;
-        let indexes = messages.indexes(self.offset);
-        self.write(&indexes.records)?;
-        let chunk = ChunkPlace { start, length: record.len() as u64, size: size as u64 };
-        self.index.add_chunk(&chunk, &messages, &indexes);
         Ok(())
     }
 
@@ -263,6 +225,24 @@ pub(in super::super) fn header(profile: &str, library: &str) -> Vec<u8> {
     let mut content = Vec::new();
     put_bytes(&mut content, profile.as_bytes());
     put_bytes(&mut content, library.as_bytes());
+    content
+}
+
+/// Encodes the content of a channel of ROS 2 without metadata, after its number.
+pub(in super::super) fn channel(schema: u16, topic: &str) -> Vec<u8> {
+    let mut content = schema.to_le_bytes().to_vec();
+    for text in [topic, "cdr", ""] {
+        put_bytes(&mut content, text.as_bytes());
+    }
+    content
+}
+
+/// Encodes the content of a schema of ROS 2, after its number.
+pub(in super::super) fn schema(message: &str, definition: &str) -> Vec<u8> {
+    let mut content = Vec::new();
+    for text in [message, "ros2msg", definition] {
+        put_bytes(&mut content, text.as_bytes());
+    }
     content
 }
 

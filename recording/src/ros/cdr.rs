@@ -71,17 +71,19 @@ impl<'a> CdrWriter<'a> {
     }
 }
 
-/// Reads one message. Each method returns `None` if the message is too short or
-/// malformed.
+/// Reads one message, in either byte order and with any options. Each method returns `None` if the
+/// message is too short or malformed.
 #[derive(Debug)]
 pub(super) struct CdrReader<'a> {
     message: &'a [u8],
     at: usize,
+    is_big_endian: bool,
 }
 
 impl<'a> CdrReader<'a> {
     pub(super) fn new(message: &'a [u8]) -> Option<Self> {
-        message.starts_with(&HEADER).then_some(Self { message, at: HEADER.len() })
+        let [0, order @ (0 | 1), _, _] = message.first_chunk()? else { return None };
+        Some(Self { message, at: HEADER.len(), is_big_endian: *order == 0 })
     }
 
     pub(super) fn i32(&mut self) -> Option<i32> {
@@ -110,12 +112,20 @@ impl<'a> CdrReader<'a> {
     pub(super) fn f32s(&mut self) -> Option<Vec<f32>> {
         let length = usize::try_from(self.u32()?).ok()?;
         let (numbers, _) = self.take(length.checked_mul(4)?)?.as_chunks::<4>();
-        Some(numbers.iter().map(|number| f32::from_le_bytes(*number)).collect())
+        Some(numbers.iter().map(|number| f32::from_le_bytes(self.little_endian(*number))).collect())
     }
 
     fn number(&mut self) -> Option<[u8; 4]> {
         self.at = self.at.next_multiple_of(4);
-        self.take(4)?.try_into().ok()
+        let number = self.take(4)?.try_into().ok()?;
+        Some(self.little_endian(number))
+    }
+
+    fn little_endian(&self, mut number: [u8; 4]) -> [u8; 4] {
+        if self.is_big_endian {
+            number.reverse();
+        }
+        number
     }
 
     fn take(&mut self, count: usize) -> Option<&'a [u8]> {

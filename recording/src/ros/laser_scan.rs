@@ -85,10 +85,11 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
 pub(crate) fn read_scan(message: &[u8]) -> Option<LaserScan> {
     let mut cdr = CdrReader::new(message)?;
     let (seconds, nanos) = (cdr.i32()?, cdr.u32()?);
-    let since_1970 =
-        Duration::from_secs(seconds.try_into().ok()?) + Duration::from_nanos(nanos.into());
+    let whole = Duration::from_secs(seconds.unsigned_abs().into());
+    let epoch = SystemTime::UNIX_EPOCH;
+    let second = if seconds < 0 { epoch.checked_sub(whole) } else { epoch.checked_add(whole) };
     Some(LaserScan {
-        stamp: SystemTime::UNIX_EPOCH + since_1970,
+        stamp: second?.checked_add(Duration::from_nanos(nanos.into()))?,
         frame_id: cdr.string()?.to_owned(),
         angle_min: cdr.f32()?,
         angle_max: cdr.f32()?,

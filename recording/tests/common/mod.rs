@@ -2,3 +2,5 @@
 
 #[path = "../../../tests/common/limit.rs"]
 pub(crate) mod limit;
+#[path = "../../../tests/common/random.rs"]
+pub(crate) mod random;

@@ -1,5 +1,4 @@
-//! Decompresses a chunk (feature `compression`): makes the plain chunk that the writer would have
-//! written without compression.
+//! Decompresses the records of a chunk (feature `compression`).
 //!
 //! The crates `ruzstd` and `lz4_flex` are pure Rust. `zstd` and `lz4` build C libraries, which takes
 //! a C compiler for each target. `ruzstd` returns bytes only once they have left the window: if a
@@ -10,27 +9,23 @@ use std::io;
 use std::io::Read;
 
 use super::ChunkHead;
-use crate::mcap::{MAX_CHUNK_BYTES, RECORD_HEAD, kind, put_record};
+use crate::mcap::MAX_CHUNK_BYTES;
 
 /// Largest window of zstd for a smaller chunk: a decoder reserves the window that the input claims.
 /// RFC 8878 recommends to support at least 8 MiB.
 #[cfg(feature = "compression")]
 const MAX_SMALL_WINDOW: u64 = 8 << 20;
 
-/// Reason why a chunk has no plain form.
+/// Reason why the records are not complete.
 pub(super) enum Failure {
     /// This build does not read the compression.
     Compression,
     Damaged(&'static str),
 }
 
-/// Appends the plain chunk to `out`. `chunk` may be cut off after its head; `out` then has what
-/// could be decompressed.
-pub(super) fn plain_chunk(
-    chunk: &[u8],
-    head: &ChunkHead,
-    out: &mut Vec<u8>,
-) -> Result<(), Failure> {
+/// Appends the records of a chunk to `out`. `chunk` may be cut off after its head; `out` then has
+/// what could be decompressed.
+pub(super) fn decompress(chunk: &[u8], head: &ChunkHead, out: &mut Vec<u8>) -> Result<(), Failure> {
     let compressed = chunk.get(head.records.start..).unwrap_or_default();
     let Some(decoder) = decoder(&head.compression, compressed, head.size) else {
         return Err(Failure::Compression);
@@ -38,16 +33,7 @@ pub(super) fn plain_chunk(
     if head.size > MAX_CHUNK_BYTES {
         return Err(Failure::Damaged("a chunk claims more than 64 MiB after decompression"));
     }
-    // Times, size and CRC, which are the same with and without compression.
-    let fields = chunk.get(RECORD_HEAD..RECORD_HEAD + 3 * 8 + 4).unwrap_or_default();
-    let mut outcome = Ok(());
-    put_record(out, kind::CHUNK, |out| {
-        out.extend_from_slice(fields);
-        out.extend_from_slice(&[0; 4]);
-        out.extend_from_slice(&head.size.to_le_bytes());
-        outcome = read_exactly(decoder, head.size, out);
-    });
-    outcome.map_err(Failure::Damaged)
+    read_exactly(decoder, head.size, out).map_err(Failure::Damaged)
 }
 
 /// Appends the decoder's bytes to `out`, at most `size`.

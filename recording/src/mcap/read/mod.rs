@@ -11,9 +11,9 @@ mod search;
 
 use std::collections::VecDeque;
 use std::io::{self, Read};
-use std::ops::Range;
+use std::ops::{Range, RangeInclusive};
 
-use self::decompress::{Failure, plain_chunk};
+use self::decompress::{Failure, decompress};
 use super::form::{fields_length, is_well_formed, record_head};
 use super::input::FileIndex;
 use super::{
@@ -29,6 +29,9 @@ const MAX_CHUNK_HEAD: usize = CHUNK_HEAD + MAX_COMPRESSION_NAME;
 const READ_BYTES: usize = 64 << 10;
 /// Record that ends the data, up to its content.
 const DATA_END_HEAD: [u8; RECORD_HEAD] = [kind::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0];
+
+/// Reason for damage.
+const WRONG_HEAD: &str = "a record's kind or length is wrong";
 
 /// Error of a file's form, or of reading it.
 #[derive(Debug)]
@@ -46,23 +49,22 @@ pub(in super::super) enum FileError {
 
 /// Part of a file. Ranges index into [`Sections::bytes`].
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in super::super) enum Section {
+pub(super) enum Section {
     /// A record outside of chunks.
     Record { kind: u8, content: Range<usize> },
-    /// Chunk with a correct checksum: all of it, and its records. It is a plain chunk even if the
-    /// file has it compressed.
-    Chunk { record: Range<usize>, records: Range<usize> },
+    /// Records of a chunk with a correct checksum, without compression.
+    Chunk { records: Range<usize> },
     /// Beginning of a chunk at the end of a cut-off file.
     CutChunk { records: Range<usize> },
 }
 
 /// Reads the parts of a file up to its summary.
-pub(in super::super) struct Sections {
+pub(super) struct Sections {
     input: Input,
     /// Bytes of the file, used up to `start`.
     window: Vec<u8>,
     start: usize,
-    /// Plain form of the latest section if it is a compressed chunk, else empty.
+    /// Records of the latest section if it is a compressed chunk, else empty.
     decompressed: Vec<u8>,
     /// Position of `start` in the file.
     offset: u64,
@@ -87,7 +89,7 @@ struct ChunkHead {
 }
 
 impl Sections {
-    pub(in super::super) fn new(input: Input) -> Self {
+    pub(super) fn new(input: Input) -> Self {
         Self {
             input,
             window: Vec::new(),
@@ -103,33 +105,40 @@ impl Sections {
     }
 
     /// Returns true if the whole file was read and its end is missing.
-    pub(in super::super) fn is_truncated(&self) -> bool {
+    pub(super) fn is_truncated(&self) -> bool {
         self.is_truncated
     }
 
     /// Position of the latest section in the file.
-    pub(in super::super) fn offset(&self) -> u64 {
+    pub(super) fn offset(&self) -> u64 {
         self.offset
     }
 
     /// Bytes of a range of the latest section.
-    pub(in super::super) fn bytes(&self, range: Range<usize>) -> &[u8] {
+    pub(super) fn bytes(&self, range: Range<usize>) -> &[u8] {
         let bytes = if self.decompressed.is_empty() { &self.window } else { &self.decompressed };
         bytes.get(range).unwrap_or_default()
     }
 
-    /// Leaves out the chunks after the latest section that contain only messages before
-    /// `time` (nanoseconds since 1970), if the file's index lists them. Returns the index:
-    /// the parts left out may define channels.
-    pub(in super::super) fn leave_out_before(&mut self, time: u64) -> Result<FileIndex, FileError> {
-        let index = self.input.index().map_err(FileError::Io)?;
-        self.unwanted = index.parts_before(time).into();
+    /// Leaves out the chunks after the latest section that have no message at these times, if the
+    /// file's index lists them. Returns the index.
+    pub(super) fn leave_out_others(
+        &mut self,
+        times: &RangeInclusive<u64>,
+    ) -> Result<FileIndex, FileError> {
+        let index = self.index()?;
+        self.unwanted = index.parts_outside(times).into();
         Ok(index)
+    }
+
+    /// Reads the index at the end of the file, which is empty if the file has none.
+    pub(super) fn index(&mut self) -> Result<FileIndex, FileError> {
+        self.input.index().map_err(FileError::Io)
     }
 
     /// Reads the next section, or returns `None` at the end of the data. After an error
     /// other than [`FileError::Damaged`], no sections follow.
-    pub(in super::super) fn next(&mut self) -> Result<Option<Section>, FileError> {
+    pub(super) fn next(&mut self) -> Result<Option<Section>, FileError> {
         if self.is_over {
             return Ok(None);
         }
@@ -180,16 +189,24 @@ impl Sections {
                     entries.is_none_or(|bytes| u64::from(bytes) + 6 == length && bytes % 16 == 0)
                 }
                 kind::MESSAGE => length <= MAX_CHUNK_BYTES,
-                kind::ATTACHMENT => true,
-                kind::HEADER..=kind::DATA_END => length <= MAX_RECORD_BYTES,
-                // Private to other programs. 0 and the rest are not records.
-                0x80.. => true,
+                kind::HEADER | kind::SCHEMA | kind::CHANNEL | kind::METADATA => {
+                    length <= MAX_RECORD_BYTES
+                }
+                // Those from 0x80 on are private to other programs.
+                kind::ATTACHMENT | 0x80.. => match self.is_whole(kind, length)? {
+                    Some(is_whole) => is_whole,
+                    None => {
+                        let error = self.damaged(WRONG_HEAD);
+                        return if self.find_chunk()? { Err(error) } else { Ok(self.end_early()) };
+                    }
+                },
+                // Not in the data of a file.
                 _ => false,
             };
             if !is_plausible {
-                return self.resynchronise("a record's kind or length is wrong");
+                return self.resynchronise(WRONG_HEAD);
             }
-            if matches!(kind, kind::ATTACHMENT | kind::MESSAGE_INDEX | 0x10..) {
+            if matches!(kind, kind::ATTACHMENT | kind::MESSAGE_INDEX | 0x80..) {
                 if !self.skip(length.saturating_add(RECORD_HEAD as u64))? {
                     return Ok(self.end_early());
                 }
@@ -261,6 +278,30 @@ impl Sections {
         }
     }
 
+    /// Returns true if a record that is skipped has its true length: an attachment if its own
+    /// lengths agree, another one if a record follows. Returns `None` if the file has fewer bytes.
+    fn is_whole(&mut self, kind: u8, length: u64) -> Result<Option<bool>, FileError> {
+        let is_attachment = kind == kind::ATTACHMENT;
+        let most = if is_attachment { MAX_RECORD_BYTES } else { MAX_CHUNK_BYTES };
+        if length > most && !is_attachment {
+            return Ok(None);
+        }
+        let content = length.min(most) as usize;
+        let wanted = RECORD_HEAD + content + if is_attachment { 0 } else { RECORD_HEAD };
+        let found = self.peek(wanted)?;
+        if is_attachment {
+            let lengths = attachment_length(found.get(RECORD_HEAD..).unwrap_or_default());
+            let is_short = lengths.is_none() && found.len() < wanted;
+            return Ok((!is_short).then_some(lengths == Some(length)));
+        }
+        let next = found.get(RECORD_HEAD + content..).and_then(record_head);
+        Ok(next.map(|(kind, length)| match kind {
+            kind::ATTACHMENT => true,
+            kind::SCHEMA..=kind::DATA_END | 0x80.. => length <= MAX_CHUNK_BYTES,
+            _ => false,
+        }))
+    }
+
     fn chunk(&mut self, kind: u8, head: ChunkHead) -> Result<Option<Section>, FileError> {
         const WRONG_CHECKSUM: &str = "a chunk's checksum is wrong";
         let found = self.peek(head.records.end)?.len();
@@ -270,13 +311,12 @@ impl Sections {
         if kind != kind::CHUNK {
             return Err(self.damaged(WRONG_CHECKSUM));
         }
-        let (record, records) = if head.compression.is_empty() {
+        let records = if head.compression.is_empty() {
             let end = self.start + end;
-            (self.start..end, (self.start + head.records.start).min(end)..end)
+            (self.start + head.records.start).min(end)..end
         } else {
             self.decompress(&head, is_whole)?;
-            let end = self.decompressed.len();
-            (0..end, CHUNK_HEAD.min(end)..end)
+            0..self.decompressed.len()
         };
         if !is_whole {
             // A chunk that is cut short cannot be checked.
@@ -286,13 +326,13 @@ impl Sections {
         if head.crc != 0 && crc32fast::hash(self.bytes(records.clone())) != head.crc {
             return Err(self.damaged(WRONG_CHECKSUM));
         }
-        Ok(Some(Section::Chunk { record, records }))
+        Ok(Some(Section::Chunk { records }))
     }
 
     /// Decompresses the chunk at `start`.
     fn decompress(&mut self, head: &ChunkHead, is_whole: bool) -> Result<(), FileError> {
         let chunk = self.window.get(self.start..self.start + self.used).unwrap_or_default();
-        match plain_chunk(chunk, head, &mut self.decompressed) {
+        match decompress(chunk, head, &mut self.decompressed) {
             Err(Failure::Compression) => Err(FileError::Compressed(head.compression.clone())),
             Err(Failure::Damaged(reason)) if is_whole => Err(self.damaged(reason)),
             _ => Ok(()),
@@ -360,6 +400,15 @@ impl Sections {
         self.start += used;
         self.offset += used as u64;
     }
+}
+
+/// Length of an attachment by the lengths in it: times, name, media type, data and CRC.
+fn attachment_length(content: &[u8]) -> Option<u64> {
+    let mut fields = Fields(content);
+    let _times = (fields.u64()?, fields.u64()?);
+    let _names = (fields.bytes()?, fields.bytes()?);
+    let data = fields.u64()?;
+    data.checked_add((content.len() - fields.0.len()) as u64 + 4)
 }
 
 /// Length of the chunk's head at the beginning of `bytes`, which may be cut off.

@@ -22,6 +22,12 @@ impl Sections {
         reason: &'static str,
     ) -> Result<Option<Section>, FileError> {
         let error = self.damaged(reason);
+        self.find_chunk()?;
+        Err(error)
+    }
+
+    /// Skips to the next chunk or the end of the data, or to the end of the file if it has neither.
+    pub(super) fn find_chunk(&mut self) -> Result<bool, FileError> {
         self.skip_to(
             |rest| match rest.first() {
                 Some(&kind::CHUNK) => chunk_head(rest).is_some(),
@@ -29,8 +35,7 @@ impl Sections {
                 _ => false,
             },
             u64::MAX,
-        )?;
-        Err(error)
+        )
     }
 
     /// Skips to the next later position where `is_wanted` is true of the following bytes,

@@ -1,0 +1,375 @@
+//! [`cut`] and [`repair`]: copy the messages of recordings into one file, byte for byte. Only the
+//! numbers of schemas and channels are new, so that no two topics share one.
+
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, HashMap};
+use std::io::{Read, Write};
+use std::ops::RangeBounds;
+use std::time::Duration;
+
+use super::RecordingError;
+use super::mcap::{
+    DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header, kind,
+    parse_metadata,
+};
+use super::messages::{Messages, lost_schema, time};
+use super::polls::StreamPolls;
+use super::range::TimeRange;
+use super::reader::{parse_sensor_metadata, window_of};
+use super::record::{Entry, Record};
+use tokio_scip::protocol::Command;
+
+/// Time span of a chunk in the copy: about a second of messages, as in a recording.
+const CHUNK_SPAN: u64 = 1_000_000_000;
+/// Number of positions of damage to keep.
+const MAX_PLACES: usize = 16;
+/// Metadata to keep in memory until the next message of their file shows where they belong.
+const MAX_METADATA_BYTES: usize = 1 << 20;
+
+/// Outcome of [`cut`] and [`repair`].
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct Copied {
+    /// Number of messages copied.
+    pub messages: u64,
+    /// Number of scans in the copy, as [`Recording::scans`](super::Recording::scans) returns them.
+    pub scans: u64,
+    /// Number of damaged parts left out. Each is a chunk, about a second of a recording, or the
+    /// malformed records of a chunk without a checksum.
+    pub damaged_parts: u64,
+    /// Positions of the first damaged parts in their file, at most 16.
+    pub damaged_at: Vec<u64>,
+    /// True if the end of a file was missing or damaged. Other readers need the end, an index, to
+    /// find the messages.
+    pub was_truncated: bool,
+}
+
+/// Copies the part of a recording in `range`, counted from the first scan, to `output`. Pass all
+/// files of a split recording as `inputs`, in any order: messages are copied in the order of their
+/// log times, and those of one file in the order of the file.
+///
+/// Messages of all topics keep their bytes, times and numbers, whoever wrote them. Channels and
+/// schemas are numbered anew. Metadata are copied, attachments and non-standard records are not.
+/// You can replay the copy: it gets the metadata and the sensor's version even if they lie before
+/// the part. The version is then dated to the start of the part.
+///
+/// Leaves out damaged parts, builds a new index, and writes compressed chunks as plain ones. The
+/// copy has at most eight times the bytes of the inputs without compression, plus 8 KiB: a hostile
+/// file makes the most of small records.
+///
+/// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
+/// input, plus 100 bytes for each chunk of the copy, plus the definitions of message types: up to
+/// 64 MiB for each input, and twice for the copy. Definitions that do not fit are damage.
+///
+/// Definitions that were lost with a damaged part are taken from the index if the input is a
+/// [`File`](std::fs::File). Without it, messages of recordings keep their type, and others have none.
+/// Messages whose channel is lost are left out.
+///
+/// # Errors
+///
+/// Fails with [`RecordingError::NotMcap`] if an input is no recording,
+/// [`RecordingError::Compressed`] if this build does not read its compression,
+/// [`RecordingError::Read`] if reading fails, and [`RecordingError::Write`] if
+/// writing does. The output is then incomplete.
+///
+/// ```no_run
+/// use std::fs::File;
+/// use std::time::Duration;
+///
+/// use urg_recording::cut;
+///
+/// let files = [File::open("run.mcap")?, File::open("run_0002.mcap")?];
+/// let from = Duration::from_secs(3500);
+/// let copied = cut(files, from..from + Duration::from_secs(200), File::create_new("part.mcap")?)?;
+/// println!("{} scans", copied.scans);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn cut<R: Read + Send + 'static>(
+    inputs: impl IntoIterator<Item = R>,
+    range: impl RangeBounds<Duration>,
+    output: impl Write,
+) -> Result<Copied, RecordingError> {
+    let mut outcome = Copied::default();
+    let mut sources: Vec<Source> =
+        inputs.into_iter().map(|input| Source::new(Input::new(input))).collect();
+    let mut queue = BinaryHeap::new();
+    // Before anything is written, each input is known to be a recording.
+    for (number, source) in sources.iter_mut().enumerate() {
+        source.advance(&mut outcome)?;
+        queue.push(Reverse((source.time, number)));
+    }
+    let first = queue.peek().and_then(|Reverse((_, number))| sources.get_mut(*number));
+    let head = first.and_then(|source| source.header.take());
+    let head = head.unwrap_or_else(|| header("ros2", ""));
+    let mut copy = Copy {
+        writer: McapWriter::start_copy(output, &head).map_err(RecordingError::write)?,
+        definitions: DefinitionWriter::default(),
+        range: TimeRange::new(&range),
+        version: None,
+        metadata: None,
+        chunk_began: None,
+        polls: StreamPolls::default(),
+        outcome,
+    };
+    while let Some(Reverse((_, number))) = queue.pop() {
+        let Some(source) = sources.get_mut(number) else { continue };
+        copy.step(number, source).map_err(RecordingError::write)?;
+        if !source.is_over {
+            source.advance(&mut copy.outcome)?;
+            queue.push(Reverse((source.time, number)));
+        }
+    }
+    drop(sources);
+    copy.finish()
+}
+
+/// Copies a damaged or cut-off recording to `output` as a complete file, which other readers can
+/// open. Does the same as [`cut`] with one input and without limits.
+///
+/// # Errors
+///
+/// The same as for [`cut`].
+///
+/// ```no_run
+/// use std::fs::File;
+///
+/// let copied = urg_recording::repair(File::open("cut.mcap")?, File::create_new("whole.mcap")?)?;
+/// println!("{} damaged parts left out", copied.damaged_parts);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn repair(
+    input: impl Read + Send + 'static,
+    output: impl Write,
+) -> Result<Copied, RecordingError> {
+    cut([input], .., output)
+}
+
+/// Input of a copy, read up to its next message.
+struct Source {
+    records: Records,
+    /// Content of the file's header.
+    header: Option<Vec<u8>>,
+    definitions: Definitions,
+    /// Topics of its channels.
+    messages: Messages,
+    /// Number in the copy of each channel, once it has one.
+    channels: HashMap<u16, u16>,
+    /// Metadata before the next message.
+    metadata: Vec<Vec<u8>>,
+    /// Content of the next message.
+    message: Option<Vec<u8>>,
+    /// Log time of the next message, or of the previous one if metadata come first.
+    time: u64,
+    /// Position of the last reported damage.
+    damaged_at: Option<u64>,
+    is_over: bool,
+}
+
+impl Source {
+    fn new(input: Input) -> Self {
+        Self {
+            records: Records::new(input),
+            header: None,
+            definitions: Definitions::default(),
+            messages: Messages::default(),
+            channels: HashMap::new(),
+            metadata: Vec::new(),
+            message: None,
+            time: 0,
+            damaged_at: None,
+            is_over: false,
+        }
+    }
+
+    /// Reads up to the next message of a defined channel.
+    fn advance(&mut self, outcome: &mut Copied) -> Result<(), RecordingError> {
+        let mut metadata_bytes = 0;
+        while metadata_bytes <= MAX_METADATA_BYTES {
+            let (kind, content) = match self.records.next() {
+                Ok(Some(record)) => record,
+                Ok(None) => {
+                    outcome.was_truncated |= self.records.is_truncated();
+                    self.is_over = true;
+                    return Ok(());
+                }
+                Err(error) => match RecordingError::from(error) {
+                    RecordingError::Damaged { offset, .. } => {
+                        self.report_damage(offset, outcome);
+                        continue;
+                    }
+                    error => return Err(error),
+                },
+            };
+            let is_right = match kind {
+                kind::HEADER => {
+                    self.header.get_or_insert_with(|| content.to_vec());
+                    true
+                }
+                kind::SCHEMA | kind::CHANNEL => {
+                    self.messages.define(kind, content);
+                    // A schema changes its channels.
+                    self.channels.clear();
+                    self.definitions.define(kind, content)
+                }
+                kind::METADATA => {
+                    metadata_bytes += content.len();
+                    self.metadata.push(content.to_vec());
+                    true
+                }
+                kind::MESSAGE => match MessageHeader::parse(content) {
+                    Some((header, _)) if self.definitions.has_channel(header.channel) => {
+                        self.time = header.log_time;
+                        self.message = Some(content.to_vec());
+                        return Ok(());
+                    }
+                    _ => false,
+                },
+                _ => true,
+            };
+            if !is_right {
+                self.report_damage(self.records.offset(), outcome);
+            }
+        }
+        Ok(())
+    }
+
+    /// Reports a damaged part once, however many of its records are malformed.
+    fn report_damage(&mut self, offset: u64, outcome: &mut Copied) {
+        if self.damaged_at.replace(offset) == Some(offset) {
+            return;
+        }
+        outcome.damaged_parts += 1;
+        if outcome.damaged_at.len() < MAX_PLACES {
+            outcome.damaged_at.push(offset);
+        }
+    }
+}
+
+/// Version of the sensor, as one of the inputs has it.
+struct Version {
+    source: usize,
+    header: MessageHeader,
+    data: Vec<u8>,
+}
+
+/// Copy in progress.
+struct Copy<W> {
+    writer: McapWriter<W>,
+    definitions: DefinitionWriter,
+    range: TimeRange,
+    /// Latest version of the sensor.
+    version: Option<Version>,
+    /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
+    metadata: Option<(usize, Vec<u8>)>,
+    /// Time of the first message in the open chunk, once the part has begun.
+    chunk_began: Option<u64>,
+    /// Counts the scans as a reader of the copy does.
+    polls: StreamPolls,
+    outcome: Copied,
+}
+
+impl<W: Write> Copy<W> {
+    /// Copies the metadata and the message that a source has read, if they belong to the part.
+    fn step(&mut self, number: usize, source: &mut Source) -> std::io::Result<()> {
+        for content in std::mem::take(&mut source.metadata) {
+            let Some((name, _)) = parse_metadata(&content) else { continue };
+            if let Some(metadata) = parse_sensor_metadata(&content) {
+                let known = self.metadata.as_ref().filter(|(source, _)| *source != number);
+                if known.is_some_and(|(_, known)| *known == content) {
+                    continue;
+                }
+                self.polls.describe(window_of(&metadata));
+                // Of the first description, whatever follows.
+                self.count_scans(false);
+                self.metadata = Some((number, content.clone()));
+            }
+            self.writer.copy_metadata(name, &content)?;
+        }
+        let Some(content) = source.message.take() else { return Ok(()) };
+        let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
+        let record = source.messages.parse(&content).ok().flatten();
+        let record = record.filter(|record| record.topic.is_none());
+        if let Some(record) = &record {
+            self.range.see(record);
+        }
+        let is_inside = self.range.contains(time(header.log_time));
+        let is_version = record.as_ref().is_some_and(is_version);
+        if is_version && self.is_repeated(number, header, data) {
+            return Ok(());
+        }
+        if !is_inside && !is_version {
+            return Ok(());
+        }
+        let channel = match source.channels.get(&header.channel) {
+            Some(channel) => Some(*channel),
+            None => {
+                let (known, writer) = (&source.definitions, &mut self.writer);
+                let channel = self.definitions.channel(header.channel, known, lost_schema, writer);
+                source.channels.extend(channel.map(|channel| (header.channel, channel)));
+                channel
+            }
+        };
+        let Some(channel) = channel else {
+            source.report_damage(source.records.offset(), &mut self.outcome);
+            return Ok(());
+        };
+        header.channel = channel;
+        if is_version {
+            self.version = Some(Version { source: number, header, data: data.to_vec() });
+            if !is_inside {
+                return Ok(());
+            }
+        }
+        if self.chunk_began.is_none()
+            && !is_version
+            && let Some(Version { header: version, data, .. }) = self.version.take()
+        {
+            self.message(MessageHeader { log_time: header.log_time, ..version }, &data)?;
+            self.version = Some(Version { source: number, header: version, data });
+        }
+        self.message(header, data)?;
+        if let Some(record) = record {
+            self.polls.add(record);
+        }
+        self.count_scans(false);
+        Ok(())
+    }
+
+    fn message(&mut self, header: MessageHeader, data: &[u8]) -> std::io::Result<()> {
+        let began = *self.chunk_began.get_or_insert(header.log_time);
+        if header.log_time.saturating_sub(began) >= CHUNK_SPAN {
+            self.writer.flush()?;
+            self.chunk_began = Some(header.log_time);
+        }
+        self.outcome.messages += 1;
+        self.writer.message(header, data)
+    }
+
+    /// Returns true for a version that another file has already: each file of a split recording
+    /// begins with it.
+    fn is_repeated(&self, number: usize, header: MessageHeader, data: &[u8]) -> bool {
+        self.version.as_ref().is_some_and(|known| {
+            known.source != number
+                && known.header.publish_time == header.publish_time
+                && known.data == data
+        })
+    }
+
+    fn count_scans(&mut self, is_end: bool) {
+        while let Some(poll) = self.polls.next(is_end) {
+            self.outcome.scans += u64::from(poll.stream_values().is_some());
+        }
+    }
+
+    fn finish(mut self) -> Result<Copied, RecordingError> {
+        self.count_scans(true);
+        drop(self.definitions);
+        self.writer.end().map_err(RecordingError::write)?;
+        Ok(self.outcome)
+    }
+}
+
+fn is_version(record: &Record) -> bool {
+    matches!(&record.entry, Entry::Reply(reply)
+        if reply.command == Some(Command::Version) && reply.parse().is_some())
+}

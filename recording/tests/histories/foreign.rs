@@ -1,0 +1,128 @@
+//! Bags as other programs write them: any topics, types and numbers, messages in any form.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use mcap::WriteOptions;
+use mcap::records::{MessageHeader, Metadata};
+
+use crate::common::random::Random;
+
+/// Start of every bag, give or take minutes.
+const BEGAN: u64 = 1_700_000_000_000_000_000;
+const SECOND: u64 = 1_000_000_000;
+
+/// Topic, type, and encoding of messages.
+const TOPICS: [(&str, &str, &str); 7] = [
+    ("/scan", "sensor_msgs/msg/LaserScan", "cdr"),
+    ("/scan", "my_msgs/msg/Scan", "cdr"),
+    ("/front/scan", "sensor_msgs/msg/LaserScan", "cdr"),
+    ("/chatter", "std_msgs/msg/String", "cdr"),
+    ("/scip/events", "std_msgs/msg/String", "cdr"),
+    ("/camera", "", "json"),
+    ("/scip/replies", "std_msgs/msg/UInt8MultiArray", "cdr"),
+];
+
+pub(super) struct Bag {
+    pub(super) bytes: Vec<u8>,
+    pub(super) has_chunks: bool,
+    pub(super) has_checksums: bool,
+}
+
+pub(super) fn bag(random: &mut Random) -> Bag {
+    let has_chunks = !random.once_in(8);
+    let has_checksums = !random.once_in(8);
+    let options = WriteOptions::new()
+        .compression(None)
+        .profile(*random.pick(&["ros2", ""]))
+        .use_chunks(has_chunks)
+        .chunk_size(Some(100 + random.below(2_000)))
+        .calculate_chunk_crcs(has_checksums);
+    let mut writer = options.create(Cursor::new(Vec::new())).unwrap();
+    if random.once_in(2) {
+        let metadata = BTreeMap::from([("key".to_owned(), random.below(3).to_string())]);
+        writer.write_metadata(&Metadata { name: "rosbag2".to_owned(), metadata }).unwrap();
+    }
+    let mut channels = Vec::new();
+    for number in 0..1 + random.below(4) {
+        let (topic, name, encoding) = *random.pick(&TOPICS);
+        // Any numbers, mostly small ones, so that those of two bags meet.
+        let any = |random: &mut Random, bound| 1 + number * 100 + random.below(bound);
+        let schema = match name {
+            "" => 0,
+            name => {
+                let id = any(random, 3) as u16;
+                writer.add_schema_with_id(id, name, "ros2msg", b"float32 data\n").unwrap()
+            }
+        };
+        let id = (any(random, 3) - u64::from(number == 0)) as u16;
+        let qos = BTreeMap::from([("qos".to_owned(), random.below(2).to_string())]);
+        writer.add_channel_with_id(id, schema, topic, encoding, &qos).unwrap();
+        channels.push((id, name));
+    }
+    let is_sorted = !random.once_in(3);
+    let mut time = BEGAN + random.below(60) * SECOND;
+    for sequence in 0..random.below(60) as u32 {
+        time = match is_sorted {
+            true => time + random.below(SECOND / 2),
+            false => BEGAN + random.below(30 * SECOND),
+        };
+        let (channel_id, name) = *random.pick(&channels);
+        let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time - 5 };
+        let data = match name {
+            "sensor_msgs/msg/LaserScan" if !random.once_in(8) => laser_scan(random),
+            _ => (0..random.below(200)).map(|_| random.next() as u8).collect(),
+        };
+        writer.write_to_known_channel(&header, &data).unwrap();
+    }
+    writer.finish().unwrap();
+    Bag { bytes: writer.into_inner().into_inner(), has_chunks, has_checksums }
+}
+
+/// Scan of a URG in any form of CDR that ROS writes: either byte order, with options, a time
+/// before 1970, or compressed as a whole.
+fn laser_scan(random: &mut Random) -> Vec<u8> {
+    let is_big = random.once_in(4);
+    let options = random.below(4) as u8 * u8::from(random.once_in(4));
+    let mut out = vec![0, u8::from(!is_big), 0, options];
+    let mut put = |bytes: [u8; 4]| {
+        out.extend(match is_big {
+            true => bytes.into_iter().rev().collect::<Vec<_>>(),
+            false => bytes.to_vec(),
+        })
+    };
+    let seconds = if random.once_in(8) { -5 } else { 1_700_000_000 + random.below(1000) as i32 };
+    put(seconds.to_le_bytes());
+    put((random.below(SECOND) as u32).to_le_bytes());
+    // "abc" and its NUL.
+    put(4_u32.to_le_bytes());
+    put(if is_big { *b"\0cba" } else { *b"abc\0" });
+    let step = std::f32::consts::TAU / 1024.0;
+    let points = 5 + random.below(5) as u32;
+    for number in [0.0, step * (points - 1) as f32, step, 0.1 / 1024.0, 0.1, 0.02, 4.094] {
+        put(number.to_le_bytes());
+    }
+    put(points.to_le_bytes());
+    for _ in 0..points {
+        put((random.below(4000) as f32 / 1000.0).to_le_bytes());
+    }
+    put(0_u32.to_le_bytes());
+    if random.once_in(8) {
+        return [&[0x28, 0xb5, 0x2f, 0xfd][..], &out].concat();
+    }
+    out
+}
+
+/// Returns true if the message has the form of [`laser_scan`], compressed ones excepted.
+pub(super) fn is_readable(data: &[u8]) -> bool {
+    // The sequences decide: the ranges, and no intensities.
+    let Some(([0, order @ (0 | 1), 0, _], rest)) = data.split_first_chunk() else { return false };
+    let number = |at: usize| {
+        let bytes: [u8; 4] = rest.get(at..at + 4)?.try_into().ok()?;
+        Some(if *order == 1 { u32::from_le_bytes(bytes) } else { u32::from_be_bytes(bytes) }
+            as usize)
+    };
+    let length = |at: usize| Some(at + 4 + number(at)?);
+    let ranges = length(8).map(|end| end.next_multiple_of(4) + 28);
+    ranges.and_then(|at| Some(at + 4 + 4 * number(at)?)).is_some_and(|end| end <= rest.len())
+}

@@ -1,0 +1,454 @@
+//! Random histories of recordings: made by this crate or by another program, cut, joined in any
+//! order, cut off, damaged, repaired, and cut again. The truth is a list of messages, which the
+//! crate `mcap` reads. After each step every message is there, byte for byte and on its topic,
+//! except those that the damage hit; nothing is there twice; and the counts agree.
+//!
+//! `URG_HISTORIES=100000 cargo test --release -p urg-recording histories -- --nocapture` takes a
+//! minute.
+
+mod file;
+mod foreign;
+mod own;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::io::Cursor;
+use std::ops::{Range, RangeBounds};
+use std::path::Path;
+use std::sync::OnceLock;
+use std::time::Duration;
+
+use tokio_scip::Scan;
+use urg_recording::{Copied, Entry, Recording, RecordingError, cut, repair};
+
+use self::file::{Layout, Message, read};
+use self::foreign::bag;
+use self::own::{Own, nanos, own};
+use crate::common::random::Random;
+
+/// Number of recordings that the histories choose from: making one takes milliseconds.
+const RECORDINGS: u64 = 48;
+
+fn recordings() -> &'static [Own] {
+    static RECORDINGS_MADE: OnceLock<Vec<Own>> = OnceLock::new();
+    RECORDINGS_MADE.get_or_init(|| (0..RECORDINGS).map(own).collect())
+}
+
+/// File of a history.
+#[derive(Clone)]
+struct File {
+    bytes: Vec<u8>,
+    /// Messages that must be in it, in their order.
+    must: Vec<Message>,
+    /// Messages that may be in it.
+    may: Vec<Message>,
+    has_chunks: bool,
+    has_checksums: bool,
+    is_complete: bool,
+}
+
+impl File {
+    fn whole(bytes: Vec<u8>) -> Result<Self, String> {
+        let must = read(&bytes)?;
+        let may = must.clone();
+        Ok(Self { bytes, must, may, has_chunks: true, has_checksums: true, is_complete: true })
+    }
+
+    fn is_sorted(&self) -> bool {
+        self.must.is_sorted_by_key(|message| message.log_time)
+    }
+
+    /// Opens the file on a disk, so that its index can be read, or as a pipe.
+    fn input(&self, is_on_disk: bool) -> Input {
+        if !is_on_disk {
+            return Input::Pipe(Cursor::new(self.bytes.clone()));
+        }
+        let folder = own::folder(0);
+        let path = folder.join("file.mcap");
+        std::fs::write(&path, &self.bytes).unwrap();
+        let file = std::fs::File::open(&path).unwrap();
+        // The open file stays.
+        std::fs::remove_dir_all(folder).unwrap();
+        Input::Disk(file)
+    }
+}
+
+enum Input {
+    Pipe(Cursor<Vec<u8>>),
+    Disk(std::fs::File),
+}
+
+/// Copies a part of the inputs, all on a disk or none.
+fn copy(
+    inputs: Vec<Input>,
+    range: impl RangeBounds<Duration>,
+    out: &mut Vec<u8>,
+) -> Result<Copied, RecordingError> {
+    let (mut pipes, mut files) = (Vec::new(), Vec::new());
+    for input in inputs {
+        match input {
+            Input::Pipe(pipe) => pipes.push(pipe),
+            Input::Disk(file) => files.push(file),
+        }
+    }
+    if files.is_empty() { cut(pipes, range, out) } else { cut(files, range, out) }
+}
+
+fn open(input: Input) -> Result<Recording, RecordingError> {
+    match input {
+        Input::Pipe(pipe) => Recording::read(pipe),
+        Input::Disk(file) => Recording::read(file),
+    }
+}
+
+/// What is wrong after a step.
+struct Wrong(String);
+
+impl<T: fmt::Display> From<T> for Wrong {
+    fn from(text: T) -> Self {
+        Self(text.to_string())
+    }
+}
+
+fn is_so(fact: bool, otherwise: impl FnOnce() -> String) -> Result<(), Wrong> {
+    if fact { Ok(()) } else { Err(Wrong(otherwise())) }
+}
+
+/// Number of times that each message is there. The version of the sensor is not counted: files
+/// repeat it.
+fn counted(messages: &[Message]) -> BTreeMap<&Message, usize> {
+    let mut counts = BTreeMap::new();
+    for message in messages.iter().filter(|message| !message.is_version()) {
+        *counts.entry(message).or_default() += 1;
+    }
+    counts
+}
+
+/// Compares what a step has written with what must and what may be in it.
+fn compare(found: &[Message], must: &[Message], may: &[Message]) -> Result<(), Wrong> {
+    let (found_counts, must_counts, may_counts) = (counted(found), counted(must), counted(may));
+    for (message, count) in &must_counts {
+        let count_found = found_counts.get(message).copied().unwrap_or_default();
+        is_so(count_found >= *count, || {
+            let others = found
+                .iter()
+                .filter(|other| other.data == message.data && other.log_time == message.log_time);
+            let topics: Vec<_> = others.map(|other| &other.topic).collect();
+            match topics[..] {
+                [] => format!("missing: {message:?}"),
+                _ => format!("on another topic {topics:?}: {message:?}"),
+            }
+        })?;
+    }
+    for (message, count) in &found_counts {
+        // Its type was lost with a damaged part.
+        let is_same = |other: &Message| {
+            other.is_on_topic_of(message)
+                && (other.log_time, &other.data) == (message.log_time, &message.data)
+        };
+        if message.has_lost_type() && may.iter().any(is_same) {
+            continue;
+        }
+        let most = may_counts.get(message).copied().unwrap_or_default();
+        is_so(*count <= most, || format!("{count} times and not {most}: {message:?}"))?;
+    }
+    let versions = |messages: &[Message]| -> BTreeSet<(u64, Vec<u8>)> {
+        let versions = messages.iter().filter(|message| message.is_version());
+        versions.map(|message| (message.publish_time, message.data.clone())).collect()
+    };
+    is_so(versions(found).is_superset(&versions(must)), || "no version".to_owned())?;
+    is_so(versions(found).is_subset(&versions(may)), || "another version".to_owned())
+}
+
+/// Scans of a file, as the library reads them.
+fn scans(bytes: &[u8]) -> Result<Vec<Scan>, Wrong> {
+    let mut scans = Vec::new();
+    for scan in Recording::read(Cursor::new(bytes.to_vec()))?.scans() {
+        match scan {
+            Ok(scan) => scans.push(scan),
+            Err(RecordingError::NoScans { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(scans)
+}
+
+/// Checks a file that a step has written, and reads it.
+fn written(bytes: Vec<u8>, counts: (u64, u64)) -> Result<File, Wrong> {
+    let file = File::whole(bytes)?;
+    let (messages, scans_told) = counts;
+    is_so(messages == file.must.len() as u64, || {
+        format!("{messages} messages told, {} there", file.must.len())
+    })?;
+    let found = scans(&file.bytes)?.len() as u64;
+    is_so(scans_told == found, || format!("{scans_told} scans told, {found} there"))?;
+    let again = repair(Cursor::new(file.bytes.clone()), std::io::sink())?;
+    is_so(!again.was_truncated && again.damaged_parts == 0, || format!("not whole: {again:?}"))?;
+    is_so(again.scans == found, || format!("{} scans repaired of {found}", again.scans))?;
+    Ok(file)
+}
+
+/// Number of histories whose files other readers read.
+const FOR_OTHERS: u64 = 60;
+
+/// Kinds of steps, for the report.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Step {
+    Join,
+    Cut,
+    Repair,
+    CutOff,
+    Damage,
+}
+
+struct History {
+    random: Random,
+    shelf: Vec<File>,
+    /// True if the files are on a disk, where their indexes can be read before the rest.
+    is_on_disk: bool,
+    steps: Vec<Step>,
+}
+
+impl History {
+    fn new(seed: u64) -> Result<Self, Wrong> {
+        let mut random = Random::new(seed);
+        let (is_on_disk, mut shelf) = (random.once_in(3), Vec::new());
+        for _ in 0..1 + random.below(3) {
+            if random.once_in(2) {
+                let recording = random.pick(recordings());
+                for file in &recording.files {
+                    shelf.push(File::whole(file.clone())?);
+                }
+            } else {
+                let bag = bag(&mut random);
+                let file = File::whole(bag.bytes)?;
+                let (has_chunks, has_checksums) = (bag.has_chunks, bag.has_checksums);
+                shelf.push(File { has_chunks, has_checksums, ..file });
+            }
+        }
+        Ok(Self { random, shelf, is_on_disk, steps: Vec::new() })
+    }
+
+    fn run(&mut self) -> Result<(), Wrong> {
+        for _ in 0..1 + self.random.below(5) {
+            let place = self.random.below(self.shelf.len() as u64) as usize;
+            let is_complete = self.shelf[place].is_complete;
+            let step = match (self.random.below(5), is_complete) {
+                (0, _) => Step::Join,
+                (1, true) => Step::Cut,
+                (2, true) => Step::CutOff,
+                (3, true) => Step::Damage,
+                _ => Step::Repair,
+            };
+            self.steps.push(step);
+            let file = match step {
+                Step::Join => self.join()?,
+                Step::Cut => self.cut(place)?,
+                Step::Repair => self.repair(place)?,
+                Step::CutOff => self.cut_off(place),
+                Step::Damage => self.damage(place),
+            };
+            self.shelf[place] = file;
+        }
+        Ok(())
+    }
+
+    /// Leaves the files for `urg/tests/recording_histories.py`, each with its messages: topic, log
+    /// time and checksum.
+    fn write_for_others(&self, seed: u64) {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("histories");
+        std::fs::create_dir_all(&folder).unwrap();
+        for (number, file) in self.shelf.iter().enumerate().filter(|(_, file)| file.is_complete) {
+            let path = folder.join(format!("{seed}_{number}.mcap"));
+            let line = |message: &Message| {
+                let topic = message.topic.split(' ').next().unwrap_or_default();
+                format!("{topic} {} {}\n", message.log_time, crc32fast::hash(&message.data))
+            };
+            std::fs::write(
+                path.with_extension("txt"),
+                file.must.iter().map(line).collect::<String>(),
+            )
+            .unwrap();
+            std::fs::write(path, &file.bytes).unwrap();
+        }
+    }
+
+    /// Joins some files in any order.
+    fn join(&mut self) -> Result<File, Wrong> {
+        let mut files: Vec<File> = self.shelf.clone();
+        while files.len() > 3 || files.len() > 1 && self.random.once_in(3) {
+            files.remove(self.random.below(files.len() as u64) as usize);
+        }
+        for place in (1..files.len()).rev() {
+            files.swap(place, self.random.below(place as u64 + 1) as usize);
+        }
+        let mut out = Vec::new();
+        let outcome =
+            copy(files.iter().map(|file| file.input(self.is_on_disk)).collect(), .., &mut out)?;
+        let joined = written(out, (outcome.messages, outcome.scans))?;
+        let all = |of: fn(&File) -> &Vec<Message>| -> Vec<Message> {
+            files.iter().flat_map(of).cloned().collect()
+        };
+        compare(&joined.must, &all(|file| &file.must), &all(|file| &file.may))?;
+        is_so(
+            joined.is_sorted() || !files.iter().all(|file| file.is_complete && file.is_sorted()),
+            || "joined out of order".to_owned(),
+        )?;
+        Ok(joined)
+    }
+
+    /// Copies a part of a whole file.
+    fn cut(&mut self, place: usize) -> Result<File, Wrong> {
+        let file = &self.shelf[place];
+        let (from, length) = (self.random.ms(4_000), self.random.ms(10_000));
+        let range = from..from + length;
+        let mut out = Vec::new();
+        let outcome = copy(vec![file.input(self.is_on_disk)], range.clone(), &mut out)?;
+        let part = written(out, (outcome.messages, outcome.scans))?;
+        let mut first = None;
+        let inside: Vec<Message> = file
+            .must
+            .iter()
+            .filter(|message| {
+                if message.is_scan() {
+                    first.get_or_insert(message.log_time);
+                }
+                let since = message.log_time.saturating_sub(first.unwrap_or(message.log_time));
+                range.contains(&Duration::from_nanos(since))
+            })
+            .cloned()
+            .collect();
+        let is_other = |message: &&Message| !message.is_version();
+        let others = |messages: &[Message]| -> Vec<Message> {
+            messages.iter().filter(is_other).cloned().collect()
+        };
+        compare(&others(&part.must), &others(&inside), &others(&inside))?;
+        // The library reads the same part.
+        let records = open(file.input(self.is_on_disk))?.range(range);
+        let records = records.collect::<Result<Vec<_>, _>>()?;
+        let read = records.iter().filter(|record| matches!(record.entry, Entry::Scan(_))).count();
+        let there = inside.iter().filter(|message| message.is_laser_scan() && message.is_scan());
+        let there = there.count();
+        is_so(read == there, || format!("{read} scan messages read of {there} in the part"))?;
+        Ok(part)
+    }
+
+    fn repair(&mut self, place: usize) -> Result<File, Wrong> {
+        let file = &self.shelf[place];
+        let mut out = Vec::new();
+        let outcome = copy(vec![file.input(self.is_on_disk)], .., &mut out)?;
+        let repaired = written(out, (outcome.messages, outcome.scans))?;
+        compare(&repaired.must, &file.must, &file.may)?;
+        let told = outcome.was_truncated || outcome.damaged_parts > 0;
+        is_so(!file.is_complete || !told, || format!("a whole file: {outcome:?}"))?;
+        is_so(repaired.must.len() == file.may.len() || told, || "a loss untold".to_owned())?;
+        // The library reads as much of the damaged file.
+        let (mut read, mut damaged) = (0, 0);
+        for scan in open(file.input(self.is_on_disk))?.scans() {
+            match scan {
+                Ok(_) => read += 1,
+                Err(RecordingError::Damaged { .. }) => damaged += 1,
+                Err(RecordingError::NoScans { .. }) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+        is_so(read == outcome.scans, || format!("{read} scans read, {} repaired", outcome.scans))?;
+        is_so(damaged == outcome.damaged_parts, || {
+            format!("{damaged} damaged parts read, {} repaired", outcome.damaged_parts)
+        })?;
+        Ok(repaired)
+    }
+
+    /// Cuts a file off, as a kill or a full disk does.
+    fn cut_off(&mut self, place: usize) -> File {
+        let mut file = self.shelf[place].clone();
+        let length = 8 + self.random.below(file.bytes.len() as u64 - 8) as usize;
+        let layout = Layout::new(&file.bytes, &file.must);
+        file.must = layout.survivors(|place| place.end > length, false);
+        file.bytes.truncate(length);
+        File { is_complete: false, ..file }
+    }
+
+    /// Overwrites some bytes.
+    fn damage(&mut self, place: usize) -> File {
+        let mut file = self.shelf[place].clone();
+        // Without chunks or checksums nobody can tell what is damaged.
+        if !file.has_chunks || !file.has_checksums {
+            return file;
+        }
+        let mut hits: Vec<Range<usize>> = Vec::new();
+        for _ in 0..1 + self.random.below(3) {
+            let at = self.random.below(file.bytes.len() as u64) as usize;
+            let end = (at + 1 + self.random.below(40) as usize).min(file.bytes.len());
+            file.bytes[at..end].fill_with(|| self.random.next() as u8);
+            hits.push(at..end);
+        }
+        let whole = &self.shelf[place];
+        let layout = Layout::new(&whole.bytes, &whole.must);
+        let is_hit = |place: &Range<usize>| {
+            hits.iter().any(|hit| hit.start < place.end && place.start < hit.end)
+        };
+        file.must = layout.survivors(is_hit, self.is_on_disk);
+        // So much of the beginning may be damaged that this could be any file.
+        if file.must.is_empty() {
+            return whole.clone();
+        }
+        File { is_complete: false, ..file }
+    }
+}
+
+#[test]
+fn histories_lose_nothing_and_mix_nothing() {
+    let seeds = std::env::var("URG_HISTORIES").map_or(2_000, |seeds| seeds.parse().unwrap());
+    let mut wrong: BTreeMap<String, (u64, u64, String)> = BTreeMap::new();
+    let mut steps = BTreeMap::new();
+    for seed in 0..seeds {
+        let outcome = History::new(seed).and_then(|mut history| {
+            let outcome = history.run();
+            history.steps.iter().for_each(|step| *steps.entry(*step).or_insert(0_u64) += 1);
+            if seed < FOR_OTHERS && outcome.is_ok() {
+                history.write_for_others(seed);
+            }
+            outcome.map_err(|Wrong(text)| Wrong(format!("{:?}: {text}", history.steps)))
+        });
+        if let Err(Wrong(text)) = outcome {
+            // By the last step and what is wrong after it.
+            let kind = text.split(']').take(1).flat_map(|steps| steps.rsplit([' ', '['])).next();
+            let what = text.split("]: ").nth(1).unwrap_or_default();
+            let what = what.split([':', '[']).next().unwrap_or_default();
+            let what = what.replace(|letter: char| letter.is_ascii_digit(), "");
+            let kind = format!("{}: {what}", kind.unwrap_or_default());
+            wrong.entry(kind).or_insert((seed, 0, text)).1 += 1;
+        }
+    }
+    println!("{seeds} histories: {steps:?}");
+    for (kind, (seed, count, text)) in &wrong {
+        println!("{count} times {kind}, first seed {seed}: {text:.600}");
+    }
+    let count: u64 = wrong.values().map(|(_, count, _)| count).sum();
+    assert_eq!(count, 0, "of {seeds} histories {count} went wrong: {:?}", wrong.keys());
+}
+
+/// Joined, so that a reply and its scan may be in two files.
+#[test]
+fn each_recorded_scan_is_given_back_once() {
+    let mut wrong = Vec::new();
+    for (seed, recording) in recordings().iter().enumerate() {
+        let mut joined = Vec::new();
+        let inputs = recording.files.iter().map(|file| Cursor::new(file.clone()));
+        cut(inputs, .., &mut joined).unwrap();
+        let found = scans(&joined).map_err(|Wrong(text)| text).unwrap();
+        // A scan without a reply has the time of its message's header, which is rounded.
+        let near =
+            |stamp: u64, of: &BTreeSet<u64>| of.range(stamp - 2_000..stamp + 2_000).count() > 0;
+        let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.stamp())).collect();
+        let missing = recording.recorded.iter().filter(|stamp| !near(**stamp, &stamps)).count();
+        let other = stamps.iter().filter(|stamp| !near(**stamp, &recording.delivered)).count();
+        let doubled = found.len() - stamps.len();
+        if missing + other + doubled > 0 {
+            wrong
+                .push(format!("seed {seed}: {missing} missing, {other} others, {doubled} doubled"));
+        }
+    }
+    assert!(wrong.is_empty(), "{} of {RECORDINGS}: {wrong:#?}", wrong.len());
+}

@@ -1,0 +1,126 @@
+//! Recordings as services make them: one stream or two, observed and described in any order, with
+//! a consumer that misses scans, in one file or several.
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+use std::time::{Duration, SystemTime};
+
+use tokio_scip::{Rate, Sensor};
+use urg_recording::Recorder;
+
+use crate::common::random::Random;
+use crate::sink::{Sink, sensor, window};
+
+pub(super) struct Own {
+    /// Files of the recording, in order.
+    pub(super) files: Vec<Vec<u8>>,
+    /// Stamps of the described stream's scans that the recorder accepted.
+    pub(super) recorded: BTreeSet<u64>,
+    /// Stamps of all scans of that stream.
+    pub(super) delivered: BTreeSet<u64>,
+}
+
+pub(super) fn nanos(stamp: SystemTime) -> u64 {
+    stamp.duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos() as u64
+}
+
+pub(super) fn own(seed: u64) -> Own {
+    let mut runtime = tokio::runtime::Builder::new_current_thread();
+    let runtime = runtime.enable_time().start_paused(true).build().unwrap();
+    runtime.block_on(record(&mut Random::new(seed), seed))
+}
+
+async fn record(random: &mut Random, seed: u64) -> Own {
+    let folder = folder(seed);
+    let path = folder.join("run.mcap");
+    let (is_split, sink) = (random.once_in(3), Sink::new());
+    let mut recorder = match is_split {
+        true => {
+            let limit = Duration::from_millis(500 + random.below(2000));
+            Recorder::builder().sync_interval(None).split_duration(limit).create(&path)
+        }
+        false => Recorder::builder().write_to(sink.clone()),
+    }
+    .unwrap();
+    let sensor =
+        Sensor::builder().depth(1 << 10).jitter_seed(seed).connect(sensor()).await.unwrap();
+    let (observed, described) = (random.below(4), random.below(3));
+    let windows = [window(300, 305, 1), window(310, 313, 1), window(380, 388, 3)];
+    if observed == 0 {
+        recorder.observe(&sensor);
+    }
+    let window = *random.pick(&windows);
+    let rate = Rate::hz(2.0 + random.below(8) as f64);
+    let mut scans = sensor.scans(window, rate).await.unwrap();
+    let other = *random.pick(&windows);
+    let mut others = match random.once_in(3) && other != window && described > 0 {
+        true => Some(sensor.scans(other, Rate::hz(3.0)).await.unwrap()),
+        false => None,
+    };
+    if observed == 1 {
+        recorder.observe(&sensor);
+    }
+    if described > 0 {
+        recorder.describe(&sensor, &scans).await.unwrap();
+    }
+    if observed == 2 {
+        recorder.observe(&sensor);
+    }
+    let (mut recorded, mut delivered) = (BTreeSet::new(), BTreeSet::new());
+    let (count, misses) = (5 + random.below(25), 1 + random.below(10));
+    // Replies are recorded from any scan on.
+    let observes_at = random.below(count);
+    let mut late = None;
+    for number in 0..count {
+        if observed == 3 && number == observes_at {
+            recorder.observe(&sensor);
+        }
+        let item = scans.next().await.unwrap();
+        delivered.insert(nanos(item.as_ref().unwrap().stamp()));
+        let item = match random.once_in(10) {
+            // The consumer is a scan behind.
+            true => late.replace(item),
+            false => Some(item),
+        };
+        for item in late.take_if(|_| random.once_in(2)).into_iter().chain(item) {
+            if misses > 1 && random.once_in(misses) {
+                continue;
+            }
+            recorder.record(&item).unwrap();
+            recorded.insert(nanos(item.unwrap().stamp()));
+        }
+        while let Some(others) = &mut others
+            && let Some(item) = futures::FutureExt::now_or_never(others.next())
+        {
+            recorder.record(&item.unwrap()).unwrap();
+        }
+    }
+    recorder.finish().await.unwrap();
+    // Scans whose replies were recorded.
+    while let Some(item) = futures::FutureExt::now_or_never(scans.next()) {
+        delivered.insert(nanos(item.unwrap().unwrap().stamp()));
+    }
+    let files = match is_split {
+        true => {
+            let mut names: Vec<_> = std::fs::read_dir(&folder).unwrap().flatten().collect();
+            names.sort_by_key(|name| name.path());
+            names.iter().map(|name| std::fs::read(name.path()).unwrap()).collect()
+        }
+        false => vec![sink.bytes()],
+    };
+    std::fs::remove_dir_all(folder).unwrap();
+    Own { files, recorded, delivered }
+}
+
+/// Creates an empty folder, in memory where the system has one for that.
+pub(super) fn folder(seed: u64) -> PathBuf {
+    let memory = PathBuf::from("/dev/shm");
+    let folder = if memory.is_dir() { memory } else { std::env::temp_dir() };
+    let folder = folder.join(format!(
+        "urg-histories-{}-{:?}-{seed}",
+        std::process::id(),
+        std::thread::current().id()
+    ));
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
