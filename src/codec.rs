@@ -149,7 +149,7 @@ impl ScipCodec {
     }
 
     /// Forgets all progress. Call it after you empty the buffer.
-    pub fn reset(&mut self) {
+    pub(crate) fn reset(&mut self) {
         *self = Self { expected: self.expected, ..Self::default() };
     }
 

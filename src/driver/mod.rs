@@ -13,7 +13,6 @@ mod laser;
 mod motor_clock;
 mod observers;
 mod open;
-mod poll_timer;
 mod rate_meter;
 mod raw_reply;
 mod request;
@@ -28,17 +27,15 @@ use std::future::Future;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
-use tokio::time::Instant;
 use tracing::Instrument;
 
 pub(crate) use self::config::{Config, IdleProbe};
 pub use self::observers::ReplyObservation;
 use self::observers::ReplyObservers;
 pub use self::raw_reply::RawReply;
-use self::request::{QueuedRequest, RequestQueue};
+use self::request::RequestQueue;
 pub(crate) use self::request::{Request, Responder};
 use self::supervisor::Supervisor;
 use crate::port::AnyConnect;
@@ -83,10 +80,9 @@ impl fmt::Debug for Driver {
 /// Sending end of the request queue. The driver runs while a clone exists.
 #[derive(Debug, Clone)]
 pub(crate) struct Client {
-    sender: mpsc::Sender<Box<QueuedRequest>>,
+    sender: mpsc::Sender<Box<Request>>,
     telemetry: Arc<Telemetry>,
     observers: Arc<ReplyObservers>,
-    request_timeout: Duration,
     depth: usize,
 }
 
@@ -98,9 +94,7 @@ impl Client {
         request: impl FnOnce(Responder<T>) -> Request,
     ) -> Result<T, Error> {
         let (responder, answer) = oneshot::channel();
-        let expires = Instant::now() + self.request_timeout;
-        let queued = Box::new(QueuedRequest { request: request(responder), expires });
-        if self.sender.send(queued).await.is_err() {
+        if self.sender.send(Box::new(request(responder))).await.is_err() {
             return Err(self.telemetry.closed().await);
         }
         self.wait_for(answer).await
@@ -123,6 +117,11 @@ impl Client {
             // The driver drops a request in progress before it stores the cause.
             None => Err(self.telemetry.closed().await),
         }
+    }
+
+    /// Tells the driver that a stream was dropped. If the queue is full, one of its requests does.
+    pub(crate) fn report_dropped_stream(&self) {
+        let _ = self.sender.try_send(Box::new(Request::StreamDropped));
     }
 
     /// Default depth of streams.
@@ -149,20 +148,22 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, 
         tracing::error_span!("sensor", sensor = name.as_deref().map(tracing::field::display));
     let (sender, receiver) = mpsc::channel(QUEUE_CAPACITY);
     let telemetry = Arc::new(Telemetry::new(name));
-    let (request_timeout, depth) = (config.request_timeout, config.depth);
+    let depth = config.depth;
+    let queue = RequestQueue::new(receiver, config.request_timeout);
     // A copy: a clone of the builder may create another driver, which must not share it.
     let observers = Arc::new(ReplyObservers::clone(&config.observers));
     config.observers = Arc::clone(&observers);
-    let supervisor =
-        Supervisor::new(connect, config, RequestQueue::new(receiver), Arc::clone(&telemetry));
-    let client = Client { sender, telemetry, observers, request_timeout, depth };
+    let supervisor = Supervisor::new(connect, config, queue, Arc::clone(&telemetry));
+    let client = Client { sender, telemetry, observers, depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use tokio::sync::oneshot;
-    use tokio::time::{Instant, timeout};
+    use tokio::time::timeout;
 
     use super::*;
     use crate::port::{Connect, Port};
@@ -183,8 +184,7 @@ mod tests {
         let place = client.sender.clone().reserve_owned().await.unwrap();
         drop(driver);
         let (responder, answer) = oneshot::channel();
-        let request = Request::Version(responder);
-        place.send(Box::new(QueuedRequest { request, expires: Instant::now() }));
+        place.send(Box::new(Request::Version(responder)));
 
         let outcome = timeout(Duration::from_secs(60), client.wait_for(answer)).await;
         assert!(matches!(outcome.unwrap().unwrap_err().kind(), ErrorKind::Closed));

@@ -36,18 +36,28 @@
 //! An arrival that no revolution since its request explains is early, and shows at once
 //! that the phase is wrong. Neither a jump nor an early arrival changes the period.
 //!
-//! The fit needs a sum of weights and two moments. It keeps no history and allocates nothing.
+//! # Whether to use the line
 //!
-//! # Where there is no line
+//! A wrong line is worse than no line. The arrivals may lie on a line that is not the motor's:
 //!
-//! - A sensor that answers at once follows its requests and not its motor. The line
-//!   stays unused until [`ENOUGH`] fitting replies have kept the host waiting for a tenth
-//!   of a revolution.
+//! - A sensor that answers at once follows its requests. So the driver moves some polls by half of
+//!   the time to the next revolution ([`MotorClock::poll_delay`]). If the replies do not move with
+//!   them, [`PROVED`] times more often than they do, the line is the motor's. Polls more than a
+//!   revolution apart also move by a whole one, which shows a multiple of the period.
+//! - An adapter with a latency timer, long frames or a jittery network moves the lower edge. Each
+//!   early arrival and each jump casts [`DOUBT`], and so does a start.
+//! - A wrong nominal period spreads the arrivals over the revolution. [`MotorClock::trust`]
+//!   measures how near to the line they are.
+//! - On a very busy host most replies are late, so the part that fits must be [`STEADY`].
 //! - If the doubt of the line grows to a quarter of a revolution between two replies,
 //!   nothing tells how many revolutions lie between them. The fit then starts again. With
 //!   the nominal period this happens below one reply every three seconds.
-//! - If fewer than one reply in ten fits, the fit starts again, too.
+//!
+//! The model in `motor_clock/model.rs` shows what all this is worth.
 
+#[cfg(test)]
+#[path = "motor_clock/model.rs"]
+mod model;
 #[cfg(test)]
 #[path = "motor_clock/tests.rs"]
 mod tests;
@@ -62,10 +72,6 @@ use crate::stats::MotorStats;
 const MEMORY: f64 = 12.0;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
 const EARLY_WEIGHT: f64 = 40.0;
-/// The same weight on a busy host, until [`SETTLED`] replies fit. A period that rests on two
-/// or three arrivals would look better known than it is.
-const UNSETTLED_WEIGHT: f64 = 6.0;
-const SETTLED: u64 = 40;
 /// Doubt of the nominal period, as a standard deviation: 0.3 %. The only motor in a
 /// capture is off by 0.24 %.
 const NOMINAL_DOUBT: f64 = 0.003;
@@ -78,10 +84,10 @@ const USUAL_LATENESS: f64 = 0.5e-3;
 const LATENESS_LIMITS: (f64, f64) = (0.05e-3, 0.7e-3);
 /// Part of the gate that does not depend on the usual lateness, in seconds.
 const LEAST_GATE: f64 = 0.15e-3;
-/// Number of replies that must fit before the line is used.
+/// Number of replies that must fit before the line counts.
 const ENOUGH: u64 = 8;
 /// The period counts as known if its error is below 0.01 % at this many standard
-/// deviations. The arrivals of a USB sensor are not independent samples: they step through
+/// deviations, as far as the arrivals show. The arrivals of a USB sensor are not independent samples: they step through
 /// its frames.
 const PERIOD_SIGMAS: f64 = 5.0;
 const PERIOD_ERROR: f64 = 1e-4;
@@ -102,15 +108,42 @@ const MOST_SHARE: f64 = 0.99;
 const LEAST_SHARE: f64 = 0.1;
 /// Number of replies over which the part is averaged: 25 s at 10 Hz.
 const SHARE_REPLIES: f64 = 256.0;
-/// Least time from a request to the end of a revolution that answers it, in revolutions.
-const LEAST_WAIT: f64 = 0.1;
+/// Least part of the replies that fit, and least [`MotorClock::trust`], of a line that is used.
+const STEADY: f64 = 0.7;
+const LEAST_TRUST: f64 = 0.7;
+/// Doubt about the line, in replies without another reason for doubt: at the start, after an
+/// early arrival or a jump, and the most.
+const DOUBT_AT_START: f64 = 64.0;
+const DOUBT: f64 = 512.0;
+const MOST_DOUBT: f64 = 4.0 * DOUBT;
+/// An arrival up to this many seconds below the line is early, not late by nearly a revolution.
+/// It exceeds the latency timer of an FTDI adapter, 16 ms.
+const EARLY: f64 = 0.018;
+/// An arrival nearer to the line than this is no reason for doubt: two USB frames of 1 ms.
+const NEAR_LINE: f64 = 2e-3;
+/// Two misfits in a row rest on the line if late replies make such a row with this chance.
+const CHANCE_OF_TWO: f64 = 0.05;
+/// A misfit is of the line only if late replies come more often than once in this many seconds.
+const RARE: f64 = 30.0;
+/// Part of the wait for the end of a revolution by which a poll moves. Least move that tells, in
+/// seconds: more than a latency timer of 16 ms can hide. A reply follows within [`FOLLOWS`].
+const MOVED_PART: f64 = 0.5;
+const LEAST_MOVE: f64 = 0.024;
+const FOLLOWS: f64 = 0.004;
+/// Number of moved replies that prove a line, less those that speak against it.
+const PROVED: i8 = 12;
+/// Largest number of polls to move. Each costs up to one and a half revolutions.
+const MOST_MOVES: u8 = 40;
+/// Least duration of a line whose period is known, in seconds. Frames of 16 ms that nothing shows
+/// then bend it by less than 0.1 %.
+const LEAST_DURATION: f64 = 20.0;
 
 /// What is known of the revolution that a reply shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Revolution {
     /// Time from the end of the revolution on the line to the arrival of the reply.
     pub(crate) lateness: Option<Duration>,
-    /// Duration of a revolution, once it is known to 0.01 %.
+    /// Duration of a revolution, once it is known.
     pub(crate) period: Option<Duration>,
 }
 
@@ -162,7 +195,7 @@ pub(crate) struct MotorClock {
     /// Seconds per revolution: from the firmware line, and as fitted.
     nominal: f64,
     period: f64,
-    /// The fitted period, while it is known to 0.01 %.
+    /// The fitted period, while it is known.
     known_period: Option<Duration>,
     /// End of the latest revolution on the line, if there is one.
     latest: Option<f64>,
@@ -174,13 +207,25 @@ pub(crate) struct MotorClock {
     /// Number of fitting replies since the fit started: in all, and before the latest jump.
     fitting: u64,
     before_jump: u64,
-    /// Number of fitting replies that kept the host waiting, up to [`ENOUGH`].
-    waited: u64,
+    /// Times of the latest request and arrival, and revolutions between the latest arrivals.
+    exchange: (f64, f64),
+    turns: [f64; 2],
+    /// Number of replies that did not follow a moved poll, less those that did.
+    proof: i8,
+    is_proved: bool,
+    /// True if the latest poll was moved.
+    is_moved: bool,
+    /// Number of polls moved so far.
+    moves: u8,
+    /// 1 if all recent replies were on the line, -1 if all were opposite to it.
+    trust: f64,
+    /// Number of replies until the line is used.
+    doubt: f64,
+    /// When the line began.
+    since: f64,
     /// Part of the replies that fit.
     share: f64,
     counted: f64,
-    /// Request of the latest fitting reply, and the end of the revolution that answered it.
-    answered: (Instant, f64),
     misfits: Misfits,
     /// Line before the latest jump, until the jump is certain.
     replaced: Option<ReplacedLine>,
@@ -202,10 +247,17 @@ impl MotorClock {
             lateness: USUAL_LATENESS,
             fitting: 0,
             before_jump: 0,
-            waited: 0,
+            exchange: (0.0, 0.0),
+            proof: 0,
+            is_proved: false,
+            is_moved: false,
+            moves: 0,
+            trust: LEAST_TRUST,
+            doubt: DOUBT_AT_START,
+            since: 0.0,
+            turns: [0.0; 2],
             share: USUAL_SHARE,
             counted: ENOUGH as f64,
-            answered: (origin, 0.0),
             misfits: Misfits::NONE,
             replaced: None,
             jumps: 0,
@@ -215,7 +267,63 @@ impl MotorClock {
     /// Adds a reply whose first byte arrived at `arrived`. Returns when the revolution
     /// that it shows ended, which is never later than `arrived`.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
-        self.add(requested, seconds(self.origin, arrived))
+        let arrived = self.seconds(arrived);
+        self.compare(requested, arrived);
+        self.add(requested, arrived)
+    }
+
+    /// How much later than planned to send the next poll, so that its reply shows whether
+    /// replies follow the motor or their requests.
+    pub(crate) fn poll_delay(&mut self, planned: Instant) -> Duration {
+        let Some(latest) = self.latest else { return Duration::ZERO };
+        let was_moved = std::mem::take(&mut self.is_moved);
+        if self.fitting < ENOUGH || self.proof.abs() >= PROVED || was_moved {
+            return Duration::ZERO;
+        }
+        let since = self.seconds(planned) - latest;
+        let wait = (since / self.period).ceil() * self.period - since;
+        if MOVED_PART * wait < 1.1 * LEAST_MOVE {
+            return Duration::ZERO;
+        }
+        if self.moves == MOST_MOVES {
+            return Duration::ZERO;
+        }
+        self.moves += 1;
+        self.is_moved = true;
+        let more = if self.skips_revolutions() { self.period } else { 0.0 };
+        duration(MOVED_PART * wait + more)
+    }
+
+    /// Compares how far request and reply moved within the revolution since the ones before. A
+    /// sensor that answers at once moves both by the same time.
+    fn compare(&mut self, requested: Instant, arrived: f64) {
+        let (before, answered) = self.exchange;
+        self.exchange.1 = arrived;
+        self.turns = [self.turns[1], (arrived - answered) / self.period];
+        if self.is_proved {
+            return;
+        }
+        let requested = self.seconds(requested);
+        self.exchange.0 = requested;
+        let moved = part((requested - before) / self.period);
+        if moved.abs() * self.period > LEAST_MOVE {
+            let followed = part((arrived - answered) / self.period);
+            let is_near = |part: f64| part.abs() * self.period < FOLLOWS;
+            let vote = match () {
+                () if is_near(followed) => 1,
+                () if is_near(part(followed - moved)) => -2,
+                () if self.skips_revolutions() => -1,
+                () => 0,
+            };
+            self.proof = (self.proof + vote).clamp(-PROVED, PROVED);
+            self.is_proved = self.proof == PROVED;
+        }
+    }
+
+    /// Returns true if some recent replies were more than a revolution apart.
+    fn skips_revolutions(&self) -> bool {
+        let [before, latest] = self.turns;
+        before + latest > 3.0
     }
 
     fn add(&mut self, requested: Instant, arrived: f64) -> Revolution {
@@ -228,32 +336,41 @@ impl MotorClock {
         let gate = self.gate(moments);
         // Not a number if rounding has made the determinant negative.
         if gate.is_nan() || gate >= self.period / 4.0 {
-            self.start(arrived)
-        } else if lag.abs() <= gate {
-            if self.waited < ENOUGH {
-                self.waited += u64::from(self.wait(requested, end) > LEAST_WAIT);
-            }
-            self.answered = (requested, end);
+            return self.start(arrived);
+        }
+        let is_early = lag < -gate && lag > -EARLY;
+        let is_far = lag.abs() > gate.max(NEAR_LINE);
+        self.trust += (1.0 - 4.0 * (lag / self.period).abs() - self.trust) / 32.0;
+        match () {
+            () if !is_far && self.doubt <= 0.0 => {}
+            () if is_early && is_far => self.add_doubt(),
+            // A busy host, where a reply that is nearly a revolution late seems early.
+            () if lag.abs() > EARLY => self.doubt = (self.doubt - 16.0).max(0.0),
+            () if is_far && self.doubt > 0.0 => self.doubt += 2.0,
+            () => self.doubt = (self.doubt - 1.0).max(0.0),
+        }
+        if lag.abs() <= gate {
             self.fit(moments, end, lag, arrived)
         } else if lag > 0.0 {
             self.misfit(requested, end, lag, gate, arrived)
         } else {
-            self.misfit(requested, end - self.period, lag + self.period, gate, arrived)
+            let found = self.misfit(requested, end - self.period, lag + self.period, gate, arrived);
+            if is_early { self.at_arrival() } else { found }
         }
     }
 
     /// What is known about the motor, once there is a line.
     pub(crate) fn stats(&self) -> Option<MotorStats> {
-        self.is_known().then(|| MotorStats {
-            revolution: self.known_period,
+        self.has_line().then(|| MotorStats {
+            revolution: self.known_period.filter(|_| self.is_known()),
             lateness: duration(self.lateness),
             jumps: self.jumps,
         })
     }
 
-    /// Time from a request to the end of a revolution, in revolutions.
-    fn wait(&self, requested: Instant, end: f64) -> f64 {
-        (end - seconds(self.origin, requested)) / self.period
+    /// Seconds from `origin`.
+    fn seconds(&self, at: Instant) -> f64 {
+        at.saturating_duration_since(self.origin).as_secs_f64()
     }
 
     /// The sums, faded after `since`, with their distances from a point that is `turns`
@@ -281,7 +398,6 @@ impl MotorClock {
         let weight = match self.fitting {
             _ if lag >= 0.0 => 1.0,
             ..=ENOUGH => 1.0,
-            ..=SETTLED if self.is_host_busy() => UNSETTLED_WEIGHT,
             _ => EARLY_WEIGHT,
         };
         let [w, wx, wxx] = moments.sums;
@@ -309,20 +425,18 @@ impl MotorClock {
         gate: f64,
         arrived: f64,
     ) -> Revolution {
-        let wait = self.wait(requested, end);
-        if wait < 0.0 {
+        let requested_at = self.seconds(requested);
+        if end < requested_at {
             return self.early(requested, arrived);
         }
-        // Number of revolutions that the sensor lets pass before it answers.
-        let passed = |wait: f64| (wait - LEAST_WAIT).max(0.0).floor();
-        let (answered, answer) = self.answered;
-        let more = passed(wait) - passed(self.wait(answered, answer));
-        let end = end - more.max(0.0) * self.period;
+        let is_ambiguous = end - requested_at >= self.period;
         self.update_share(0.0);
         if self.share < LEAST_SHARE {
+            self.add_doubt();
             return self.start(arrived);
         }
         let late = self.chance_of_lateness();
+        let is_rare = self.turns[1] * self.period > RARE * late;
         let misfits = &mut self.misfits;
         misfits.in_a_row = misfits.in_a_row.saturating_add(1);
         misfits.chance *= late;
@@ -336,8 +450,13 @@ impl MotorClock {
         }
         let Misfits { in_a_row, chance, agreeing, lag, .. } = *misfits;
         if in_a_row < JUMP || chance >= CHANCE_OF_LATENESS {
-            self.on_line(end, arrived)
-        } else if !self.is_known() || (self.is_host_busy() && self.known_period.is_none()) {
+            if is_ambiguous || is_rare || (in_a_row > 1 && chance < CHANCE_OF_TWO) {
+                self.at_arrival()
+            } else {
+                self.on_line(end, arrived)
+            }
+        } else if !self.has_line() || (self.is_host_busy() && self.known_period.is_none()) {
+            self.add_doubt();
             self.start(arrived)
         } else if f64::from(agreeing) >= self.fewest_agreeing(in_a_row) {
             let [weight, ..] = self.sums;
@@ -345,10 +464,13 @@ impl MotorClock {
             // The agreeing ones were not late.
             self.share = (self.share + f64::from(agreeing) / self.counted).min(MOST_SHARE);
             let end = end + lag;
+            if lag > NEAR_LINE {
+                self.add_doubt();
+            }
             self.set_phase(end, f64::from(agreeing));
-            self.on_line(end, arrived)
+            self.at_arrival()
         } else {
-            self.on_line(end, arrived)
+            self.at_arrival()
         }
     }
 
@@ -385,12 +507,13 @@ impl MotorClock {
             return self.add(requested, arrived);
         }
         // A second early arrival this soon means that the period is wrong, too.
+        self.add_doubt();
         if self.fitting - self.before_jump < ENOUGH {
             return self.start(arrived);
         }
         self.jumps += 1;
         self.set_phase(arrived, 1.0);
-        self.on_line(arrived, arrived)
+        self.at_arrival()
     }
 
     /// Starts the fit again with one arrival and the nominal period.
@@ -398,6 +521,7 @@ impl MotorClock {
         self.period = self.nominal;
         self.lateness = USUAL_LATENESS;
         self.fitting = 0;
+        self.trust = LEAST_TRUST;
         (self.share, self.counted) = (USUAL_SHARE, ENOUGH as f64);
         self.replaced = None;
         self.sums = [0.0; 3];
@@ -413,43 +537,53 @@ impl MotorClock {
         self.sums = [weight, 0.0, known.max(1.0 / (doubt * doubt))];
         self.latest = Some(end);
         self.before_jump = self.fitting;
+        self.since = end;
         self.misfits = Misfits::NONE;
         let [w, _, wxx] = self.sums;
         self.judge_period(w * wxx);
     }
 
-    fn is_known(&self) -> bool {
-        self.fitting >= ENOUGH && self.waited >= ENOUGH
+    fn add_doubt(&mut self) {
+        self.doubt = (self.doubt + DOUBT).min(MOST_DOUBT);
     }
 
-    /// Decides whether the period is known to 0.01 %, after a change of the line.
+    fn has_line(&self) -> bool {
+        self.is_proved && self.fitting >= ENOUGH
+    }
+
+    /// Returns true if stamps rest on the line.
+    fn is_known(&self) -> bool {
+        self.has_line() && self.trust > LEAST_TRUST && self.doubt <= 0.0 && self.share >= STEADY
+    }
+
+    /// Decides whether the period is known, after a change of the line.
     fn judge_period(&mut self, determinant: f64) {
         let [w, ..] = self.sums;
         let sigmas = PERIOD_SIGMAS * self.lateness;
         let error = PERIOD_ERROR * self.period;
         // Both sides squared, which saves the square root of the variance.
-        let is_known = self.is_known() && sigmas * sigmas * w < error * error * determinant;
+        let lasted = self.latest.map_or(0.0, |latest| latest - self.since);
+        let is_known = self.is_known()
+            && lasted > LEAST_DURATION
+            && sigmas * sigmas * w < error * error * determinant;
         self.known_period = is_known.then(|| duration(self.period));
     }
 
     fn on_line(&self, end: f64, arrived: f64) -> Revolution {
         if !self.is_known() {
-            return self.at_arrival();
+            return Revolution::default();
         }
         Revolution { lateness: Some(duration(arrived - end)), period: self.known_period }
     }
 
     fn at_arrival(&self) -> Revolution {
-        Revolution { lateness: None, period: self.known_period }
+        Revolution { lateness: None, period: self.known_period.filter(|_| self.is_known()) }
     }
 }
 
-/// Seconds from one time to another. Negative if `to` is earlier.
-fn seconds(from: Instant, to: Instant) -> f64 {
-    match to.checked_duration_since(from) {
-        Some(after) => after.as_secs_f64(),
-        None => -from.duration_since(to).as_secs_f64(),
-    }
+/// Part of a revolution, from -0.5 to 0.5.
+fn part(turns: f64) -> f64 {
+    turns - turns.round()
 }
 
 /// Duration of these seconds, or zero if they are negative.

@@ -9,10 +9,10 @@ use tokio::time::{Instant, sleep_until, timeout};
 use super::baud_rate;
 use super::config::Config;
 use super::failure::{ExchangeError, LinkError};
-use super::laser::set_laser;
+use super::laser::Laser;
 use super::session::{Session, UniqueRequests};
 use crate::port::{AnyConnect, Port};
-use crate::protocol::Text;
+use crate::protocol::{Text, Version};
 use crate::state::{Telemetry, VersionReply};
 use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
@@ -24,8 +24,8 @@ const MAX_CANDIDATES: usize = 64;
 /// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
 /// [`MAX_CANDIDATES`] times this is longer.
 const CANDIDATE_TIME: Duration = Duration::from_millis(40);
-/// Number of times to ask a sensor for its serial number until two answers in a row agree.
-/// If they never do, the last answer counts.
+/// Number of times to ask a sensor for its version until two answers in a row agree. If they
+/// never do, the last serial number counts, and no motor speed.
 const IDENTITY_TRIES: usize = 4;
 
 /// Opens the port, and restores the settings of the sensor behind it.
@@ -33,7 +33,12 @@ pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
     config: Config,
     telemetry: Arc<Telemetry>,
-    desired: DesiredSettings,
+    laser: Laser,
+    /// Baud rate to restore whenever the sensor may have lost it: the builder's, or the latest
+    /// that the sensor has confirmed.
+    baud_rate: Option<BaudRate>,
+    /// True if the log has told that the baud rate is not restored.
+    is_reported: bool,
     /// Baud rate of the sensor when it was last found.
     found: Option<BaudRate>,
     /// Expected sensor: the one asked for, or the first one found.
@@ -44,14 +49,16 @@ pub(crate) struct Opener {
     /// closed, so the next session may read replies to them.
     unique_requests: UniqueRequests,
     opened: bool,
+    /// Motor speed on which two replies have agreed, which may be that the sensor tells none.
+    motor_speed: Option<Option<u16>>,
     scan_time: Duration,
 }
 
-/// Settings that the service asked for, restored whenever the sensor may have lost them.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct DesiredSettings {
-    pub(crate) laser: Option<bool>,
-    pub(crate) baud_rate: Option<BaudRate>,
+/// Reply to `V`, and what of it is certain: known before, or the same twice.
+struct Identified {
+    reply: VersionReply,
+    serial_is_certain: bool,
+    speed_is_certain: bool,
 }
 
 impl Opener {
@@ -63,12 +70,15 @@ impl Opener {
         let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
         let asked = asked.map(Text::from);
         Self {
-            desired: DesiredSettings { laser: None, baud_rate: config.baud_rate },
+            laser: Laser::new(config.seed(), Arc::clone(&telemetry)),
+            baud_rate: config.baud_rate,
+            is_reported: false,
             found: None,
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
             unique_requests: UniqueRequests::starting(config.seed()),
             opened: false,
+            motor_speed: None,
             scan_time: REVOLUTION,
             connect,
             config,
@@ -76,8 +86,9 @@ impl Opener {
         }
     }
 
-    pub(crate) fn desired(&mut self) -> &mut DesiredSettings {
-        &mut self.desired
+    /// Returns the laser, and the baud rate to restore.
+    pub(crate) fn settings(&mut self) -> (&mut Laser, &mut Option<BaudRate>) {
+        (&mut self.laser, &mut self.baud_rate)
     }
 
     pub(crate) fn serial_number(&self) -> Text {
@@ -90,13 +101,13 @@ impl Opener {
     }
 
     /// Opens the port and finds the sensor. If there are several ports, tries one after
-    /// another.
-    pub(crate) async fn open(&mut self) -> Result<Session, LinkError> {
+    /// another. Switches the laser as `laser` wishes.
+    pub(crate) async fn open(&mut self, laser: Option<bool>) -> Result<Session, LinkError> {
         let mut candidates = 1;
         loop {
             let started = Instant::now();
             let error = match timeout(self.config.open_timeout, self.connect.connect()).await {
-                Ok(Ok(port)) => match self.open_on(port).await {
+                Ok(Ok(port)) => match self.open_on(port, laser).await {
                     Ok(session) => return Ok(session),
                     Err(ended @ LinkError::Ended(_)) => {
                         return Err(ended);
@@ -119,15 +130,22 @@ impl Opener {
         }
     }
 
-    async fn open_on(&mut self, port: Box<dyn Port>) -> Result<Session, LinkError> {
+    async fn open_on(
+        &mut self,
+        port: Box<dyn Port>,
+        laser: Option<bool>,
+    ) -> Result<Session, LinkError> {
         let unique_requests = std::mem::take(&mut self.unique_requests);
         let reply_latency = self.config.reply_latency;
         let observers = Arc::clone(&self.config.observers);
         let telemetry = Arc::clone(&self.telemetry);
         let mut session = Session::new(port, reply_latency, unique_requests, observers, telemetry);
-        match self.find(&mut session, self.config.open_timeout).await {
+        match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
-            Err(failure) => {
+            Err(mut failure) => {
+                if let LinkError::Silent(ErrorKind::WrongProtocol { model, .. }) = &mut failure {
+                    *model = session.scip2_model().await;
+                }
                 self.close(session);
                 Err(failure)
             }
@@ -139,30 +157,40 @@ impl Opener {
     }
 
     /// Finds the sensor again on a port that is still open.
-    pub(crate) async fn find_again(&mut self, session: &mut Session) -> Result<(), LinkError> {
+    pub(crate) async fn find_again(
+        &mut self,
+        session: &mut Session,
+        laser: Option<bool>,
+    ) -> Result<(), LinkError> {
         // One pass over the baud rates; then the port is reopened. Without baud rates to search,
         // half the time: twice as many fences went unanswered before.
         let searchable =
             session.transport.is_adjustable() && session.transport.baud_rate().is_some();
         let share = if searchable { 1 } else { 2 };
-        self.find(session, self.config.recovery_timeout / share).await
+        self.find(session, laser, self.config.recovery_timeout / share).await
     }
 
-    async fn find(&mut self, session: &mut Session, limit: Duration) -> Result<(), LinkError> {
+    async fn find(
+        &mut self,
+        session: &mut Session,
+        laser: Option<bool>,
+        limit: Duration,
+    ) -> Result<(), LinkError> {
         baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
-        let (reply, is_confirmed) = self.identify(session).await?;
-        self.restore(session).await?;
-        self.accept(reply, is_confirmed);
+        let identified = self.identify(session).await?;
+        self.restore_baud_rate(session).await?;
+        self.laser.restore(session, laser).await?;
+        self.accept(identified);
         self.found = session.transport.baud_rate();
         Ok(())
     }
 
     /// Accepts the sensor, now that it has the service's settings. From now on expects no
     /// other sensor.
-    fn accept(&mut self, reply: VersionReply, is_confirmed: bool) {
-        let version = &reply.version;
-        let now = &version.serial_number;
-        if is_confirmed && !self.config.any_sensor {
+    fn accept(&mut self, identified: Identified) {
+        let Identified { reply, serial_is_certain, speed_is_certain } = identified;
+        let now = &reply.version.serial_number;
+        if serial_is_certain && !self.config.any_sensor {
             self.identity.get_or_insert_with(|| now.clone());
         }
         let before = self.serial_number.replace(now.clone());
@@ -170,16 +198,13 @@ impl Opener {
         if let Some(before) = before.filter(|_| is_another) {
             tracing::warn!(%before, %now, "another sensor has taken its place");
         }
-        // A flipped bit that spoils a version does not change the motor speed of a known
-        // sensor.
-        let motor_speed = version.specification.as_ref().and_then(|it| it.motor_speed);
-        match motor_speed {
-            Some(revolutions_per_minute) => {
-                let revolutions_per_minute = u32::from(revolutions_per_minute.max(1));
-                self.scan_time = Duration::from_secs(60) / revolutions_per_minute;
-            }
-            None if is_another => self.scan_time = REVOLUTION,
-            None => {}
+        // A flipped bit changes the motor speed of no sensor.
+        if speed_is_certain || is_another {
+            let motor_speed = motor_speed(&reply.version).filter(|_| speed_is_certain);
+            self.motor_speed = speed_is_certain.then_some(motor_speed);
+            self.scan_time = motor_speed.map_or(REVOLUTION, |revolutions_per_minute| {
+                Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1))
+            });
         }
         self.telemetry.set_version(reply);
         if let Some(hints) = self.connect.hints() {
@@ -190,7 +215,7 @@ impl Opener {
 
     /// Lists all six baud rates, likeliest first.
     fn baud_rates(&self) -> Vec<BaudRate> {
-        let likely = self.found.into_iter().chain(self.desired.baud_rate).chain([BaudRate::B19200]);
+        let likely = self.found.into_iter().chain(self.baud_rate).chain([BaudRate::B19200]);
         let mut baud_rates = Vec::with_capacity(BaudRate::ALL.len());
         for baud_rate in likely.chain(BaudRate::ALL) {
             if !baud_rates.contains(&baud_rate) {
@@ -200,65 +225,71 @@ impl Opener {
         baud_rates
     }
 
-    /// Reads the sensor's version, and fails if it is another sensor. Also returns whether the
-    /// serial number is certain.
-    async fn identify(
-        &mut self,
-        session: &mut Session,
-    ) -> Result<(VersionReply, bool), ExchangeError> {
-        let (reply, is_confirmed) = self.confirm_identity(session).await?;
-        let found = &reply.version.serial_number;
+    /// Reads the sensor's version, and fails if it is another sensor.
+    async fn identify(&mut self, session: &mut Session) -> Result<Identified, ExchangeError> {
+        let identified = self.confirm_identity(session).await?;
+        let found = &identified.reply.version.serial_number;
         if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
             let (expected, found) = (expected.clone(), found.clone());
             let error = ErrorKind::AnotherSensor { expected, found };
             return Err(LinkError::Lost(error).into());
         }
-        Ok((reply, is_confirmed))
+        Ok(identified)
     }
 
-    /// Reads the version until its serial number is the expected one or repeats, up to
-    /// [`IDENTITY_TRIES`] times. No checksum protects it: one flipped bit must neither reject
-    /// a sensor nor become the expected number.
+    /// Reads the version until its serial number and motor speed are known or repeat, up to
+    /// [`IDENTITY_TRIES`] times. No checksum protects them: one flipped bit must neither reject
+    /// a sensor, nor become the expected number, nor move the times of a session.
     async fn confirm_identity(
         &mut self,
         session: &mut Session,
-    ) -> Result<(VersionReply, bool), ExchangeError> {
-        let mut reply = session.version().await?;
-        for _ in 1..IDENTITY_TRIES {
-            if self.identity.as_ref() == Some(&reply.version.serial_number) {
-                return Ok((reply, true));
-            }
-            let before = reply.version.serial_number;
-            reply = session.version().await?;
+    ) -> Result<Identified, ExchangeError> {
+        let mut before: Option<Version> = None;
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let reply = session.version().await?;
+            let (number, speed) = (&reply.version.serial_number, motor_speed(&reply.version));
             // An empty serial number never confirms an expected one. A serial number with
             // unprintable bytes is malformed, even if it repeats.
-            let counts = before.is_printable() && (self.identity.is_none() || !before.is_empty());
-            if counts && reply.version.serial_number == before {
-                return Ok((reply, !before.is_empty()));
+            let counts = number.is_printable() && (self.identity.is_none() || !number.is_empty());
+            let is_known = self.identity.as_ref() == Some(number);
+            let repeats = before.as_ref().is_some_and(|before| before.serial_number == *number);
+            let is_settled = is_known || counts && repeats;
+            let speed_is_certain = self.motor_speed == Some(speed)
+                || before.as_ref().is_some_and(|before| motor_speed(before) == speed);
+            if is_settled && speed_is_certain || tries == IDENTITY_TRIES {
+                let serial_is_certain = is_settled && !number.is_empty();
+                return Ok(Identified { reply, serial_is_certain, speed_is_certain });
             }
+            before = Some(reply.version);
         }
-        Ok((reply, false))
     }
 
-    /// Restores the settings that the service asked for.
-    async fn restore(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
-        if let Some(baud_rate) = self.desired.baud_rate
+    async fn restore_baud_rate(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
+        if let Some(baud_rate) = self.baud_rate
             && session.transport.baud_rate().is_some_and(|now| now != baud_rate)
         {
             match baud_rate::change(session, baud_rate).await {
                 // Scans at another baud rate are better than no scans.
                 Err(ExchangeError::Command(error)) if self.opened => {
                     let error = ErrorChain(&error);
-                    tracing::warn!(%error, "the baud rate is not restored");
+                    if !std::mem::replace(&mut self.is_reported, true) {
+                        tracing::warn!(%error, "the baud rate is not restored");
+                    }
                 }
-                outcome => outcome?,
+                outcome => {
+                    outcome?;
+                    self.is_reported = false;
+                }
             }
-        }
-        if let Some(on) = self.desired.laser {
-            set_laser(session, on).await?;
         }
         Ok(())
     }
+}
+
+fn motor_speed(version: &Version) -> Option<u16> {
+    version.specification.as_ref().and_then(|specification| specification.motor_speed)
 }
 
 /// Logs the error of an attempt, at trace: the default back-off makes one attempt a

@@ -22,12 +22,14 @@ pub(crate) struct RateMeter {
     failures: u32,
     /// Shortest time between the request of a scan and its arrival, but at least a revolution.
     quickest: Duration,
+    revolution: Duration,
     /// Latest finished span since the link was found.
     span: Option<Span>,
-    /// Number of spans since each kind of shortfall last occurred.
-    since_slow: u32,
-    since_loss: u32,
+    /// Number of spans since each of [`KINDS`] last occurred.
+    spans_since: [u32; 3],
 }
+
+const KINDS: [Shortfall; 3] = [Shortfall::Line, Shortfall::Sensor, Shortfall::Loss];
 
 /// Result of one span.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,9 +49,9 @@ impl RateMeter {
             scans: 0,
             failures: 0,
             quickest: Duration::MAX,
+            revolution: Duration::ZERO,
             span: None,
-            since_slow: SPANS_BETWEEN_REPORTS,
-            since_loss: SPANS_BETWEEN_REPORTS,
+            spans_since: [SPANS_BETWEEN_REPORTS; 3],
         }
     }
 
@@ -61,23 +63,27 @@ impl RateMeter {
     pub(crate) fn count_scan(&mut self, latency: Duration, revolution: Duration) {
         self.scans += 1;
         self.quickest = self.quickest.min(latency.max(revolution));
+        self.revolution = revolution;
     }
 
     pub(crate) fn count_failure(&mut self) {
         self.failures += 1;
     }
 
-    /// Ends the span if it is over, and returns it.
-    pub(crate) fn finish_span(&mut self, now: Instant) -> Option<Span> {
+    /// Ends the span if it is over, and returns it. `wire_time` is the time of a reply on the line.
+    pub(crate) fn finish_span(
+        &mut self,
+        now: Instant,
+        wire_time: impl FnOnce() -> Duration,
+    ) -> Option<Span> {
         let span = now.saturating_duration_since(self.since);
         if span < RATE_SPAN {
             return None;
         }
         let reached = f64::from(self.scans) / span.as_secs_f64();
-        let is_slow = !self.rate.is_reached_by(1.0 / self.quickest.as_secs_f64());
         let shortfall = match self.failures {
             _ if self.rate.is_reached_by(reached) => None,
-            0 => is_slow.then_some(Shortfall::Slow),
+            0 => self.slowness(wire_time()),
             _ => Some(Shortfall::Loss),
         };
         self.span = Some(Span { reached, failed: self.failures, shortfall });
@@ -85,13 +91,23 @@ impl RateMeter {
         self.span
     }
 
+    /// Returns what is too slow, even for the quickest reply: the line if the rate could be reached
+    /// without it, or if it takes longer than the sensor.
+    fn slowness(&self, wire_time: Duration) -> Option<Shortfall> {
+        let can_reach = |each: Duration| self.rate.is_reached_by(1.0 / each.as_secs_f64());
+        let without_line = self.quickest.saturating_sub(wire_time).max(self.revolution);
+        match can_reach(self.quickest) {
+            true => None,
+            false if can_reach(without_line) || wire_time > without_line => Some(Shortfall::Line),
+            false => Some(Shortfall::Sensor),
+        }
+    }
+
     /// Returns the shortfall of a span, unless it occurred within the last
     /// [`SPANS_BETWEEN_REPORTS`].
     pub(crate) fn report(&mut self, span: Span) -> Option<Shortfall> {
         let mut news = None;
-        for (kind, since) in
-            [(Shortfall::Slow, &mut self.since_slow), (Shortfall::Loss, &mut self.since_loss)]
-        {
+        for (kind, since) in KINDS.into_iter().zip(&mut self.spans_since) {
             if span.shortfall == Some(kind) {
                 news = span.shortfall.filter(|_| *since >= SPANS_BETWEEN_REPORTS);
                 *since = 0;
@@ -126,7 +142,7 @@ mod tests {
     fn a_shortfall_is_reported_once_and_again_after_it_was_gone() {
         let mut meter = meter();
         let mut report = |shortfall| meter.report(Span { reached: 5.0, failed: 0, shortfall });
-        let slow = Some(Shortfall::Slow);
+        let slow = Some(Shortfall::Line);
         assert_eq!([report(slow), report(slow)], [slow, None]);
         let loss = Some(Shortfall::Loss);
         assert_eq!([report(loss), report(loss)], [loss, None]);
@@ -138,26 +154,29 @@ mod tests {
     fn a_span_blames_what_it_has_evidence_for() {
         let [quick, slow] = [80, 120].map(Duration::from_millis);
         let revolution = Duration::from_millis(100);
-        for (scans, took, failures, expected) in [
-            (30, slow, 0, None),
-            (29, slow, 1, None),
-            (25, slow, 0, Some(Shortfall::Slow)),
+        let [usb, line, fast_line] = [0, 100, 10].map(Duration::from_millis);
+        for (scans, took, wire_time, failures, expected) in [
+            (30, slow, usb, 0, None),
+            (29, slow, usb, 1, None),
+            (25, slow, usb, 0, Some(Shortfall::Sensor)),
+            (25, slow, line, 0, Some(Shortfall::Line)),
+            (25, slow, fast_line, 0, Some(Shortfall::Sensor)),
             // A busy computer sends polls late.
-            (25, quick, 0, None),
-            (25, slow, 5, Some(Shortfall::Loss)),
+            (25, quick, usb, 0, None),
+            (25, slow, usb, 5, Some(Shortfall::Loss)),
         ] {
             let mut meter = meter();
             (0..scans).for_each(|_| meter.count_scan(took, revolution));
             (0..failures).for_each(|_| meter.count_failure());
             let since = meter.since;
-            assert_eq!(meter.finish_span(since + Duration::from_millis(2999)), None);
-            let span = meter.finish_span(since + RATE_SPAN).unwrap();
+            assert_eq!(meter.finish_span(since + Duration::from_millis(2999), || usb), None);
+            let span = meter.finish_span(since + RATE_SPAN, || wire_time).unwrap();
             assert_eq!(span.shortfall, expected, "{scans} {took:?} {failures}");
             assert_eq!(span.failed, failures);
         }
         let mut faster = RateMeter::new(Rate::hz(20.0), Instant::now());
         (0..30).for_each(|_| faster.count_scan(quick, revolution));
-        let span = faster.finish_span(faster.since + RATE_SPAN).unwrap();
-        assert_eq!(span.shortfall, Some(Shortfall::Slow), "the motor turns no faster");
+        let span = faster.finish_span(faster.since + RATE_SPAN, || fast_line).unwrap();
+        assert_eq!(span.shortfall, Some(Shortfall::Sensor), "the motor turns no faster");
     }
 }

@@ -2,6 +2,7 @@
 //! once: by the driver, or when it is dropped with the driver.
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
 use tokio::time::{Instant, sleep_until};
@@ -17,11 +18,27 @@ pub(crate) type Responder<T> = oneshot::Sender<Result<T, ErrorKind>>;
 #[derive(Debug)]
 pub(crate) enum Request {
     Version(Responder<Version>),
-    Laser { on: bool, responder: Responder<()> },
-    BaudRate { baud_rate: BaudRate, responder: Responder<()> },
-    Scan { window: Window, responder: Responder<Scan> },
-    Subscribe { window: Window, rate: Rate, depth: usize, responder: Responder<Cursor> },
+    Laser {
+        on: bool,
+        responder: Responder<()>,
+    },
+    BaudRate {
+        baud_rate: BaudRate,
+        responder: Responder<()>,
+    },
+    Scan {
+        window: Window,
+        responder: Responder<Scan>,
+    },
+    Subscribe {
+        window: Window,
+        rate: Rate,
+        depth: usize,
+        responder: Responder<Cursor>,
+    },
     Close(Responder<()>),
+    /// A stream was dropped.
+    StreamDropped,
 }
 
 impl Request {
@@ -34,6 +51,7 @@ impl Request {
             | Self::Close(responder) => responder.is_closed(),
             Self::Scan { responder, .. } => responder.is_closed(),
             Self::Subscribe { responder, .. } => responder.is_closed(),
+            Self::StreamDropped => false,
         }
     }
 
@@ -46,17 +64,28 @@ impl Request {
             | Self::Close(responder) => drop(responder.send(Err(error))),
             Self::Scan { responder, .. } => drop(responder.send(Err(error))),
             Self::Subscribe { responder, .. } => drop(responder.send(Err(error))),
+            Self::StreamDropped => {}
         }
     }
 }
 
-/// Request on its way to the driver. Boxed, because the channel allocates 32 slots from the
-/// start.
+/// What the service asked the sensor to be, recorded when the driver takes the request, with or
+/// without a link.
+#[derive(Debug, Default)]
+pub(crate) struct Wishes {
+    pub(crate) laser: Option<bool>,
+    /// Baud rate that the sensor has neither confirmed nor refused yet.
+    pub(crate) baud_rate: Option<BaudRate>,
+    /// Number of attempts to change to it without a caller.
+    pub(crate) attempts: u8,
+}
+
+/// Request that waits for a link.
 #[derive(Debug)]
-pub(crate) struct QueuedRequest {
-    pub(crate) request: Request,
+struct WaitingRequest {
+    request: Box<Request>,
     /// When to fail if there is still no link.
-    pub(crate) expires: Instant,
+    expires: Instant,
 }
 
 /// Smallest number of waiting requests that is worth checking for abandoned ones.
@@ -76,37 +105,54 @@ pub(crate) struct Abandoned;
 /// Receiving end of the queue: first come, first served.
 #[derive(Debug)]
 pub(crate) struct RequestQueue {
-    receiver: mpsc::Receiver<Box<QueuedRequest>>,
+    /// Boxed requests, because the channel allocates 32 slots from the start.
+    receiver: mpsc::Receiver<Box<Request>>,
+    /// How long a request waits for a link.
+    timeout: Duration,
+    pub(crate) wishes: Wishes,
     /// Requests that wait for a link, oldest first. The first one expires first, because all
     /// wait equally long.
-    waiting: VecDeque<Box<QueuedRequest>>,
+    waiting: VecDeque<WaitingRequest>,
     /// When this many requests wait, the driver drops the abandoned ones. It is twice the number
     /// left last time, so each request is checked only a few times.
     purge_at: usize,
     /// Next request, if it was already taken from the channel.
-    next: Option<Box<QueuedRequest>>,
+    next: Option<Box<Request>>,
 }
 
 impl RequestQueue {
-    pub(crate) fn new(receiver: mpsc::Receiver<Box<QueuedRequest>>) -> Self {
-        Self { receiver, waiting: VecDeque::new(), purge_at: PURGE_FROM, next: None }
+    pub(crate) fn new(receiver: mpsc::Receiver<Box<Request>>, timeout: Duration) -> Self {
+        let (wishes, waiting) = (Wishes::default(), VecDeque::new());
+        Self { receiver, timeout, wishes, waiting, purge_at: PURGE_FROM, next: None }
     }
 
     /// Returns the next request, or `None` if the queue is empty.
     pub(crate) fn pop(&mut self) -> Result<Option<Request>, Abandoned> {
+        while let Some(WaitingRequest { request, .. }) = self.waiting.pop_front() {
+            if !request.is_abandoned() {
+                return Ok(Some(*request));
+            }
+        }
         loop {
-            let queued = match self.waiting.pop_front().or_else(|| self.next.take()) {
-                Some(queued) => queued,
+            let request = match self.next.take() {
+                Some(request) => request,
                 None => match self.receiver.try_recv() {
-                    Ok(queued) => queued,
+                    Ok(request) => request,
                     Err(mpsc::error::TryRecvError::Empty) => return Ok(None),
                     Err(mpsc::error::TryRecvError::Disconnected) => return Err(Abandoned),
                 },
             };
-            if !queued.request.is_abandoned() {
-                return Ok(Some(queued.request));
+            if !request.is_abandoned() {
+                self.wishes.record(&request);
+                return Ok(Some(*request));
             }
         }
+    }
+
+    /// Lets the requests that still wait begin to wait anew, because the link is lost.
+    pub(crate) fn lose_link(&mut self) {
+        let expires = Instant::now() + self.timeout;
+        self.waiting.iter_mut().for_each(|waiting| waiting.expires = expires);
     }
 
     /// Waits until [`pop`](Self::pop) has a request. Cancel-safe.
@@ -121,48 +167,62 @@ impl RequestQueue {
     /// until they expire with `Disconnected`. Cancel-safe.
     pub(crate) async fn next_unlinked(&mut self) -> Result<Unlinked, Abandoned> {
         loop {
-            if let Some(queued) = self.next.take().filter(|queued| !queued.request.is_abandoned()) {
-                match queued.request {
+            if let Some(request) = self.next.take().filter(|request| !request.is_abandoned()) {
+                self.wishes.record(&request);
+                match *request {
                     Request::Subscribe { window, rate, depth, responder } => {
                         return Ok(Unlinked::Subscribe { window, rate, depth, responder });
                     }
                     Request::Close(responder) => return Ok(Unlinked::Close(responder)),
-                    _ => self.wait(queued),
+                    // Nothing is polled.
+                    Request::StreamDropped => {}
+                    request => self.wait(request),
                 }
             }
             self.expire();
-            let first = self.waiting.front().map(|queued| queued.expires);
+            let first = self.waiting.front().map(|waiting| waiting.expires);
             tokio::select! {
                 biased;
-                queued = self.receiver.recv() => self.next = Some(queued.ok_or(Abandoned)?),
+                request = self.receiver.recv() => self.next = Some(request.ok_or(Abandoned)?),
                 () = sleep_until(first.unwrap_or_else(Instant::now)), if first.is_some() => {}
             }
         }
     }
 
     /// Queues a request until there is a link.
-    fn wait(&mut self, queued: Box<QueuedRequest>) {
-        self.waiting.push_back(queued);
+    fn wait(&mut self, request: Request) {
+        let expires = Instant::now() + self.timeout;
+        self.waiting.push_back(WaitingRequest { request: Box::new(request), expires });
         if self.waiting.len() >= self.purge_at {
-            self.waiting.retain(|queued| !queued.request.is_abandoned());
+            self.waiting.retain(|waiting| !waiting.request.is_abandoned());
             self.purge_at = PURGE_FROM.max(2 * self.waiting.len());
         }
     }
 
     fn expire(&mut self) {
         let now = Instant::now();
-        while self.waiting.front().is_some_and(|queued| queued.expires <= now) {
-            if let Some(queued) = self.waiting.pop_front() {
-                queued.request.fail(ErrorKind::disconnected(None));
+        while self.waiting.front().is_some_and(|waiting| waiting.expires <= now) {
+            if let Some(waiting) = self.waiting.pop_front() {
+                waiting.request.fail(ErrorKind::disconnected(None));
             }
+        }
+    }
+}
+
+impl Wishes {
+    fn record(&mut self, request: &Request) {
+        match request {
+            Request::Laser { on, .. } => self.laser = Some(*on),
+            Request::BaudRate { baud_rate, .. } => {
+                (self.baud_rate, self.attempts) = (Some(*baud_rate), 0);
+            }
+            _ => {}
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use futures::FutureExt;
 
     use super::*;
@@ -170,12 +230,10 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn a_request_that_waited_for_a_link_is_ready_when_there_is_one() {
         let (sender, receiver) = mpsc::channel(2);
-        let mut queue = RequestQueue::new(receiver);
+        let mut queue = RequestQueue::new(receiver, Duration::from_secs(1));
         assert!(queue.ready().now_or_never().is_none(), "no request was sent");
         let (responder, _answer) = oneshot::channel();
-        let expires = Instant::now() + Duration::from_secs(1);
-        let queued = Box::new(QueuedRequest { request: Request::Version(responder), expires });
-        assert!(sender.send(queued).await.is_ok());
+        assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
         assert!(queue.next_unlinked().now_or_never().is_none(), "it needs a link");
         assert!(matches!(queue.ready().now_or_never(), Some(Ok(()))));
         assert!(matches!(queue.pop(), Ok(Some(Request::Version(_)))));
@@ -184,13 +242,11 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn abandoned_requests_do_not_wait_until_they_expire() {
         let (sender, receiver) = mpsc::channel(1);
-        let mut queue = RequestQueue::new(receiver);
-        let expires = Instant::now() + Duration::from_secs(3600);
+        let mut queue = RequestQueue::new(receiver, Duration::from_secs(3600));
         let mut answers = Vec::new();
         for number in 0..10_000 {
             let (responder, answer) = oneshot::channel();
-            let request = Request::Version(responder);
-            assert!(sender.send(Box::new(QueuedRequest { request, expires })).await.is_ok());
+            assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
             assert!(queue.next_unlinked().now_or_never().is_none(), "it waits for a link");
             // One in a hundred is kept. The others are abandoned while they wait.
             answers.extend((number % 100 == 0).then_some(answer));

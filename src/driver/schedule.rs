@@ -15,7 +15,7 @@ use crate::ring::{Cursor, Ring};
 use crate::scan::Scan;
 use crate::state::Telemetry;
 use crate::stats::{ScheduleStats, Shortfall};
-use crate::{Error, ErrorKind, Rate, Window};
+use crate::{BaudRate, Error, ErrorKind, Rate, Window};
 
 /// All schedules of a driver.
 #[derive(Debug, Default)]
@@ -88,6 +88,7 @@ impl Schedules {
     /// Resumes polling. Does not count the grid points missed meanwhile as skipped, and
     /// restarts rate measurement.
     pub(crate) fn resume(&mut self, now: Instant) {
+        self.drop_unread();
         for schedule in &mut self.all {
             schedule.catch_up(now);
             schedule.speed.restart(now);
@@ -97,14 +98,6 @@ impl Schedules {
     /// When the next poll is due.
     pub(crate) fn next_due(&self) -> Option<Instant> {
         self.all.iter().map(|schedule| schedule.due).min()
-    }
-
-    /// When the poll after the next one is due, if the next one is on a grid.
-    pub(crate) fn due_after_next(&self) -> Option<Instant> {
-        let next = self.all.iter().min_by_key(|schedule| schedule.due)?;
-        let others = self.all.iter().filter(|schedule| !std::ptr::eq(*schedule, next));
-        let again = next.due + next.rate.period()?;
-        Some(others.map(|schedule| schedule.due).fold(again, Instant::min))
     }
 
     /// Returns true if nothing is polled.
@@ -129,14 +122,19 @@ impl Schedules {
         }
     }
 
-    /// Delivers the scan that `poll` received.
-    pub(crate) fn deliver(&mut self, poll: DuePoll, scan: Scan) -> Ended {
+    /// Delivers the scan that `poll` received, on a line at `baud_rate` if there is one.
+    pub(crate) fn deliver(
+        &mut self,
+        poll: DuePoll,
+        scan: Scan,
+        baud_rate: Option<BaudRate>,
+    ) -> Ended {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.condition = None;
         let latency = scan.received_at().saturating_duration_since(scan.requested_at());
         schedule.speed.count_scan(latency, scan.scan_time());
         let repeats = schedule.ring.push(scan);
-        Ended { repeats, shortfall: self.end_poll(poll) }
+        Ended { repeats, shortfall: self.end_poll(poll, baud_rate) }
     }
 
     /// Reports the error of one poll.
@@ -144,19 +142,20 @@ impl Schedules {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        Ended { repeats: false, shortfall: self.end_poll(poll) }
+        Ended { repeats: false, shortfall: self.end_poll(poll, None) }
     }
 
     /// Ends a poll, and returns why the rate falls short, if that is news. At [`Rate::UNLIMITED`] the
     /// next poll is due now.
-    fn end_poll(&mut self, poll: DuePoll) -> Option<Shortfall> {
+    fn end_poll(&mut self, poll: DuePoll, baud_rate: Option<BaudRate>) -> Option<Shortfall> {
         let now = Instant::now();
         let schedule = self.find(poll.window, poll.rate)?;
         if poll.rate.period().is_none() {
             schedule.due = now;
         }
         let missed = schedule.newly_missed();
-        let span = schedule.speed.finish_span(now);
+        let wire_time = || baud_rate.map(|baud_rate| poll.window.wire_time(baud_rate));
+        let span = schedule.speed.finish_span(now, || wire_time().unwrap_or_default());
         let shortfall = span.and_then(|span| schedule.speed.report(span));
         self.missed += missed;
         self.changed |= span.is_some();
@@ -205,7 +204,7 @@ impl Schedules {
     }
 
     /// Drops the schedules without readers.
-    fn drop_unread(&mut self) {
+    pub(crate) fn drop_unread(&mut self) {
         let Self { all, missed, changed, .. } = self;
         all.retain_mut(|schedule| {
             let read = schedule.ring.readers() > 0;

@@ -2,21 +2,23 @@
 
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep_until};
+use tokio::time::{Instant, sleep, sleep_until};
 
 use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
-use super::laser::{LaserRecovery, Refusal, set_laser};
+use super::laser::{Laser, Refusal};
 use super::motor_clock::{MotorClock, Revolution};
-use super::open::DesiredSettings;
-use super::poll_timer::PollTimer;
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{DuePoll, Ended, Schedules};
 use super::session::{Polled, Session};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::{ScheduleStats, Shortfall};
-use crate::{ErrorKind, Window};
+use crate::{BaudRate, ErrorChain, ErrorKind, Window};
+
+/// Number of attempts at a baud rate that the sensor neither confirms nor refuses. At a baud rate
+/// that the cable cannot carry, each costs the link.
+const BAUD_RATE_ATTEMPTS: u8 = 3;
 
 /// Why a session is no longer served.
 #[derive(Debug)]
@@ -45,7 +47,9 @@ impl From<Abandoned> for Stop {
 pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
-    pub(crate) desired: &'a mut DesiredSettings,
+    pub(crate) laser: &'a mut Laser,
+    /// Baud rate to restore.
+    pub(crate) baud_rate: &'a mut Option<BaudRate>,
     pub(crate) telemetry: &'a Telemetry,
     pub(crate) scan_time: Duration,
     /// Silence after which an idle link is probed with a fence, if it is.
@@ -53,8 +57,6 @@ pub(crate) struct Service<'a> {
     pub(crate) motor_clock: MotorClock,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
-    pub(crate) laser_recovery: LaserRecovery,
-    pub(crate) poll_timer: PollTimer,
     /// True if scans are polled, as the state reports it.
     pub(crate) streaming: bool,
 }
@@ -63,6 +65,14 @@ impl Service<'_> {
     /// Serves until there is a reason to stop.
     pub(crate) async fn run(&mut self, session: &mut Session) -> Stop {
         self.schedules.resume(Instant::now());
+        let wishes = &mut self.queue.wishes;
+        if let Some(now) = session.transport.baud_rate()
+            && wishes.baud_rate.is_none()
+            && wishes.attempts < BAUD_RATE_ATTEMPTS
+        {
+            // The sensor may have restarted while its baud rate was restored.
+            wishes.baud_rate = self.baud_rate.filter(|baud_rate| *baud_rate != now);
+        }
         let mut request_served = false;
         loop {
             let outcome = self.serve_next(session, &mut request_served).await;
@@ -88,27 +98,38 @@ impl Service<'_> {
             let outcome = self.resynchronise(session).await;
             ignore_command_errors(outcome)?;
         }
-        let polling = !self.schedules.is_empty() && self.desired.laser != Some(false);
+        let wish = self.queue.wishes.laser;
+        if let Some(on) = wish.filter(|_| self.laser.is_due(wish)) {
+            let outcome = self.switch_laser(session, on, true).await;
+            ignore_command_errors(outcome)?;
+        }
+        let polling = !self.schedules.is_empty() && !self.laser.is_off();
         self.publish_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
         let poll_is_due = due.is_some_and(|due| due <= Instant::now());
-        if !(*request_served && poll_is_due)
-            && let Some(request) = self.queue.pop()?
-        {
-            *request_served = true;
-            return self.answer(session, request).await;
+        if !(*request_served && poll_is_due) {
+            if let Some(request) = self.queue.pop()? {
+                *request_served = true;
+                self.answer(session, request).await?;
+                // One of the streams may have been dropped since the last request.
+                self.schedules.drop_unread();
+                self.schedules.publish(self.telemetry);
+                return Ok(());
+            }
+            if let Some(baud_rate) = self.queue.wishes.baud_rate {
+                return self.apply_baud_rate(session, baud_rate).await;
+            }
         }
         *request_served = false;
         if poll_is_due {
             return self.poll_due(session).await;
         }
-        let wake = due.into_iter().chain(probe).min();
-        let next = self.schedules.due_after_next().filter(|_| polling);
+        let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
         tokio::select! {
             biased;
             outcome = session.transport.idle() => ignore_command_errors(outcome)?,
             outcome = self.queue.ready() => outcome?,
-            () = self.poll_timer.wait(wake.unwrap_or_else(Instant::now), next), if wake.is_some() => {}
+            () = sleep_until(wake.unwrap_or_else(Instant::now)), if wake.is_some() => {}
         }
         Ok(())
     }
@@ -118,8 +139,8 @@ impl Service<'_> {
     async fn resynchronise(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
         session.discard_pending().await?;
         let status = session.fence().await?;
-        if self.desired.laser == Some(false) && status.is_ok() {
-            set_laser(session, false).await?;
+        if self.laser.is_off() && status.is_ok() {
+            self.switch_laser(session, false, true).await?;
         }
         Ok(())
     }
@@ -133,32 +154,13 @@ impl Service<'_> {
                 Ok(())
             }
             Request::Laser { on, responder } => {
-                // Also on failure: the driver restores the setting whenever it finds the
-                // sensor again.
-                self.desired.laser = Some(on);
-                self.telemetry.set_laser_off(!on);
-                let outcome = set_laser(session, on).await;
-                if on {
-                    self.schedules.resume(Instant::now());
-                } else {
-                    self.schedules.pause();
-                    self.schedules.publish(self.telemetry);
-                }
+                let outcome = self.switch_laser(session, on, false).await;
                 Self::respond(responder, outcome)
             }
             Request::BaudRate { baud_rate, responder } => {
-                let before = session.transport.baud_rate();
-                let mut outcome = baud_rate::change(session, baud_rate).await;
-                if outcome.is_ok() {
-                    self.desired.baud_rate = Some(baud_rate);
-                    if self.desired.laser == Some(false) {
-                        // The sensor may have restarted unnoticed.
-                        outcome = set_laser(session, false).await;
-                    }
-                }
-                if session.transport.baud_rate() != before {
-                    self.telemetry.set_baud_rate(session.transport.baud_rate());
-                }
+                let outcome = self.change_baud_rate(session, baud_rate).await;
+                let wish = &mut self.queue.wishes.baud_rate;
+                *wish = wish.filter(|wish| *wish != baud_rate || is_unplugged(&outcome));
                 Self::respond(responder, outcome)
             }
             Request::Scan { window, responder } => {
@@ -168,15 +170,89 @@ impl Service<'_> {
             Request::Subscribe { window, rate, depth, responder } => {
                 // Drops the stream if no caller waits for it.
                 let _ = responder.send(Ok(self.schedules.subscribe(window, rate, depth, None)));
-                self.schedules.publish(self.telemetry);
                 Ok(())
             }
             Request::Close(responder) => Err(Stop::Closed(responder)),
+            Request::StreamDropped => Ok(()),
         }
     }
 
+    /// Switches the laser as wished. Polls only while it is not switched off.
+    async fn switch_laser(
+        &mut self,
+        session: &mut Session,
+        on: bool,
+        is_retry: bool,
+    ) -> Result<(), ExchangeError> {
+        let was_off = self.laser.is_off();
+        let outcome = match is_retry {
+            true => self.laser.retry(session, on).await,
+            false => self.laser.switch(session, on).await,
+        };
+        match self.laser.is_off() {
+            is_off if is_off == was_off => {}
+            true => {
+                self.schedules.pause();
+                self.schedules.publish(self.telemetry);
+            }
+            false => self.schedules.resume(Instant::now()),
+        }
+        outcome
+    }
+
+    /// Changes the baud rate. From now on it is restored, unless the sensor refuses it: then the
+    /// one before it is.
+    async fn change_baud_rate(
+        &mut self,
+        session: &mut Session,
+        baud_rate: BaudRate,
+    ) -> Result<(), ExchangeError> {
+        let before = session.transport.baud_rate();
+        let mut outcome = baud_rate::change(session, baud_rate).await;
+        if outcome.is_ok() {
+            *self.baud_rate = Some(baud_rate);
+            if self.laser.is_off() {
+                // The sensor may have restarted unnoticed.
+                outcome = self.switch_laser(session, false, true).await;
+            }
+        }
+        if session.transport.baud_rate() != before {
+            self.telemetry.set_baud_rate(session.transport.baud_rate());
+        }
+        outcome
+    }
+
+    /// Changes the baud rate to one that a handle asked for while there was no link, and of which
+    /// no caller waits for the outcome.
+    async fn apply_baud_rate(
+        &mut self,
+        session: &mut Session,
+        baud_rate: BaudRate,
+    ) -> Result<(), Stop> {
+        let outcome = self.change_baud_rate(session, baud_rate).await;
+        let wishes = &mut self.queue.wishes;
+        wishes.attempts += u8::from(!is_unplugged(&outcome));
+        let error = outcome.as_ref().err().map(ExchangeError::kind);
+        let is_final = match error {
+            Some(ErrorKind::Refused { .. } | ErrorKind::UnsupportedBaudRate { .. }) | None => true,
+            // The sensor may have restarted at that moment.
+            Some(_) => wishes.attempts >= BAUD_RATE_ATTEMPTS,
+        };
+        if is_final {
+            wishes.baud_rate = None;
+            match error {
+                Some(error) => {
+                    let error = ErrorChain(error);
+                    tracing::warn!(%error, %baud_rate, "the baud rate is not changed");
+                }
+                None => wishes.attempts = 0,
+            }
+        }
+        ignore_command_errors(outcome)
+    }
+
     async fn scan(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
-        if self.desired.laser == Some(false) {
+        if self.laser.is_off() {
             return Err(ExchangeError::Command(ErrorKind::LaserOff));
         }
         let mut tries = 2;
@@ -203,8 +279,13 @@ impl Service<'_> {
         {
             sleep_until(copies_end).await;
         }
+        // Few polls of a session: they show whether replies follow the motor.
+        let delay = self.motor_clock.poll_delay(Instant::now());
+        if !delay.is_zero() {
+            sleep(delay).await;
+        }
         let (outcome, ended) = match self.poll(session, poll.window).await {
-            Ok(scan) => (Ok(()), self.schedules.deliver(poll, scan)),
+            Ok(scan) => (Ok(()), self.schedules.deliver(poll, scan, session.believed_baud_rate())),
             Err(failure) => match command_error(failure) {
                 Ok(kind) => (Ok(()), self.schedules.fail(poll, &self.telemetry.error(kind))),
                 Err(failure) => (Err(failure.into()), Ended::default()),
@@ -229,19 +310,30 @@ impl Service<'_> {
     /// once more.
     async fn poll(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
         let mut outcome = session.poll(window).await;
-        if let Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) = outcome {
+        if let Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) = outcome
+            && self.queue.wishes.laser != Some(false)
+        {
             let refusal = Refusal { command, status };
-            outcome = match self.laser_recovery.switch_on(session, refusal).await {
-                Ok(()) => session.poll(window).await,
+            outcome = match self.laser.switch_on(session, window, refusal).await {
+                Ok(()) => {
+                    let again = session.poll(window).await;
+                    match &again {
+                        Ok(_) => {
+                            tracing::info!(%status, "the sensor refused a poll: switched its laser on");
+                        }
+                        Err(ExchangeError::Command(ErrorKind::Refused { .. })) => {
+                            self.laser.record_refusal(window, None);
+                        }
+                        Err(_) => {}
+                    }
+                    again
+                }
                 Err(failure) => Err(failure),
             };
-            if let Err(ExchangeError::Command(ErrorKind::Refused { .. })) = &outcome {
-                self.laser_recovery.record_refusal();
-            }
         }
         match outcome {
             Ok(polled) => {
-                self.laser_recovery.record_scan();
+                self.laser.record_scan(window);
                 Ok(self.scan_from(window, polled))
             }
             Err(failure) => {
@@ -298,6 +390,11 @@ impl Service<'_> {
     }
 }
 
+/// Returns true if the port is gone: nothing tells whether the sensor would have obeyed.
+fn is_unplugged<T>(outcome: &Result<T, ExchangeError>) -> bool {
+    matches!(outcome, Err(ExchangeError::Link(LinkError::Lost(_) | LinkError::Ended(_))))
+}
+
 /// Separates the error of a command from the failure of the link.
 fn command_error(failure: ExchangeError) -> Result<ErrorKind, LinkError> {
     match failure {
@@ -318,9 +415,13 @@ fn warn_of(
 ) {
     let DuePoll { window, rate } = poll;
     match shortfall {
-        Shortfall::Slow => tracing::warn!(
+        Shortfall::Line => tracing::warn!(
             %window, asked = %rate, reached = reached.unwrap_or_default(),
-            "the line or the sensor cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
+            "the line cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
+        ),
+        Shortfall::Sensor => tracing::warn!(
+            %window, asked = %rate, reached = reached.unwrap_or_default(),
+            "the sensor answers no faster, mostly once in a revolution: ask for fewer scans"
         ),
         Shortfall::Loss => tracing::warn!(
             %window, asked = %rate, reached = reached.unwrap_or_default(), failed,

@@ -14,10 +14,8 @@ use tokio::time::{Instant, sleep};
 use super::backoff::Backoff;
 use super::config::Config;
 use super::failure::LinkError;
-use super::laser::LaserRecovery;
 use super::motor_clock::MotorClock;
 use super::open::Opener;
-use super::poll_timer::PollTimer;
 use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
@@ -131,21 +129,22 @@ impl Supervisor {
         let scan_time = self.opener.scan_time();
         let probe_interval = self.config.idle_probe.interval(session.transport.can_die_silently());
         let reconnects = self.telemetry.stats().reconnects;
+        let (laser, baud_rate) = self.opener.settings();
         let mut service = Service {
             queue: &mut self.offline.queue,
+            laser,
+            baud_rate,
             schedules: &mut self.offline.schedules,
-            desired: self.opener.desired(),
             telemetry: &self.telemetry,
             scan_time,
             probe_interval,
             motor_clock: MotorClock::new(scan_time),
             reconnects,
-            laser_recovery: LaserRecovery::new(self.config.seed()),
-            poll_timer: PollTimer::default(),
             streaming: false,
         };
         let stop = service.run(session).await;
         self.offline.pause();
+        self.offline.queue.lose_link();
         // What is known about the motor belongs to the session.
         self.telemetry.stats().motor = None;
         stop
@@ -155,7 +154,8 @@ impl Supervisor {
         let mut latest: Option<ErrorKind> = None;
         loop {
             // Streams see no error yet; the state has the reason.
-            let kind = match self.offline.run(None, self.opener.open()).await? {
+            let laser = self.offline.queue.wishes.laser;
+            let kind = match self.offline.run(None, self.opener.open(laser)).await? {
                 Ok(session) => return Ok(session),
                 Err(ended @ LinkError::Ended(_)) => return Err(ended.into()),
                 Err(failure) => failure.into_kind(),
@@ -179,7 +179,9 @@ impl Supervisor {
     async fn recover(&mut self, mut session: Session, kind: ErrorKind) -> Result<Session, Stop> {
         self.telemetry.enter(State::Recovering);
         let error = self.telemetry.error(kind.clone());
-        let found = self.offline.run(Some(&error), self.opener.find_again(&mut session)).await?;
+        let laser = self.offline.queue.wishes.laser;
+        let search = self.opener.find_again(&mut session, laser);
+        let found = self.offline.run(Some(&error), search).await?;
         match found {
             Ok(()) => {
                 self.telemetry.stats().reconnects += 1;
@@ -212,7 +214,8 @@ impl Supervisor {
         let mut latest = error;
         loop {
             self.offline.run(Some(&latest), sleep(self.backoff.next())).await?;
-            let error = match self.offline.run(Some(&latest), self.opener.open()).await? {
+            let laser = self.offline.queue.wishes.laser;
+            let error = match self.offline.run(Some(&latest), self.opener.open(laser)).await? {
                 Ok(session) => {
                     self.telemetry.stats().reconnects += 1;
                     return Ok(session);

@@ -75,6 +75,8 @@ pub enum ErrorKind {
     WrongProtocol {
         /// Status line of three characters, which only SCIP 2 has.
         status: Text,
+        /// Model of the sensor, if it answered `VV` of SCIP 2.
+        model: Option<Text>,
     },
     /// A sensor other than the expected one answered.
     #[non_exhaustive]
@@ -224,10 +226,20 @@ impl fmt::Display for Sentence<'_> {
                 f,
                 "{sensor} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port"
             ),
-            ErrorKind::WrongProtocol { status } => write!(
-                f,
-                "{sensor} speaks SCIP 2 (status \"{status}\"): power-cycle it to return a URG-04LX to SCIP 1.1; models that know only SCIP 2 are not supported"
-            ),
+            ErrorKind::WrongProtocol { status, model } => match model {
+                None => write!(
+                    f,
+                    "{sensor} speaks SCIP 2 (status \"{status}\"): power-cycle it to return a URG-04LX to SCIP 1.1; models that know only SCIP 2 are not supported"
+                ),
+                Some(model) if is_urg_04lx(model) => write!(
+                    f,
+                    "{sensor}, {model}, was switched to SCIP 2: power-cycle it to return it to SCIP 1.1"
+                ),
+                Some(model) => write!(
+                    f,
+                    "{sensor}, {model}, knows only SCIP 2, which is not supported: connect a sensor of SCIP 1.1, such as the URG-04LX"
+                ),
+            },
             ErrorKind::AnotherSensor { expected, found } => write!(
                 f,
                 "{sensor} has the wrong serial number: expected {expected}, found {found}: plug in {expected}, or ask for {found}"
@@ -282,4 +294,9 @@ impl fmt::Display for Sentence<'_> {
             ErrorKind::Closed => write!(f, "the driver of {sensor} has ended"),
         }
     }
+}
+/// Returns true for the classic URG-04LX, whose successors (URG-04LX-UG01) know only SCIP 2.
+fn is_urg_04lx(model: &Text) -> bool {
+    let is_part = |c: char| c.is_ascii_alphanumeric() || c == '-';
+    model.to_string().split(|c| !is_part(c)).any(|word| word == "URG-04LX")
 }

@@ -1,11 +1,11 @@
 //! [`EndpointConnector`]: opens the port that an [`Endpoint`] names, again after each
 //! loss of the link.
 
-#[cfg(feature = "tcp")]
-use super::TcpPort;
 use std::fmt;
 
 use super::{Connect, ConnectHints, Endpoint, Port};
+#[cfg(feature = "tcp")]
+use super::{TcpPort, lookup::Lookup};
 #[cfg(feature = "serial")]
 use super::{
     search::{Search, SystemPorts},
@@ -32,7 +32,7 @@ enum Route {
     #[cfg(feature = "serial")]
     SerialNumber(Search<SystemPorts>),
     #[cfg(feature = "tcp")]
-    Tcp { host: String, port: u16, baud_rate: BaudRate },
+    Tcp { host: String, port: u16, baud_rate: BaudRate, lookup: Lookup },
     /// This build cannot open the endpoint, for this reason.
     #[cfg(not(all(feature = "serial", feature = "tcp")))]
     Missing(&'static str),
@@ -55,7 +55,7 @@ impl Endpoint {
     /// the USB id of URG sensors. Check whether it has the right sensor. If not, and
     /// [`has_more`](ConnectHints::has_more) is true, call `connect` again for the next candidate.
     /// It skips ports that cannot be opened within 2 s, and retries busy ones four times, every
-    /// half second. After the last candidate the error is
+    /// half second. Until then it opens each port that appears. After the last candidate the error is
     /// [`NoSuchSensor`](crate::ErrorKind::NoSuchSensor), or
     /// [`PermissionDenied`](crate::ErrorKind::PermissionDenied) if you may not open one of the
     /// ports. The next call lists the ports again.
@@ -77,7 +77,9 @@ impl EndpointConnector {
             #[cfg(not(feature = "serial"))]
             Endpoint::Serial(_) | Endpoint::SerialNumber(_) => Route::Missing(NO_SERIAL),
             #[cfg(feature = "tcp")]
-            Endpoint::Tcp { host, port, baud_rate } => Route::Tcp { host, port, baud_rate },
+            Endpoint::Tcp { host, port, baud_rate } => {
+                Route::Tcp { host, port, baud_rate, lookup: Lookup::default() }
+            }
             #[cfg(not(feature = "tcp"))]
             Endpoint::Tcp { .. } => Route::Missing(NO_TCP),
         };
@@ -95,8 +97,10 @@ impl Connect for EndpointConnector {
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => Ok(Box::new(search.next_port().await?)),
             #[cfg(feature = "tcp")]
-            Route::Tcp { host, port, baud_rate } => {
-                Ok(Box::new(TcpPort::connect(host, *port, *baud_rate).await?))
+            Route::Tcp { host, port, baud_rate, lookup } => {
+                let opened = TcpPort::connect(lookup, host, *port, *baud_rate).await;
+                let explain = |source| Error::open(self.name.as_str(), source);
+                Ok(Box::new(opened.map_err(explain)?))
             }
             #[cfg(not(all(feature = "serial", feature = "tcp")))]
             Route::Missing(reason) => {

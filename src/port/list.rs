@@ -59,15 +59,10 @@ pub struct PortInfo {
     /// apart. Their names in `/dev/serial/by-id` are equal, because a URG has no USB
     /// serial number.
     pub stable_paths: Vec<String>,
-}
-
-impl PortInfo {
-    /// Returns true for the USB port of a URG sensor. The sensor may still speak only
-    /// SCIP 2, because of its model or its mode. Returns false for a sensor on RS-232,
-    /// which cannot be recognised without opening the port.
-    pub fn is_likely_sensor(&self) -> bool {
-        self.usb_id == Some(UsbId::URG)
-    }
+    /// True for the USB port of a URG sensor. The sensor may still speak only SCIP 2, because
+    /// of its model or its mode. False for a sensor on RS-232, which cannot be recognised
+    /// without opening the port.
+    pub likely_sensor: bool,
 }
 
 /// Lists the serial ports of this machine: likely sensors first, then other USB ports,
@@ -146,15 +141,19 @@ fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
         stable_paths.extend(to_it.map(|(name, _)| name.clone()));
     }
     let path = port.port_name;
-    match port.port_type {
-        SerialPortType::UsbPort(usb) => PortInfo {
-            path,
-            usb_id: Some(UsbId { vendor: usb.vid, product: usb.pid }),
-            product: usb.product.as_deref().map(Text::from),
-            manufacturer: usb.manufacturer.as_deref().map(Text::from),
-            stable_paths,
-        },
-        _ => PortInfo { path, usb_id: None, product: None, manufacturer: None, stable_paths },
+    let usb = match port.port_type {
+        SerialPortType::UsbPort(usb) => Some(usb),
+        _ => None,
+    };
+    let usb_id = usb.as_ref().map(|usb| UsbId { vendor: usb.vid, product: usb.pid });
+    let text = |text: &Option<String>| text.as_deref().map(Text::from);
+    PortInfo {
+        path,
+        usb_id,
+        product: usb.as_ref().and_then(|usb| text(&usb.product)),
+        manufacturer: usb.as_ref().and_then(|usb| text(&usb.manufacturer)),
+        stable_paths,
+        likely_sensor: usb_id == Some(UsbId::URG),
     }
 }
 
@@ -162,14 +161,14 @@ fn port_info(port: SerialPortInfo, links: &[(String, PathBuf)]) -> PortInfo {
 fn order(port: &PortInfo) -> (bool, bool, String, u64) {
     let name = port.path.trim_end_matches(|c: char| c.is_ascii_digit());
     let number = port.path.strip_prefix(name).and_then(|digits| digits.parse().ok());
-    (!port.is_likely_sensor(), port.usb_id.is_none(), name.to_owned(), number.unwrap_or(0))
+    (!port.likely_sensor, port.usb_id.is_none(), name.to_owned(), number.unwrap_or(0))
 }
 
 /// Returns true if `path` is the USB port of a sensor, by any of its names. Blocks.
 pub(super) fn is_usb_sensor(path: &str) -> bool {
     // If listing fails, count the port as a serial line, which only makes its deadlines
     // longer.
-    let is_it = |port: &PortInfo| port.is_likely_sensor() && is_same(&port.path, path);
+    let is_it = |port: &PortInfo| port.likely_sensor && is_same(&port.path, path);
     list_blocking().is_ok_and(|ports| ports.iter().any(is_it))
 }
 
@@ -200,6 +199,7 @@ mod tests {
             product: None,
             manufacturer: None,
             stable_paths: Vec::new(),
+            likely_sensor: usb_id == Some(UsbId::URG),
         }
     }
 
@@ -221,15 +221,6 @@ mod tests {
     }
 
     #[test]
-    fn only_the_urg_id_is_a_likely_sensor() {
-        assert!(port("/dev/ttyACM0", Some(UsbId::URG)).is_likely_sensor());
-        assert!(!port("/dev/ttyS0", None).is_likely_sensor());
-        let hub = UsbId { vendor: 0x15d1, product: 0x0001 };
-        assert!(!port("/dev/ttyACM0", Some(hub)).is_likely_sensor());
-        assert_eq!(UsbId::URG.to_string(), "15d1:0000");
-    }
-
-    #[test]
     fn what_a_usb_device_says_of_itself_is_told() {
         let usb = tokio_serial::UsbPortInfo {
             vid: 0x15d1,
@@ -241,7 +232,8 @@ mod tests {
         let port_name = "/dev/ttyACM0".to_owned();
         let port = SerialPortInfo { port_name, port_type: SerialPortType::UsbPort(usb) };
         let info = port_info(port, &[]);
-        assert!(info.is_likely_sensor());
+        assert!(info.likely_sensor);
+        assert_eq!(info.usb_id.unwrap().to_string(), "15d1:0000");
         let [product, maker] =
             [info.product, info.manufacturer].map(|text| text.map(|text| text.to_string()));
         assert_eq!(product.as_deref(), Some(r"URG-Series USB Driver\n"), "escaped");

@@ -30,6 +30,8 @@ mod endpoint;
 mod hints;
 #[cfg(feature = "serial")]
 mod list;
+#[cfg(feature = "tcp")]
+mod lookup;
 #[cfg(feature = "serial")]
 mod open_error;
 #[cfg(feature = "serial")]

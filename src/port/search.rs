@@ -2,13 +2,12 @@
 //! checks which sensor it has.
 
 use std::future::Future;
-use std::io;
 use std::time::Duration;
 use std::vec;
 
 use tokio::time::{Instant, sleep_until, timeout};
 
-use super::list::{self, PortInfo};
+use super::list;
 use super::serial::{SerialOpener, SerialPort};
 use crate::{Error, ErrorKind};
 
@@ -21,6 +20,9 @@ const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 /// Number of times to retry the busy ports: each time, another search may hold the wanted one.
 /// Enough for five sensors. The search for a missing sensor takes 2 s if other ports stay busy.
 const BUSY_RETRIES: u32 = 4;
+
+/// Time between two looks for ports that have appeared, while busy ports are awaited.
+const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time after which a port that is still being opened is skipped. Opening takes milliseconds
 /// unless a device hangs. The others must get their turn within the open timeout, by default
@@ -52,7 +54,7 @@ impl Ports for SystemPorts {
 
     async fn candidates(&mut self) -> Result<Vec<String>, Error> {
         let ports = list::list().await?;
-        Ok(ports.into_iter().filter(PortInfo::is_likely_sensor).map(|port| port.path).collect())
+        Ok(ports.into_iter().filter(|port| port.likely_sensor).map(|port| port.path).collect())
     }
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
@@ -78,6 +80,8 @@ pub(super) struct Search<P> {
 #[derive(Debug)]
 struct Pass {
     untried: vec::IntoIter<String>,
+    /// Ports of the latest listing.
+    listed: Vec<String>,
     busy: Vec<String>,
     /// When to retry the busy ports. Kept here, so that a caller that drops its futures early
     /// does not restart the delay with each call.
@@ -114,9 +118,10 @@ impl<P: Ports> Search<P> {
         let pass = match &mut self.pass {
             Some(pass) => pass,
             None => {
-                let untried = self.ports.candidates().await?.into_iter();
+                let listed = self.ports.candidates().await?;
                 self.pass.insert(Pass {
-                    untried,
+                    untried: listed.clone().into_iter(),
+                    listed,
                     busy: Vec::new(),
                     busy_until: None,
                     retries: 0,
@@ -126,29 +131,33 @@ impl<P: Ports> Search<P> {
         };
         loop {
             while let Some(path) = pass.untried.next() {
-                let limited = timeout(OPEN_LIMIT, self.ports.open(&path));
-                let opened = limited.await.unwrap_or_else(|_| {
-                    Err(Error::open(path.as_str(), io::ErrorKind::TimedOut.into()))
-                });
-                match opened {
-                    Ok(port) => {
+                match timeout(OPEN_LIMIT, self.ports.open(&path)).await {
+                    Ok(Ok(port)) => {
                         tracing::trace!(path, "checking whether the sensor is on this port");
                         return Ok(port);
                     }
-                    Err(error) => {
+                    Ok(Err(error)) => {
                         tracing::trace!(path, error = %error.chain(), "port skipped");
                         pass.record_failure(path, error);
                     }
+                    Err(_) => tracing::trace!(path, "port skipped, opening it takes too long"),
                 }
             }
             if pass.busy.is_empty() {
                 break;
             }
-            let until = pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_RETRY_DELAY);
-            sleep_until(*until).await;
-            pass.busy_until = None;
-            pass.untried = std::mem::take(&mut pass.busy).into_iter();
-            pass.retries += 1;
+            let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_RETRY_DELAY);
+            sleep_until(until.min(Instant::now() + LISTING_INTERVAL)).await;
+            let listed = self.ports.candidates().await?;
+            let new = listed.iter().filter(|path| !pass.listed.contains(path)).cloned();
+            let mut untried: Vec<_> = new.collect();
+            pass.listed = listed;
+            if Instant::now() >= until {
+                pass.busy_until = None;
+                pass.retries += 1;
+                untried.append(&mut pass.busy);
+            }
+            pass.untried = untried.into_iter();
         }
         let denied = self.pass.take().and_then(|pass| pass.denied);
         let missing = || ErrorKind::NoSuchSensor { serial_number: self.serial_number.clone() };
@@ -160,8 +169,10 @@ impl Pass {
     fn record_failure(&mut self, path: String, error: Error) {
         match error.kind() {
             ErrorKind::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
+            ErrorKind::Busy { .. } => {}
             ErrorKind::PermissionDenied { .. } => self.denied = Some(error),
-            _ => {}
+            // The system may not have finished with a port that has just appeared.
+            _ => self.listed.retain(|listed| *listed != path),
         }
     }
 }
@@ -169,6 +180,7 @@ impl Pass {
 #[cfg(test)]
 mod tests {
     use std::collections::HashSet;
+    use std::io;
     use std::sync::{Arc, Mutex};
 
     use futures::FutureExt;
@@ -179,8 +191,10 @@ mod tests {
     use super::*;
 
     /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens, `b`
-    /// is busy, `d` is denied, `g` is gone, `h` hangs. The last letter repeats.
+    /// is busy, `d` is denied, `e` fails, `g` is gone, `h` hangs. The last letter repeats.
     struct Fake {
+        /// When the last port appears.
+        appears: Instant,
         listed: Vec<(&'static str, &'static str)>,
         opened: Vec<String>,
         listings: usize,
@@ -191,7 +205,12 @@ mod tests {
 
         async fn candidates(&mut self) -> Result<Vec<String>, Error> {
             self.listings += 1;
-            Ok(self.listed.iter().map(|(path, _)| (*path).to_owned()).collect())
+            let mut listed: Vec<_> =
+                self.listed.iter().map(|(path, _)| (*path).to_owned()).collect();
+            if Instant::now() < self.appears {
+                listed.pop();
+            }
+            Ok(listed)
         }
 
         async fn open(&mut self, path: &str) -> Result<String, Error> {
@@ -204,6 +223,7 @@ mod tests {
                 Some('o') => Ok(port),
                 Some('b') => Err(ErrorKind::Busy { port }.into()),
                 Some('d') => Err(ErrorKind::PermissionDenied { port, group: None }.into()),
+                Some('e') => Err(Error::open(port, io::ErrorKind::PermissionDenied.into())),
                 Some('h') => std::future::pending().await,
                 _ => Err(ErrorKind::NoSuchPort { port }.into()),
             }
@@ -266,7 +286,8 @@ mod tests {
     }
 
     fn search(listed: &[(&'static str, &'static str)]) -> Search<Fake> {
-        let fake = Fake { listed: listed.to_vec(), opened: Vec::new(), listings: 0 };
+        let (listed, appears) = (listed.to_vec(), Instant::now());
+        let fake = Fake { listed, opened: Vec::new(), listings: 0, appears };
         Search::new("H0713090".to_owned(), fake)
     }
 
@@ -333,6 +354,23 @@ mod tests {
             assert!(call * calls <= BUSY_RETRY_DELAY + call, "the delay begins again and again");
         }
         assert_eq!(search.ports.opened, ["a", "a"]);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_port_that_appears_is_opened_soon() {
+        let busy = ["a", "b", "c", "d", "e", "f", "g", "h", "i", "j"].map(|path| (path, "b"));
+        let pass = BUSY_RETRIES * BUSY_RETRY_DELAY;
+        for (plan, limit) in [("o", LISTING_INTERVAL), ("eo", 2 * LISTING_INTERVAL)] {
+            let last = (pass - limit).as_millis() as u64;
+            for after in (0..=last).step_by(10).map(Duration::from_millis) {
+                let mut search = search(&[&busy[..], &[("new", plan)]].concat());
+                search.ports.appears += after;
+                let start = Instant::now();
+                assert_eq!(next(&mut search).await, "new");
+                assert!(start.elapsed() <= after + limit, "{after:?}: {:?}", start.elapsed());
+                assert!(search.ports.listings <= 9, "{} listings", search.ports.listings);
+            }
+        }
     }
 
     #[tokio::test(start_paused = true)]

@@ -8,11 +8,12 @@ use std::time::Duration;
 
 use socket2::{SockRef, TcpKeepalive};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpStream, lookup_host};
+use tokio::net::TcpStream;
 
 use super::dial::connect_first;
-use super::{Endpoint, Port, PortHints};
-use crate::{BaudRate, Error};
+use super::lookup::Lookup;
+use super::{Port, PortHints};
+use crate::BaudRate;
 
 /// Idle time after which the system probes a connection.
 const KEEPALIVE_TIME: Duration = Duration::from_secs(10);
@@ -59,29 +60,22 @@ impl TcpPort {
     ///
     /// Only the system limits the time, to about two minutes on Linux; a
     /// [`Sensor`](crate::Sensor) has its open timeout. Cancel-safe: dropping the future
-    /// closes all connections it has opened. The lookup of a name runs on one of tokio's
-    /// blocking threads, and ends there when the system returns, even if you drop the
-    /// future.
+    /// closes all connections it has opened.
     ///
     /// # Errors
     ///
-    /// Fails with [`Open`](crate::ErrorKind::Open), which is transient. Its source is
-    /// the system's error (refused, unreachable, no such host), or the list of addresses with the
-    /// error of each.
-    pub(super) async fn connect(host: &str, port: u16, baud_rate: BaudRate) -> Result<Self, Error> {
-        match connect(host, port).await {
-            Ok(stream) => Ok(Self { stream, baud_rate }),
-            Err(source) => {
-                let endpoint = Endpoint::Tcp { host: host.to_owned(), port, baud_rate };
-                Err(Error::open(endpoint.to_string(), source))
-            }
-        }
+    /// Fails with the system's error (refused, unreachable, no such host), or the list of
+    /// addresses with the error of each.
+    pub(super) async fn connect(
+        lookup: &mut Lookup,
+        host: &str,
+        port: u16,
+        baud_rate: BaudRate,
+    ) -> io::Result<Self> {
+        let addresses = lookup.addresses(host, port).await?;
+        let stream = connect_first(addresses, connect_to).await?;
+        Ok(Self { stream, baud_rate })
     }
-}
-
-async fn connect(host: &str, port: u16) -> io::Result<TcpStream> {
-    let addresses = lookup_host((host, port)).await?.collect();
-    connect_first(addresses, connect_to).await
 }
 
 async fn connect_to(address: SocketAddr) -> io::Result<TcpStream> {
@@ -185,7 +179,10 @@ mod tests {
     #[tokio::test]
     async fn o22_a_connection_sends_at_once_and_is_kept_alive() -> io::Result<()> {
         let server = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await?;
-        let stream = connect("127.0.0.1", server.local_addr()?.port()).await?;
+        let port = server.local_addr()?.port();
+        let lookup = &mut Lookup::default();
+        let TcpPort { stream, .. } =
+            TcpPort::connect(lookup, "127.0.0.1", port, BaudRate::B19200).await?;
         assert!(stream.nodelay()?);
         let socket = SockRef::from(&stream);
         assert!(socket.keepalive()?);

@@ -1,6 +1,7 @@
 //! Commands of SCIP 1.1 and their bytes.
 
 use std::fmt;
+use std::ops::Deref;
 
 use super::{BaudRate, Window};
 
@@ -37,7 +38,7 @@ pub enum Command {
 
 impl Command {
     /// Bytes to send, without the terminator. A reply begins with the same bytes.
-    pub fn bytes(&self) -> CommandBytes {
+    pub fn bytes(&self) -> impl Deref<Target = [u8]> + Copy + use<> {
         let mut out = CommandBytes { bytes: [0; CommandBytes::CAPACITY], len: 0 };
         match self {
             Self::Version => out.push(b"V"),
@@ -67,7 +68,7 @@ impl Command {
     }
 
     /// Length in bytes of the longest reply to this command, terminator included.
-    pub fn reply_len(&self) -> usize {
+    pub(crate) fn reply_len(&self) -> usize {
         match self {
             // Up to six lines of at most 64 bytes, and room for one more.
             Self::Version => 4 + 7 * 65 + 1,
@@ -88,7 +89,7 @@ impl fmt::Display for Command {
 
 /// Bytes of a [`Command`], 1 to 14, without a terminator.
 #[derive(Debug, Clone, Copy)]
-pub struct CommandBytes {
+struct CommandBytes {
     bytes: [u8; Self::CAPACITY],
     len: usize,
 }
@@ -105,7 +106,7 @@ impl CommandBytes {
     }
 }
 
-impl std::ops::Deref for CommandBytes {
+impl Deref for CommandBytes {
     type Target = [u8];
 
     fn deref(&self) -> &[u8] {

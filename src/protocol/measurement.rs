@@ -68,21 +68,6 @@ impl Measurement {
 pub struct ErrorCode(u8);
 
 impl ErrorCode {
-    /// Iterates over all twenty error codes.
-    pub fn all() -> impl Iterator<Item = Self> {
-        (0..=19).map(Self)
-    }
-
-    /// Creates the error code with this number, or returns `None` above 19.
-    pub const fn new(number: u8) -> Option<Self> {
-        if number <= 19 { Some(Self(number)) } else { None }
-    }
-
-    /// Its number, 0..=19.
-    pub const fn number(self) -> u8 {
-        self.0
-    }
-
     /// Its meaning, in the words of the protocol text (p. 7).
     pub const fn meaning(self) -> &'static str {
         match self.0 {
@@ -99,7 +84,7 @@ impl ErrorCode {
     }
 
     /// Returns true if an object may be beyond the range: error codes 0, 6 and 16.
-    pub const fn is_beyond_range(self) -> bool {
+    pub(crate) const fn is_beyond_range(self) -> bool {
         matches!(self.0, 0 | 6 | 16)
     }
 }
@@ -120,7 +105,7 @@ impl TryFrom<u8> for ErrorCode {
     type Error = ErrorCodeError;
 
     fn try_from(number: u8) -> Result<Self, ErrorCodeError> {
-        Self::new(number).ok_or(ErrorCodeError { found: number })
+        if number <= 19 { Ok(Self(number)) } else { Err(ErrorCodeError { found: number }) }
     }
 }
 

@@ -30,7 +30,7 @@ mod window;
 #[doc(no_inline)]
 pub use baud::BaudRate;
 pub use baud::BaudRateError;
-pub use command::{Command, CommandBytes};
+pub use command::Command;
 pub use malformed::{MalformedError, ReplyError};
 pub use measurement::ErrorCodeError;
 #[doc(no_inline)]

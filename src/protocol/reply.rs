@@ -109,7 +109,7 @@ impl Reply {
     }
 
     /// Iterates over the lines of a successful `V` after the status, except empty ones.
-    pub fn lines(&self) -> impl Iterator<Item = &[u8]> {
+    pub(super) fn lines(&self) -> impl Iterator<Item = &[u8]> {
         self.text.split(|&byte| byte == b'\n').filter(|line| !line.is_empty())
     }
 

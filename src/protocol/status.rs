@@ -13,10 +13,10 @@ pub struct Status(u8);
 
 impl Status {
     /// `0`: success.
-    pub const OK: Self = Self(b'0');
+    pub(crate) const OK: Self = Self(b'0');
 
     /// Creates the status with this character.
-    pub const fn new(character: u8) -> Self {
+    pub(crate) const fn new(character: u8) -> Self {
         Self(character)
     }
 

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use super::{Reply, Text, Window};
+use super::{Reply, Text};
 
 /// Reply to `V` (C-42-3320-A p. 4), parsed tolerantly. Fields may come in any order, with
 /// or without a blank after the colon. Missing fields stay empty, and unknown lines are
@@ -80,27 +80,6 @@ pub struct Specification {
 }
 
 impl Specification {
-    /// Window of all steps that the sensor measures, if its firmware line has them. For a
-    /// URG-04LX it is [`Window::DETECTION`].
-    ///
-    /// ```
-    /// # use urg_emulator::Emulator;
-    /// use tokio_scip::{Sensor, Window};
-    ///
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), tokio_scip::Error> {
-    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// let version = sensor.version().await?;
-    /// let window = version.specification.and_then(|specification| specification.window());
-    /// let scan = sensor.scan(window.unwrap_or(Window::DETECTION)).await?;
-    /// # assert_eq!(window, Some(Window::DETECTION));
-    /// # Ok(())
-    /// # }
-    /// ```
-    pub fn window(&self) -> Option<Window> {
-        self.steps.clone().and_then(|steps| Window::new(steps).ok())
-    }
-
     /// Parses the parts of a firmware line, such as `240[deg]`, if there are any.
     fn find(firmware: &[u8]) -> Option<Self> {
         let mut found = Self::default();

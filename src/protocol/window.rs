@@ -37,7 +37,7 @@ impl Step {
     /// # Errors
     ///
     /// [`WindowError::Step`] above 768.
-    pub const fn new(number: u16) -> Result<Self, WindowError> {
+    pub(crate) const fn new(number: u16) -> Result<Self, WindowError> {
         if number <= LAST { Ok(Self(number)) } else { Err(WindowError::Step { found: number }) }
     }
 
@@ -221,7 +221,7 @@ impl Window {
     }
 
     /// Length of the reply in bytes, terminator included: 1,576 for [`Window::FULL`].
-    pub const fn reply_len(&self) -> usize {
+    pub(crate) const fn reply_len(&self) -> usize {
         let data = self.points() * 2;
         // Echo and status, each with its LF; data with an LF per block; one more LF.
         POLL_LEN + 2 + data + data.div_ceil(BLOCK) + 1

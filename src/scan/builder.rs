@@ -38,84 +38,66 @@ impl Scan {
 /// Builder of a [`Scan`]; made by [`Scan::builder`].
 ///
 /// By default, the scan is number 0 of a sensor at 600 rpm, is no repeat, and was requested
-/// and received at the time of [`build`](Self::build).
+/// and received when the builder was made.
 #[derive(Debug, Clone)]
 #[must_use = "a builder does nothing until it builds a scan"]
 pub struct ScanBuilder {
     window: Window,
     values: Arc<[u16]>,
-    sequence: u64,
-    requested_at: Option<Instant>,
-    received_at: Option<Instant>,
-    stamp: Option<SystemTime>,
-    lateness: Option<Duration>,
-    repeat: bool,
-    scan_time: Duration,
-    reconnects: u64,
+    pub(super) meta: ScanMeta,
 }
 
 impl ScanBuilder {
     pub(super) fn new(window: Window, values: Arc<[u16]>) -> Self {
-        Self {
-            window,
-            values,
+        let now = Instant::now();
+        let meta = ScanMeta {
             sequence: 0,
-            requested_at: None,
-            received_at: None,
-            stamp: None,
+            requested_at: now,
+            first_byte_at: now,
+            received_at: now,
+            stamp: SystemTime::now(),
             lateness: None,
             repeat: false,
             scan_time: REVOLUTION,
             reconnects: 0,
-        }
+        };
+        Self { window, values, meta }
     }
 
     /// Sets [`Scan::sequence`].
     pub fn sequence(mut self, sequence: u64) -> Self {
-        self.sequence = sequence;
+        self.meta.sequence = sequence;
         self
     }
 
-    /// Sets [`Scan::requested_at`]. Default: `received_at`.
-    pub fn requested_at(mut self, requested_at: Instant) -> Self {
-        self.requested_at = Some(requested_at);
-        self
-    }
-
-    /// Sets [`Scan::received_at`].
+    /// Sets [`Scan::received_at`], and [`Scan::requested_at`] to the same time.
     pub fn received_at(mut self, received_at: Instant) -> Self {
-        self.received_at = Some(received_at);
-        self
-    }
-
-    /// Sets [`Scan::lateness`], and with it [`Scan::stamp_quality`].
-    pub fn lateness(mut self, lateness: impl Into<Option<Duration>>) -> Self {
-        self.lateness = lateness.into();
+        let [requested_at, first_byte_at] = [received_at; 2];
+        self.meta = ScanMeta { requested_at, first_byte_at, received_at, ..self.meta };
         self
     }
 
     /// Sets [`Scan::stamp`].
     pub fn stamp(mut self, stamp: SystemTime) -> Self {
-        self.stamp = Some(stamp);
+        self.meta.stamp = stamp;
         self
     }
 
     /// Sets [`Scan::is_repeat`].
     pub fn repeat(mut self, repeat: bool) -> Self {
-        self.repeat = repeat;
+        self.meta.repeat = repeat;
         self
     }
 
     /// Sets [`Scan::scan_time`].
     pub fn scan_time(mut self, scan_time: Duration) -> Self {
-        self.scan_time = scan_time;
+        self.meta.scan_time = scan_time;
         self
     }
 
-    /// Sets [`Scan::reconnects`].
-    pub fn reconnects(mut self, reconnects: u64) -> Self {
-        self.reconnects = reconnects;
-        self
+    /// Takes everything but the window and the values from `scan`.
+    pub fn like(self, scan: &Scan) -> Self {
+        Self { meta: scan.meta, ..self }
     }
 
     /// Builds the scan.
@@ -133,19 +115,7 @@ impl ScanBuilder {
             let found = self.values.get(index).copied().unwrap_or_default();
             return Err(ScanError::Value { index, found });
         }
-        let received_at = self.received_at.unwrap_or_else(Instant::now);
-        let meta = ScanMeta {
-            sequence: self.sequence,
-            requested_at: self.requested_at.unwrap_or(received_at),
-            first_byte_at: received_at,
-            received_at,
-            stamp: self.stamp.unwrap_or_else(SystemTime::now),
-            lateness: self.lateness,
-            repeat: self.repeat,
-            scan_time: self.scan_time,
-            reconnects: self.reconnects,
-        };
-        Ok(Scan::new(self.window, self.values, 0, meta))
+        Ok(Scan::new(self.window, self.values, 0, self.meta))
     }
 }
 
@@ -180,24 +150,17 @@ mod tests {
 
     #[test]
     fn what_is_set_is_what_the_scan_has() {
-        let at = Instant::now();
-        let later = at + Duration::from_millis(95);
+        let at = Instant::now() + Duration::from_millis(95);
         let stamp = SystemTime::UNIX_EPOCH + Duration::from_secs(1_800_000_000);
         let window = Window::new(384..=385).unwrap();
-        let scan = Scan::builder(window, vec![1234, 7])
-            .sequence(3)
-            .requested_at(at)
-            .received_at(later)
-            .stamp(stamp)
-            .repeat(true)
-            .scan_time(Duration::from_millis(50))
-            .reconnects(2)
-            .build()
-            .unwrap();
+        let builder = Scan::builder(window, vec![1234, 7]);
+        let scan = builder.sequence(3).received_at(at).stamp(stamp).repeat(true).build().unwrap();
         assert_eq!((scan.window(), scan.values()), (window, &[1234, 7][..]));
-        assert_eq!((scan.sequence(), scan.reconnects(), scan.is_repeat()), (3, 2, true));
-        assert_eq!((scan.requested_at(), scan.received_at(), scan.stamp()), (at, later, stamp));
-        assert_eq!(scan.scan_time(), Duration::from_millis(50));
+        assert_eq!((scan.sequence(), scan.reconnects(), scan.is_repeat()), (3, 0, true));
+        assert_eq!((scan.requested_at(), scan.received_at(), scan.stamp()), (at, at, stamp));
+        let other = Scan::builder(Window::single(9), [4000]).like(&scan).build().unwrap();
+        assert_eq!((other.sequence(), other.stamp(), other.is_repeat()), (3, stamp, true));
+        assert_eq!(other.values(), [4000]);
     }
 
     #[test]

@@ -6,8 +6,8 @@ use serde::de::Error as _;
 use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::Scan;
 use super::builder::REVOLUTION;
+use super::{Scan, ScanMeta};
 use crate::protocol::Window;
 
 /// Seconds since 1970 that every clock can count.
@@ -87,14 +87,16 @@ impl<'de> Deserialize<'de> for Scan {
         let stamp = stamp.ok_or_else(invalid)?;
         let scan_time = Duration::try_from_secs_f64(fields.scan_time).map_err(D::Error::custom)?;
         let lateness = fields.lateness.map(Duration::try_from_secs_f64).transpose();
-        Self::builder(window, fields.values)
-            .sequence(fields.sequence)
-            .stamp(stamp)
-            .lateness(lateness.map_err(D::Error::custom)?)
-            .scan_time(scan_time)
-            .repeat(fields.repeat)
-            .reconnects(fields.reconnects)
-            .build()
-            .map_err(D::Error::custom)
+        let mut builder = Self::builder(window, fields.values);
+        builder.meta = ScanMeta {
+            sequence: fields.sequence,
+            stamp,
+            lateness: lateness.map_err(D::Error::custom)?,
+            repeat: fields.repeat,
+            scan_time,
+            reconnects: fields.reconnects,
+            ..builder.meta
+        };
+        builder.build().map_err(D::Error::custom)
     }
 }

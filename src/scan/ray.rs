@@ -1,6 +1,6 @@
 //! [`Ray`] and [`Point`]: a scan, one direction at a time.
 
-use super::{Scan, Sector};
+use super::Scan;
 use crate::protocol::{Measurement, Step};
 
 /// One direction of a scan and what was measured in it, distance or error code.
@@ -91,27 +91,8 @@ impl Scan {
     /// Returns the nearest point, or `None` if no ray has a distance. That is no proof of
     /// free space.
     pub fn nearest(&self) -> Option<Point> {
-        nearest(self.points())
+        self.points().min_by(|a, b| a.range.total_cmp(&b.range))
     }
-
-    /// Returns the nearest point whose ray lies in `sector`.
-    ///
-    /// ```
-    /// use tokio_scip::scan::Sector;
-    /// use tokio_scip::{Scan, Window};
-    ///
-    /// let scan = Scan::builder(Window::degrees(-90.0..=90.0)?, vec![1500; 513]).build()?;
-    /// let left = scan.nearest_in(Sector::degrees(30.0, 90.0)?);
-    /// assert_eq!(left.map(|point| point.range), Some(1.5));
-    /// # Ok::<(), Box<dyn std::error::Error>>(())
-    /// ```
-    pub fn nearest_in(&self, sector: Sector) -> Option<Point> {
-        nearest(self.points().filter(|point| sector.contains(point.angle)))
-    }
-}
-
-fn nearest(points: impl Iterator<Item = Point>) -> Option<Point> {
-    points.min_by(|a, b| a.range.total_cmp(&b.range))
 }
 
 #[cfg(test)]
@@ -164,17 +145,13 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_point_is_no_error_code_and_in_its_sector() {
+    fn the_nearest_point_is_no_error_code() {
         let mut scan = scan(window(128, 640, 1));
         let mut values = [3000; 513];
         (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
         scan.values = values.into();
         // The first of two.
         assert_eq!(scan.nearest().unwrap().step.number(), 228);
-        let nearest = |from, to| scan.nearest_in(Sector::degrees(from, to).unwrap());
-        assert_eq!(nearest(-30.0, 30.0).unwrap().step.number(), 384);
-        assert_eq!(nearest(30.0, -30.0).unwrap().step.number(), 228);
-        assert_eq!(nearest(120.0, -120.0), None);
         scan.values = [0; 513].into();
         assert_eq!(scan.nearest(), None);
     }

@@ -34,7 +34,7 @@ impl Sector {
     /// # Errors
     ///
     /// [`SectorError`] unless both angles are finite.
-    pub fn new(from: f64, to: f64) -> Result<Self, SectorError> {
+    fn new(from: f64, to: f64) -> Result<Self, SectorError> {
         if !from.is_finite() || !to.is_finite() {
             return Err(SectorError { from, to });
         }

@@ -112,7 +112,7 @@ impl Scan {
         self.meta.scan_time.mul_f64(f64::from(self.window.cluster_count()) / 1024.0)
     }
 
-    /// Time of one revolution of the motor: the measured time, once it is known to 0.01 %,
+    /// Time of one revolution of the motor: the measured time, once it is known to 0.1 %,
     /// before that the nominal time from the sensor's firmware line, or else 100 ms (600 rpm).
     pub fn scan_time(&self) -> Duration {
         self.meta.scan_time

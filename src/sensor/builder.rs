@@ -73,6 +73,9 @@ impl SensorBuilder {
 
     /// Sets how long a request waits for a link before it fails with
     /// [`Disconnected`](crate::ErrorKind::Disconnected). Default: 5 s. At most a day.
+    ///
+    /// The time starts when the link is lost, or when you make the request if that is later. While
+    /// there is a link, a request waits for its turn without a time limit.
     pub fn request_timeout(mut self, timeout: Duration) -> Self {
         self.config.request_timeout = timeout.min(LONGEST);
         self

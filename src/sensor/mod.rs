@@ -94,8 +94,11 @@ impl Sensor {
 
     /// Switches the laser on (`L1`, p. 4), and confirms it. Succeeds if the laser is on already.
     ///
-    /// The driver remembers the setting, even if you drop the call after it was written or the call
-    /// fails. It restores the setting when the sensor comes back.
+    /// The driver remembers the setting, see [`laser_off`](Self::laser_off).
+    ///
+    /// # Errors
+    ///
+    /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if the laser stays off.
     pub async fn laser_on(&self) -> Result<(), Error> {
         self.client.ask(|responder| Request::Laser { on: true, responder }).await
     }
@@ -103,18 +106,31 @@ impl Sensor {
     /// Switches the laser off (`L0`, p. 4), and confirms it: the sensor refuses to measure.
     /// Succeeds if the laser is off already.
     ///
-    /// Streams pause until you call [`laser_on`](Self::laser_on). The driver remembers the setting,
-    /// even if you drop the call after it was written or the call fails. It restores the setting
-    /// when the sensor comes back. A sensor that resets itself switches its laser on. On USB the
-    /// driver notices that only at your next command, or when the sensor sends unsolicited bytes,
-    /// unless you set an [idle probe](SensorBuilder::idle_probe).
+    /// Streams pause until you call [`laser_on`](Self::laser_on).
+    ///
+    /// The driver remembers the setting as soon as it takes up your call: at once without a link,
+    /// otherwise between two commands. From then on you can drop the call. The driver applies the
+    /// setting whenever it finds the sensor. If the laser does not follow, streams continue, and the
+    /// driver tries again after 1 s to 30 s.
+    ///
+    /// A sensor that resets itself switches its laser on. On USB the driver notices that only at
+    /// your next command, or when the sensor sends unsolicited bytes, unless you set an [idle
+    /// probe](SensorBuilder::idle_probe).
+    ///
+    /// # Errors
+    ///
+    /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if the laser stays on.
     pub async fn laser_off(&self) -> Result<(), Error> {
         self.client.ask(|responder| Request::Laser { on: false, responder }).await
     }
 
     /// Changes the baud rate of sensor and port (`S`, p. 5), and confirms that the sensor answers
-    /// at the new one. Takes about half a second. The driver restores the baud rate when the sensor
-    /// comes back. A sensor on USB accepts it without effect.
+    /// at the new one. Takes about half a second. The driver restores the baud rate whenever it finds
+    /// the sensor. A sensor on USB accepts it without effect.
+    ///
+    /// Without a link the driver remembers the baud rate, even if the call fails with
+    /// [`Disconnected`](crate::ErrorKind::Disconnected), and changes to it when the sensor comes
+    /// back. After every other error it forgets the baud rate and restores the one before.
     ///
     /// # Errors
     ///
@@ -122,8 +138,6 @@ impl Sensor {
     /// be set to this baud rate; nothing is sent then. A TCP connection supports only the baud rate
     /// of its endpoint. [`NotConfirmed`](crate::ErrorKind::NotConfirmed) if the sensor
     /// accepted but stayed at the old baud rate.
-    /// [`NotConfirmed`](crate::ErrorKind::NotConfirmed) with `L0` as its command if you
-    /// had switched the laser off and it is on at the new baud rate.
     pub async fn set_baud_rate(&self, baud_rate: BaudRate) -> Result<(), Error> {
         self.client.ask(|responder| Request::BaudRate { baud_rate, responder }).await
     }
@@ -209,7 +223,7 @@ impl Sensor {
     }
 
     /// Watches the state of the driver and its link. Read it, wait for a
-    /// [connected](StateWatch::connected) sensor, or wait for the [end](StateWatch::closed).
+    /// [connected](StateWatch::connected) sensor, or [for any state](StateWatch::wait_for).
     pub fn watch_state(&self) -> StateWatch {
         self.client.telemetry().watch()
     }

@@ -61,12 +61,6 @@ impl Freshness {
         self.last_scan.map(|last_scan| last_scan.elapsed())
     }
 
-    /// Latest error since the last good scan, if any: a malformed reply, a timeout, a
-    /// lost link, a laser that is switched off.
-    pub fn error(&self) -> Option<&Error> {
-        self.error.as_ref()
-    }
-
     /// Checks that the last good scan is not older than `limit`.
     ///
     /// With a limit of three periods you tolerate two failed polls. Add the time of a

@@ -16,6 +16,7 @@
 //! ```
 
 mod freshness;
+mod link_log;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod state;
 mod telemetry;

@@ -1,7 +1,6 @@
 //! [`Telemetry`]: the state, the counters and the identity of the sensor, written by
 //! the driver and read by its handles.
 
-use std::mem::{Discriminant, discriminant};
 use std::ops::{Deref, DerefMut};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -10,6 +9,7 @@ use std::time::{Duration, SystemTime};
 use tokio::sync::watch;
 use tokio::time::Instant;
 
+use super::link_log::LinkLog;
 use super::{Freshness, State, StateWatch};
 use crate::protocol::Version;
 use crate::ring::Ring;
@@ -26,7 +26,7 @@ pub(crate) struct Telemetry {
     counters: Mutex<Counters>,
     schedules: Mutex<Vec<(ScheduleStats, Weak<Ring>)>>,
     version: Mutex<Option<VersionReply>>,
-    reasons: Mutex<LoggedReasons>,
+    link_log: Mutex<LinkLog>,
     /// Number of handles that wait for the driver to close.
     closing: AtomicUsize,
 }
@@ -55,23 +55,6 @@ pub(crate) struct Counters {
     is_laser_off: bool,
 }
 
-/// Kinds of reasons logged since there was a link, each with the time of its last log line.
-#[derive(Debug, Default)]
-struct LoggedReasons(Vec<(Discriminant<ErrorKind>, Instant)>);
-
-impl LoggedReasons {
-    /// Returns true once for each kind, and again after `interval`.
-    fn is_due(&mut self, error: &Error, interval: Duration) -> bool {
-        let (kind, now) = (discriminant(error.kind()), Instant::now());
-        match self.0.iter_mut().find(|(known, _)| *known == kind) {
-            Some((_, at)) if now - *at < interval => return false,
-            Some((_, at)) => *at = now,
-            None => self.0.push((kind, now)),
-        }
-        true
-    }
-}
-
 impl Telemetry {
     pub(crate) fn new(name: Option<Arc<str>>) -> Self {
         Self {
@@ -80,7 +63,7 @@ impl Telemetry {
             counters: Mutex::default(),
             version: Mutex::default(),
             schedules: Mutex::default(),
-            reasons: Mutex::default(),
+            link_log: Mutex::default(),
             closing: AtomicUsize::new(0),
         }
     }
@@ -123,22 +106,38 @@ impl Telemetry {
     }
 
     fn log(&self, state: &State) {
+        let mut link_log = lock(&self.link_log);
         match state {
             State::Connecting { error: Some(error) } => {
-                if lock(&self.reasons).is_due(error, WAITING_INTERVAL) {
+                if link_log.is_due(error, WAITING_INTERVAL) {
                     tracing::info!(error = %error.chain(), "waiting for the sensor");
                 }
             }
             State::Connecting { error: None } => tracing::debug!("searching for the sensor"),
             State::Connected { baud_rate, streaming, serial_number } => {
-                *lock(&self.reasons) = LoggedReasons::default();
                 let baud_rate = baud_rate.map(u32::from);
-                tracing::info!(baud_rate, streaming, %serial_number, "connected");
+                match link_log.connect() {
+                    true => tracing::info!(baud_rate, streaming, %serial_number, "connected"),
+                    false => tracing::debug!(baud_rate, streaming, %serial_number, "connected"),
+                }
             }
-            State::Recovering => tracing::warn!("the sensor does not answer: searching for it"),
+            State::Recovering => match link_log.lose() {
+                true => {
+                    let losses = link_log.losses();
+                    tracing::warn!(losses, "the sensor does not answer: searching for it");
+                }
+                false => tracing::debug!("the sensor does not answer: searching for it"),
+            },
             State::Disconnected { error, .. } => {
-                if lock(&self.reasons).is_due(error, Duration::MAX) {
-                    tracing::warn!(error = %error.chain(), "disconnected");
+                let is_logged = link_log.lose();
+                if link_log.is_due(error, Duration::MAX) {
+                    let error = error.chain();
+                    match is_logged {
+                        true => {
+                            tracing::warn!(%error, losses = link_log.losses(), "disconnected");
+                        }
+                        false => tracing::debug!(%error, "disconnected"),
+                    }
                 }
             }
             State::Closed { error: Some(error) } => {

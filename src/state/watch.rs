@@ -98,37 +98,6 @@ impl StateWatch {
     pub async fn connected(&mut self) -> Result<(), Error> {
         self.wait_for(|state| matches!(state, State::Connected { .. })).await.map(drop)
     }
-
-    /// Waits until the driver has ended. Returns `Ok` after
-    /// [`Sensor::close`](crate::Sensor::close) and after you drop the last handle.
-    ///
-    /// ```
-    /// # use urg_emulator::Emulator;
-    /// # use tokio_scip::Sensor;
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), tokio_scip::Error> {
-    /// # let emulator = Emulator::default();
-    /// let sensor = Sensor::builder().reconnect(false).connect(emulator.clone()).await?;
-    /// # emulator.unplug();
-    /// # let lost = async {
-    /// sensor.watch_state().closed().await?;
-    /// # Ok::<(), tokio_scip::Error>(())
-    /// # };
-    /// # assert_eq!(lost.await.unwrap_err().to_string(), "the link to the sensor is lost");
-    /// # Ok(())
-    /// # }
-    /// ```
-    ///
-    /// # Errors
-    ///
-    /// The cause, if there is one, such as [`ErrorKind::Disconnected`] of a driver that does not
-    /// [reconnect](crate::SensorBuilder::reconnect).
-    pub async fn closed(&mut self) -> Result<(), Error> {
-        match self.wait_for(|state| matches!(state, State::Closed { .. })).await? {
-            State::Closed { error: Some(error) } => Err(error),
-            _ => Ok(()),
-        }
-    }
 }
 
 impl fmt::Debug for StateWatch {

@@ -9,7 +9,7 @@ use std::time::Duration;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct MotorStats {
-    /// Duration of a revolution, once it is known to 0.01 %.
+    /// Duration of a revolution, once it is known to 0.1 %.
     pub revolution: Option<Duration>,
     /// Mean time from the end of a revolution to the arrival of its scan. Excludes the
     /// delay common to all scans, and scans that arrived unusually late.

@@ -117,8 +117,10 @@ pub struct ScheduleStats {
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "lowercase"))]
 #[non_exhaustive]
 pub enum Shortfall {
-    /// Even the fastest reply takes too long: the line or the sensor cannot keep up.
-    Slow,
+    /// The line is too slow: fewer steps or a higher baud rate help.
+    Line,
+    /// The sensor answers no faster, mostly once in a revolution of its motor.
+    Sensor,
     /// Polls failed.
     Loss,
 }

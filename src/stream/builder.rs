@@ -4,6 +4,7 @@ use std::future::{Future, IntoFuture};
 use std::pin::Pin;
 
 use super::ScanStream;
+use super::scan_stream::StreamClient;
 use crate::driver::{Client, Request};
 use crate::{Error, Rate, Window};
 
@@ -63,7 +64,7 @@ impl IntoFuture for StreamBuilder {
         Box::pin(async move {
             let subscribe = |responder| Request::Subscribe { window, rate, depth, responder };
             let cursor = client.ask(subscribe).await?;
-            Ok(ScanStream { cursor, window, rate, client })
+            Ok(ScanStream { cursor, window, rate, client: StreamClient(client) })
         })
     }
 }

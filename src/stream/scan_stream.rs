@@ -25,8 +25,7 @@ use crate::{Error, Freshness, Rate, Scan, Window};
 ///
 /// A clone continues from the same position and shares the polls: one `G` serves all. To start with
 /// the next scan instead, use [`resubscribe`](Self::resubscribe). Dropping the last copy stops the
-/// polling within a period. A stream keeps its driver alive, even if you drop every
-/// [`Sensor`](crate::Sensor).
+/// polling. A stream keeps its driver alive, even if you drop every [`Sensor`](crate::Sensor).
 ///
 /// Like tokio's own types, it takes part in cooperative scheduling: a task that always finds a scan
 /// yields now and then.
@@ -36,8 +35,18 @@ pub struct ScanStream {
     pub(super) cursor: Cursor,
     pub(super) window: Window,
     pub(super) rate: Rate,
-    /// Keeps the driver alive.
-    pub(super) client: Client,
+    /// Dropped after the cursor.
+    pub(super) client: StreamClient,
+}
+
+/// Keeps the driver alive, and tells it when the stream is dropped.
+#[derive(Clone)]
+pub(super) struct StreamClient(pub(super) Client);
+
+impl Drop for StreamClient {
+    fn drop(&mut self) {
+        self.0.report_dropped_stream();
+    }
 }
 
 impl ScanStream {
@@ -60,7 +69,7 @@ impl ScanStream {
     pub fn freshness(&self) -> Freshness {
         let (last_scan, error) = self.cursor.freshness();
         // Errors of other streams' polls do not matter here.
-        Freshness::new(last_scan, self.client.telemetry().pause_reason().or(error))
+        Freshness::new(last_scan, self.client.0.telemetry().pause_reason().or(error))
     }
 
     /// Creates a stream of the same scans that starts with the next one, like

@@ -45,20 +45,6 @@ async fn a_suspend_of_eight_hours_costs_one_poll_and_no_burst() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_poll_after_the_next_is_of_the_same_schedule_or_of_another() {
-    let start = Instant::now();
-    let fast = (Window::FULL, Rate::hz(10.0));
-    let slow = (Window::DETECTION, Rate::hz(4.0));
-    let (mut schedules, _readers) = schedules(&[fast, slow]);
-    let mut take = |at: u64| {
-        assert!(schedules.take_due(start + Duration::from_millis(at)).is_some());
-        schedules.due_after_next().map(|due| (due - start).as_millis())
-    };
-    // Due next are 100 and 0 ms, then 100 and 250, 200 and 250, 300 and 250.
-    assert_eq!([0, 0, 100, 200].map(&mut take), [100, 200, 250, 300].map(Some));
-}
-
-#[tokio::test(start_paused = true)]
 async fn what_has_been_due_for_longest_goes_first() {
     let start = Instant::now();
     let fast = (Window::FULL, Rate::hz(20.0));
@@ -107,7 +93,7 @@ async fn missed_scans_are_counted_once_and_stay_counted_after_their_reader_is_go
     let poll = DuePoll { window, rate };
     let mut deliver_three_and_read_one = |schedules: &mut Schedules| {
         for _ in 0..3 {
-            schedules.deliver(poll, scan());
+            schedules.deliver(poll, scan(), None);
         }
         assert!(readers.iter_mut().all(|reader| {
             poll_fn(|cx| reader.poll_next(cx)).now_or_never().flatten().is_some()
@@ -132,7 +118,7 @@ async fn a_condition_is_reported_once_until_it_changes_or_a_scan_comes() {
     let mut count = |schedules: &mut Schedules, error: Option<Error>| {
         match error {
             Some(error) => drop(schedules.fail(poll, &error)),
-            None => drop(schedules.deliver(poll, scan())),
+            None => drop(schedules.deliver(poll, scan(), None)),
         }
         let next = readers.iter_mut().map(|reader| poll_fn(|cx| reader.poll_next(cx)));
         let items = next.filter_map(FutureExt::now_or_never);

@@ -106,7 +106,7 @@ impl Session {
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {
-                    let error = ErrorKind::WrongProtocol { status };
+                    let error = ErrorKind::WrongProtocol { status, model: None };
                     return Err(ExchangeError::Command(error));
                 }
                 Err(error) => error,

@@ -10,6 +10,7 @@
 //! asks for.
 
 mod fence;
+mod scip2;
 mod unique_requests;
 
 use std::io;
@@ -155,7 +156,7 @@ impl Session {
     }
 
     /// Baud rate of the line, unless it has none or a reply has disproved it.
-    fn believed_baud_rate(&self) -> Option<BaudRate> {
+    pub(crate) fn believed_baud_rate(&self) -> Option<BaudRate> {
         self.transport.baud_rate().filter(|_| !self.is_outrun)
     }
 
@@ -295,7 +296,7 @@ fn judge(
 fn failure(command: Command, error: ReplyError) -> ErrorKind {
     match error {
         ReplyError::Malformed(source) => ErrorKind::Malformed { command, source },
-        ReplyError::Scip2 { status } => ErrorKind::WrongProtocol { status },
+        ReplyError::Scip2 { status } => ErrorKind::WrongProtocol { status, model: None },
         ReplyError::Foreign { found } => {
             ErrorKind::Malformed { command, source: MalformedError::Echo { found } }
         }

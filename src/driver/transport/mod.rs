@@ -181,6 +181,16 @@ impl Transport {
         command: &Command,
         latency: Duration,
     ) -> Result<Deadline, ExchangeError> {
+        self.send_after(b"", command, latency).await
+    }
+
+    /// Writes other bytes, and `command` as [`send`](Self::send) does.
+    pub(crate) async fn send_after(
+        &mut self,
+        bytes: &[u8],
+        command: &Command,
+        latency: Duration,
+    ) -> Result<Deadline, ExchangeError> {
         // The calls on the port take none: if its replies are ready at once, the driver would
         // never let other tasks run.
         consume_budget().await;
@@ -188,6 +198,7 @@ impl Transport {
         self.received_before = self.received;
         self.output.clear();
         self.output.put_slice(if self.interrupted { b"\n" } else { b"" });
+        self.output.put_slice(bytes);
         self.codec.write(command, &mut self.output);
         // Stays set if this future is dropped half way.
         self.interrupted = true;

@@ -20,28 +20,51 @@ const MEASURED_LATELY: u32 = 16;
 /// Smallest number of missing bytes worth measuring. For fewer bytes, the wake-ups at both
 /// ends take most of the time.
 const MIN_BYTES: usize = 256;
+/// Number of reply lengths to remember. A program polls a few windows.
+const LENGTHS: usize = 8;
+/// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
+/// window, so that consecutive polls differ.
+const SAME_LENGTH: usize = 8;
 /// Fraction of the shortest transfer time to sleep, indexed by the number of consecutive
 /// overshoots: scans then arrive faster than expected.
 const SHARES: [f64; 4] = [1.0, 0.875, 0.75, 0.5];
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
+/// Number of scans without a pause after which later timers are tried again.
+const TRIED_AGAIN: u32 = 16;
 
 /// Decides when to pause, and for how long.
 #[derive(Debug, Default)]
 pub(super) struct Pauses {
+    /// One for each reply length, the last used first. Replies of different lengths take
+    /// different times per byte, because an adapter holds back the end of each.
+    transfers: Vec<Transfers>,
+    lateness: Lateness,
+    /// Scan that is arriving.
+    current: Option<Current>,
+}
+
+/// Times that replies of one length take.
+#[derive(Debug, Default)]
+struct Transfers {
+    /// Length of the first, including the terminator.
+    length: usize,
     /// Shortest time per byte, in seconds: of the recent scans, and of the scans before them.
     shortest: [Option<f64>; 2],
     /// Number of scans in the first of these.
     measured: u32,
     /// Number of consecutive scans that were complete before their pause ended.
-    unseen: usize,
-    /// Longest delay with which a pause ended, recently and before.
-    latest_end: [Duration; 2],
-    /// Number of scans in the first of these.
-    timed: u32,
-    /// Scan that is arriving.
-    current: Option<Current>,
+    overshoots: usize,
+}
+
+/// How late timers are.
+#[derive(Debug, Default)]
+struct Lateness {
+    /// Of the last five pauses, newest first.
+    latest: [Duration; 5],
+    /// Number of scans since the last pause.
+    unpaused: u32,
 }
 
 /// Partly received scan.
@@ -79,62 +102,49 @@ impl Pauses {
         let now = Instant::now();
         let length = present + missing;
         let first = Current { since: now, missing, length, paused_until: None };
-        let current = *self.current.get_or_insert(first);
-        self.record_end_of_pause(current, now);
+        let current = self.current.get_or_insert(first);
+        self.lateness.end_pause(current.paused_until.take(), now);
         // Counts from the first piece, because the last piece takes no time once it is
         // complete.
-        let end = self.shortest_time(current.missing).map(|shortest| {
-            let share = SHARES.get(self.unseen).copied().unwrap_or(0.0);
-            current.since + shortest.mul_f64(share)
-        });
-        let pause = end.and_then(|end| {
-            let end = end.min(deadline);
-            let [lately, before] = self.latest_end;
-            let margin = TIMER_DELAY + lately.max(before);
-            let left = end.saturating_duration_since(now).checked_sub(margin)?;
-            // Whole milliseconds, so that the timer is not later than expected.
-            let pause = Duration::from_millis(left.as_millis() as u64);
-            (!pause.is_zero()).then(|| now + pause)
-        });
-        if let Some(current) = &mut self.current {
-            current.paused_until = pause;
-        }
-        pause
+        let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
+        let end = current.since + transfers.planned_time(current.missing)?;
+        let margin = TIMER_DELAY + self.lateness.median();
+        let left = end.min(deadline).saturating_duration_since(now).checked_sub(margin)?;
+        // Whole milliseconds, so that the timer is not later than expected.
+        let pause = Duration::from_millis(left.as_millis() as u64);
+        current.paused_until = (!pause.is_zero()).then(|| now + pause);
+        current.paused_until
     }
 
     /// Records when the last byte of a frame was read, and the frame's length on the wire.
     pub(super) fn end_reply(&mut self, received: Instant, wire_len: u64) {
         let Some(current) = self.current.take() else { return };
-        self.record_end_of_pause(current, received);
-        // Counts with and without a pause, so that late timers cannot end all pauses.
-        self.timed += 1;
-        if self.timed >= MEASURED_LATELY {
-            let [lately, before] = &mut self.latest_end;
-            *before = std::mem::take(lately);
-            self.timed = 0;
-        }
+        self.lateness.end_pause(current.paused_until, received);
+        self.lateness.end_scan();
         if wire_len != current.length as u64 {
             return;
         }
+        let known = self.transfers.iter().position(|transfers| transfers.is_for(current.length));
+        let mut transfers = match known {
+            Some(at) => self.transfers.remove(at),
+            None => Transfers { length: current.length, ..Transfers::default() },
+        };
         let time = received.saturating_duration_since(current.since);
-        if current.paused_until.is_none() {
-            self.unseen = 0;
-            self.record_time(time.as_secs_f64() / current.missing as f64);
-        } else if self.shortest_time(current.missing).is_some_and(|shortest| time < shortest) {
-            self.unseen += 1;
-        }
+        transfers.record(time, current.missing, current.paused_until.is_none());
+        self.transfers.truncate(LENGTHS - 1);
+        self.transfers.insert(0, transfers);
+    }
+}
+
+impl Transfers {
+    fn is_for(&self, length: usize) -> bool {
+        self.length.abs_diff(length) <= SAME_LENGTH
     }
 
-    /// Records how late the driver woke from a pause. The next pause ends earlier by the same
-    /// time.
-    fn record_end_of_pause(&mut self, current: Current, now: Instant) {
-        let Some(until) = current.paused_until else { return };
-        let late = now.saturating_duration_since(until).checked_sub(TIMER_DELAY);
-        // A little earlier still: a pause that ends exactly with the scan would hide how late
-        // either was.
-        let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
-        let [lately, _] = &mut self.latest_end;
-        *lately = late.max(*lately);
+    /// Time to sleep of the transfer of `bytes` bytes, or `None` before enough were measured.
+    fn planned_time(&self, bytes: usize) -> Option<Duration> {
+        let share = SHARES.get(self.overshoots).copied().unwrap_or(0.0);
+        Some(self.shortest_time(bytes)?.mul_f64(share))
     }
 
     /// Shortest time for receiving `bytes` bytes.
@@ -147,8 +157,17 @@ impl Pauses {
         Some(Duration::from_secs_f64(shortest * bytes as f64))
     }
 
-    /// Records a measured time per byte.
-    fn record_time(&mut self, time: f64) {
+    /// Records the time in which `bytes` bytes arrived. It is exact only if the driver was awake
+    /// at their end.
+    fn record(&mut self, time: Duration, bytes: usize, is_seen: bool) {
+        if !is_seen {
+            if self.shortest_time(bytes).is_some_and(|shortest| time < shortest) {
+                self.overshoots += 1;
+            }
+            return;
+        }
+        self.overshoots = 0;
+        let time = time.as_secs_f64() / bytes as f64;
         let [lately, before] = &mut self.shortest;
         if self.measured >= MEASURED_LATELY {
             *before = lately.take();
@@ -156,6 +175,37 @@ impl Pauses {
         }
         self.measured += 1;
         *lately = Some(lately.map_or(time, |shortest| shortest.min(time)));
+    }
+}
+
+impl Lateness {
+    /// Records how late the driver woke from a pause, if there was one.
+    fn end_pause(&mut self, until: Option<Instant>, now: Instant) {
+        let Some(until) = until else { return };
+        let late = now.saturating_duration_since(until).checked_sub(TIMER_DELAY);
+        // A little earlier still: a pause that ends exactly with the scan would hide how late
+        // either was.
+        let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
+        let [first, second, third, fourth, _] = self.latest;
+        self.latest = [late, first, second, third, fourth];
+        self.unpaused = 0;
+    }
+
+    /// Counts a scan. Late timers must not end all pauses, which alone show how late they are.
+    fn end_scan(&mut self) {
+        self.unpaused += 1;
+        if self.unpaused > TRIED_AGAIN {
+            self.latest = self.latest.map(|late| late / 2);
+            self.unpaused = 0;
+        }
+    }
+
+    /// Median, so that one late timer changes nothing.
+    fn median(&self) -> Duration {
+        let mut sorted = self.latest;
+        sorted.sort_unstable();
+        let [_, _, median, _, _] = sorted;
+        median
     }
 }
 
@@ -174,12 +224,17 @@ mod tests {
     async fn measured() -> Pauses {
         let mut pauses = Pauses::default();
         for _ in 0..MEASURED_FIRST {
-            pauses.begin_reply();
-            assert_eq!(next(&mut pauses, REST), None);
-            advance(REST_TIME).await;
-            pauses.end_reply(Instant::now(), (PIECE + REST) as u64);
+            receive(&mut pauses, REST).await;
         }
         pauses
+    }
+
+    /// Receives a scan of which `missing` bytes follow the first piece, and measures it.
+    async fn receive(pauses: &mut Pauses, missing: usize) {
+        pauses.begin_reply();
+        assert_eq!(next(pauses, missing), None);
+        advance(REST_TIME).await;
+        pauses.end_reply(Instant::now(), (PIECE + missing) as u64);
     }
 
     /// How long to pause at the first piece of a scan with `missing` bytes to come.
@@ -201,7 +256,10 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn the_last_bytes_of_a_reply_are_awaited_without_a_pause() {
-        let mut pauses = measured().await;
+        let mut pauses = Pauses::default();
+        for _ in 0..MEASURED_FIRST {
+            receive(&mut pauses, MIN_BYTES).await;
+        }
         pauses.begin_reply();
         assert_eq!(next(&mut pauses, MIN_BYTES - 1), None);
         assert!(next(&mut pauses, MIN_BYTES).is_some());
@@ -254,12 +312,24 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn pauses_return_after_timers_were_late_once() {
+    async fn one_late_timer_shortens_no_pause() {
         let mut pauses = measured().await;
+        pauses.begin_reply();
+        let before = next(&mut pauses, REST);
         delay(&mut pauses, 2 * REST_TIME).await;
         pauses.begin_reply();
-        assert_eq!(next(&mut pauses, REST), None, "the timer may be late again");
-        for _ in 0..=2 * MEASURED_LATELY {
+        assert_eq!(next(&mut pauses, REST), before);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn pauses_return_after_timers_were_late() {
+        let mut pauses = measured().await;
+        for _ in 0..3 {
+            delay(&mut pauses, 2 * REST_TIME).await;
+        }
+        pauses.begin_reply();
+        assert_eq!(next(&mut pauses, REST), None, "timers may be late again");
+        for _ in 0..=2 * TRIED_AGAIN {
             delay(&mut pauses, Duration::ZERO).await;
         }
         pauses.begin_reply();

@@ -13,7 +13,7 @@ pub use self::error::ZoneError;
 use self::polygon::Polygon;
 pub use self::state::ZoneState;
 use super::{Ray, Scan, Sector};
-use crate::protocol::{ErrorCode, Measurement, Window, angle};
+use crate::protocol::{Measurement, Window, angle};
 
 /// Tolerance at the edges in metres: points of scans are rounded to `f32`.
 const TOLERANCE: f64 = 1e-6;
@@ -59,7 +59,8 @@ const VIEW: RangeInclusive<i32> = 0..=768;
 /// - an **obstacle** if the measured point is in the zone
 /// - **free** if the measured point is behind the zone
 /// - **unknown** if the measured point is in front of a part of the zone and hides it
-/// - what you chose for the error code, if there is no distance: by default unknown
+/// - unknown if there is no distance, unless you choose something else for codes that an object
+///   [beyond the range](Self::beyond_range) causes
 ///
 /// The zone is clear if no ray is an obstacle, if the scan has all rays that cross the zone, and
 /// if no more than a tolerated number of consecutive rays are unknown. By default none is
@@ -87,10 +88,9 @@ pub struct Zone {
     shape: ZoneShape,
     /// Steps that cross the zone, and those between them.
     window: Window,
-    tolerated: Tolerated,
-    /// What each error code counts as, by its number.
-    codes: [CountsAs; 20],
-    saturated: CountsAs,
+    /// Number of steps that the smallest obstacle covers, at least 1.
+    smallest_obstacle: usize,
+    beyond_range: CountsAs,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -98,14 +98,6 @@ enum ZoneShape {
     /// Directions, and the ranges in metres.
     Sector(Sector, f64, f64),
     Polygon(Polygon),
-}
-
-/// How many consecutive rays may be unknown.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Tolerated {
-    Rays(usize),
-    /// Fewer than an obstacle touches that covers this number of steps, at least 1.
-    FewerThanSteps(usize),
 }
 
 /// What a ray without a distance says about a [`Zone`].
@@ -146,7 +138,7 @@ impl Zone {
     /// let sensor = Pose { x: 0.2, y: 0.0, heading: 0.0 }; // on the vehicle
     /// let path = [(0.25, -0.3), (1.0, -0.3), (1.0, 0.3), (0.25, 0.3)];
     /// let zone = Zone::polygon(path.map(|(x, y)| sensor.inverse().transform(x, y)))?;
-    /// assert!(zone.contains(0.7, 0.0) && !zone.contains(0.9, 0.0));
+    /// assert_eq!(zone.window().to_string(), "steps 155..=613"); // enough to see it
     /// # Ok::<(), tokio_scip::scan::ZoneError>(())
     /// ```
     ///
@@ -161,8 +153,7 @@ impl Zone {
 
     fn new(shape: ZoneShape) -> Result<Self, ZoneError> {
         let window = shape.window()?;
-        let (codes, saturated) = Default::default();
-        Ok(Self { shape, window, tolerated: Tolerated::Rays(0), codes, saturated })
+        Ok(Self { shape, window, smallest_obstacle: 1, beyond_range: CountsAs::Unknown })
     }
 
     /// Smallest window whose scans have all rays that cross the zone.
@@ -170,13 +161,8 @@ impl Zone {
         self.window
     }
 
-    /// Tolerates up to `rays` consecutive unknown rays. Default: 0.
-    pub fn tolerate(self, rays: usize) -> Self {
-        Self { tolerated: Tolerated::Rays(rays), ..self }
-    }
-
     /// Tolerates consecutive unknown rays as long as no obstacle of `width` metres fits behind
-    /// them. `width` is the width as seen from the sensor. Replaces [`tolerate`](Self::tolerate).
+    /// them. `width` is the width as seen from the sensor. By default no unknown ray is tolerated.
     ///
     /// At the zone's farthest point such an obstacle covers the fewest steps: for 0.1 m at 0.6 m
     /// 27 of them, so 26 unknown rays are tolerated, and 6 in clusters of 4.
@@ -196,28 +182,13 @@ impl Zone {
             let least = 2.0 * reach * (step / 2.0).tan();
             return Err(ZoneError::SmallestObstacle { width, least });
         }
-        Ok(Self { tolerated: Tolerated::FewerThanSteps(steps as usize), ..self })
+        Ok(Self { smallest_obstacle: steps as usize, ..self })
     }
 
     /// Sets what the error codes 0, 6 and 16 and the value 4095 count as: an object may be
     /// beyond the sensor's range. Default: [`CountsAs::Unknown`].
-    pub fn beyond_range(mut self, counts_as: CountsAs) -> Self {
-        self.saturated = counts_as;
-        let beyond = ErrorCode::all().filter(|code| code.is_beyond_range());
-        beyond.fold(self, |zone, code| zone.error_code(code, counts_as))
-    }
-
-    /// Sets what one error code counts as. Default: [`CountsAs::Unknown`].
-    pub fn error_code(mut self, code: ErrorCode, counts_as: CountsAs) -> Self {
-        self.codes.get_mut(usize::from(code.number())).into_iter().for_each(|one| *one = counts_as);
-        self
-    }
-
-    /// Returns true if the point with these coordinates in metres is in the zone, or within
-    /// 1 µm of its edge. No zone contains NaN.
-    pub fn contains(&self, x: impl Into<f64>, y: impl Into<f64>) -> bool {
-        let (x, y) = (x.into(), y.into());
-        self.shape.contains(x, y)
+    pub fn beyond_range(self, counts_as: CountsAs) -> Self {
+        Self { beyond_range: counts_as, ..self }
     }
 
     /// Judges whether a scan shows the zone clear, by the rule [above](#rule). Obstacles come
@@ -281,10 +252,8 @@ impl Zone {
                     _ => CountsAs::Unknown,
                 }
             }
-            Measurement::Error(code) => {
-                self.codes.get(usize::from(code.number())).copied().unwrap_or_default()
-            }
-            Measurement::Saturated => self.saturated,
+            Measurement::Error(code) if !code.is_beyond_range() => CountsAs::Unknown,
+            Measurement::Error(_) | Measurement::Saturated => self.beyond_range,
         }
     }
 
@@ -297,13 +266,9 @@ impl Zone {
 
     /// Returns how many consecutive rays of a scan may be unknown.
     fn tolerated(&self, window: Window) -> usize {
-        match self.tolerated {
-            Tolerated::Rays(rays) => rays,
-            // However the steps lie, they touch this number of clusters.
-            Tolerated::FewerThanSteps(steps) => {
-                steps.div_ceil(usize::from(window.cluster_count())).saturating_sub(1)
-            }
-        }
+        // However the steps of an obstacle lie, they touch this number of clusters.
+        let clusters = self.smallest_obstacle.div_ceil(usize::from(window.cluster_count()));
+        clusters.saturating_sub(1)
     }
 }
 
