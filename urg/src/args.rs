@@ -137,16 +137,16 @@ pub(crate) fn frame_id(text: &str) -> Result<String, &'static str> {
     is_name.then(|| text.to_owned()).ok_or("expected a name without blanks and control characters")
 }
 
-/// Parses `10s`, `500ms`, `5m`, `1h`, a sum such as `1h 30m`, or `1:30:00`.
+/// Parses `10s`, `500ms`, `5m`, `1h`, a sum such as `1h 30m`, `1:30:00`, or a number of seconds.
 pub(crate) fn duration(text: &str) -> Result<Duration, &'static str> {
     clock_time(text)
         .filter(|duration| !duration.is_zero())
-        .ok_or("expected a time above 0 with its unit, such as 500ms, 10s, 5m or 1h")
+        .ok_or("expected a time above 0, such as 500ms, 10s, 5m or 1h")
 }
 
-/// Parses `90s`, `1m 30s`, `0s`, `1:30` or `1:02:03`.
+/// Parses `90s`, `1m 30s`, `90`, `1:30` or `1:02:03`.
 pub(crate) fn clock_time(text: &str) -> Option<Duration> {
-    if !text.contains(':') {
+    if text.contains(char::is_alphabetic) {
         return humantime::parse_duration(&text.replace(',', " ")).ok();
     }
     let parts = text.split(':').map(|part| part.parse::<f64>().ok().filter(|n| *n >= 0.0));
@@ -162,6 +162,8 @@ mod tests {
     fn a_duration_is_a_number_and_a_unit() {
         for (text, millis) in [
             ("10s", 10_000),
+            ("10", 10_000),
+            ("0.5", 500),
             ("500ms", 500),
             ("1.5m", 90_000),
             ("5min", 300_000),
@@ -172,7 +174,7 @@ mod tests {
         ] {
             assert_eq!(duration(text), Ok(Duration::from_millis(millis)), "{text}");
         }
-        for text in ["10", "s", "", "-1s", "0s", "nans", "infs", "1e30h", "1:-30"] {
+        for text in ["s", "", "-1", "-1s", "0", "0s", "nans", "infs", "1e30h", "1:-30"] {
             assert!(duration(text).is_err(), "{text}");
         }
     }

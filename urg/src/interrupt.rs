@@ -1,4 +1,5 @@
-//! Clean shutdown on Ctrl-C, SIGTERM, a closed terminal, or Ctrl-Break on Windows.
+//! Clean shutdown on Ctrl-C, the signals that end a program, a closed terminal, or Ctrl-Break on
+//! Windows.
 
 use std::io;
 use std::time::Duration;
@@ -72,7 +73,15 @@ impl Interrupt {
 #[cfg(unix)]
 fn signalled() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
-    let kinds = [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()];
+    let kinds = [
+        SignalKind::interrupt(),
+        SignalKind::terminate(),
+        SignalKind::quit(),
+        SignalKind::alarm(),
+        SignalKind::user_defined1(),
+        SignalKind::user_defined2(),
+        SignalKind::hangup(),
+    ];
     let wanted =
         kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !ignores_hangup());
     let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;

@@ -216,9 +216,10 @@ fn start_log(command: &Command) {
     // `EnvFilter` also matches span fields, but depends on a regular expression engine.
     match wanted.to_string_lossy().parse::<Targets>() {
         Ok(targets) => {
+            let is_coloured = std::env::var_os("NO_COLOR").is_none_or(|set| set.is_empty());
             let lines = tracing_subscriber::fmt::layer()
                 .with_writer(|| stderr::LogWriter)
-                .with_ansi(stderr::accepts_escape_codes());
+                .with_ansi(is_coloured && stderr::accepts_escape_codes());
             tracing_subscriber::registry().with(lines).with(targets).init();
         }
         Err(error) => notice(format_args!("no log: RUST_LOG is invalid: {error}")),

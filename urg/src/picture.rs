@@ -48,8 +48,12 @@ impl PictureArgs {
         if self.ports.is_empty() {
             return Err(missing_port().await);
         }
-        let names = self.ports.iter().filter_map(|port| port.named.name.as_deref());
-        let unique: BTreeSet<_> = names.collect();
+        let names = || self.ports.iter().filter_map(|port| port.named.name.as_deref());
+        let mut unique = BTreeSet::new();
+        if let Some(twice) = names().find(|name| !unique.insert(*name)) {
+            let text = format!("two sensors are named {twice}: give each a name of its own");
+            return Err(Failure::Usage(text));
+        }
         if self.ports.len() > 1 && unique.len() < self.ports.len() {
             let text = "several sensors need a name each, such as \
                         `front=/dev/ttyACM0@0.2,0,0 rear=/dev/ttyACM1@-0.2,0,180`";

@@ -2,6 +2,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
+use std::sync::mpsc::{Receiver, channel};
 
 use super::program::{Emulated, Running, Scratch, run};
 use crate::instant_sensor;
@@ -111,6 +112,12 @@ fn a_stream_that_ignores_hang_up_outlives_its_terminal() {
 
 /// Serves a sensor on TCP that answers every command but polls, and returns its PORT.
 fn sensor_without_scans() -> String {
+    sensor_that_announces_polls().0
+}
+
+/// Does the same, and announces each poll.
+fn sensor_that_announces_polls() -> (String, Receiver<()>) {
+    let (polled, polls) = channel();
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = format!("tcp://{}", listener.local_addr().unwrap());
     std::thread::spawn(move || {
@@ -118,14 +125,26 @@ fn sensor_without_scans() -> String {
         let commands = BufReader::new(stream.try_clone().unwrap()).split(b'\n');
         for command in commands.map_while(Result::ok).filter(|command| !command.is_empty()) {
             let is_poll = command.starts_with(b"G") && command[1..4] != command[4..7];
-            if !is_poll {
+            if is_poll {
+                let _ = polled.send(());
+            } else {
                 let mut reply = Vec::new();
                 instant_sensor::reply(&command, &mut reply);
                 stream.write_all(&reply).unwrap();
             }
         }
     });
-    port
+    (port, polls)
+}
+
+#[test]
+fn an_interrupt_before_a_scan_can_arrive_is_no_failure() {
+    let (port, polls) = sensor_that_announces_polls();
+    let stream = Running::start(&format!("stream {port}"));
+    polls.recv().unwrap();
+    stream.signal("INT");
+    let (status, notices) = stream.end();
+    assert_eq!(status.code(), Some(0), "{notices:?}");
 }
 
 #[test]

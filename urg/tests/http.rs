@@ -15,16 +15,16 @@ pub(crate) struct Client<'a> {
 
 impl Client<'_> {
     /// Sends a request, and reads the head of the response.
-    pub(crate) fn get(&self, path: &str) -> Response {
+    pub(crate) fn get(&self, path: &str) -> HttpResponse {
         self.ask("GET", path, "")
     }
 
     /// Posts nothing but the path, with a header such as `Origin: null\r\n`.
-    pub(crate) fn post(&self, path: &str, header: &str) -> Response {
+    pub(crate) fn post(&self, path: &str, header: &str) -> HttpResponse {
         self.ask("POST", path, header)
     }
 
-    fn ask(&self, method: &str, path: &str, header: &str) -> Response {
+    fn ask(&self, method: &str, path: &str, header: &str) -> HttpResponse {
         let stream = TcpStream::connect(self.address).unwrap();
         stream.set_read_timeout(Some(STEP_LIMIT)).unwrap();
         write!(
@@ -43,7 +43,7 @@ impl Client<'_> {
             .map(|line| line.split_once(": ").unwrap())
             .map(|(name, value)| (name.to_ascii_lowercase(), value.to_owned()))
             .collect();
-        let mut response = Response { status, headers, stream, chunked: false, left: 0 };
+        let mut response = HttpResponse { status, headers, stream, chunked: false, left: 0 };
         response.chunked = response.has("transfer-encoding");
         if !response.chunked && status != 204 {
             response.left = response.header("content-length").parse().unwrap();
@@ -59,7 +59,7 @@ fn crlf(stream: &mut impl BufRead) -> String {
 }
 
 /// A response whose body is not read yet.
-pub(crate) struct Response {
+pub(crate) struct HttpResponse {
     pub(crate) status: u16,
     headers: Vec<(String, String)>,
     stream: BufReader<TcpStream>,
@@ -68,7 +68,7 @@ pub(crate) struct Response {
     left: usize,
 }
 
-impl Response {
+impl HttpResponse {
     pub(crate) fn has(&self, name: &str) -> bool {
         self.headers.iter().any(|(header, _)| header == name)
     }

@@ -12,7 +12,7 @@ use super::recorded::recording;
 use super::web::Served;
 
 /// The lines of the page's scans.
-struct Lines(super::http::Response);
+struct Lines(super::http::HttpResponse);
 
 impl Lines {
     fn next(&mut self) -> Value {
@@ -182,9 +182,11 @@ async fn a_clock_that_was_set_changes_neither_the_length_of_a_recording_nor_its_
     let file = Scratch::mcap("clock");
     recording(file.path(), Window::DETECTION, 100).await;
     with_times(file.path(), |messages| {
-        let (half, most) = (messages.len() / 2, messages.len() * 4 / 5);
-        for (number, message) in messages.iter_mut().enumerate().skip(half) {
-            let hours = if number < most { 72 } else { 1 };
+        // Between two polls, so that a reply and its scan have the same stamp.
+        let at = |place: usize| messages[place].log_time + 50_000_000;
+        let (half, most) = (at(messages.len() / 2), at(messages.len() * 4 / 5));
+        for message in messages.iter_mut().filter(|message| message.log_time > half) {
+            let hours = if message.log_time < most { 72 } else { 1 };
             message.publish_time += hours * 3600 * 1_000_000_000;
         }
     });

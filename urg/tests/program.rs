@@ -84,15 +84,15 @@ pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
 }
 
 /// The output of a program that ended with the expected exit code.
-pub(crate) struct Output {
+pub(crate) struct ProgramOutput {
     pub(crate) stdout: String,
     pub(crate) stderr: String,
 }
 
 /// Runs the program to its end.
-pub(crate) fn run(arguments: &str, exit_code: i32) -> Output {
+pub(crate) fn run(arguments: &str, exit_code: i32) -> ProgramOutput {
     let output = urg(arguments).assert().code(exit_code).get_output().clone();
-    Output {
+    ProgramOutput {
         stdout: String::from_utf8(output.stdout).unwrap(),
         stderr: String::from_utf8(output.stderr).unwrap(),
     }

@@ -168,3 +168,32 @@ fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
     assert!(recording.by_ref().filter(Result::is_ok).count() > 5);
     assert!(recording.is_truncated());
 }
+
+/// In one file or in several, joined in any order.
+#[test]
+fn every_command_counts_the_same_scans() {
+    let folder = Scratch::new("counts");
+    fs::create_dir(folder.path()).unwrap();
+    let path = |name: &str| format!("{}/{name}.mcap", folder.path());
+    let record = format!("record emulated {} --rate max --duration 1500ms", path("run"));
+    let stderr = run(&format!("{record} --split 20kB"), 0).stderr;
+    let told = stderr.split(": ").last().unwrap();
+    let (scans, rest) = told.split_once(" scans in ").unwrap();
+    let (length, _) = rest.split_once(',').unwrap();
+
+    let (first, others) = (path("run"), path("run_*"));
+    let joined = path("joined");
+    let script = format!("{} cut {others} {first} {joined}", env!("CARGO_BIN_EXE_urg"));
+    let output = Command::new("sh").args(["-c", &script]).output().unwrap();
+    let stderr = String::from_utf8(output.stderr).unwrap();
+    assert!(stderr.ends_with(&format!(": {scans} scans\n")), "{stderr}");
+    let info = run(&format!("info {joined}"), 0).stdout;
+    assert!(info.contains(&format!("scans          {scans} of ")), "{scans}: {info}");
+    assert!(info.contains(&format!(" UTC, for {length}\n")), "{length}: {info}");
+
+    let bytes = fs::read(&joined).unwrap();
+    fs::write(&joined, &bytes[..bytes.len() - 10]).unwrap();
+    let stderr = run(&format!("repair {joined}"), 0).stderr;
+    assert!(stderr.contains(&format!(": {scans} scans, complete")), "{stderr}");
+    fs::remove_dir_all(folder.path()).unwrap();
+}

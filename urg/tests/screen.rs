@@ -168,9 +168,24 @@ async fn the_terminal_is_restored_on_ctrl_c_and_on_a_signal() {
     terminal.user.write_all(b"\x03").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 
-    let mut terminal = Terminal::start("view emulated --baud 19200").await;
-    terminal.until(&["URG-04LX"]).await;
-    send(terminal.urg.id().unwrap(), "TERM");
+    for signal in ["TERM", "QUIT", "USR1", "USR2", "ALRM"] {
+        let mut terminal = Terminal::start("view emulated --baud 19200").await;
+        terminal.until(&["URG-04LX"]).await;
+        send(terminal.urg.id().unwrap(), signal);
+        assert_eq!(terminal.end().await, Some(0), "{signal}");
+    }
+}
+
+#[tokio::test]
+async fn pasted_text_is_no_keys() {
+    let mut terminal = Terminal::start("view emulated").await;
+    terminal.until_each(&["URG-04LX", "quit"]).await;
+    let pasted = ["\x1b[200~", &"q?".repeat(1500), "\x1b[201~"].concat();
+    terminal.user.write_all(pasted.as_bytes()).await.unwrap();
+    terminal.user.write_all(b"?").await.unwrap();
+    // An even number of `?` would have closed the help again, and `q` the program.
+    terminal.until(&["widen"]).await;
+    terminal.user.write_all(b"\x03").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 }
 

@@ -71,6 +71,12 @@ fn a_sensor_that_is_not_there_at_the_start_is_reported_and_the_others_are_shown(
 }
 
 #[test]
+fn a_name_that_stands_twice_is_named() {
+    let line = run("serve left=emulated left=emulated", 2).stderr;
+    assert!(line.contains("two sensors are named left"), "{line}");
+}
+
+#[test]
 fn several_sensors_need_a_name_each_and_a_place_is_three_numbers() {
     for arguments in
         ["emulated emulated", "front=emulated emulated", "a=emulated a=emulated", "1=emulated", ""]

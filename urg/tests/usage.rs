@@ -29,7 +29,6 @@ fn an_invalid_command_line_exits_with_2() {
         "stream tcp://bridge",
         "stream emulated --rate 0",
         "stream emulated --count 0",
-        "stream emulated --duration 10",
         "stream emulated --duration 0s",
         "stream emulated --baud 9600",
         "stream emulated --format svg",
@@ -150,10 +149,10 @@ fn a_misspelt_or_misplaced_word_gets_a_hint() {
         ("scan emulated --window half", "such as 44..725"),
         ("stream emulated --rate -1", "expected more than 0 and at most 1000 Hz"),
         ("emulate --faults noise=1:99999999999999", "up to 65536"),
-        ("stream emulated --duration -5s", "expected a time above 0 with its unit"),
-        ("stream emulated --timeout -5s", "expected a time above 0 with its unit"),
-        ("check emulated --duration -5s", "expected a time above 0 with its unit"),
-        ("record emulated never.mcap --sync -1s", "expected a time above 0 with its unit"),
+        ("stream emulated --duration -5s", "expected a time above 0"),
+        ("stream emulated --timeout -5s", "expected a time above 0"),
+        ("check emulated --duration -5s", "expected a time above 0"),
+        ("record emulated never.mcap --sync -1s", "expected a time above 0"),
     ] {
         let stderr = run(arguments, 2).stderr;
         assert!(stderr.contains(hint), "{arguments}: {stderr}");
@@ -212,4 +211,25 @@ fn bytes_that_are_no_reply_are_counted() {
         let text = output.stdout + &output.stderr;
         assert!(text.contains("bytes that are not a reply of SCIP 1.1"), "{text}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_recording_has_nothing_to_switch() {
+    let file = Scratch::mcap("switched");
+    super::recorded::recording(file.path(), tokio_scip::Window::DETECTION, 3).await;
+    for command in ["laser PORT off", "baud PORT 19200"] {
+        let stderr = run(&command.replace("PORT", file.path()), 2).stderr;
+        assert!(stderr.contains("is a recording, and no sensor"), "{stderr}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn an_emulator_replaces_only_its_own_link() {
+    let link = Scratch::new("foreign-link");
+    std::os::unix::fs::symlink("/etc/hostname", link.path()).unwrap();
+    let stderr = failure(&format!("emulate --link {}", link.path()));
+    assert!(stderr.contains("it is a link to /etc/hostname"), "{stderr}");
+    assert!(std::fs::read_link(link.path()).is_ok());
+    std::fs::remove_file(link.path()).unwrap();
 }

@@ -1,13 +1,14 @@
 //! `urg serve` over real sockets: its pages, streams and limits.
 
 use std::collections::HashMap;
+use std::process::Command;
 use std::time::Instant;
 
 use serde_json::Value;
 use urg_emulator::{Emulator, Fault, Faults};
 
 use super::formats::{check, event, values};
-use super::http::{Client, Response};
+use super::http::{Client, HttpResponse};
 use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure};
 
 /// A running `urg serve`, and its address.
@@ -33,7 +34,7 @@ impl Served {
         Client { address: &self.address, host: &self.address, accept: "*/*" }
     }
 
-    pub(super) fn get(&self, path: &str) -> Response {
+    pub(super) fn get(&self, path: &str) -> HttpResponse {
         self.client().get(path)
     }
 
@@ -276,7 +277,7 @@ fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
 #[test]
 fn a_request_for_another_host_is_refused() {
     let served = Served::start("emulated");
-    for host in ["evil.example", "evil.example:80", "192.168.1.1:80", "0.0.0.0", "[::2]:80"] {
+    for host in ["evil.example", "evil.example:80", "robot.local"] {
         for path in ["/", "/scans", "/state", "/health"] {
             let response = Client { host, ..served.client() }.get(path);
             assert_eq!(response.status, 421, "{host} {path}");
@@ -286,7 +287,10 @@ fn a_request_for_another_host_is_refused() {
     for host in near {
         assert_eq!(Client { host, ..served.client() }.get("/state").status, 421, "{host}");
     }
-    for host in ["localhost", "LOCALHOST:9", "127.0.0.1:80", "127.1.2.3", "[::1]:80", "[::1]"] {
+    let address = ["LOCALHOST:9", "localhost.", "127.0.0.1:80", "192.168.1.1", "[::1]:80", "[::2]"];
+    let uname = Command::new("uname").arg("-n").output().unwrap();
+    let name = String::from_utf8(uname.stdout).unwrap().trim().to_owned();
+    for host in address.into_iter().chain([name.as_str(), &format!("{name}.local:80")]) {
         assert_eq!(Client { host, ..served.client() }.get("/state").status, 200, "{host}");
     }
 }
@@ -341,14 +345,30 @@ fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
 }
 
 #[test]
-fn a_page_for_the_network_warns_that_it_is_open_and_accepts_any_host_name() {
-    let mut running = Running::start("serve emulated --listen 0.0.0.0:0");
+fn a_page_for_the_network_warns_and_accepts_the_names_given() {
+    let mut running = Running::start("serve emulated --listen 0.0.0.0:0 --host robot.example");
     let notice = running.notice();
     let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
     let address = format!("127.0.0.1:{}", port.split('/').next().unwrap());
     assert!(running.notice().contains("there is no password"));
-    let client = Client { address: &address, host: "robot.local", accept: "*/*" };
-    assert_eq!(client.get("/state").status, 200);
+    for (host, status) in [("Robot.example:80", 200), ("evil.example", 421)] {
+        let client = Client { address: &address, host, accept: "*/*" };
+        assert_eq!(client.get("/state").status, status, "{host}");
+    }
+}
+
+#[test]
+fn streams_of_scans_leave_places_to_short_requests() {
+    let served = Served::start("emulated");
+    let mut streams: Vec<_> = (0..448).map(|_| served.get("/scans")).collect();
+    assert!(streams.iter().all(|stream| stream.status == 200));
+    let refused = served.get("/scans");
+    assert_eq!(refused.status, 503);
+    assert_eq!(refused.text(), "448 clients read scans already: try again later\n");
+    served.health(200);
+    drop(streams.pop());
+    // The server notices at the next scan.
+    while served.get("/scans?max=1").status == 503 {}
 }
 
 #[test]

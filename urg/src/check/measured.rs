@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, State, Stats, Window};
+use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
 use crate::format::listed;
@@ -49,13 +49,11 @@ impl Measured {
     pub(super) async fn over(
         sensor: &Sensor,
         window: Window,
-        recorded: Option<Rate>,
         duration: Duration,
     ) -> Result<Self, Error> {
         let version = sensor.version().await?;
         let rpm = version.specification.and_then(|specification| specification.motor_speed);
-        let period = recorded.and_then(Rate::period).map(|period| period.as_secs_f64());
-        let asked = period.map_or_else(|| f64::from(rpm.unwrap_or(600)) / 60.0, f64::recip);
+        let asked = f64::from(rpm.unwrap_or(600)) / 60.0;
         let before = sensor.stats();
         let rate = Rate::hz(asked);
         let mut stream = sensor.scans(window, rate).await?;
@@ -71,11 +69,7 @@ impl Measured {
         drop(stream);
         // This request waits for the poll in flight, so that `after` counts its outcome.
         let _ = sensor.laser_on().await;
-        let mut after = sensor.stats();
-        if recorded.is_some() && matches!(sensor.watch_state().get(), State::Closed { .. }) {
-            // A replay ends with a poll that has no recorded reply.
-            after.polls = after.polls.saturating_sub(1);
-        }
+        let after = sensor.stats();
         let outrun = link_rate.filter(|_| after.baud_rate_outrun);
         let baud_rate = link_rate.filter(|_| !after.baud_rate_outrun);
         Ok(Self { window, baud_rate, rate, asked, scans, outrun, before, after })
@@ -196,7 +190,7 @@ impl Measured {
         const NAME: &str = "motor";
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
-            let text = "unknown: scans have the times of their arrivals";
+            let text = "not known yet: `--duration 1m` measures it";
             return Finding::ok(NAME, text);
         };
         let mut text = match motor.revolution {

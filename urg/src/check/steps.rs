@@ -2,16 +2,17 @@
 
 use std::time::Duration;
 
-use tokio_scip::{Rate, Sensor, Window};
+use tokio_scip::protocol::Text;
+use tokio_scip::{Sensor, Version, Window};
 
-use super::finding::Finding;
+use super::finding::{Finding, Verdict};
 use super::measured::Measured;
 use crate::failure::chain;
+use crate::recording::contents::{Contents, Row};
 
-/// Describes the link that was found `after` this time. Set `is_recording` for a replay.
-pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Finding {
+/// Describes the link that was found `after` this time.
+pub(crate) fn link(sensor: &Sensor, after: Duration) -> Finding {
     let place = match sensor.watch_state().get().baud_rate() {
-        _ if is_recording => "in a recording".to_owned(),
         Some(rate) => format!("at {rate} baud"),
         None => "on USB".to_owned(),
     };
@@ -19,15 +20,18 @@ pub(crate) fn link(sensor: &Sensor, is_recording: bool, after: Duration) -> Find
 }
 
 pub(crate) async fn version(sensor: &Sensor) -> Finding {
+    match sensor.version().await {
+        Ok(version) => identity(&version),
+        Err(error) => Finding::failed("version", chain(&error)),
+    }
+}
+
+pub(crate) fn identity(version: &Version) -> Finding {
     const NAME: &str = "version";
-    let version = match sensor.version().await {
-        Ok(version) => version,
-        Err(error) => return Finding::failed(NAME, chain(&error)),
-    };
     let who = format!("{} {}, {}", version.product, version.serial_number, version.firmware);
     let status = version.status.as_ref().map(ToString::to_string);
     match status {
-        _ if version.product.is_empty() || version.serial_number.is_empty() => {
+        _ if [&version.product, &version.serial_number].contains(&&Text::default()) => {
             Finding::weak(NAME, format!("product or serial number missing: {who}"))
         }
         Some(status) if !status.contains("Normal") => {
@@ -49,14 +53,27 @@ pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     Finding::ok(NAME, "goes off and on")
 }
 
-/// Streams the window for `duration`, at the rate of the motor or at the recorded rate.
-pub(crate) async fn scans(
-    sensor: &Sensor,
-    window: Window,
-    recorded: Option<Rate>,
-    duration: Duration,
-) -> Vec<Finding> {
-    match Measured::over(sensor, window, recorded, duration).await {
+/// Judges the contents of a recording.
+pub(crate) fn recording(contents: Contents) -> Vec<Finding> {
+    let finding = |(name, value, text): Row| {
+        let is_empty = value.as_array().is_none_or(Vec::is_empty);
+        let verdict = match name {
+            "scans" if value == 0 => Verdict::Failed,
+            "complete" if value != true => Verdict::Failed,
+            "gaps" | "clock" if !is_empty => Verdict::Weak,
+            _ => Verdict::Ok,
+        };
+        Finding::new(name, verdict, text)
+    };
+    [identity(&contents.version)]
+        .into_iter()
+        .chain(contents.rows.into_iter().map(finding))
+        .collect()
+}
+
+/// Streams the window for `duration`, at the rate of the motor.
+pub(crate) async fn scans(sensor: &Sensor, window: Window, duration: Duration) -> Vec<Finding> {
+    match Measured::over(sensor, window, duration).await {
         Ok(measured) => measured.steps(),
         Err(error) => vec![Finding::failed("polls", chain(&error))],
     }
@@ -67,7 +84,6 @@ mod tests {
     use tokio_scip::BaudRate;
     use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Values, WorldTime};
 
-    use super::super::finding::Verdict;
     use super::*;
 
     /// Runs all steps. Collects the steps that are not ok, and the text of all steps.
@@ -75,12 +91,20 @@ mod tests {
         builder: EmulatorBuilder,
         faults: Faults,
     ) -> (Vec<(&'static str, Verdict)>, String) {
+        test_for(builder, faults, Duration::from_secs(10)).await
+    }
+
+    async fn test_for(
+        builder: EmulatorBuilder,
+        faults: Faults,
+        duration: Duration,
+    ) -> (Vec<(&'static str, Verdict)>, String) {
         let emulator = builder.build();
         let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         emulator.set_faults(faults);
-        let mut steps = vec![link(&sensor, false, Duration::ZERO), version(&sensor).await];
+        let mut steps = vec![link(&sensor, Duration::ZERO), version(&sensor).await];
         steps.push(laser(&sensor).await);
-        steps.extend(scans(&sensor, Window::DETECTION, None, Duration::from_secs(10)).await);
+        steps.extend(scans(&sensor, Window::DETECTION, duration).await);
         let text = steps.iter().map(|step| format!("{step}\n")).collect();
         let bad = steps.into_iter().filter(|step| step.verdict != Verdict::Ok);
         (bad.map(|step| (step.name, step.verdict)).collect(), text)
@@ -108,11 +132,12 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn the_speed_of_the_motor_is_measured_and_late_scans_are_weak() {
         let turning = || Emulator::builder().revolution(Duration::from_micros(99_760));
-        let (bad, text) = test(turning(), Faults::none()).await;
+        let minute = Duration::from_secs(60);
+        let (bad, text) = test_for(turning(), Faults::none(), minute).await;
         assert_eq!(bad, [], "{text}");
         assert!(text.contains("motor    601.4"), "{text}");
-        let late = Faults::none().late(0.4, Duration::from_millis(30)).seed(1);
-        let (bad, text) = test(turning(), late).await;
+        let late = Faults::none().late(0.2, Duration::from_millis(80)).seed(1);
+        let (bad, text) = test_for(turning(), late, minute).await;
         assert!(bad.contains(&("motor", Verdict::Weak)), "{text}");
         assert!(text.contains("this computer is busy"), "{text}");
     }

@@ -29,6 +29,7 @@ pub(crate) struct Baud {
 impl Baud {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
+        port.require_sensor()?;
         let link = LinkArgs { wait: self.wait, ..LinkArgs::default() };
         let sensor = open(&port, &link, Delivery::Newest).await?;
         let moved = sensor.set_baud_rate(self.baud_rate).await;

@@ -4,7 +4,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use urg_recording::{CutOutcome, cut};
+use urg_recording::{Copied, cut};
 
 use crate::failure::Failure;
 use crate::format::counted;
@@ -15,20 +15,21 @@ use crate::recording::span::RangeArgs;
 
 /// Copy a part of a recording, or join the files of a split recording
 ///
-/// Messages keep their bytes, times and numbers. You lose only damaged parts, about
-/// one second each. The input files are not changed.
+/// Messages of all topics keep their bytes and times, and are in the order of their
+/// times. You lose only damaged parts, about one second each. The input files are not
+/// changed.
 #[derive(Debug, clap::Args)]
 #[command(
     override_usage = "urg cut [OPTIONS] <FILE>... <OUT>",
     after_help = "\
 Examples:
   urg cut run.mcap part.mcap --range 1:30..2:00
-  urg cut run.mcap run_0002.mcap run_0003.mcap whole.mcap
+  urg cut run*.mcap whole.mcap
   urg cut run.mcap - --range 90s.. | ssh host 'cat > part.mcap'"
 )]
 pub(crate) struct Cut {
-    /// Recordings to read, in order, then the file to create, which must not exist yet; `-`
-    /// means standard input or output
+    /// Recordings to read, in any order, then the file to create, which must not exist yet;
+    /// `-` means standard input or output
     #[arg(value_name = "FILE", required = true, num_args = 2..)]
     files: Vec<PathBuf>,
     #[command(flatten)]
@@ -42,9 +43,9 @@ impl Cut {
         let name = out.display().to_string();
         let bounds = range.bounds();
         let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, output);
-        let is_kept = |outcome: &CutOutcome| outcome.messages > 0;
-        let outcome = rewrite(files, &out, interrupt, copy, is_kept).await?;
-        let CutOutcome { messages, scans, damaged_parts, was_truncated, .. } = outcome;
+        let is_kept = |copied: &Copied| copied.messages > 0;
+        let copied = rewrite(files, &out, interrupt, copy, is_kept).await?;
+        let Copied { messages, scans, damaged_parts, was_truncated, .. } = copied;
         if messages == 0 && !is_dash(&out) {
             return Err(Failure::Failed(format!("{name}: nothing in this part")));
         }

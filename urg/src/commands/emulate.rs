@@ -139,6 +139,7 @@ impl Emulate {
             None => Failure::new("cannot serve on a pseudo-terminal", &error),
         };
         // Held until the server stops.
+        self.link.as_deref().map_or(Ok(()), check_link)?;
         let _claim = self.link.as_deref().map(LinkClaim::take).transpose()?;
         let pty = Pty::open(emulator, self.link.as_deref()).map_err(failed)?;
         self.announce(&pty.path().display().to_string());
@@ -158,6 +159,21 @@ impl Emulate {
         };
         notice(format_args!("emulated sensor {} {line}, on {port}", self.serial_number));
         notice(format_args!("try `urg info {port}`; Ctrl-C stops the sensor"));
+    }
+}
+
+/// Fails if there is a link at `path` that no emulator has left: it leads to no pseudo-terminal.
+#[cfg(unix)]
+fn check_link(path: &std::path::Path) -> Result<(), Failure> {
+    let terminals = if cfg!(target_os = "linux") { "/dev/pts/" } else { "/dev/ttys" };
+    let target = path.read_link().map(|target| target.display().to_string());
+    match target {
+        Ok(target) if !target.starts_with(terminals) => Err(Failure::Failed(format!(
+            "cannot serve on {}: it is a link to {target}, not of an emulator; remove it, or use \
+             another --link",
+            path.display()
+        ))),
+        _ => Ok(()),
     }
 }
 

@@ -15,6 +15,7 @@ use crate::output::stdout::print;
 use crate::port::name::{PortArg, PortName};
 use crate::port::open::{open, proven_baud_rate};
 use crate::recording::contents::Contents;
+use crate::recording::span::TopicArgs;
 
 /// Show the identity and settings of a sensor
 ///
@@ -32,6 +33,8 @@ pub(crate) struct Info {
     #[arg(long, value_enum, default_value_t = InfoFormat::Text)]
     format: InfoFormat,
     #[command(flatten)]
+    topic: TopicArgs,
+    #[command(flatten)]
     link: LinkArgs,
 }
 
@@ -43,7 +46,8 @@ enum InfoFormat {
 
 impl Info {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        let port = self.port.required().await?;
+        let mut port = self.port.required().await?;
+        port.choose_topic(&self.topic)?;
         let (version, baud_rate, rows) = match port.recorded() {
             Some(recorded) => {
                 let Contents { version, baud_rate, rows } = recorded.contents().await?;

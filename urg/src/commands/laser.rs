@@ -46,6 +46,7 @@ impl FromStr for Switch {
 impl Laser {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let port = self.port.required().await?;
+        port.require_sensor()?;
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let (switched, state) = match self.switch {
             Switch::On => (sensor.laser_on().await, "on"),

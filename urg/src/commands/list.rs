@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use clap::ValueEnum;
-use serde::Serialize;
 use tokio_scip::port::{self, PortInfo};
 
 use crate::failure::{Failure, chain};
@@ -34,21 +33,10 @@ enum ListFormat {
     Json,
 }
 
-/// Port in the JSON output.
-#[derive(Debug, Serialize)]
-struct ListedPort<'a> {
-    #[serde(flatten)]
-    port: &'a PortInfo,
-    likely_sensor: bool,
-}
-
 impl List {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let ports = port::list().await.map_err(|error| Failure::Failed(chain(&error)))?;
         if matches!(self.format, ListFormat::Json) {
-            let listed =
-                |port| ListedPort { port, likely_sensor: PortInfo::is_likely_sensor(port) };
-            let ports: Vec<_> = ports.iter().map(listed).collect();
             return print(&json_line(&ports)?).await;
         }
         if ports.is_empty() {
@@ -68,7 +56,7 @@ fn text(ports: &[PortInfo]) -> String {
         for part in [&port.manufacturer, &port.product].into_iter().flatten() {
             let _ = write!(line, "  {part}");
         }
-        if port.is_likely_sensor() {
+        if port.likely_sensor {
             line.push_str("  (likely a sensor)");
         }
         let _ = writeln!(text, "{}", line.trim_end());

@@ -3,13 +3,13 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use urg_recording::{Repaired, repair};
+use urg_recording::{Copied, cut};
 
 use crate::failure::Failure;
 use crate::format::counted;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
-use crate::recording::rewrite::{Input, is_dash, rewrite};
+use crate::recording::rewrite::{is_dash, rewrite};
 
 /// Restore a recording that is truncated or damaged
 ///
@@ -40,25 +40,22 @@ impl Repair {
             return Err(Failure::Usage(text.to_owned()));
         }
         let out = out.unwrap_or_else(|| file.with_extension("repaired.mcap"));
-        let copy = |mut inputs: Vec<Input>, output: &mut dyn Write| match inputs.pop() {
-            Some(input) => repair(input, output),
-            None => Ok(Repaired::default()),
+        let copy = |inputs, output: &mut dyn Write| cut(inputs, .., output);
+        let is_kept = |copied: &Copied| {
+            copied.messages > 0 && (copied.was_truncated || copied.damaged_parts > 0)
         };
-        let is_kept = |repaired: &Repaired| {
-            repaired.messages > 0 && (repaired.was_truncated || repaired.damaged_parts > 0)
-        };
-        let repaired = rewrite(vec![file.clone()], &out, interrupt, copy, is_kept).await?;
+        let copied = rewrite(vec![file.clone()], &out, interrupt, copy, is_kept).await?;
         let (file, out) = (file.display(), out.display());
-        match repaired {
-            Repaired { was_truncated: false, damaged_parts: 0, .. } => {
+        match copied {
+            Copied { was_truncated: false, damaged_parts: 0, .. } => {
                 notice(format_args!("{file} is complete: nothing to repair, {out} not written"));
             }
-            Repaired { messages: 0, .. } => {
+            Copied { messages: 0, .. } => {
                 return Err(Failure::Failed(format!(
                     "{file}: no message in it can be read: nothing to repair, {out} not written"
                 )));
             }
-            Repaired { scans, was_truncated, damaged_parts, damaged_at, .. } => {
+            Copied { scans, was_truncated, damaged_parts, damaged_at, .. } => {
                 let mut found = Vec::new();
                 if was_truncated {
                     found.push("its end was missing or damaged".to_owned());

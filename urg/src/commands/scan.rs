@@ -11,6 +11,7 @@ use crate::format::{json_line, svg, table};
 use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
+use crate::recording::span::TopicArgs;
 
 /// Take one scan
 ///
@@ -25,6 +26,8 @@ pub(crate) struct ScanOnce {
     format: ScanFormat,
     #[command(flatten)]
     window: WindowArgs,
+    #[command(flatten)]
+    topic: TopicArgs,
     #[command(flatten)]
     link: LinkArgs,
 }
@@ -52,7 +55,8 @@ enum ScanFormat {
 
 impl ScanOnce {
     pub(crate) async fn run(self) -> Result<(), Failure> {
-        let port = self.port.required().await?;
+        let mut port = self.port.required().await?;
+        port.choose_topic(&self.topic)?;
         let window = self.window.window(port.default_window())?;
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
         let at_port = |error| Failure::at(&port, &error);

@@ -13,7 +13,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::picture::PictureArgs;
-use crate::web::{self, Site, SiteSource};
+use crate::web::{self, Hosts, Site, SiteSource};
 
 /// Send buffer of the system for each client, about ten scans. A slow client lags by at most
 /// these scans.
@@ -36,11 +36,15 @@ pub(crate) struct Serve {
     /// Address to listen on: a port number for this machine only, or ADDRESS:PORT
     ///
     /// With `0.0.0.0:8080` or `[::]:8080`, anyone on your network can read the scans and
-    /// control the playback of a recording: there is no password. On a loopback address,
-    /// the server refuses requests whose Host header names another host, so that no other
-    /// web site can read the scans through your browser (DNS rebinding).
+    /// control the playback of a recording: there is no password.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080", value_parser = listen_address)]
     listen: String,
+    /// Another name of this machine, besides its host name and its addresses. Repeat for more
+    ///
+    /// The server refuses requests for unknown hosts, so that no other web site can read the
+    /// scans through your browser (DNS rebinding).
+    #[arg(long = "host", value_name = "NAME")]
+    hosts: Vec<String>,
 }
 
 const HELP: &str = "\
@@ -78,7 +82,7 @@ impl Serve {
         let (opening, mut opened) = mpsc::channel(1);
         let (mut sources, mut runs) = (Vec::new(), JoinSet::new());
         for source in picture {
-            let source = interrupt.unless(SiteSource::new(source, *playback)).await?;
+            let source = interrupt.unless(SiteSource::new(source, playback.clone())).await?;
             sources.push(Arc::clone(&source));
             let (link, opening) = (link.clone(), opening.clone());
             runs.spawn(async move { source.run(&link, opening).await });
@@ -95,13 +99,14 @@ impl Serve {
             }
         }
         notice(format_args!("live page on http://{bound}/, Ctrl-C ends it"));
-        let is_loopback = bound.ip().to_canonical().is_loopback();
-        if !is_loopback {
+        if !bound.ip().to_canonical().is_loopback() {
             notice("there is no password: everyone who can reach this address can watch");
         }
+        let listen_host = self.listen.rsplit_once(':').map(|(host, _)| host.to_owned());
+        let hosts = Hosts::new(self.hosts.into_iter().chain(listen_host));
         tokio::select! {
             outcome = last(&mut runs) => outcome,
-            () = web::serve(listener, Site::new(sources, is_loopback, interrupt)) => Ok(()),
+            () = web::serve(listener, Site::new(sources, hosts, interrupt)) => Ok(()),
         }
     }
 }

@@ -53,7 +53,7 @@ pub(crate) fn accepts_escape_codes() -> bool {
     #[cfg(windows)]
     let is_interpreted = crossterm::ansi_support::supports_ansi;
     #[cfg(not(windows))]
-    let is_interpreted = || true;
+    let is_interpreted = || std::env::var_os("TERM").is_none_or(|term| term != "dumb");
     io::stderr().is_terminal() && is_interpreted()
 }
 

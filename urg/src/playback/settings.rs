@@ -6,17 +6,19 @@ use clap::Args;
 
 use crate::failure::Failure;
 use crate::port::name::PortName;
-use crate::recording::span::RangeArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Allowed speeds, as multiples of the recorded speed.
 pub(crate) const SPEEDS: RangeInclusive<f64> = 0.1..=100.0;
 
 /// The playback of a recording, for people who look.
-#[derive(Debug, Clone, Copy, Args)]
+#[derive(Debug, Clone, Args)]
 #[command(next_help_heading = "Recording")]
 pub(crate) struct PlaybackArgs {
     #[command(flatten)]
     pub(crate) range: RangeArgs,
+    #[command(flatten)]
+    pub(crate) topic: TopicArgs,
     /// Speed of a recording's playback, 0.1 to 100 [default: 1]
     #[arg(long, value_name = "FACTOR", value_parser = speed)]
     pub(crate) speed: Option<f64>,
@@ -42,13 +44,17 @@ impl PlaybackArgs {
                     recorded.require_file()?;
                     recordings += 1;
                     port.restrict(self.range.range)?;
+                    port.choose_topic(&self.topic)?;
                 }
                 None => sensors += 1,
             }
         }
-        let is_used = self.range.range.is_some() || self.speed.is_some() || self.is_looping;
+        let is_used = self.range.range.is_some()
+            || self.topic.topic.is_some()
+            || self.speed.is_some()
+            || self.is_looping;
         if is_used && recordings == 0 {
-            let text = "--range, --speed and --loop are for a recording, FILE.mcap: a sensor's \
+            let text = "--range, --topic, --speed and --loop are for a recording, FILE.mcap: a sensor's \
                         scans come when it measures";
             return Err(Failure::Usage(text.to_owned()));
         }

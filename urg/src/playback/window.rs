@@ -19,14 +19,7 @@ pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
     let seen = steps.get(first..first + window.steps()).unwrap_or_default();
     let clusters = seen.chunks(window.cluster_count().into());
     let values: Vec<u16> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
-    let built = Scan::builder(window, values)
-        .sequence(scan.sequence())
-        .received_at(scan.received_at())
-        .stamp(scan.stamp())
-        .lateness(scan.lateness())
-        .repeat(scan.is_repeat())
-        .scan_time(scan.scan_time())
-        .build();
+    let built = Scan::builder(window, values).like(scan).build();
     // There is one value per point of the window, so building the scan succeeds.
     built.unwrap_or_else(|_| scan.clone())
 }

@@ -22,10 +22,9 @@ impl MissingKind {
     pub(crate) fn from_measurement(measurement: Measurement) -> Option<Self> {
         match measurement {
             Measurement::Distance(_) => None,
-            Measurement::Saturated => Some(Self::Far),
-            Measurement::Error(code) if code.is_beyond_range() => Some(Self::Far),
-            Measurement::Error(code) if matches!(code.number(), 1..=5) => Some(Self::Weak),
-            Measurement::Error(_) => Some(Self::Nothing),
+            _ if measurement.range().is_infinite() => Some(Self::Far),
+            Measurement::Error(code) if matches!(u8::from(code), 1..=5) => Some(Self::Weak),
+            _ => Some(Self::Nothing),
         }
     }
 

@@ -11,7 +11,7 @@ use tokio_scip::{Endpoint, Error, ErrorKind, Rate, Window};
 
 use crate::failure::Failure;
 use crate::recording::recorded::Recorded;
-use crate::recording::span::TimeSpan;
+use crate::recording::span::{TimeSpan, TopicArgs};
 
 /// Default rate: one poll per revolution of the motor.
 const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
@@ -91,6 +91,28 @@ impl PortName {
         }
     }
 
+    /// Reads the scans of this topic from a recording. A sensor has no topic: usage error.
+    pub(crate) fn choose_topic(&mut self, args: &TopicArgs) -> Result<(), Failure> {
+        match (self, &args.topic) {
+            (_, None) => Ok(()),
+            (Self::Recording(recorded), Some(topic)) => {
+                recorded.choose_topic(topic);
+                Ok(())
+            }
+            (sensor, Some(_)) => Err(Failure::Usage(format!(
+                "--topic is for a recording, FILE.mcap: {sensor} is a sensor"
+            ))),
+        }
+    }
+
+    /// Fails for a recording, which answers but has nothing to switch: usage error.
+    pub(crate) fn require_sensor(&self) -> Result<(), Failure> {
+        match self.recorded() {
+            None => Ok(()),
+            Some(_) => Err(Failure::Usage(format!("{self} is a recording, and no sensor"))),
+        }
+    }
+
     /// Default window: the recorded window, else [`Window::DETECTION`].
     pub(crate) fn default_window(&self) -> Window {
         self.recorded().and_then(Recorded::window).unwrap_or(Window::DETECTION)
@@ -122,7 +144,7 @@ impl PortArg {
 /// Error for a command line without PORT. Suggests the likely sensors of this machine.
 pub(crate) async fn missing_port() -> Failure {
     let ports = port::list().await.unwrap_or_default();
-    let likely = ports.iter().filter(|port| port.is_likely_sensor());
+    let likely = ports.iter().filter(|port| port.likely_sensor);
     let likely: Vec<_> = likely.map(|port| port.path.as_str()).collect();
     let mut words: Vec<_> = std::env::args().skip(1).collect();
     let example = likely.first().unwrap_or(&"emulated");

@@ -29,10 +29,12 @@ impl FromStr for SplitLimit {
     type Err = &'static str;
 
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        if let Ok(duration) = duration(text) {
+        // A number alone could be seconds or bytes.
+        if let Ok(duration) = duration(text)
+            && text.contains(|letter: char| letter.is_alphabetic() || letter == ':')
+        {
             return Ok(Self::Duration(duration));
         }
-        // A number alone could be seconds as well.
         match text.parse().ok().filter(|_| text.ends_with('B')) {
             Some(ByteSize(bytes)) if bytes >= MIN_BYTES => Ok(Self::Bytes(bytes)),
             Some(_) => Err("expected a size of at least 10kB, such as 500MB or 2GB"),

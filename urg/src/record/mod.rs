@@ -22,6 +22,7 @@ use crate::output::notice::notice;
 use crate::output::stderr;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::open;
+use crate::recording::contents::ScanTimes;
 use crate::recording::recorded::Recorded;
 use crate::stream::feed::{Feed, Update};
 use crate::stream::follow::follow;
@@ -140,18 +141,27 @@ impl Record {
         interrupt: &Interrupt,
     ) -> Result<(), Failure> {
         let began = Instant::now();
+        let mut times = ScanTimes::new(Some(feed.scans().rate()));
         // When the progress line may change again.
         let mut refresh_at = began;
-        let mut is_late = false;
-        let take = async |update: Update| {
+        let (mut is_late, mut is_unsynced) = (false, false);
+        let mut take = async |update: Update| {
             reporter.report(&update);
             let item = match update {
-                Update::Scan(scan) => Ok(scan),
+                Update::Scan(scan) => {
+                    times.add(scan.received_at().saturating_duration_since(began), scan.stamp());
+                    Ok(scan)
+                }
                 Update::Error(error) => Err(error),
                 Update::Event(_) => return Ok(()),
             };
             recorder.record(&item).map_err(|error| failure(target, &error))?;
-            if !is_late && recorder.progress().late_syncs > 0 {
+            let progress = recorder.progress();
+            if !is_unsynced && progress.cannot_sync {
+                is_unsynced = true;
+                notice("this file system cannot sync files: if the power fails, more is lost");
+            }
+            if !is_late && progress.late_syncs > 0 {
                 is_late = true;
                 notice(
                     "the disk is slow: it takes longer than --sync for what is written; no scan \
@@ -167,22 +177,42 @@ impl Record {
                     State::Connected { .. } => "",
                     _ => "; sensor away",
                 };
-                let totals = RecordTotals::new(recorder.progress(), &reporter);
+                let totals = RecordTotals::new(recorder.progress(), &reporter, &times);
                 format!("{}{away} (Ctrl-C ends it)", totals.after(began.elapsed()))
             });
             Ok(())
         };
-        let followed = follow(&mut feed, &self.pace, interrupt, take).await;
-        let elapsed = began.elapsed();
-        let finished = tokio::select! {
-            finished = recorder.finish() => finished.map_err(|error| failure(target, &error)),
+        let followed = follow(&mut feed, &self.pace, interrupt, &mut take).await;
+        // Scans whose replies are in the file already.
+        while followed.is_ok()
+            && let Some(update) = feed.ready()
+        {
+            take(update).await?;
+        }
+        // Without a scan, the time that it waited for one.
+        let length = if times.length().is_zero() { began.elapsed() } else { times.length() };
+        let completed = tokio::select! {
+            completed = recorder.complete() => completed.map_err(|error| failure(target, &error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(
                 "{target}: the disk or the reader is too slow: the end of the recording is missing, and the rest can be read"
             ))),
         };
+        let finished = tokio::select! {
+            finished = recorder.finish(), if completed.is_ok() => {
+                finished.map_err(|error| failure(target, &error))
+            }
+            () = interrupt.overdue(), if completed.is_ok() => {
+                notice(format_args!(
+                    "{target}: the file is complete, but the disk is too slow: if the power fails \
+                     now, its end may be lost"
+                ));
+                completed
+            }
+            else => completed,
+        };
         let ended = reporter.finish(followed?);
-        let totals = RecordTotals::new(finished?, &reporter);
-        notice(format_args!("{target}: {}", totals.after(elapsed)));
+        let totals = RecordTotals::new(finished?, &reporter, &times);
+        notice(format_args!("{target}: {}", totals.after(length)));
         ended
     }
 

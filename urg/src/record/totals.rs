@@ -8,6 +8,7 @@ use urg_recording::Progress;
 
 use crate::format::counted;
 use crate::format::time::clock;
+use crate::recording::contents::ScanTimes;
 use crate::stream::reporter::Reporter;
 
 /// Counts for the progress line and the final notice.
@@ -18,32 +19,40 @@ pub(crate) struct RecordTotals {
     missed: u64,
     /// Polls without a scan over a working link.
     failed: u64,
+    /// Polls that were not sent in time.
+    skipped: u64,
+    gaps: u64,
     disconnects: u64,
 }
 
 impl RecordTotals {
-    pub(crate) fn new(progress: Progress, reporter: &Reporter) -> Self {
-        let disconnects = reporter.sensor.stats().disconnects;
-        Self { progress, missed: reporter.missed, failed: reporter.failed, disconnects }
+    pub(crate) fn new(progress: Progress, reporter: &Reporter, times: &ScanTimes) -> Self {
+        let stats = reporter.sensor.stats();
+        let (missed, failed, gaps) = (reporter.missed, reporter.failed, times.gaps.len() as u64);
+        let (skipped, disconnects) = (stats.polls_skipped, stats.disconnects);
+        Self { progress, missed, failed, skipped, gaps, disconnects }
     }
 
-    pub(crate) fn after(self, elapsed: Duration) -> String {
-        let Self { progress, missed, failed, disconnects } = self;
-        let Progress { scans, bytes, files, lost_replies, late_syncs, .. } = progress;
-        let scans = counted(scans, "scan");
-        let mut text = format!("{scans} in {}, ", clock(elapsed.as_secs_f64()));
+    /// Formats the counts of a recording of this length.
+    pub(crate) fn after(self, length: Duration) -> String {
+        let Self { progress, missed, failed, skipped, gaps, disconnects } = self;
+        let Progress { scans, bytes, files, lost, lost_replies, late_syncs, .. } = progress;
+        let scans = counted(scans + missed, "scan");
+        let mut text = format!("{scans} in {}, ", clock(length.as_secs_f64()));
         // Writing to a `String` is infallible.
         let _ = write!(text, "{:.1}", ByteSize(bytes).display().si());
         if files > 1 {
             let _ = write!(text, " in {files} files");
         }
-        text.push_str(&match progress.lost + missed {
-            0 => ", none lost".to_owned(),
-            lost => format!(", {lost} lost"),
-        });
+        if lost + skipped + gaps == 0 {
+            text.push_str(", none lost");
+        }
         for (count, what) in [
+            (lost, "lost"),
             (lost_replies, "replies lost"),
             (failed, "polls without a scan"),
+            (skipped, "polls skipped"),
+            (gaps, if gaps == 1 { "gap" } else { "gaps" }),
             (disconnects, "disconnects"),
             (late_syncs, "late syncs"),
         ] {
@@ -68,10 +77,12 @@ mod tests {
         let mut progress = Progress::default();
         (progress.scans, progress.bytes, progress.files) = (3, 13_999, 2);
         (progress.lost, progress.lost_replies, progress.late_syncs) = (1, 5, 7);
-        let bad = RecordTotals { progress, missed: 1, failed: 4, disconnects: 1 };
+        let bad =
+            RecordTotals { progress, missed: 1, failed: 4, skipped: 40, gaps: 1, disconnects: 1 };
         assert_eq!(
             bad.after(Duration::from_millis(999)),
-            "3 scans in 0:00, 14.0 kB in 2 files, 2 lost, 5 replies lost, 4 polls without a scan, 1 disconnects, 7 late syncs"
+            "4 scans in 0:00, 14.0 kB in 2 files, 1 lost, 5 replies lost, 4 polls without a scan, \
+             40 polls skipped, 1 gap, 1 disconnects, 7 late syncs"
         );
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::time::{Duration, SystemTime};
 
 use serde_json::{Value, json};
-use tokio_scip::{BaudRate, Version};
+use tokio_scip::{BaudRate, Rate, Version};
 use urg_recording::{Recording, RecordingError};
 
 use crate::format::counted;
@@ -35,17 +35,16 @@ pub(crate) struct Contents {
 pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents, RecordingError> {
     let (window, rate) = (recording.window(), recording.rate());
     let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());
-    let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
-    let mut times = ScanTimes::default();
+    let mut times = ScanTimes::new(rate);
     let mut damaged_at = Vec::new();
     // Same scans as in a replay.
     let mut recorded = recording.scans();
     while let Some(scan) = recorded.next() {
         match scan {
-            Ok(scan) => times.add(recorded.position(), scan.stamp(), longest),
+            Ok(scan) => times.add(recorded.position(), scan.stamp()),
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
             // The sensor may have been away for the whole recording.
-            Err(RecordingError::NoScans) if recorded.version() != Version::default() => {}
+            Err(RecordingError::NoScans { .. }) if recorded.version() != Version::default() => {}
             Err(error) => return Err(error),
         }
     }
@@ -82,19 +81,21 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
         rows.insert(0, ("clock", json!(clock_steps), text));
     }
     if let Some(span) = times.span {
-        let (began, seconds) = (time::utc(span.began), (span.last - span.first).as_secs_f64());
+        let (began, seconds) = (time::utc(span.began), times.length().as_secs_f64());
         let text = format!("{began}, for {}", clock(seconds));
         rows.insert(0, ("recorded", json!({ "began": began, "seconds": seconds }), text));
     }
     Ok(Contents { version: recorded.version(), baud_rate, rows })
 }
 
-/// Span, gaps and clock changes of the scans read so far.
+/// Span, gaps and clock changes of the scans read or recorded so far.
 #[derive(Debug, Default)]
-struct ScanTimes {
+pub(crate) struct ScanTimes {
+    /// Longest time between two scans that is no gap.
+    longest: Duration,
     scans: u64,
     span: Option<ScanSpan>,
-    gaps: Vec<Gap>,
+    pub(crate) gaps: Vec<Gap>,
     clock_steps: Vec<ClockStep>,
 }
 
@@ -111,7 +112,7 @@ struct ScanSpan {
 
 /// Pause without scans, in seconds since the first scan.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-struct Gap {
+pub(crate) struct Gap {
     from: f64,
     seconds: f64,
 }
@@ -124,15 +125,26 @@ struct ClockStep {
 }
 
 impl ScanTimes {
-    /// Adds a scan. `position` counts from the file's first scan; a gap is longer than `longest`.
-    fn add(&mut self, position: Duration, stamp: SystemTime, longest: Duration) {
+    /// Starts before the first scan of a stream of this rate.
+    pub(crate) fn new(rate: Option<Rate>) -> Self {
+        let longest = rate.and_then(|rate| rate.period()).unwrap_or_default() + GAP_TOLERANCE;
+        Self { longest, ..Self::default() }
+    }
+
+    /// Time from the first scan to the last one.
+    pub(crate) fn length(&self) -> Duration {
+        self.span.map_or(Duration::ZERO, |span| span.last - span.first)
+    }
+
+    /// Adds a scan. `position` counts on a steady clock.
+    pub(crate) fn add(&mut self, position: Duration, stamp: SystemTime) {
         self.scans += 1;
         let Some(span) = &mut self.span else {
             self.span = Some(ScanSpan { began: stamp, first: position, last: position, stamp });
             return;
         };
         let since = position.saturating_sub(span.last);
-        if since > longest {
+        if since > self.longest {
             let from = span.last.as_secs_f64();
             self.gaps.push(Gap { from, seconds: since.as_secs_f64() });
         }
@@ -178,10 +190,10 @@ mod tests {
 
     #[test]
     fn gaps_are_listed_with_their_places_in_the_recording() {
-        let mut times = ScanTimes::default();
+        let mut times = ScanTimes::new(Some(Rate::hz(10.0)));
         for tenth in (0..20).chain(320..330).chain(341..350) {
             let position = Duration::from_millis(tenth * 100);
-            times.add(position, SystemTime::UNIX_EPOCH + position, Duration::from_millis(1100));
+            times.add(position, SystemTime::UNIX_EPOCH + position);
         }
         assert_eq!(times.clock_steps, []);
         assert_eq!(times.scans, 39);

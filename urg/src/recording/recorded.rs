@@ -37,6 +37,8 @@ pub(crate) struct Recorded {
     pace: ReplayPace,
     /// Part to read; `None` means all of it.
     range: Option<TimeSpan>,
+    /// Topic of the scans; `None` means `/scan`.
+    topic: Option<String>,
     /// Number of scans that feeds have yielded.
     consumed: Arc<watch::Sender<u64>>,
 }
@@ -52,6 +54,7 @@ impl Recorded {
             rate: None,
             pace: ReplayPace::Recorded,
             range: None,
+            topic: None,
             consumed: Arc::default(),
         })
     }
@@ -101,6 +104,10 @@ impl Recorded {
 
     pub(crate) fn restrict(&mut self, range: TimeSpan) {
         self.range = Some(range);
+    }
+
+    pub(crate) fn choose_topic(&mut self, topic: &str) {
+        self.topic = Some(topic.to_owned());
     }
 
     pub(crate) fn window(&self) -> Option<Window> {
@@ -172,17 +179,25 @@ impl Recorded {
     }
 
     fn open_all(&self) -> Result<Recording, Failure> {
-        let Some(stdin) = &self.stdin else {
-            return Recording::open(&self.path).map_err(|error| self.failure(&error));
+        let recording = match &self.stdin {
+            None => Recording::open(&self.path).map_err(|error| self.failure(&error))?,
+            Some(stdin) => stdin
+                .lock()
+                .take()
+                .ok_or_else(|| Failure::Failed(format!("{self}: it can be read only once")))?,
         };
-        let recording = stdin.lock().take();
-        recording.ok_or_else(|| Failure::Failed(format!("{self}: it can be read only once")))
+        Ok(match &self.topic {
+            Some(topic) => recording.topic(topic),
+            None => recording,
+        })
     }
 
     /// Describes an error at the first scan. The range may contain no scan.
     pub(super) fn no_scans(&self, error: &RecordingError) -> Failure {
         match (self.range, error) {
-            (Some(range), RecordingError::NoScans) if self.stdin.is_none() => {
+            (Some(range), RecordingError::NoScans { topics })
+                if self.stdin.is_none() && topics.is_empty() =>
+            {
                 Failure::Failed(format!(
                     "{self}: no scan in --range {range}: `urg info {self}` shows how long it is"
                 ))

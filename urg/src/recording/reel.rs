@@ -44,7 +44,7 @@ impl Reel {
             positions.push(scans.position());
         }
         if positions.is_empty() {
-            return Err(recorded.no_scans(&RecordingError::NoScans));
+            return Err(recorded.no_scans(&RecordingError::NoScans { topics: Vec::new() }));
         }
         let version = scans.version();
         let scans = recorded.open()?.scans();
@@ -120,8 +120,7 @@ fn next_scan(scans: &mut RecordedScans, recorded: &Recorded) -> Result<Option<Sc
             Err(error @ RecordingError::Damaged { .. }) => {
                 tracing::warn!(%error, "the playback leaves out a part of the recording");
             }
-            Err(RecordingError::NoScans) => return Ok(None),
-            Err(error) => return Err(recorded.failure(&error)),
+            Err(error) => return Err(recorded.no_scans(&error)),
         }
     }
     Ok(None)

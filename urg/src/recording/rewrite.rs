@@ -3,17 +3,15 @@
 //! file under that name.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Read, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use tempfile::{NamedTempFile, TempPath};
-use urg_recording::RecordingError;
+use urg_recording::{RecordingError, cut};
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-
-pub(crate) type Input = Box<dyn Read + Send>;
 
 /// Calls `copy` with `files` and the output `out`, and returns its outcome once the output is on
 /// the disk. Keeps a new file only if `is_kept` returns true for the outcome.
@@ -21,7 +19,7 @@ pub(crate) async fn rewrite<T: Send + 'static>(
     files: Vec<PathBuf>,
     out: &Path,
     interrupt: &Interrupt,
-    copy: impl FnOnce(Vec<Input>, &mut dyn Write) -> Result<T, RecordingError> + Send + 'static,
+    copy: impl FnOnce(Vec<File>, &mut dyn Write) -> Result<T, RecordingError> + Send + 'static,
     is_kept: impl FnOnce(&T) -> bool,
 ) -> Result<T, Failure> {
     let created = match is_dash(out) {
@@ -44,7 +42,10 @@ pub(crate) async fn rewrite<T: Send + 'static>(
             }
             (RecordingError::Write { .. }, _) => failure(&to, &error),
             (_, [file]) => failure(file, &error),
-            _ => Failure::new("one of the files", &error),
+            (_, files) => match files.iter().find(|file| !is_readable(file)) {
+                Some(file) => failure(file, &error),
+                None => Failure::new("one of the files", &error),
+            },
         })
     });
     let outcome = tokio::select! {
@@ -67,6 +68,8 @@ fn create(path: &Path) -> io::Result<NamedTempFile> {
     if path.symlink_metadata().is_ok() {
         return Err(io::ErrorKind::AlreadyExists.into());
     }
+    // The error of a temporary file would name that file.
+    folder(path).metadata()?;
     let mut prefix = path.file_name().unwrap_or_default().to_owned();
     prefix.push(".");
     let mut builder = tempfile::Builder::new();
@@ -110,11 +113,23 @@ fn not_created(path: &Path, error: &io::Error) -> Failure {
     }
 }
 
-fn open(path: &Path) -> Result<Input, Failure> {
-    Ok(match is_dash(path) {
-        true => Box::new(io::stdin()),
-        false => Box::new(File::open(path).map_err(|error| failure(path, &error))?),
-    })
+fn open(path: &Path) -> Result<File, Failure> {
+    let file = if is_dash(path) { stdin() } else { File::open(path) };
+    file.map_err(|error| failure(path, &error))
+}
+
+/// Reads a file again, to find which one of several cannot be read.
+fn is_readable(path: &Path) -> bool {
+    is_dash(path) || open(path).is_ok_and(|file| cut([file], .., io::sink()).is_ok())
+}
+
+/// Standard input as a file, whose index can be read if it is one.
+fn stdin() -> io::Result<File> {
+    #[cfg(unix)]
+    let handle = std::os::fd::AsFd::as_fd(&io::stdin()).try_clone_to_owned()?;
+    #[cfg(windows)]
+    let handle = std::os::windows::io::AsHandle::as_handle(&io::stdin()).try_clone_to_owned()?;
+    Ok(handle.into())
 }
 
 fn buffered<T>(

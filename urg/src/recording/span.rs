@@ -11,10 +11,20 @@ use crate::args::clock_time;
 #[derive(Debug, Clone, Copy, Default, Args)]
 #[command(next_help_heading = "Recording")]
 pub(crate) struct RangeArgs {
-    /// Part of a recording, as times since its first scan: 1m30s..2m, 90s.., or
+    /// Part of a recording, as times since its first scan: 1m30s..2m, 90.., or
     /// 1:30..2:00, the way `urg info` writes them
     #[arg(long, value_name = "FROM..TO", value_parser = time_span)]
     pub(crate) range: Option<TimeSpan>,
+}
+
+/// Which scans of a recording to read.
+#[derive(Debug, Clone, Default, Args)]
+#[command(next_help_heading = "Recording")]
+pub(crate) struct TopicArgs {
+    /// Topic of the scans in a recording of several sensors, such as /front/scan
+    /// [default: /scan]
+    #[arg(long)]
+    pub(crate) topic: Option<String>,
 }
 
 pub(crate) type Bounds = (Bound<Duration>, Bound<Duration>);
@@ -78,7 +88,8 @@ mod tests {
         assert_eq!(time_span("1:00:00.."), span(3_600_000, None));
         assert_eq!(time_span("..500ms"), span(0, Some(500)));
         assert_eq!(time_span("0s..1s"), span(0, Some(1000)));
-        for text in ["", "10s", "10..20", "2m..1m", "1s..1s", "-1s..5s", "a..b", "1:..2:x"] {
+        assert_eq!(time_span("2..5"), span(2_000, Some(5_000)));
+        for text in ["", "10s", "2m..1m", "1s..1s", "-1s..5s", "a..b", "1:..2:x"] {
             assert!(time_span(text).is_err(), "{text}");
         }
         assert_eq!(time_span("90s..2m").unwrap().to_string(), "90s..120s");

@@ -17,7 +17,7 @@ use crate::interrupt::Interrupt;
 use crate::output::stdout::Output;
 use crate::port::name::PortArg;
 use crate::port::open::open;
-use crate::recording::span::RangeArgs;
+use crate::recording::span::{RangeArgs, TopicArgs};
 
 /// Write scans to standard output as they come
 ///
@@ -39,6 +39,8 @@ pub(crate) struct Stream {
     pace: PaceArgs,
     #[command(flatten)]
     range: RangeArgs,
+    #[command(flatten)]
+    topic: TopicArgs,
     #[command(flatten)]
     window: WindowArgs,
     #[command(flatten)]
@@ -102,6 +104,7 @@ impl Stream {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         let (mut port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         port.restrict(self.range.range)?;
+        port.choose_topic(&self.topic)?;
         let window = self.window.window(port.default_window())?;
         let opening = async {
             let sensor = open(&port, &self.link, Delivery::All).await?;
@@ -115,6 +118,7 @@ impl Stream {
         if let Some(columns) = format.columns() {
             output.write(columns.header()).await?;
         }
+        let mut first = None;
         let write = async |update: Update| {
             reporter.report(&update);
             match (format.columns(), &update) {
@@ -127,6 +131,14 @@ impl Stream {
                 (None, Update::Scan(scan)) => {
                     let stats = reporter.sensor.stats();
                     let rate = schedule(&stats, window).and_then(|schedule| schedule.reached);
+                    let (number, at) = (scan.sequence(), scan.received_at());
+                    let (first, began) = *first.get_or_insert((number, at));
+                    // Until the driver knows it.
+                    let rate = rate.or_else(|| {
+                        let seconds = at.saturating_duration_since(began).as_secs_f64();
+                        Some(number.saturating_sub(first) as f64 / seconds)
+                            .filter(|rate| rate.is_normal())
+                    });
                     output.write(&summary::line(scan, rate)).await
                 }
                 // Events are on standard error too.

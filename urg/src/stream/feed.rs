@@ -1,6 +1,8 @@
 //! Merges the scans of a stream and the events between them into one sequence.
 
 use std::collections::VecDeque;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 
 use serde::Serialize;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
@@ -82,6 +84,15 @@ impl Feed {
     /// Newest scan, delivered or not.
     pub(crate) fn latest(&self) -> Option<Scan> {
         self.scans.latest()
+    }
+
+    /// Returns the next update if it is there already.
+    pub(crate) fn ready(&mut self) -> Option<Update> {
+        let mut next = pin!(self.next());
+        match next.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(update) => update,
+            Poll::Pending => None,
+        }
     }
 
     /// Waits for the next update, until the stream ends. Cancel-safe.

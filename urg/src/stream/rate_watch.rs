@@ -66,10 +66,10 @@ impl RateWatch {
         }
         let shortfall = shortfall.filter(|cause| !self.reported.contains(cause))?;
         self.reported.push(shortfall);
-        let cause = match baud_rate.filter(|baud_rate| !carries(self.window, rate, *baud_rate)) {
-            _ if shortfall == Shortfall::Loss => losses(stats),
-            Some(baud_rate) => self.slow_line(rate, baud_rate),
-            None => "the sensor answers no faster, one poll in each revolution of its motor".into(),
+        let cause = match (shortfall, baud_rate) {
+            (Shortfall::Loss, _) => losses(stats),
+            (Shortfall::Line, Some(baud_rate)) => self.slow_line(rate, baud_rate),
+            _ => "the sensor answers no faster, one poll in each revolution of its motor".into(),
         };
         Some(format!("{reached:.1} scans a second, where {rate} was asked for: {cause}"))
     }
@@ -206,7 +206,7 @@ mod tests {
              (3 unanswered in time, 2 malformed). What helps: check cable, plugs and power"
         );
         assert_eq!(notice(7.0, loss), None);
-        assert!(notice(7.0, Some(Shortfall::Slow)).is_some());
+        assert!(notice(7.0, Some(Shortfall::Sensor)).is_some());
         assert_eq!(notice(9.9, None), None);
         assert!(notice(7.0, loss).is_some());
     }

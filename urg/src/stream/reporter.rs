@@ -1,7 +1,7 @@
 //! Prints a stream's events to standard error, and maps the end of the stream to the
 //! program's outcome.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio_scip::{Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_recording::Event;
@@ -13,6 +13,9 @@ use super::rate_watch::RateWatch;
 use crate::failure::{Failure, chain};
 use crate::output::notice::notice;
 use crate::port::name::PortName;
+
+/// Time that a sensor may take until its first scan.
+const FIRST_SCAN: Duration = Duration::from_secs(1);
 
 /// Printer of one stream's events.
 #[derive(Debug)]
@@ -81,7 +84,7 @@ impl Reporter {
     }
 
     /// Maps the end of the stream to the outcome of the program. Not a single scan is an
-    /// error, whatever ended the stream.
+    /// error, whatever ended the stream, unless the user ended it before one could arrive.
     pub(crate) fn finish(&self, ended: StreamEnd) -> Result<(), Failure> {
         if ended == StreamEnd::ByItself {
             end(&self.port, &self.sensor)?;
@@ -91,8 +94,12 @@ impl Reporter {
         }
         let why = trouble(&self.sensor.watch_state().get())
             .filter(|_| ended != StreamEnd::ByItself)
-            .or_else(|| self.last_error.clone())
-            .unwrap_or_else(|| "no poll was answered yet".to_owned());
+            .or_else(|| self.last_error.clone());
+        let is_early = self.began.elapsed() < FIRST_SCAN;
+        if ended == StreamEnd::Interrupted && why.is_none() && is_early {
+            return Ok(());
+        }
+        let why = why.unwrap_or_else(|| "no poll was answered yet".to_owned());
         let seconds = self.began.elapsed().as_secs_f64();
         let text = format!("no scan in {seconds:.1} s: {why}");
         // Some of these errors already name the port.

@@ -70,7 +70,7 @@ impl View {
         let mut sensors = Vec::new();
         for source in sources {
             if let Some(recorded) = source.port.recorded() {
-                let player = Player::start(recorded, *playback).await?;
+                let player = Player::start(recorded, playback.clone()).await?;
                 return Ok(Viewer::from_recording(source, player));
             }
             let sensor = begin(&source.port, link, Delivery::Newest)?;

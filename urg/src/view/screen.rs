@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use crossterm::cursor::{Hide, Show};
+use crossterm::event::{DisableBracketedPaste, EnableBracketedPaste};
 use crossterm::execute;
 use crossterm::terminal::{
     EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
@@ -47,6 +48,10 @@ impl Screen {
                         `urg stream` writes scans, `urg scan --format svg` a picture";
             return Err(Failure::Usage(text.to_owned()));
         }
+        if cfg!(unix) && std::env::var_os("TERM").is_some_and(|term| term == "dumb") {
+            let text = "this terminal cannot draw (TERM=dumb): `urg stream` writes lines";
+            return Err(Failure::Usage(text.to_owned()));
+        }
         Ok(())
     }
 
@@ -81,10 +86,9 @@ impl Screen {
     /// Restores the terminal and stops the program, as Ctrl-Z does, until the shell
     /// continues it. Then takes over the terminal again.
     pub(crate) async fn suspend(&mut self) -> Result<(), Failure> {
-        let mut leave = Vec::new();
-        // Writing to a `Vec` is infallible.
-        let _ = execute!(leave, LeaveAlternateScreen, Show);
-        let _ = self.frames.send(leave).await;
+        let mut last = Vec::new();
+        leave(&mut last);
+        let _ = self.frames.send(last).await;
         // The task takes this frame only after it has written the one before.
         let _ = self.frames.send(Vec::new()).await;
         self.ready().await?;
@@ -92,7 +96,7 @@ impl Screen {
         let stopped = disable_raw_mode().and_then(|()| stop_program());
         enable_raw_mode().map_err(cannot_draw)?;
         TAKEN.store(true, Ordering::SeqCst);
-        execute!(io::stdout(), EnterAlternateScreen, Hide).map_err(cannot_draw)?;
+        enter().map_err(cannot_draw)?;
         // A new `Terminal` redraws every cell of the next frame.
         let backend = CrosstermBackend::new(self.bytes.clone());
         self.terminal = Terminal::new(backend).map_err(cannot_draw)?;
@@ -103,8 +107,7 @@ impl Screen {
     pub(crate) async fn restore(self) {
         let Self { frames, writer, taken, .. } = self;
         let mut last = Vec::new();
-        // Writing to a `Vec` is infallible.
-        let _ = execute!(last, LeaveAlternateScreen, Show);
+        leave(&mut last);
         let written = async {
             let _ = frames.send(last).await;
             drop(frames);
@@ -161,6 +164,18 @@ impl StopRequests {
     }
 }
 
+fn enter() -> io::Result<()> {
+    // Pasted text arrives as one event, and not as keys. An old Windows console has no such mode.
+    let _ = execute!(io::stdout(), EnableBracketedPaste);
+    execute!(io::stdout(), EnterAlternateScreen, Hide)
+}
+
+/// Ignores errors: there is nowhere left to show them.
+fn leave(out: &mut impl Write) {
+    let _ = execute!(out, DisableBracketedPaste);
+    let _ = execute!(out, LeaveAlternateScreen, Show);
+}
+
 fn cannot_draw(error: io::Error) -> Failure {
     Failure::new("cannot draw on the terminal", &error)
 }
@@ -196,7 +211,7 @@ impl Taken {
         enable_raw_mode()?;
         TAKEN.store(true, Ordering::SeqCst);
         let taken = Self;
-        execute!(io::stdout(), EnterAlternateScreen, Hide)?;
+        enter()?;
         Ok(taken)
     }
 }
@@ -209,8 +224,7 @@ impl Drop for Taken {
 
 fn restore_now() {
     if TAKEN.swap(false, Ordering::SeqCst) {
-        // There is nowhere left to show an error.
-        let _ = execute!(io::stdout(), LeaveAlternateScreen, Show);
+        leave(&mut io::stdout());
         let _ = disable_raw_mode();
     }
 }

@@ -1,5 +1,6 @@
 //! Server behind `urg serve`: the page, the streams and their routes.
 
+mod hosts;
 mod hub;
 mod line;
 mod metrics;
@@ -14,31 +15,37 @@ mod state;
 
 use std::sync::Arc;
 
+use tokio::sync::Semaphore;
+
+pub(crate) use self::hosts::Hosts;
 pub(crate) use self::server::serve;
 pub(crate) use self::source::SiteSource;
 use crate::interrupt::Interrupt;
 
+/// Maximum number of open streams of scans. They last, so they leave connections to short requests
+/// such as `/health`.
+const MAX_STREAMS: usize = server::MAX_CONNECTIONS - 64;
+
 #[derive(Debug)]
 pub(crate) struct Site {
     sources: Vec<Arc<SiteSource>>,
-    /// True if only this machine can reach the address.
-    is_loopback: bool,
+    hosts: Hosts,
     interrupt: Interrupt,
-    /// Each open stream of scans holds a clone.
-    viewers: Arc<()>,
+    /// Each open stream of scans holds a permit.
+    streams: Arc<Semaphore>,
 }
 
 impl Site {
     pub(crate) fn new(
         sources: Vec<Arc<SiteSource>>,
-        is_loopback: bool,
+        hosts: Hosts,
         interrupt: &Interrupt,
     ) -> Arc<Self> {
-        let (interrupt, viewers) = (interrupt.clone(), Arc::default());
-        Arc::new(Self { sources, is_loopback, interrupt, viewers })
+        let streams = Arc::new(Semaphore::new(MAX_STREAMS));
+        Arc::new(Self { sources, hosts, interrupt: interrupt.clone(), streams })
     }
 
     fn viewers(&self) -> usize {
-        Arc::strong_count(&self.viewers) - 1
+        MAX_STREAMS - self.streams.available_permits()
     }
 }

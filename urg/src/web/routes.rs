@@ -1,6 +1,5 @@
 //! Routes, and the headers that protect the server and its page from other sites.
 
-use std::net::IpAddr;
 use std::sync::Arc;
 
 use hyper::header::{self, HeaderName, HeaderValue};
@@ -42,18 +41,13 @@ pub(super) fn respond<B>(site: &Arc<Site>, request: &Request<B>) -> Response {
     response
 }
 
-/// Refuses requests with a wrong method. On a loopback address, also refuses requests with
-/// a foreign `Host`.
-///
-/// Otherwise, another site could make its name resolve to this machine and read the page
-/// (DNS rebinding). On other addresses, any client may connect under any name.
+/// Refuses requests for another host, or with a wrong method.
 fn refused<B>(site: &Site, request: &Request<B>) -> Option<Response> {
     let host = request.headers().get(header::HOST);
     // Browsers always send `Host`, so a request without it is harmless.
-    let stranger = host.is_some_and(|host| !host.to_str().is_ok_and(is_this_machine));
-    if site.is_loopback && stranger {
-        let reason = "this page is for the machine that serves it: ask there for localhost or \
-                      127.0.0.1\n";
+    if host.is_some_and(|host| !host.to_str().is_ok_and(|host| site.hosts.accept(host))) {
+        let reason = "this is not a name of this server: use its address, or start it with \
+                      --host NAME\n";
         return Some(text(StatusCode::MISDIRECTED_REQUEST, reason));
     }
     let (is_allowed, allowed) = match request.uri().path() {
@@ -65,15 +59,4 @@ fn refused<B>(site: &Site, request: &Request<B>) -> Option<Response> {
         response.headers_mut().insert(header::ALLOW, HeaderValue::from_static(allowed));
         response
     })
-}
-
-/// Checks whether a `Host` header names this machine. Any port passes, because a tunnel may
-/// use another port.
-fn is_this_machine(host: &str) -> bool {
-    let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
-        Some((address, _)) => address,
-        None => host.split_once(':').map_or(host, |(name, _)| name),
-    };
-    name.eq_ignore_ascii_case("localhost")
-        || name.parse().is_ok_and(|address: IpAddr| address.is_loopback())
 }

@@ -9,10 +9,11 @@ use http_body_util::StreamBody;
 use hyper::body::Frame;
 use hyper::header::{self, HeaderMap, HeaderValue};
 use hyper::{Request, StatusCode};
+use tokio::sync::OwnedSemaphorePermit;
 
-use super::Site;
 use super::line::ViewerLine;
 use super::response::{Response, response, text};
+use super::{MAX_STREAMS, Site};
 use crate::interrupt::Interrupt;
 
 /// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
@@ -24,13 +25,17 @@ pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
         let reason = "invalid query: expected /scans?max=N, with a number of scans from 1\n";
         return text(StatusCode::BAD_REQUEST, reason);
     };
+    let Ok(permit) = Arc::clone(&site.streams).try_acquire_owned() else {
+        let reason = format!("{MAX_STREAMS} clients read scans already: try again later\n");
+        return text(StatusCode::SERVICE_UNAVAILABLE, reason);
+    };
     let format = ScansFormat::accepted(request.headers());
     let client = ScansClient {
         interrupt: site.interrupt.clone(),
         lines: stream::select_all(site.sources.iter().map(|source| source.lines(query.with_old))),
         scans_left: query.max,
         format,
-        _counted: Arc::clone(&site.viewers),
+        _permit: permit,
     };
     let bytes = stream::unfold(client, ScansClient::next);
     let body = StreamBody::new(bytes.map(|bytes| Ok(Frame::data(bytes))));
@@ -106,7 +111,7 @@ struct ScansClient {
     lines: SelectAll<BoxStream<'static, ViewerLine>>,
     scans_left: u64,
     format: ScansFormat,
-    _counted: Arc<()>,
+    _permit: OwnedSemaphorePermit,
 }
 
 impl ScansClient {

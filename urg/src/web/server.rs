@@ -17,7 +17,7 @@ use super::{Site, routes};
 
 /// Maximum number of open connections. Each takes at most 40 KiB. Further connections wait
 /// in the backlog of the operating system.
-const MAX_CONNECTIONS: usize = 512;
+pub(super) const MAX_CONNECTIONS: usize = 512;
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// A client that takes no byte of its response for this time is disconnected.
 const STALL_TIMEOUT: Duration = Duration::from_secs(30);
