@@ -85,7 +85,9 @@ fn motor(scans: usize) {
         let late = if scan % 16 == 0 { Duration::from_millis(5) } else { Duration::ZERO };
         // The next frame of USB.
         let arrival = Duration::from_millis(end.as_millis() as u64 + 1) + late;
-        (start + (end - revolution * 9 / 10), start + arrival)
+        // Moved requests prove that the sensor does not follow them.
+        let wait = if scan % 2 == 0 { 9 } else { 5 };
+        (start + (end - revolution * wait / 10), start + arrival)
     });
     let arrivals: Vec<_> = arrivals.collect();
     for (requested, arrived) in &arrivals[..scans] {

@@ -43,7 +43,7 @@ fn main() {
 }
 
 /// The lateness of each poll, while it is recorded.
-type Lateness = Arc<Mutex<Option<Vec<Duration>>>>;
+type BenchLateness = Arc<Mutex<Option<Vec<Duration>>>>;
 
 fn row(kind: &str, sensors: usize, threads: usize) {
     let mut runtime = match threads {
@@ -52,7 +52,7 @@ fn row(kind: &str, sensors: usize, threads: usize) {
     };
     let runtime = runtime.worker_threads(threads).enable_all().build().unwrap();
     let late = Vec::with_capacity(sensors * 150);
-    let lateness: Lateness = Arc::default();
+    let lateness: BenchLateness = Arc::default();
     let mut time = (Duration::ZERO, Duration::ZERO);
     let counted = allocation_counter::measure(|| {
         runtime.block_on(open(kind, sensors, &lateness));
@@ -83,7 +83,7 @@ fn row(kind: &str, sensors: usize, threads: usize) {
 
 /// Opens the sensors, spreads them over the period, and spawns a task for each that
 /// consumes its scans.
-async fn open(kind: &str, sensors: usize, lateness: &Lateness) {
+async fn open(kind: &str, sensors: usize, lateness: &BenchLateness) {
     let opening: JoinSet<Sensor> = (0..sensors).map(|_| sensor(kind.to_owned())).collect();
     let opened = opening.join_all().await;
     let start = tokio::time::Instant::now();
@@ -106,7 +106,7 @@ async fn sensor(kind: String) -> Sensor {
 }
 
 /// Records the lateness of each poll. The first one was due just after `start`.
-async fn consume(mut stream: ScanStream, start: Instant, lateness: Lateness) {
+async fn consume(mut stream: ScanStream, start: Instant, lateness: BenchLateness) {
     while let Some(scan) = stream.next().await {
         let since = scan.unwrap().requested_at() - start;
         let late = Duration::from_nanos((since.as_nanos() % PERIOD.as_nanos()) as u64);

@@ -52,13 +52,15 @@ struct Pattern {
     rate: u32,
 }
 
-const PATTERNS: [Pattern; 5] = [
+const PATTERNS: [Pattern; 6] = [
     // 115,200 baud: 11,520 bytes a second.
     Pattern::new("rs232", 0, 14, 1_215_278, 5),
     Pattern::new("adapter", 0, 62, 5_381_944, 5),
     // 375 kB a second: the sensor answers at once, and in phase with its motor.
     Pattern::new("usb", 0, 64, 170_667, 10),
     Pattern::new("usb-phase", 90, 64, 170_667, 10),
+    // As a URG does: frames of 375 bytes, one each millisecond.
+    Pattern::new("frames", 0, 375, 1_000_000, 10),
     Pattern::new("whole", 0, 4096, 170_667, 10),
 ];
 

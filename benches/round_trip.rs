@@ -51,19 +51,21 @@ fn table() {
         let server = Server::start(sensor);
         let pollers = ["floor", "tokio", "current", "multi"];
         // Side by side in each round: a load that disturbs one disturbs all.
-        let rounds: Vec<[Cost; 4]> =
+        let rounds: Vec<[RoundTripCost; 4]> =
             (0..ROUNDS).map(|_| pollers.map(|poller| poll(poller, &server.path, polls))).collect();
         for (index, poller) in pollers.into_iter().enumerate() {
-            let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
-            let to_floor = |figure: fn(&Cost) -> f64| {
+            let of = |figure: fn(&RoundTripCost) -> f64| {
+                median(rounds.iter().map(|r| figure(&r[index])))
+            };
+            let to_floor = |figure: fn(&RoundTripCost) -> f64| {
                 median(rounds.iter().map(|r| figure(&r[index]) / figure(&r[0])))
             };
             println!(
                 "{sensor:9} {poller:8} {:7.0}  {:8.2}  {:11.1}  {:8.2}",
-                of(Cost::rate),
-                to_floor(Cost::rate),
-                of(Cost::cpu),
-                to_floor(Cost::cpu),
+                of(RoundTripCost::rate),
+                to_floor(RoundTripCost::rate),
+                of(RoundTripCost::cpu),
+                to_floor(RoundTripCost::cpu),
             );
         }
     }
@@ -71,13 +73,13 @@ fn table() {
 
 /// The time and CPU time of a number of scans.
 #[derive(Debug)]
-struct Cost {
+struct RoundTripCost {
     scans: usize,
     time: Duration,
     cpu: Duration,
 }
 
-impl Cost {
+impl RoundTripCost {
     fn rate(&self) -> f64 {
         self.scans as f64 / self.time.as_secs_f64()
     }
@@ -88,7 +90,7 @@ impl Cost {
     }
 }
 
-fn poll(poller: &str, path: &Path, scans: usize) -> Cost {
+fn poll(poller: &str, path: &Path, scans: usize) -> RoundTripCost {
     match poller {
         "floor" => floor(path, scans),
         "tokio" => tokio(path, scans),
@@ -101,7 +103,7 @@ fn poll(poller: &str, path: &Path, scans: usize) -> Cost {
 }
 
 /// Polls with one write and as few reads as possible, without decoding.
-fn floor(path: &Path, scans: usize) -> Cost {
+fn floor(path: &Path, scans: usize) -> RoundTripCost {
     let mut port = terminal::open(path);
     let mut buffer = [0; 4096];
     let mut scan = || {
@@ -115,12 +117,12 @@ fn floor(path: &Path, scans: usize) -> Cost {
     scan();
     let (start, cpu) = (Instant::now(), cpu_time());
     (0..scans).for_each(|_| scan());
-    Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
+    RoundTripCost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
 }
 
 /// Does the same on tokio: a port of tokio-serial, a deadline for each read, no decoding,
 /// one task.
-fn tokio(path: &Path, scans: usize) -> Cost {
+fn tokio(path: &Path, scans: usize) -> RoundTripCost {
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let path = path.to_str().unwrap().to_owned();
     let polling = runtime.spawn(async move {
@@ -140,14 +142,14 @@ fn tokio(path: &Path, scans: usize) -> Cost {
         for _ in 0..scans {
             scan().await;
         }
-        Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
+        RoundTripCost { scans, time: start.elapsed(), cpu: cpu_time() - cpu }
     });
     runtime.block_on(polling).unwrap()
 }
 
 /// Polls through the driver, with the consumer in a task of its own. Scans that the
 /// consumer missed count too: on another thread it may be too slow to see each of them.
-fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
+fn driver(runtime: Runtime, path: &Path, polls: usize) -> RoundTripCost {
     let path = path.to_str().unwrap().to_owned();
     let polling = runtime.spawn(async move {
         let sensor = Sensor::open(path).await.unwrap();
@@ -159,7 +161,7 @@ fn driver(runtime: Runtime, path: &Path, polls: usize) -> Cost {
         while scans < polls {
             scans = (next().await - before) as usize;
         }
-        let cost = Cost { scans, time: start.elapsed(), cpu: cpu_time() - cpu };
+        let cost = RoundTripCost { scans, time: start.elapsed(), cpu: cpu_time() - cpu };
         sensor.close().await;
         cost
     });

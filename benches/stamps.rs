@@ -55,7 +55,7 @@ fn turning() -> EmulatorBuilder {
 
 /// What was found about all scans of a row.
 #[derive(Default)]
-struct Row {
+struct StampRow {
     stamps: Vec<Duration>,
     arrivals: Vec<Duration>,
     by_motor: usize,
@@ -66,7 +66,7 @@ struct Row {
     later: usize,
 }
 
-impl Row {
+impl StampRow {
     fn add(&mut self, emulator: &Emulator, scan: &Scan) {
         let sent = emulator.sent_scans();
         let truth = sent.iter().find(|sent| sent.requested_at >= scan.requested_at()).unwrap();
@@ -117,7 +117,7 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
         }
         let sensor = opening.connect(emulator.clone()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, rate).await.unwrap();
-        let (start, mut row) = (Instant::now(), Row::default());
+        let (start, mut row) = (Instant::now(), StampRow::default());
         let mut next_jump = start + span / (jumps + 1);
         let mut drift = 0.001;
         let mut turn = start + 2 * HOUR;
@@ -145,7 +145,7 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
 fn on_a_terminal(processes: usize) {
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
     println!("load before: {}", load.trim());
-    let busy: Vec<Busy> = (0..processes).map(|_| Busy::start()).collect();
+    let busy: Vec<BusyLoad> = (0..processes).map(|_| BusyLoad::start()).collect();
     let emulator_runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(1)
         .enable_all()
@@ -163,7 +163,7 @@ fn on_a_terminal(processes: usize) {
     runtime.block_on(async {
         let sensor = Sensor::open(path.to_str().unwrap()).await.unwrap();
         let mut scans = sensor.scans(Window::DETECTION, Rate::UNLIMITED).await.unwrap();
-        let (start, mut row) = (Instant::now(), Row::default());
+        let (start, mut row) = (Instant::now(), StampRow::default());
         while start.elapsed() < WARM_UP + REAL_TIME {
             let scan = scans.next().await.unwrap().unwrap();
             if start.elapsed() > WARM_UP {
@@ -202,15 +202,15 @@ fn run_in_real_time() {
 }
 
 /// A process that computes until it is dropped.
-struct Busy(Child);
+struct BusyLoad(Child);
 
-impl Busy {
+impl BusyLoad {
     fn start() -> Self {
         Self(Command::new("sh").args(["-c", "while :; do :; done"]).spawn().unwrap())
     }
 }
 
-impl Drop for Busy {
+impl Drop for BusyLoad {
     fn drop(&mut self) {
         let _ = self.0.kill();
         let _ = self.0.wait();

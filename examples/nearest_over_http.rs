@@ -22,7 +22,7 @@ use tokio_scip::{ErrorChain, Point, Rate, ScanStream, Sensor, Window};
 
 const LIMIT: Duration = Duration::from_secs(1);
 
-type Refusal = (StatusCode, String);
+type HttpRefusal = (StatusCode, String);
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -42,7 +42,7 @@ pub(crate) fn service(scans: ScanStream) -> Router {
 }
 
 /// Answers null if no ray has a distance, which is no proof of free space.
-async fn nearest(State(scans): State<ScanStream>) -> Result<String, Refusal> {
+async fn nearest(State(scans): State<ScanStream>) -> Result<String, HttpRefusal> {
     check(&scans)?;
     let nearest = scans.latest().and_then(|scan| scan.nearest());
     Ok(nearest.map_or("null\n".to_owned(), |Point { range, angle, .. }| {
@@ -50,12 +50,12 @@ async fn nearest(State(scans): State<ScanStream>) -> Result<String, Refusal> {
     }))
 }
 
-async fn health(State(scans): State<ScanStream>) -> Result<&'static str, Refusal> {
+async fn health(State(scans): State<ScanStream>) -> Result<&'static str, HttpRefusal> {
     check(&scans)?;
     Ok("ok\n")
 }
 
-fn check(scans: &ScanStream) -> Result<(), Refusal> {
+fn check(scans: &ScanStream) -> Result<(), HttpRefusal> {
     let fresh = scans.freshness().check(LIMIT);
     fresh.map_err(|stale| (StatusCode::SERVICE_UNAVAILABLE, format!("{}\n", ErrorChain(&stale))))
 }

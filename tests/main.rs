@@ -17,4 +17,5 @@ mod ports;
 mod properties;
 mod protocol;
 mod simulation;
+mod wishes;
 mod zones;

@@ -12,7 +12,7 @@ use tokio_scip::{Scan, Window};
 
 use crate::common::random::Random;
 
-type Place = (f64, f64);
+type Spot = (f64, f64);
 
 /// Codes for weak light, which say nothing about a zone.
 const WEAK: [u16; 4] = [1, 5, 7, 19];
@@ -24,14 +24,14 @@ fn between(random: &mut Random, range: RangeInclusive<f64>) -> f64 {
     range.start() + share * (range.end() - range.start())
 }
 
-fn at(angle: f64, range: f64) -> Place {
+fn at(angle: f64, range: f64) -> Spot {
     (range * angle.cos(), range * angle.sin())
 }
 
 /// The area of a zone, by code that the library does not share.
 enum Area {
     Sector { from: f64, to: f64, near: f64, far: f64 },
-    Polygon(Vec<Place>),
+    Polygon(Vec<Spot>),
 }
 
 impl Area {
@@ -56,14 +56,16 @@ impl Area {
 
     fn zone(&self) -> Option<Zone> {
         match self {
-            Self::Sector { from, to, near, far } => {
-                Zone::sector(Sector::new(*from, *to).unwrap(), *near..=*far).ok()
-            }
+            Self::Sector { from, to, near, far } => Zone::sector(
+                Sector::degrees(from.to_degrees(), to.to_degrees()).unwrap(),
+                *near..=*far,
+            )
+            .ok(),
             Self::Polygon(corners) => Zone::polygon(corners.iter().copied()).ok(),
         }
     }
 
-    fn contains(&self, place: Place) -> bool {
+    fn contains(&self, place: Spot) -> bool {
         match self {
             Self::Sector { from, to, near, far } => {
                 let (range, angle) = (place.0.hypot(place.1), place.1.atan2(place.0));
@@ -71,7 +73,7 @@ impl Area {
             }
             Self::Polygon(corners) => {
                 // By the angles that the corners make around the place.
-                let angle = |corner: Place| (corner.1 - place.1).atan2(corner.0 - place.0);
+                let angle = |corner: Spot| (corner.1 - place.1).atan2(corner.0 - place.0);
                 let next = corners.iter().skip(1).chain(corners.first());
                 let turns = corners.iter().zip(next).map(|(a, b)| angle(*b) - angle(*a));
                 let turned: f64 = turns.map(|turn| turn - TAU * (turn / TAU).round()).sum();
@@ -91,13 +93,13 @@ impl Area {
 
 /// Something straight that returns light, or only weak light.
 struct Wall {
-    ends: [Place; 2],
+    ends: [Spot; 2],
     is_weak: bool,
 }
 
 impl Wall {
     /// Draws a wall of this width as seen from the sensor, at a place.
-    fn facing(middle: Place, width: f64, is_weak: bool) -> Self {
+    fn facing(middle: Spot, width: f64, is_weak: bool) -> Self {
         let range = middle.0.hypot(middle.1);
         let aside = (-middle.1 / range * width / 2.0, middle.0 / range * width / 2.0);
         let ends =
@@ -141,14 +143,14 @@ fn value(walls: &[Wall], step: u16, random: &mut Random) -> u16 {
 }
 
 /// One world: what the zone says, and what is true.
-struct Case {
+struct ZoneCase {
     state: ZoneState,
     has_obstacle: bool,
     /// Nothing stands in the zone or before it, and no code hides a distance.
     is_open: bool,
 }
 
-fn case(seed: u64) -> Option<Case> {
+fn case(seed: u64) -> Option<ZoneCase> {
     let random = &mut Random::new(seed);
     let area = Area::draw(random);
     let least = area.reach() * TAU / 1024.0;
@@ -207,7 +209,7 @@ fn case(seed: u64) -> Option<Case> {
         && walls.iter().all(|wall| !wall.is_weak && is_beyond(wall, area.reach()))
         && (no_code_counts || !has_code);
     let state = zone.check(&Scan::builder(window, values).build().unwrap());
-    Some(Case { state, has_obstacle, is_open })
+    Some(ZoneCase { state, has_obstacle, is_open })
 }
 
 /// Returns true if all of a wall is farther away than `reach`.
@@ -223,7 +225,7 @@ fn a_clear_zone_has_no_obstacle_and_an_open_one_is_clear() {
     let seeds = std::env::var("SCIP_ZONES").map_or(4_000, |seeds| seeds.parse().unwrap());
     let (mut clear, mut open, mut blocked) = (0_u64, 0_u64, 0_u64);
     for seed in 0..seeds {
-        let Some(Case { state, has_obstacle, is_open }) = case(seed) else { continue };
+        let Some(ZoneCase { state, has_obstacle, is_open }) = case(seed) else { continue };
         assert!(!(state.is_clear() && has_obstacle), "seed {seed}: clear with an obstacle in it");
         assert!(state.is_clear() || !is_open, "seed {seed}: open, but {state}");
         clear += u64::from(state.is_clear());

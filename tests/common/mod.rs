@@ -16,8 +16,25 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::{Error, Scan, Sensor, SensorBuilder};
+use tokio_scip::state::Freshness;
+use tokio_scip::{BaudRate, Error, Scan, Sensor, SensorBuilder, Window};
 use urg_emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
+
+/// Why the last scan of a sensor is too old.
+pub(crate) fn reason(freshness: &Freshness) -> Error {
+    freshness.check(Duration::ZERO).unwrap_err().source.unwrap()
+}
+
+/// Length of the reply to a `G` for this window, terminator included.
+pub(crate) fn reply_len(window: Window) -> usize {
+    let data = 2 * window.points();
+    "G04472501\n0\n".len() + data + data.div_ceil(64) + 1
+}
+
+/// Time that bytes take at a baud rate: ten bits each.
+pub(crate) fn wire_time(baud_rate: BaudRate, bytes: usize) -> Duration {
+    Duration::from_secs(10 * bytes as u64) / baud_rate.bits_per_second()
+}
 
 /// The value at `step`: one of three digits, base 4000, of the request's number. The
 /// digits repeat every three steps, so any window of three steps holds the whole number.

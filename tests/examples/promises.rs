@@ -33,7 +33,7 @@ impl World for Appearing {
 
 /// Figures of a run of the safety stop.
 #[derive(Debug, Default)]
-struct Run {
+struct PromiseRun {
     /// The longest time from an obstacle to the stop.
     reaction: Duration,
     /// The age of the oldest good scan that permitted to drive.
@@ -44,7 +44,12 @@ struct Run {
 
 /// Runs the safety stop for `obstacles` obstacles, two seconds each, with three seconds
 /// between them, and looks at its output every 5 ms.
-async fn run(world: Appearing, faults: Faults, is_blocked: &AtomicBool, obstacles: u32) -> Run {
+async fn run(
+    world: Appearing,
+    faults: Faults,
+    is_blocked: &AtomicBool,
+    obstacles: u32,
+) -> PromiseRun {
     limit();
     let emulator = Emulator::builder().world(world).build();
     let sensor = safety_stop::settings().jitter_seed(7).connect(emulator.clone()).await.unwrap();
@@ -52,7 +57,7 @@ async fn run(world: Appearing, faults: Faults, is_blocked: &AtomicBool, obstacle
     let (scans, path) = (safety_stop::ahead(&sensor).await.unwrap(), safety_stop::path().unwrap());
     let guard = tokio::spawn(safety_stop::guard(scans, path, output));
     emulator.set_faults(faults);
-    let mut run = Run::default();
+    let mut run = PromiseRun::default();
     let (mut driving, mut total) = (0, 0);
     for _ in 0..obstacles {
         for (blocked, length) in [(false, 3000), (true, 2000)] {

@@ -19,6 +19,7 @@ use super::chooser::Chooser;
 use super::fate::Fate;
 use super::sensor::ModelSensor;
 use crate::common::test_port::{FarEnd, TestPort};
+use crate::common::wire_time;
 
 /// The time from a command to its reply.
 const TURNAROUND: Duration = Duration::from_millis(20);
@@ -77,9 +78,9 @@ pub(crate) struct LineState {
 
 /// A handle to the line, which opens links to it.
 #[derive(Clone)]
-pub(crate) struct Line(Arc<Mutex<LineState>>);
+pub(crate) struct ModelLine(Arc<Mutex<LineState>>);
 
-impl Line {
+impl ModelLine {
     pub(crate) fn new(
         chooser: Chooser,
         baud_rate: Option<BaudRate>,
@@ -201,7 +202,8 @@ impl LineState {
             return;
         }
         let Some(mut reply) = self.sensor.answer(line) else { return };
-        let wire = |bytes| baud_rate.map_or(Duration::ZERO, |baud_rate| baud_rate.wire_time(bytes));
+        let wire =
+            |bytes| baud_rate.map_or(Duration::ZERO, |baud_rate| wire_time(baud_rate, bytes));
         let on_the_wire = wire(line.len() + 1 + reply.len());
         let on_time = Due::At(now + TURNAROUND + on_the_wire);
         let latency = if line[0] == b'G' { 500 } else { 1000 };
@@ -272,13 +274,13 @@ impl LineState {
 
 /// The host's end of a link.
 pub(crate) struct Link {
-    line: Line,
+    line: ModelLine,
     number: u64,
     baud_rate: Option<BaudRate>,
     timer: Option<Pin<Box<Sleep>>>,
 }
 
-impl Connect for Line {
+impl Connect for ModelLine {
     type Port = TestPort<Link>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {

@@ -31,7 +31,7 @@ const CHOICES: usize = 40;
 
 /// The end of the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum End {
+enum OrderEnd {
     /// A handle closes it.
     Close,
     /// Its task is aborted.
@@ -42,7 +42,7 @@ enum End {
     Drop,
 }
 
-impl End {
+impl OrderEnd {
     /// Fails unless a call may return this error after such an end.
     fn check(self, error: &Error) {
         let expected = match self {
@@ -65,15 +65,15 @@ struct Task<'a> {
     name: &'static str,
     /// `None` once it has ended.
     future: Option<Boxed<'a>>,
-    woken: Arc<Woken>,
+    woken: Arc<OrderWaker>,
 }
 
-struct Woken {
+struct OrderWaker {
     is_set: AtomicBool,
     executor: Arc<Notify>,
 }
 
-impl Wake for Woken {
+impl Wake for OrderWaker {
     fn wake(self: Arc<Self>) {
         self.is_set.store(true, Ordering::Relaxed);
         self.executor.notify_one();
@@ -104,7 +104,7 @@ async fn execute(
 ) {
     let executor = Arc::new(Notify::new());
     let task = |(name, future)| {
-        let woken = Woken { is_set: AtomicBool::new(true), executor: Arc::clone(&executor) };
+        let woken = OrderWaker { is_set: AtomicBool::new(true), executor: Arc::clone(&executor) };
         Task { name, future: Some(future), woken: Arc::new(woken) }
     };
     let mut tasks: Vec<Task<'_>> = futures.into_iter().map(task).collect();
@@ -134,7 +134,7 @@ async fn execute(
 /// A run: a driver, two calls in turn, a call that is dropped, a stream that is cloned,
 /// someone who watches the state, and the end. Without a stream nothing but a request wakes
 /// the driver.
-async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_streaming: bool) {
+async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: OrderEnd, is_streaming: bool) {
     let emulator = Emulator::builder().usb().pace(Pace::AtOnce).build();
     let builder = Sensor::builder().jitter_seed(1).reconnect(false).depth(64);
     // It would wake an idle driver, too.
@@ -201,7 +201,7 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_strea
                 if items.get() == 1 {
                     stream = stream.clone();
                 }
-                if end == End::Drop && items.get() == 3 {
+                if end == OrderEnd::Drop && items.get() == 3 {
                     return;
                 }
             }
@@ -217,12 +217,12 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_strea
     };
     let ending = async move {
         match end {
-            End::Close => sensor.close().await,
-            End::Abort => {
+            OrderEnd::Close => sensor.close().await,
+            OrderEnd::Abort => {
                 let _ = abort.send(());
             }
-            End::Unplug => emulator.unplug(),
-            End::Drop => drop(sensor),
+            OrderEnd::Unplug => emulator.unplug(),
+            OrderEnd::Drop => drop(sensor),
         }
     };
     let cancelling = async move {
@@ -246,11 +246,12 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: End, is_strea
     // A stream ends with its cause, once.
     let errors = errors.borrow();
     errors.iter().for_each(|error| end.check(error));
-    let expected = usize::from(subscribed.get() && matches!(end, End::Unplug | End::Abort));
+    let expected =
+        usize::from(subscribed.get() && matches!(end, OrderEnd::Unplug | OrderEnd::Abort));
     assert_eq!(errors.len(), expected, "{end:?}: {errors:?}");
     match (end, &*ended.borrow()) {
-        (End::Close | End::Drop, Some(Ok(()))) | (End::Abort, None) => {}
-        (End::Unplug, Some(Err(error))) => end.check(error),
+        (OrderEnd::Close | OrderEnd::Drop, Some(Ok(()))) | (OrderEnd::Abort, None) => {}
+        (OrderEnd::Unplug, Some(Err(error))) => end.check(error),
         (_, outcome) => panic!("{end:?}: the driver has ended with {outcome:?}"),
     }
 }
@@ -261,12 +262,12 @@ fn every_order_of_tasks_answers_each_call_and_ends_each_stream() {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().unwrap();
     for (end, is_streaming) in [
-        (End::Close, true),
-        (End::Abort, true),
-        (End::Unplug, true),
-        (End::Drop, true),
-        (End::Close, false),
-        (End::Drop, false),
+        (OrderEnd::Close, true),
+        (OrderEnd::Abort, true),
+        (OrderEnd::Unplug, true),
+        (OrderEnd::Drop, true),
+        (OrderEnd::Close, false),
+        (OrderEnd::Drop, false),
     ] {
         let mut runs = 0_u64;
         for start in 0..CHOICES {

@@ -10,7 +10,7 @@ use tokio_scip::{BaudRate, Error, Rate, ScanStream, Sensor, Window};
 
 use super::chooser::Chooser;
 use super::fate::Fate;
-use super::line::{Depth, Line};
+use super::line::{Depth, ModelLine};
 
 /// A run that takes longer hangs.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -50,13 +50,13 @@ pub(crate) enum Deed {
 
 /// The figures of an enumeration.
 #[derive(Debug, Default)]
-pub(crate) struct Figures {
+pub(crate) struct SearchFigures {
     runs: u64,
     scans: u64,
     pub(crate) slowest: Duration,
 }
 
-impl Figures {
+impl SearchFigures {
     pub(crate) fn add(&mut self, other: &Self) {
         self.runs += other.runs;
         self.scans += other.scans;
@@ -64,7 +64,7 @@ impl Figures {
     }
 }
 
-impl fmt::Display for Figures {
+impl fmt::Display for SearchFigures {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { runs, scans, slowest } = self;
         write!(f, "{runs} sequences, {scans} scans, the longest run {slowest:?}")
@@ -74,10 +74,10 @@ impl fmt::Display for Figures {
 impl Scenario {
     /// Runs every sequence of choices. Panics with a drawing of the first one that breaks
     /// a promise.
-    pub(crate) fn explore(&self, depth: Depth, deed: Option<(Deed, usize)>) -> Figures {
+    pub(crate) fn explore(&self, depth: Depth, deed: Option<(Deed, usize)>) -> SearchFigures {
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let runtime = builder.enable_time().start_paused(true).build().unwrap();
-        let (mut figures, mut chooser) = (Figures::default(), Chooser::default());
+        let (mut figures, mut chooser) = (SearchFigures::default(), Chooser::default());
         loop {
             let (ran, outcome, _) = self.run(&runtime, chooser, depth, deed, false);
             chooser = ran;
@@ -113,32 +113,33 @@ impl Scenario {
         depth: Depth,
         deed: Option<(Deed, usize)>,
         draws: bool,
-    ) -> (Chooser, Result<Figures, String>, String) {
+    ) -> (Chooser, Result<SearchFigures, String>, String) {
         runtime.block_on(async {
-            let line = Line::new(chooser, self.baud_rate, self.fates, draws);
+            let line = ModelLine::new(chooser, self.baud_rate, self.fates, draws);
             let begun = Instant::now();
-            let run = Run { scenario: self, line: &line, depth, deed, done: Cell::new(false) };
+            let run =
+                ScenarioRun { scenario: self, line: &line, depth, deed, done: Cell::new(false) };
             let outcome = timeout(LIMIT, run.run()).await;
             let outcome = outcome.unwrap_or_else(|_| Err(format!("it hangs for {LIMIT:?}")));
             let slowest = begun.elapsed();
             let mut state = line.lock();
-            let outcome = outcome.map(|scans| Figures { runs: 1, scans, slowest });
+            let outcome = outcome.map(|scans| SearchFigures { runs: 1, scans, slowest });
             (std::mem::take(&mut state.chooser), outcome, state.drawing.take().unwrap_or_default())
         })
     }
 }
 
 /// One run of a scenario.
-struct Run<'a> {
+struct ScenarioRun<'a> {
     scenario: &'a Scenario,
-    line: &'a Line,
+    line: &'a ModelLine,
     depth: Depth,
     deed: Option<(Deed, usize)>,
     /// Set once the deed is done.
     done: Cell<bool>,
 }
 
-impl Run<'_> {
+impl ScenarioRun<'_> {
     /// Returns the number of scans that came, or the promise that was broken.
     async fn run(&self) -> Result<u64, String> {
         let scenario = self.scenario;

@@ -10,7 +10,7 @@ use urg_emulator::{Emulator, Fault};
 
 use super::rig::{Outcome, instant_sensor, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::FaultyLink;
-use crate::common::{builder, request_of};
+use crate::common::{builder, reply_len, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 /// The offset of the data: behind echo, LF, status, LF.
@@ -18,7 +18,7 @@ const DATA: usize = 12;
 
 /// The length of the second poll's reply. That poll asks for one step more.
 fn length() -> usize {
-    Window::new(43..=725).unwrap().reply_len()
+    reply_len(Window::new(43..=725).unwrap())
 }
 
 /// Asserts that the poll brought no scan, and exactly one error.
@@ -105,7 +105,7 @@ async fn w16_a_reply_split_at_each_place() {
         before
     };
     let before = stream(Vec::new()).await;
-    for at in 1..WINDOW.reply_len() as u64 {
+    for at in 1..reply_len(WINDOW) as u64 {
         assert_eq!(stream(vec![before + at]).await, before);
     }
 }

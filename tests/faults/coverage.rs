@@ -7,7 +7,7 @@ use std::path::Path;
 const LIST: &str = include_str!("list.txt");
 
 /// A row of the list.
-struct Row<'a> {
+struct CoverageRow<'a> {
     id: &'a str,
     /// The reason why there is no test, where there cannot be one.
     absent: Option<&'a str>,
@@ -15,13 +15,13 @@ struct Row<'a> {
 
 /// Parses the rows: `w06  a data byte is dropped`, or, for a row without a test,
 /// `o23  the disk is full -- absent: there is no recorder`.
-fn rows(list: &str) -> Vec<Row<'_>> {
+fn rows(list: &str) -> Vec<CoverageRow<'_>> {
     let lines = list.lines().filter(|line| !line.is_empty() && !line.starts_with('#'));
     lines
         .map(|line| {
             let (id, text) = line.split_once("  ").expect(line);
             let absent = text.split_once(" -- absent: ").map(|(_, reason)| reason.trim());
-            Row { id, absent }
+            CoverageRow { id, absent }
         })
         .collect()
 }

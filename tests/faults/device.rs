@@ -10,14 +10,14 @@ use tokio_scip::{BaudRate, ErrorKind, Measurement, Rate, Window};
 use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Fixed, Verdict};
 
 use super::rig::{instant_sensor, open, scans, streaming, wrong_scans};
-use crate::common::{builder, ms, request_of};
+use crate::common::{builder, ms, reply_len, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
 async fn d01_a_reset_at_each_byte_of_a_reply_is_detected_and_the_baud_rate_restored() {
     let window = Window::new(300..=360).unwrap();
-    for at in 0..=window.reply_len() {
+    for at in 0..=reply_len(window) {
         let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
         let sensor =
             builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();

@@ -65,9 +65,9 @@ async fn o01_d03_an_hour_unplugged_costs_two_wake_ups_a_second_at_most() {
 
 /// Collects log lines, an event each.
 #[derive(Clone, Default)]
-struct Log(Arc<std::sync::Mutex<Vec<String>>>);
+struct ErrorLog(Arc<std::sync::Mutex<Vec<String>>>);
 
-impl tracing::Subscriber for Log {
+impl tracing::Subscriber for ErrorLog {
     fn enabled(&self, metadata: &tracing::Metadata<'_>) -> bool {
         metadata.target().starts_with("tokio_scip")
     }
@@ -81,13 +81,13 @@ impl tracing::Subscriber for Log {
     fn record_follows_from(&self, _: &span::Id, _: &span::Id) {}
 
     fn event(&self, event: &tracing::Event<'_>) {
-        struct Text(String);
-        impl Visit for Text {
+        struct EventText(String);
+        impl Visit for EventText {
             fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
                 self.0 += &format!(" {field}={value:?}");
             }
         }
-        let mut text = Text(event.metadata().level().to_string());
+        let mut text = EventText(event.metadata().level().to_string());
         event.record(&mut text);
         self.0.lock().unwrap().push(text.0);
     }
@@ -110,7 +110,7 @@ fn full_text(error: &Error) -> String {
 
 #[tokio::test(start_paused = true)]
 async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
-    let log = Log::default();
+    let log = ErrorLog::default();
     let _guard = crate::common::logs::collect(log.clone());
     let evil = b"\x1b]0;owned\x07\x1b[2J\r\xff\x9b31m\x00\x7f".to_vec();
     let mut texts = Vec::new();
@@ -154,7 +154,7 @@ async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
 
 #[tokio::test(start_paused = true)]
 async fn d03_an_hour_of_bad_frames_and_an_hour_without_power_log_a_few_lines() {
-    let log = Log::default();
+    let log = ErrorLog::default();
     let _guard = crate::common::logs::collect(log.clone());
     let loud = || {
         let lines = log.0.lock().unwrap();

@@ -25,25 +25,25 @@ struct LinkCounts {
 }
 
 /// Counts how a port is used.
-struct Count {
+struct CountedUse {
     counts: Arc<LinkCounts>,
     ended: bool,
 }
 
-impl Count {
+impl CountedUse {
     fn new(counts: &Arc<LinkCounts>) -> Self {
         counts.open.fetch_add(1, Relaxed);
         Self { counts: Arc::clone(counts), ended: false }
     }
 }
 
-impl Drop for Count {
+impl Drop for CountedUse {
     fn drop(&mut self) {
         self.counts.open.fetch_sub(1, Relaxed);
     }
 }
 
-impl Hooks for Count {
+impl Hooks for CountedUse {
     fn before_read(&mut self) {
         self.counts.reads_after_end.fetch_add(u64::from(self.ended), Relaxed);
     }
@@ -74,7 +74,7 @@ async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened
         if opened == 2 {
             return Err(ErrorKind::NoSuchPort { port: "/dev/ttyACM0".to_owned() }.into());
         }
-        Ok(Hooked { port: inner.link(), hooks: Count::new(&links) })
+        Ok(Hooked { port: inner.link(), hooks: CountedUse::new(&links) })
     });
     let sensor = builder().depth(16).connect(connect).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();

@@ -10,8 +10,8 @@ use urg_emulator::{EmptyCommand, Fault, Faults, Pace, Verdict};
 use super::rig::{instant_sensor, open, scans, second_poll, streaming, wrong_scans};
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::hooked::{Hooked, Hooks};
-use crate::common::{ConnectFn, builder, ms, truthful};
-use crate::simulation::truth::Truth;
+use crate::common::{ConnectFn, builder, ms, reply_len, truthful};
+use crate::simulation::truth::SimulationTruth;
 
 const WINDOW: Window = Window::DETECTION;
 
@@ -96,7 +96,7 @@ async fn t03_a_copy_that_comes_after_the_next_poll_is_not_delivered_for_it() {
     // asks for one step more, as it does, or for the same window.
     let mut faults = Faults::none().at(0, Fault::Doubled);
     for start in [43, 44] {
-        let length = Window::new(start..=725).unwrap().reply_len();
+        let length = reply_len(Window::new(start..=725).unwrap());
         faults = faults.at(0, Fault::Pause(length, ms(150)));
     }
     emulator.set_faults(faults);
@@ -124,12 +124,12 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
     }) {
         for behind in [1, 5] {
             // This truth's values name their request also in clusters.
-            let truth = Truth::default();
+            let truth = SimulationTruth::default();
             let emulator = truthful().world(truth.world()).baud_rate(baud_rate).build();
             let (_sensor, mut stream) = streaming(&emulator, window, Rate::UNLIMITED).await;
             let mut faults = Faults::none();
             for reply in (0..200).step_by(5) {
-                let pause = Fault::Pause(window.reply_len(), ms(behind));
+                let pause = Fault::Pause(reply_len(window), ms(behind));
                 faults = faults.at(reply, Fault::Doubled).at(reply, pause);
             }
             let mut delivered = scans(&mut stream, 1).await;
@@ -147,7 +147,7 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
 #[tokio::test(start_paused = true)]
 async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused() {
     let window = Window::FULL.with_cluster_count(99).unwrap();
-    let truth = Truth::default();
+    let truth = SimulationTruth::default();
     let emulator = truthful().pace(Pace::AtOnce).baud_rate(BaudRate::B19200);
     let emulator = emulator.world(truth.world()).build();
     let (sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
@@ -157,7 +157,7 @@ async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused
     for after in 1..=4 {
         // The copy begins `after` ms after the next poll was sent, which takes 5.2 ms on the
         // wire.
-        let pause = Fault::Pause(window.reply_len(), ms(100 + after) - took);
+        let pause = Fault::Pause(reply_len(window), ms(100 + after) - took);
         emulator.set_faults(Faults::none().at(0, Fault::Doubled).at(0, pause));
         for _ in 0..5 {
             delivered.extend(stream.next().await.unwrap().ok());

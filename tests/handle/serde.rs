@@ -52,8 +52,7 @@ fn a_scan_that_was_written_is_read_back_as_the_same() {
         let values: Vec<u16> = (0..window.points() as u16).map(|n| n % 4096).collect();
         let stamp = UNIX_EPOCH + Duration::from_micros(1_795_000_000_123_457);
         let scan = Scan::builder(window, values).sequence(41).stamp(stamp).repeat(true);
-        let scan = scan.lateness(Duration::from_nanos(1_234_567));
-        scan.scan_time(Duration::from_millis(99)).reconnects(2).build().unwrap()
+        scan.scan_time(Duration::from_millis(99)).build().unwrap()
     };
     let grouped = scan(window(10, 20, 4));
     for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped] {

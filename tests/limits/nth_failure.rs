@@ -33,7 +33,7 @@ const FAILURES: [LinkFailure; 9] = [
 
 /// A sequence of calls by a service.
 #[derive(Clone, Copy, Debug)]
-enum Scenario {
+enum FailureScenario {
     Open,
     Stream,
     Speed,
@@ -41,10 +41,10 @@ enum Scenario {
 }
 
 /// Runs the scenario, and returns the first error.
-async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result<(), Error> {
+async fn run(scenario: FailureScenario, sensor: &Sensor, emulator: &Emulator) -> Result<(), Error> {
     match scenario {
-        Scenario::Open => sensor.watch_state().connected().await,
-        Scenario::Stream | Scenario::Reconnect => {
+        FailureScenario::Open => sensor.watch_state().connected().await,
+        FailureScenario::Stream | FailureScenario::Reconnect => {
             sensor.watch_state().connected().await?;
             let mut stream = sensor.scans(window(), Rate::hz(5.0)).await?;
             let mut first = None;
@@ -60,14 +60,14 @@ async fn run(scenario: Scenario, sensor: &Sensor, emulator: &Emulator) -> Result
                         None => return Err(first.unwrap_or(ErrorKind::Closed.into())),
                     }
                 }
-                if round == 0 && matches!(scenario, Scenario::Reconnect) {
+                if round == 0 && matches!(scenario, FailureScenario::Reconnect) {
                     emulator.unplug();
                     emulator.plug_in();
                 }
             }
             first.map_or(Ok(()), Err)
         }
-        Scenario::Speed => {
+        FailureScenario::Speed => {
             sensor.watch_state().connected().await?;
             sensor.set_baud_rate(BaudRate::B57600).await?;
             sensor.set_baud_rate(BaudRate::B250000).await
@@ -107,7 +107,7 @@ fn calls(counter: &CallCounter, failure: Option<(Call, u64, LinkFailure)>) -> u6
 
 /// Runs the scenario with one failing call. Returns whether that call was reached.
 async fn with_failure(
-    scenario: Scenario,
+    scenario: FailureScenario,
     writes: usize,
     failure: Option<(Call, u64, LinkFailure)>,
     reconnect: bool,
@@ -134,7 +134,7 @@ async fn with_failure(
             typed && !matches!(error.kind(), ErrorKind::Closed),
             "{scenario:?} {failure:?}: {error:?}"
         );
-        assert!(failure.is_some() || matches!(scenario, Scenario::Reconnect), "{error:?}");
+        assert!(failure.is_some() || matches!(scenario, FailureScenario::Reconnect), "{error:?}");
     }
     if reconnect {
         // The failure occurs once, so scans come again.
@@ -167,9 +167,9 @@ async fn with_failure(
 }
 
 /// Lets every n-th call of each kind fail in every way.
-async fn every_call_fails_once(scenario: Scenario) {
+async fn every_call_fails_once(scenario: FailureScenario) {
     for (reconnect, writes) in [(true, usize::MAX), (true, 3), (false, usize::MAX)] {
-        if !reconnect && matches!(scenario, Scenario::Reconnect) {
+        if !reconnect && matches!(scenario, FailureScenario::Reconnect) {
             continue;
         }
         let totals = with_failure(scenario, writes, None, reconnect).await;
@@ -186,20 +186,20 @@ async fn every_call_fails_once(scenario: Scenario) {
 
 #[tokio::test(start_paused = true)]
 async fn o02_every_call_fails_once_while_opening() {
-    every_call_fails_once(Scenario::Open).await;
+    every_call_fails_once(FailureScenario::Open).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn o02_every_call_fails_once_under_a_stream() {
-    every_call_fails_once(Scenario::Stream).await;
+    every_call_fails_once(FailureScenario::Stream).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn o02_every_call_fails_once_during_changes_of_baud_rate() {
-    every_call_fails_once(Scenario::Speed).await;
+    every_call_fails_once(FailureScenario::Speed).await;
 }
 
 #[tokio::test(start_paused = true)]
 async fn o02_every_call_fails_once_around_a_reconnect() {
-    every_call_fails_once(Scenario::Reconnect).await;
+    every_call_fails_once(FailureScenario::Reconnect).await;
 }

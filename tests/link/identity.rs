@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use super::reconnect::open;
+use crate::common::random::Random;
 use crate::common::{ConnectFn, builder, truthful};
 use tokio::time::Instant;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
@@ -163,6 +164,39 @@ async fn a_scan_has_the_time_of_a_revolution_that_the_version_states() {
             sensor.scan(Window::DETECTION).await.unwrap().scan_time(),
             Duration::from_millis(milliseconds)
         );
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_flipped_bit_changes_the_motor_speed() {
+    let firmware = "FIRM:3.3.00,08/04/16(20-4095[mm],240[deg],44-725[step],600[rpm])";
+    let lines = [firmware, "SERI:H0713090"];
+    let speed = "V\n0\n".len() + firmware.find("600[").unwrap();
+    for seed in 0..300 {
+        let mut random = Random::new(seed);
+        // In one of the first three replies after the fence, mostly in the speed.
+        let mut flip = || {
+            let at = match random.once_in(3) {
+                true => random.below(85) as usize,
+                false => speed + random.below(3) as usize,
+            };
+            let bit = 1 << random.below(8);
+            Faults::none().at(1 + random.below(3), Fault::Flip(at, bit))
+        };
+        let emulator = truthful().version_lines(lines).pace(Pace::AtOnce).faults(flip()).build();
+        let builder = builder().wait_for_sensor(true);
+        let sensor = builder.connect(emulator.clone()).await.unwrap();
+        for _ in 0..3 {
+            let scan = loop {
+                if let Ok(scan) = sensor.scan(Window::FULL).await {
+                    break scan;
+                }
+            };
+            assert_eq!(scan.scan_time(), Duration::from_millis(100), "seed {seed}");
+            emulator.unplug();
+            emulator.set_faults(flip());
+            emulator.plug_in();
+        }
     }
 }
 

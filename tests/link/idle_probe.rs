@@ -116,9 +116,9 @@ async fn requests_that_need_no_exchange_do_not_put_the_probe_off() {
 }
 
 /// A serial line behind a server, which keeps its baud rate.
-struct Bridge(BaudRate);
+struct SilentBridge(BaudRate);
 
-impl Hooks for Bridge {
+impl Hooks for SilentBridge {
     fn baud_rate(&self, _of_port: Option<BaudRate>) -> Option<BaudRate> {
         Some(self.0)
     }
@@ -135,7 +135,7 @@ async fn a_link_that_died_silently_is_lost_within_ten_seconds_at_every_fixed_bau
         let bridged = emulator.clone();
         let sensor = Sensor::builder()
             .connect(ConnectFn(move || {
-                Ok(Hooked { port: bridged.bridge(baud_rate), hooks: Bridge(baud_rate) })
+                Ok(Hooked { port: bridged.bridge(baud_rate), hooks: SilentBridge(baud_rate) })
             }))
             .await
             .unwrap();

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use tokio::time::sleep;
-use tokio_scip::{ErrorKind, Rate, State, Window};
+use tokio_scip::{BaudRate, ErrorKind, Rate, State, Window};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
@@ -26,9 +26,9 @@ struct Logged {
     lines: Vec<(Level, String)>,
 }
 
-struct Text<'a>(&'a mut String);
+struct LoggedFields<'a>(&'a mut String);
 
-impl Visit for Text<'_> {
+impl Visit for LoggedFields<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn std::fmt::Debug) {
         *self.0 += &format!(" {}={value:?}", field.name());
     }
@@ -41,7 +41,7 @@ impl Subscriber for Log {
 
     fn new_span(&self, span: &Attributes<'_>) -> Id {
         let mut text = span.metadata().name().to_owned();
-        span.record(&mut Text(&mut text));
+        span.record(&mut LoggedFields(&mut text));
         let mut log = self.0.lock().unwrap();
         let parent = span
             .parent()
@@ -64,7 +64,7 @@ impl Subscriber for Log {
             line = format!("{text}:{line}");
             span = parent.clone();
         }
-        event.record(&mut Text(&mut line));
+        event.record(&mut LoggedFields(&mut line));
         log.lines.push((*event.metadata().level(), line));
     }
 
@@ -148,6 +148,48 @@ async fn a_lost_link_is_logged_once_for_each_reason_why_it_stays_lost() {
     assert_eq!(warnings, 3);
 }
 
+/// Pulls the cable of a sensor for 0.2 s in each period, for a while. Returns the lines of the log
+/// that say so: the warnings, the infos, and the others.
+async fn flap(period: Duration, times: u32) -> [Vec<String>; 3] {
+    let log = Log::default();
+    let _guard = crate::common::logs::collect(log.clone());
+    let emulator = Emulator::builder().build();
+    let sensor = sensor(&emulator).await;
+    for _ in 0..times {
+        sleep(period - Duration::from_millis(200)).await;
+        emulator.unplug();
+        sleep(Duration::from_millis(200)).await;
+        emulator.plug_in();
+    }
+    sleep(Duration::from_secs(5)).await;
+    assert_eq!(sensor.stats().disconnects, u64::from(times));
+    let log = log.0.lock().unwrap();
+    [Level::WARN, Level::INFO, Level::DEBUG].map(|level| {
+        let is_told = |(of, line): &&(Level, String)| {
+            *of == level && (line.contains("=connected") || line.contains("is lost"))
+        };
+        log.lines.iter().filter(is_told).map(|(_, line)| line.clone()).collect()
+    })
+}
+
+#[tokio::test(start_paused = true)]
+async fn ever_fewer_losses_of_a_flapping_link_are_warnings() {
+    let [warnings, infos, others] = flap(Duration::from_secs(2), 1800).await;
+    // After 0, 10, 30, 70, 150, 310, 630, 1270 and 2550 seconds.
+    assert_eq!((warnings.len(), infos.len()), (9, 10), "{warnings:?}");
+    assert!(others.len() >= 2 * (1800 - 9), "the others are at level debug");
+    let counts = warnings.iter().filter_map(|line| line.split("losses=").nth(1)?.parse().ok());
+    let (counts, least): (Vec<u32>, _) = (counts.collect(), (2550 - 30) / 2);
+    assert!(counts.iter().sum::<u32>() >= least, "each says how many there were: {warnings:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_loss_of_a_steady_link_is_a_warning() {
+    let [warnings, infos, others] = flap(Duration::from_secs(700), 10).await;
+    assert_eq!((warnings.len(), infos.len(), others.len()), (10, 11, 0), "{others:?}");
+    assert!(warnings.iter().all(|line| !line.contains("losses")), "{warnings:?}");
+}
+
 #[tokio::test(start_paused = true)]
 async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_only() {
     let log = Log::default();
@@ -166,13 +208,19 @@ async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_onl
 
 #[tokio::test(start_paused = true)]
 async fn a_rate_that_is_not_reached_is_logged_with_its_reason() {
-    for (faults, reason) in [
-        (Faults::none(), "the line or the sensor cannot keep up"),
-        (Faults::none().rate(0.5, Fault::Lost).seed(1), "replies are lost"),
+    let usb = || Emulator::builder().revolution(Duration::from_millis(200));
+    for (emulator, faults, reason) in [
+        (usb(), Faults::none(), "the sensor answers no faster"),
+        (usb(), Faults::none().rate(0.5, Fault::Lost).seed(1), "replies are lost"),
+        (
+            Emulator::builder().baud_rate(BaudRate::B19200),
+            Faults::none(),
+            "the line cannot keep up",
+        ),
     ] {
         let log = Log::default();
         let _guard = crate::common::logs::collect(log.clone());
-        let emulator = Emulator::builder().revolution(Duration::from_millis(200)).build();
+        let emulator = emulator.build();
         let sensor = sensor(&emulator).await;
         emulator.set_faults(faults);
         let _stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();

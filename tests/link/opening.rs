@@ -106,6 +106,22 @@ async fn bytes_that_are_no_reply_are_counted_in_the_error() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn a_sensor_of_scip_2_is_named_with_what_to_do() {
+    for (line, advice) in [
+        ("MODL:UST-10LX", "the sensor, UST-10LX, knows only SCIP 2"),
+        ("PROD:SOKUIKI Sensor URG-04LX", "SOKUIKI Sensor URG-04LX, was switched to SCIP 2"),
+        ("MODL:URG-04LX-UG01(Hokuyo)", "URG-04LX-UG01(Hokuyo), knows only SCIP 2"),
+        ("NEWS:", "power-cycle it to return a URG-04LX to SCIP 1.1; models that know only"),
+    ] {
+        for mode in [Mode::Scip2, Mode::Scip2Streaming] {
+            let emulator = truthful().version_lines([line]).mode(mode).build();
+            let error = fails(&emulator).await.to_string();
+            assert!(error.contains(advice), "{error}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
 async fn w24_d05_d06_a_sensor_in_scip_2_is_distinguished_from_a_silent_one_at_once() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         let emulator = truthful().build();

@@ -224,18 +224,36 @@ async fn a_stream_that_joins_another_without_a_link_reports_the_loss() {
 async fn version_fails_while_there_is_no_sensor() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
-    sensor.laser_off().await.unwrap();
     emulator.unplug();
     let mut state = sensor.watch_state();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.unwrap();
-    // It answers the fence and `V`, and refuses to switch its laser off.
-    let refused = (2..1000).step_by(3);
-    let faults = refused.fold(Faults::none(), |all, n| all.at(n, Fault::Status(b'1')));
-    emulator.set_faults(faults);
+    // It answers the fence and `V`, but is not the sensor.
+    emulator.set_serial_number("H0000002");
     emulator.plug_in();
     tokio::time::sleep(Duration::from_secs(10)).await;
     assert!(matches!(state.get(), State::Disconnected { .. }));
     assert!(sensor.version().await.is_err());
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_queued_request_survives_a_short_outage() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let sensor = open(&emulator).await;
+    let requests = (0..120).map(|_| {
+        let sensor = sensor.clone();
+        tokio::spawn(async move { sensor.scan(Window::DETECTION).await })
+    });
+    let requests: Vec<_> = requests.collect();
+    // Half of them are answered, and the others have waited for longer than the request timeout.
+    tokio::time::sleep(Duration::from_secs(45)).await;
+    emulator.unplug();
+    tokio::time::sleep(ms(20)).await;
+    emulator.plug_in();
+    let mut failed = 0;
+    for request in requests {
+        failed += usize::from(request.await.unwrap().is_err());
+    }
+    assert_eq!(failed, 1, "all but the one on the wire succeed");
 }
 
 #[tokio::test(start_paused = true)]

@@ -88,6 +88,19 @@ async fn t04_an_error_names_the_command_that_failed_and_not_the_fence() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn wishes_without_a_link_count_after_the_replug() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).build();
+    let sensor = builder().request_timeout(ms(10)).connect(emulator.clone()).await.unwrap();
+    emulator.unplug();
+    let error = sensor.laser_off().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
+    assert!(sensor.set_baud_rate(BaudRate::B115200).await.is_err());
+    emulator.plug_in();
+    tokio::time::sleep(ms(5000)).await;
+    assert_eq!((emulator.is_laser_on(), emulator.baud_rate()), (false, Some(BaudRate::B115200)));
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_laser_that_another_program_switched_off_is_switched_on() {
     use tokio::io::AsyncWriteExt;
     let emulator = truthful().build();

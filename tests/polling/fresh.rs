@@ -8,7 +8,7 @@ use tokio::time::{Instant, sleep};
 use tokio_scip::{ErrorChain, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults};
 
-use crate::common::builder;
+use crate::common::{builder, reason};
 
 const LIMIT: Duration = Duration::from_millis(500);
 const WINDOW: Window = Window::DETECTION;
@@ -26,7 +26,7 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
     let scan = stream.next().await.unwrap().unwrap();
     for freshness in [sensor.freshness(), stream.freshness()] {
         assert_eq!(freshness.age(), Some(scan.age()));
-        assert!(freshness.check(LIMIT).is_ok() && freshness.error().is_none());
+        assert!(freshness.check(LIMIT).is_ok());
     }
 
     emulator.set_faults(Faults::none().every(Fault::Flip(700, 0x80)));
@@ -57,7 +57,7 @@ async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_d
     sensor.laser_off().await.unwrap();
     sleep(Duration::from_secs(2)).await;
     for freshness in [sensor.freshness(), stream.freshness()] {
-        assert!(matches!(freshness.error().unwrap().kind(), ErrorKind::LaserOff), "{freshness:?}");
+        assert!(matches!(reason(&freshness).kind(), ErrorKind::LaserOff), "{freshness:?}");
     }
     sensor.laser_on().await.unwrap();
     sleep(Duration::from_secs(1)).await;
@@ -69,7 +69,7 @@ async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_d
         assert!(text.contains("no port") || text.contains("is lost"), "{text}");
     }
     sensor.close().await;
-    assert!(matches!(sensor.freshness().error().unwrap().kind(), ErrorKind::Closed));
+    assert!(matches!(reason(&sensor.freshness()).kind(), ErrorKind::Closed));
 }
 
 #[tokio::test(start_paused = true)]
@@ -144,8 +144,8 @@ async fn streams_opened_before_the_first_link_begin_with_a_scan_however_many_the
         streams.push(sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap());
         sleep(Duration::from_secs(1)).await;
     }
-    let reason = streams[0].freshness();
-    assert!(matches!(reason.error().unwrap().kind(), ErrorKind::NoSuchPort { .. }), "{reason:?}");
+    let error = reason(&streams[0].freshness());
+    assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error:?}");
     emulator.plug_in();
     for mut stream in streams {
         let first = stream.next().await.unwrap();
@@ -179,11 +179,11 @@ async fn a_laser_that_is_on_again_is_no_reason_any_more_also_before_the_next_sca
     emulator.plug_in();
     sleep(Duration::from_secs(10)).await;
     for freshness in [sensor.freshness(), slow.freshness()] {
-        assert!(matches!(freshness.error().unwrap().kind(), ErrorKind::LaserOff), "{freshness:?}");
+        assert!(matches!(reason(&freshness).kind(), ErrorKind::LaserOff), "{freshness:?}");
     }
     sensor.laser_on().await.unwrap();
     for freshness in [sensor.freshness(), slow.freshness()] {
-        assert!(!matches!(freshness.error().unwrap().kind(), ErrorKind::LaserOff), "{freshness:?}");
+        assert!(!matches!(reason(&freshness).kind(), ErrorKind::LaserOff), "{freshness:?}");
     }
 }
 
@@ -198,8 +198,9 @@ async fn a_slow_stream_that_is_well_does_not_report_the_timeouts_of_another_one(
     emulator.set_faults(Faults::none().at(0, Fault::Lost));
     let lost = fast.next().await.unwrap().unwrap_err();
     assert!(matches!(lost.kind(), ErrorKind::Timeout { .. }), "{lost:?}");
-    assert!(matches!(sensor.freshness().error().unwrap().kind(), ErrorKind::Timeout { .. }));
-    assert!(slow.freshness().error().is_none(), "{:?}", slow.freshness());
+    assert!(matches!(reason(&sensor.freshness()).kind(), ErrorKind::Timeout { .. }));
+    let late = slow.freshness().check(Duration::ZERO).unwrap_err();
+    assert!(late.source.is_none(), "{late:?}");
 }
 
 #[tokio::test(start_paused = true)]

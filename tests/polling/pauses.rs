@@ -17,28 +17,33 @@ use tokio_scip::protocol::MalformedError;
 use tokio_scip::{Error, ErrorKind, Rate, ScanStream, Sensor, State, Window};
 
 use crate::common::instant_sensor::reply;
+use crate::common::random::Random;
 use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{ConnectFn, builder, ms};
 
 /// The way in which the next scans arrive.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 struct Pieces {
     /// Until the first piece.
     latency: Duration,
     length: usize,
     /// From piece to piece.
     interval: Duration,
+    /// How long an adapter holds back the last piece, if it is not full.
+    held_back: Duration,
 }
 
 /// 115,200 baud, and a UART that interrupts every 14 bytes: 122 ms a scan.
-const RS232: Pieces =
-    Pieces { latency: Duration::ZERO, length: 14, interval: Duration::from_micros(1215) };
+const RS232: Pieces = Pieces {
+    latency: Duration::ZERO,
+    length: 14,
+    interval: Duration::from_micros(1215),
+    held_back: Duration::ZERO,
+};
 /// The same line, and an adapter with packets of 62 bytes.
-const ADAPTER: Pieces =
-    Pieces { latency: Duration::ZERO, length: 62, interval: Duration::from_micros(5382) };
+const ADAPTER: Pieces = Pieces { length: 62, interval: Duration::from_micros(5382), ..RS232 };
 /// 375 kB/s in packets of 64 bytes: 3.7 ms a scan.
-const USB: Pieces =
-    Pieces { latency: Duration::ZERO, length: 64, interval: Duration::from_micros(171) };
+const USB: Pieces = Pieces { length: 64, interval: Duration::from_micros(171), ..RS232 };
 
 /// The state that the tests and the port share.
 struct Shared {
@@ -50,6 +55,8 @@ struct Shared {
     reads: u64,
     /// The time of the last byte of the latest scan.
     end: Instant,
+    /// All such times.
+    ends: Vec<Instant>,
     /// The time at which the line is pulled.
     pulled: Option<Instant>,
     suspended: bool,
@@ -71,12 +78,19 @@ struct Rig {
 
 /// Opens a sensor whose scans arrive in `pieces`, five times a second.
 async fn rig(pieces: Pieces, can_suspend: bool) -> Rig {
+    let (shared, sensor) = open(pieces, can_suspend).await;
+    let stream = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await.unwrap();
+    Rig { shared, sensor, stream }
+}
+
+async fn open(pieces: Pieces, can_suspend: bool) -> (Arc<Mutex<Shared>>, Sensor) {
     let shared = Arc::new(Mutex::new(Shared {
         pieces,
         alter: |_| {},
         can_suspend,
         reads: 0,
         end: Instant::now(),
+        ends: Vec::new(),
         pulled: None,
         suspended: false,
     }));
@@ -87,8 +101,7 @@ async fn rig(pieces: Pieces, can_suspend: bool) -> Rig {
         Ok(TestPort(Trickle { shared, command, coming, wake: None }))
     };
     let sensor = builder().reconnect(false).connect(ConnectFn(connect)).await.unwrap();
-    let stream = sensor.scans(Window::DETECTION, Rate::hz(5.0)).await.unwrap();
-    Rig { shared, sensor, stream }
+    (shared, sensor)
 }
 
 impl Rig {
@@ -121,18 +134,22 @@ impl Trickle {
         reply(&self.command, &mut bytes);
         self.command.clear();
         let mut at = Instant::now();
-        if bytes.len() < 1000 {
+        if !bytes.starts_with(b"G") {
             self.coming.push_back((at, bytes));
             return;
         }
         (shared.alter)(&mut bytes);
-        let Pieces { latency, length, interval } = shared.pieces;
+        let Pieces { latency, length, interval, held_back } = shared.pieces;
         at += latency;
         for piece in bytes.chunks(length) {
             at += interval.mul_f64(piece.len() as f64 / length as f64);
+            if piece.len() < length {
+                at += held_back;
+            }
             self.coming.push_back((at, piece.to_vec()));
         }
         shared.end = at;
+        shared.ends.push(at);
     }
 }
 
@@ -375,6 +392,83 @@ async fn a_driver_that_is_dropped_or_closed_during_a_pause_ends() {
             })
             .await
             .unwrap();
+        }
+    }
+}
+
+/// A line and what is polled over it.
+#[derive(Debug)]
+struct Mix {
+    pieces: Pieces,
+    /// Each stream begins when the one before it has had ten scans.
+    polled: Vec<(Window, Rate)>,
+}
+
+impl Mix {
+    /// Draws one that leaves the line free for a third of the time.
+    fn draw(seed: u64) -> Self {
+        let mut random = Random::new(seed);
+        let mut pick = |choices: &[f64]| *random.pick(choices);
+        let length = pick(&[14.0, 62.0, 64.0]);
+        let bytes_per_second = pick(&[3_840.0, 11_520.0, 11_520.0, 375_000.0]);
+        let held_back = pick(&[0.0, 0.001, 0.004, 0.016, 0.016]);
+        let pieces = Pieces {
+            latency: Duration::ZERO,
+            length: length as usize,
+            interval: Duration::from_secs_f64(length / bytes_per_second),
+            held_back: Duration::from_secs_f64(held_back),
+        };
+        let count = pick(&[1.0, 2.0, 2.0, 3.0]);
+        let polled = (0..count as u16).map(|_| {
+            let points = pick(&[150.0, 200.0, 330.0, 500.0, 682.0]);
+            let most = 0.66 / count / (points * 2.1 / bytes_per_second + held_back);
+            let rate = Rate::hz(pick(&[0.1, 0.3, 1.0]) * most.min(8.0));
+            (Window::new(44..=43 + points as u16).unwrap(), rate)
+        });
+        Self { pieces, polled: polled.collect() }
+    }
+
+    /// The median delay of the scans of each stream after its first 20.
+    async fn delays(&self, can_suspend: bool) -> Vec<Duration> {
+        let (shared, sensor) = open(self.pieces, can_suspend).await;
+        let mut streams = Vec::new();
+        for (window, rate) in &self.polled {
+            let shared = Arc::clone(&shared);
+            let mut stream = sensor.scans(*window, *rate).await.unwrap();
+            for _ in 0..10 {
+                stream.next().await.unwrap().unwrap();
+            }
+            streams.push(tokio::spawn(async move {
+                let mut delays = Vec::new();
+                for _ in 0..20 + 21 {
+                    let received = stream.next().await.unwrap().unwrap().received_at();
+                    let ends = &shared.lock().unwrap().ends;
+                    let end = ends.iter().rev().find(|end| **end <= received).unwrap();
+                    delays.push(received - *end);
+                }
+                let late = &mut delays[20..];
+                late.sort();
+                (late[10], stream)
+            }));
+        }
+        // Each stream lasts until all have their scans.
+        let mut ended = Vec::new();
+        for stream in streams {
+            ended.push(stream.await.unwrap());
+        }
+        ended.into_iter().map(|(median, _)| median).collect()
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn pauses_delay_no_mix_of_windows_on_any_line() {
+    let seeds = std::env::var("SCIP_LINES").map_or(30, |seeds| seeds.parse().unwrap());
+    for seed in 0..seeds {
+        let mix = Mix::draw(seed);
+        let with = mix.delays(true).await;
+        let without = mix.delays(false).await;
+        for (with, without) in with.iter().zip(&without) {
+            assert!(*with <= *without + ms(1), "seed {seed}: {with:?}, not {without:?}: {mix:?}");
         }
     }
 }

@@ -362,3 +362,25 @@ async fn the_state_reports_whether_scans_are_polled() {
     drop(stream);
     state.wait_for(|state| !streaming(state)).await.unwrap();
 }
+
+#[tokio::test(start_paused = true)]
+async fn dropping_the_last_stream_ends_streaming() {
+    // With and without a full queue of requests.
+    for requests in [0, 100] {
+        let sensor = builder().connect(Emulator::default()).await.unwrap();
+        let stream = sensor.scans(Window::FULL, Rate::hz(0.001)).await.unwrap();
+        let mut state = sensor.watch_state();
+        let is_streaming =
+            |state: &State| matches!(state, State::Connected { streaming: true, .. });
+        state.wait_for(is_streaming).await.unwrap();
+        for _ in 0..requests {
+            let sensor = sensor.clone();
+            tokio::spawn(async move { sensor.scan(Window::FULL).await });
+        }
+        tokio::task::yield_now().await;
+        drop(stream);
+        let ended = state.wait_for(|state| !is_streaming(state));
+        let ended = tokio::time::timeout(Duration::from_secs(15), ended).await;
+        assert!(ended.is_ok(), "{requests} requests");
+    }
+}

@@ -1,7 +1,7 @@
 //! The driver reaches the rate that the line can carry, at every baud rate: on the paused
 //! clock, with a sensor that answers at once and sends at the baud rate.
 
-use crate::common::builder;
+use crate::common::{builder, reply_len};
 use tokio::time::Instant;
 use tokio_scip::{BaudRate, Rate, Window};
 use urg_emulator::{Emulator, Fixed, Pace};
@@ -24,7 +24,7 @@ async fn rate(window: Window, speed: BaudRate) -> f64 {
 
 /// Returns the seconds that a `G` and its reply take on the line.
 fn exchange(window: Window, speed: BaudRate) -> f64 {
-    let bytes = "G04472501\n".len() + window.reply_len();
+    let bytes = "G04472501\n".len() + reply_len(window);
     bytes as f64 * 10.0 / f64::from(speed.bits_per_second())
 }
 

@@ -234,8 +234,8 @@ async fn a_stream_port_flushes_and_shuts_down_its_stream() {
 #[tokio::test]
 async fn listing_the_ports_puts_likely_sensors_first() {
     let ports = tokio_scip::port::list().await.unwrap();
-    let sensors = ports.iter().take_while(|port| port.is_likely_sensor()).count();
-    assert!(ports.iter().skip(sensors).all(|port| !port.is_likely_sensor()), "sensors first");
+    let sensors = ports.iter().take_while(|port| port.likely_sensor).count();
+    assert!(ports.iter().skip(sensors).all(|port| !port.likely_sensor), "sensors first");
 }
 
 #[test]

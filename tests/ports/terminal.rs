@@ -47,10 +47,10 @@ impl Counts {
     }
 }
 
-struct Count(Arc<Counts>);
+struct CountedCalls(Arc<Counts>);
 
 impl Connect for Counting {
-    type Port = Hooked<SerialPort, Count>;
+    type Port = Hooked<SerialPort, CountedCalls>;
 
     async fn connect(&mut self) -> Result<Self::Port, Error> {
         let port = SerialPort::open(&self.path).await;
@@ -58,11 +58,11 @@ impl Connect for Counting {
             Ok(_) => drop(self.counts.opened.fetch_add(1, Relaxed)),
             Err(_) => self.counts.refused.add_permits(1),
         }
-        Ok(Hooked { port: port?, hooks: Count(Arc::clone(&self.counts)) })
+        Ok(Hooked { port: port?, hooks: CountedCalls(Arc::clone(&self.counts)) })
     }
 }
 
-impl Hooks for Count {
+impl Hooks for CountedCalls {
     fn after_read(&mut self, count: usize) {
         self.0.dead_reads.fetch_add(u64::from(count == 0), Relaxed);
     }

@@ -31,7 +31,7 @@ pub(crate) struct PeerState {
     sizes: Vec<u8>,
     turns: usize,
     link: u64,
-    ending: Option<Ending>,
+    ending: Option<PeerEnding>,
     refused: u8,
     /// The time until which writes stall.
     stalled: Option<Instant>,
@@ -52,7 +52,7 @@ pub(crate) struct PeerState {
     fence: Option<u64>,
 }
 
-enum Ending {
+enum PeerEnding {
     Closed,
     Failed,
 }
@@ -192,13 +192,13 @@ impl PeerState {
                     reply.insert(0, if harmless { byte } else { b'\n' });
                 }
             }
-            0xe0..0xe8 => self.ending = Some(Ending::Closed),
-            0xe8..0xf0 => self.ending = Some(Ending::Failed),
+            0xe0..0xe8 => self.ending = Some(PeerEnding::Closed),
+            0xe8..0xf0 => self.ending = Some(PeerEnding::Failed),
             0xf0..0xf8 => {
                 let stall = Duration::from_millis(20 * u64::from(self.next()));
                 self.stalled = Some(Instant::now() + stall);
             }
-            0xf8.. => (self.refused, self.ending) = (decision % 4, Some(Ending::Closed)),
+            0xf8.. => (self.refused, self.ending) = (decision % 4, Some(PeerEnding::Closed)),
         }
         self.send(delay, &reply);
         if is_fence {
@@ -314,8 +314,10 @@ impl FarEnd for Wire {
                 return Poll::Ready(Ok(()));
             }
             match state.ending {
-                Some(Ending::Closed) => return Poll::Ready(Ok(())),
-                Some(Ending::Failed) => return Poll::Ready(Err(io::Error::from_raw_os_error(5))),
+                Some(PeerEnding::Closed) => return Poll::Ready(Ok(())),
+                Some(PeerEnding::Failed) => {
+                    return Poll::Ready(Err(io::Error::from_raw_os_error(5)));
+                }
                 None => state.reader = Some(context.waker().clone()),
             }
             let Some((next, _)) = state.sent.front() else { return Poll::Pending };

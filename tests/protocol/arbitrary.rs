@@ -5,6 +5,8 @@ use tokio_scip::protocol::{BaudRate, Command, Reply, Step, Text, Version, Window
 
 use super::encoder;
 
+use crate::common::reply_len;
+
 fn windows() -> impl Strategy<Value = Window> {
     (0..=768_u16, 0..=768_u16, 1..=99_u8).prop_map(|(one, other, cluster_count)| {
         let steps = one.min(other)..=one.max(other);
@@ -61,9 +63,8 @@ proptest! {
     #[test]
     fn what_a_sensor_encodes_is_what_comes_out((window, sent) in scan()) {
         let reply = encoder::reply(&echo(window), &sent);
-        prop_assert_eq!(reply.len(), window.reply_len());
+        prop_assert_eq!(reply.len(), reply_len(window));
         let command = Command::Distances(window);
-        prop_assert_eq!(reply.len(), command.reply_len());
         let parsed = Reply::parse(&command, &reply[..reply.len() - 2]).unwrap();
         prop_assert_eq!(parsed.values(), sent);
     }
@@ -113,7 +114,7 @@ proptest! {
         let valid = start <= end && end <= 768 && (1..=99).contains(&cluster);
         let window = Window::new(start..=end).and_then(|window| window.with_cluster_count(cluster));
         prop_assert_eq!(window.is_ok(), valid);
-        prop_assert_eq!(Step::new(start).is_ok(), start <= 768);
+        prop_assert_eq!(Step::try_from(start).is_ok(), start <= 768);
     }
 
     #[test]

@@ -48,18 +48,6 @@ fn w17_the_end_is_found_at_each_place_with_or_without_more_behind_it() {
 }
 
 #[test]
-fn a_codec_that_was_reset_knows_nothing_of_what_came_before() {
-    for before in [&b"V\n0\nVEND"[..], &[b'x'; MAX_FRAME + 10], b"\n"] {
-        let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(before));
-        assert_eq!(codec.decode(&mut buffer).unwrap(), None);
-        buffer.clear();
-        codec.reset();
-        buffer.extend_from_slice(b"\0L1\n0\n\n");
-        assert_eq!(codec.decode(&mut buffer).unwrap(), Some(reply(b"L1\n0")));
-    }
-}
-
-#[test]
 fn w18_leading_nuls_are_skipped_and_inner_ones_are_not() {
     let (frames, _) = decode([&b"\0\0"[..], b"\0V\n0\n\n\0L1\0\n0\n\n"]);
     assert_eq!(frames, [reply(b"V\n0"), reply(b"L1\0\n0")]);

@@ -1,7 +1,7 @@
 //! Damage to a reply (rows W of the list of faults): all structural damage is refused,
 //! and the share of flipped bits that cannot be detected is counted.
 
-use tokio_scip::protocol::{Command, Reply, ReplyError, Status, Window};
+use tokio_scip::protocol::{Command, Reply, ReplyError, Window};
 
 use super::encoder::{frame, frames, indoors, reply, spread};
 
@@ -145,7 +145,7 @@ fn w04_a_flipped_status_is_malformed_in_both_directions() {
     for status in 1..=255 {
         let refused = [b"G00003101\n", &[status][..]].concat();
         let reply = Reply::parse(&command, &refused);
-        assert!(!reply.is_ok_and(|reply| reply.status() == Status::OK), "{status:#x}");
+        assert!(!reply.is_ok_and(|reply| reply.status().is_ok()), "{status:#x}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! A fence's reply is found behind the remains of another reply, and nowhere else.
 
-use tokio_scip::protocol::{BaudRate, Command, Reply, Status, Window};
+use tokio_scip::protocol::{BaudRate, Command, Reply, Window};
 
 use super::encoder::{frame, reply, spread};
 
@@ -26,11 +26,11 @@ fn w15_a_fence_is_found_behind_a_reply_truncated_at_every_length() {
         for length in 0..before.len() {
             let glued = [&before[..length], &accepted].concat();
             let found = Reply::parse_end(&command, &glued).unwrap();
-            assert_eq!(found.status(), Status::OK);
+            assert!(found.status().is_ok());
             assert_eq!(found.values(), [1234]);
             let glued = [&before[..length], &refused].concat();
             let found = Reply::parse_end(&command, &glued).unwrap();
-            assert_eq!(found.status(), Status::new(b'6'));
+            assert_eq!(char::from(found.status()), '6');
         }
     }
 }

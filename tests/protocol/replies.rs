@@ -39,7 +39,7 @@ fn the_value_of_the_text_is_1234_millimetres() {
     let command = Command::Distances(window(384, 384, 1));
     let frame = [b"G38438401\n0\n", &[0x43, 0x42][..]].concat();
     let reply = Reply::parse(&command, &frame).unwrap();
-    assert_eq!(reply.status(), Status::OK);
+    assert!(reply.status().is_ok());
     assert_eq!(values(&reply), [1234]);
     assert_eq!(values(&Reply::parse(&command, b"G38438401\n0\nCD").unwrap()), [1236]);
 }
@@ -83,7 +83,6 @@ fn data_around_whole_lines_is_cut_after_64_bytes() {
         let lines = frame.split(|byte| *byte == b'\n').skip(2);
         assert_eq!(lines.map(<[u8]>::len).collect::<Vec<_>>(), cut, "{points} points");
         assert_eq!(values(&reply), sent);
-        assert_eq!(command.reply_len(), frame.len() + 2);
     }
 }
 
@@ -122,11 +121,9 @@ fn a_full_scan_is_1576_bytes_and_the_detection_window_1399() {
         let sent = spread(points);
         let reply = reply(echo, &sent);
         assert_eq!(reply.len(), bytes);
-        assert_eq!(window.reply_len(), bytes);
         assert_eq!(window.points(), points);
         let command = Command::Distances(window);
         let parsed = Reply::parse(&command, &reply[..bytes - 2]).unwrap();
-        assert_eq!(parsed.lines().count(), 0, "only `V` has lines of text");
         assert_eq!(reply.split(|byte| *byte == b'\n').count(), 2 + data_lines + 2);
         assert_eq!(values(&parsed), sent);
     }
@@ -172,28 +169,28 @@ fn d07_an_error_reply_is_echo_and_status_for_every_status() {
         for status in (b'!'..=b'~').filter(|&status| status != b'0') {
             let frame = [&command.bytes()[..], b"\n", &[status]].concat();
             let reply = Reply::parse(&command, &frame).unwrap();
-            assert_eq!(reply.status(), Status::new(status));
             assert_eq!(char::from(reply.status()), char::from(status));
             assert!(!reply.status().is_ok());
-            assert_eq!(reply.lines().count(), 0);
             assert_eq!(values(&reply), [0; 0]);
-            if !matches!(command, Command::Version | Command::Distances(_)) {
-                assert_eq!(command.reply_len(), frame.len() + 2);
-            }
         }
     }
+}
+
+/// Status of a refusal with this character.
+fn status(character: u8) -> Status {
+    Reply::parse(&Command::LaserOn, &[b'L', b'1', b'\n', character]).unwrap().status()
 }
 
 #[test]
 fn success_of_l_and_s_has_no_data_and_of_v_and_g_has_some() {
     let parse =
         |command: Command, frame: &[u8]| Reply::parse(&command, frame).map(|reply| reply.status());
+    let success = status(b'0');
     let speed = Command::BaudRate(BaudRate::B57600);
-    assert_eq!(parse(Command::LaserOn, b"L1\n0"), Ok(Status::OK));
-    assert_eq!(parse(Command::LaserOff, b"L0\n0"), Ok(Status::OK));
-    assert_eq!(parse(speed, b"S0576000000000\n0"), Ok(Status::OK));
-    let unexpected =
-        |bytes| Err(MalformedError::UnexpectedData { status: Status::OK, bytes }.into());
+    assert_eq!(parse(Command::LaserOn, b"L1\n0"), Ok(success));
+    assert_eq!(parse(Command::LaserOff, b"L0\n0"), Ok(success));
+    assert_eq!(parse(speed, b"S0576000000000\n0"), Ok(success));
+    let unexpected = |bytes| Err(MalformedError::UnexpectedData { status: success, bytes }.into());
     assert_eq!(parse(Command::LaserOn, b"L1\n0\n00"), unexpected(2));
     assert_eq!(parse(speed, b"S0576000000000\n0\n"), unexpected(0));
     assert_eq!(parse(Command::Version, b"V\n0"), Err(MalformedError::NoData.into()));
@@ -289,7 +286,7 @@ fn w05_a_one_step_reply_without_the_lf_after_its_status_is_not_taken_for_scip_2(
 fn statuses_mean_what_drivers_of_real_sensors_know() {
     let distances = Command::Distances(Window::FULL);
     let speed = Command::BaudRate(BaudRate::B115200);
-    let meaning = |status: u8, command: &Command| Status::new(status).meaning(command);
+    let meaning = |status: u8, command: &Command| self::status(status).meaning(command);
     assert_eq!(meaning(b'6', &distances), Some("the laser is off"));
     assert_eq!(meaning(b'6', &Command::Version), None);
     assert_eq!(meaning(b'2', &Command::LaserOff), Some("the laser is already in that state"));
@@ -300,8 +297,8 @@ fn statuses_mean_what_drivers_of_real_sensors_know() {
     assert_eq!(meaning(b'E', &Command::Version), Some("the sensor does not know the command"));
     assert_eq!(meaning(b'0', &distances), Some("success"));
     assert_eq!(meaning(b'9', &distances), None);
-    assert_eq!(Status::new(b'6').to_string(), "'6'");
-    assert_eq!(Status::new(0x1b).to_string(), r"'\x1b'");
+    assert_eq!(status(b'6').to_string(), "'6'");
+    assert_eq!(status(b'!').to_string(), "'!'");
 }
 
 #[test]

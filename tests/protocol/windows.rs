@@ -4,11 +4,10 @@ use tokio_scip::protocol::{Step, Window, WindowError};
 
 #[test]
 fn steps_are_0_to_768() {
-    assert_eq!(Step::new(0), Ok(Window::FULL.start()));
-    assert_eq!(Step::new(768), Ok(Window::FULL.end()));
-    assert_eq!(Step::new(769), Err(WindowError::Step { found: 769 }));
-    assert_eq!(Step::try_from(u16::MAX), Err(WindowError::Step { found: u16::MAX }));
-    assert_eq!(u16::from(Step::new(384).unwrap()), 384);
+    assert_eq!(Step::try_from(0), Ok(Window::FULL.start()));
+    assert_eq!(Step::try_from(768), Ok(Window::FULL.end()));
+    assert_eq!(Step::try_from(769), Err(WindowError::Step { found: 769 }));
+    assert_eq!(u16::from(Step::try_from(384).unwrap()), 384);
     assert_eq!(Window::FULL.end().to_string(), "768");
 }
 
@@ -17,7 +16,7 @@ fn angles_count_counter_clockwise_from_the_front() {
     for (step, degrees) in
         [(0, -135.0), (128, -90.0), (384, 0.0), (640, 90.0), (768, 135.0), (385, 0.351_562_5)]
     {
-        let step = Step::new(step).unwrap();
+        let step = Step::try_from(step).unwrap();
         assert_eq!(step.degrees(), degrees);
     }
     assert!((Window::DETECTION.start().degrees() - -119.53).abs() < 0.005);

@@ -14,7 +14,7 @@ use tokio_util::codec::Framed;
 use urg_emulator::{Faults, Link};
 
 use super::loss::{Loss, sensor};
-use super::truth::{Timed, Truth};
+use super::truth::{SimulationTruth, Timed};
 
 /// The step that a client takes after a poll without a scan. Before each command all
 /// clients drop the input that has arrived.
@@ -32,16 +32,16 @@ pub(crate) enum Remedy {
 const G_TIMEOUT: Duration = Duration::from_millis(500);
 const V_TIMEOUT: Duration = Duration::from_secs(1);
 
-struct Client {
+struct FramedClient {
     framed: Framed<Link, ScipCodec>,
 }
 
-impl Client {
+impl FramedClient {
     /// Drops the input that has arrived.
     fn clear(&mut self) {
         while self.framed.next().now_or_never().is_some() {}
         self.framed.read_buffer_mut().clear();
-        self.framed.codec_mut().reset();
+        *self.framed.codec_mut() = ScipCodec::default();
     }
 
     /// Returns the values of the reply to `command`, none for `V`, or `None` without a
@@ -81,10 +81,10 @@ pub(crate) async fn poll(
     faults: Faults,
     time: Duration,
 ) -> Loss {
-    let truth = Truth::default();
+    let truth = SimulationTruth::default();
     let mut emulator = sensor(&truth, rate).build();
     let link = Connect::connect(&mut emulator).await.unwrap();
-    let mut client = Client { framed: Framed::new(link, ScipCodec::default()) };
+    let mut client = FramedClient { framed: Framed::new(link, ScipCodec::default()) };
     emulator.set_faults(faults);
     let end = Instant::now() + time;
     let mut grid = rate.period().map(|period| {

@@ -6,7 +6,7 @@ use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error};
 use urg_emulator::{EmptyCommand, Emulator, Fault, Faults, Firmware, Link, Pace};
 
-use super::truth::Truth;
+use super::truth::SimulationTruth;
 use crate::common::faulty_link::{Call, FaultyLink, LinkFailure};
 use crate::common::random::Random;
 use crate::common::ready_port::ReadyPort;
@@ -31,7 +31,7 @@ pub(crate) struct Case {
     /// The time by which an effect of these faults outlasts them.
     pub(crate) lingers: Duration,
     pub(crate) events: CaseEvents,
-    pub(crate) truth: Truth,
+    pub(crate) truth: SimulationTruth,
     pub(crate) script: LinkScript,
 }
 
@@ -56,7 +56,7 @@ impl Case {
     pub(crate) fn draw(random: &mut Random) -> Self {
         let speed = random.once_in(2).then(|| *random.pick(&BaudRate::ALL));
         let boot = if random.once_in(3) { Duration::from_millis(1500) } else { Duration::ZERO };
-        let truth = Truth::default();
+        let truth = SimulationTruth::default();
         let builder =
             Emulator::builder().serial_number(SERIAL_NUMBER).boot_time(boot).log_capacity(256);
         let builder = match speed {

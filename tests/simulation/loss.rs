@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use tokio_scip::{Rate, Sensor, Window};
 use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
-use super::truth::{Timed, Truth};
+use super::truth::{SimulationTruth, Timed};
 
 /// The counts after polling for some time.
 #[derive(Debug, Default)]
@@ -29,7 +29,7 @@ impl Loss {
     }
 
     /// Compares a scan with the truth and counts it.
-    pub(crate) fn add(&mut self, truth: &Truth, scan: &Timed<'_>) {
+    pub(crate) fn add(&mut self, truth: &SimulationTruth, scan: &Timed<'_>) {
         match truth.check(scan, 1) {
             Ok((_, flips)) => {
                 self.right += 1;
@@ -62,14 +62,14 @@ pub(crate) fn line_with_late_copies() -> Faults {
 }
 
 /// The sensor to poll. At [`Rate::UNLIMITED`] its motor sets the rate.
-pub(crate) fn sensor(truth: &Truth, rate: Rate) -> EmulatorBuilder {
+pub(crate) fn sensor(truth: &SimulationTruth, rate: Rate) -> EmulatorBuilder {
     let pace = if rate == Rate::UNLIMITED { Pace::PerRevolution } else { Pace::AtOnce };
     Emulator::builder().world(truth.world()).pace(pace)
 }
 
 /// Polls through the driver.
 pub(crate) async fn poll(window: Window, rate: Rate, faults: Faults, time: Duration) -> Loss {
-    let truth = Truth::default();
+    let truth = SimulationTruth::default();
     let emulator = sensor(&truth, rate).build();
     let sensor = Sensor::builder().jitter_seed(1).depth(16).connect(emulator.clone());
     let sensor = sensor.await.unwrap();

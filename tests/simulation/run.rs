@@ -34,7 +34,7 @@ pub(crate) struct Run {
 }
 
 /// The result of a seed.
-pub(crate) struct Outcome {
+pub(crate) struct SimulationOutcome {
     pub(crate) simulated: Duration,
     pub(crate) trace: u64,
     /// The time until scans came again, without what outlasts the faults, and whether the
@@ -77,7 +77,7 @@ impl Run {
 }
 
 /// Runs a seed on its own paused clock.
-pub(crate) fn run(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
+pub(crate) fn run(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutcome {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();
     let _print = PrintSeed(seed);
@@ -100,7 +100,7 @@ impl Drop for PrintSeed {
     }
 }
 
-async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
+async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutcome {
     let mut random = Random::new(seed);
     let run = Run {
         case: Arc::new(Case::draw(&mut random)),
@@ -150,7 +150,11 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> Outcome {
     end.unwrap().expect("the driver failed");
     assert!(!case.emulator.is_connected(), "the port was not closed");
     let trace = run.trace.lock().unwrap().finish();
-    Outcome { simulated: run.start.elapsed(), trace, recovery: (recovery, case.speed.is_none()) }
+    SimulationOutcome {
+        simulated: run.start.elapsed(),
+        trace,
+        recovery: (recovery, case.speed.is_none()),
+    }
 }
 
 /// Traces each state, and fails if one is the end of the driver.

@@ -8,7 +8,7 @@ use urg_emulator::{Values, World, WorldTime};
 
 /// The times at which the sensor measured for each `G`.
 #[derive(Clone, Default)]
-pub(crate) struct Truth(Arc<Mutex<Vec<Instant>>>);
+pub(crate) struct SimulationTruth(Arc<Mutex<Vec<Instant>>>);
 
 /// Returns the value for a `G` and a step; two scans differ nearly everywhere.
 ///
@@ -36,7 +36,7 @@ impl<'a> From<&'a Scan> for Timed<'a> {
     }
 }
 
-impl Truth {
+impl SimulationTruth {
     pub(crate) fn world(&self) -> impl World + 'static {
         let looks = Arc::clone(&self.0);
         move |look: WorldTime, codes: &mut Values| {

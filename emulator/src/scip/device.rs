@@ -221,6 +221,10 @@ impl Device {
                 self.mode = Mode::Scip2;
                 encode::status_only(line, b"00P")
             }
+            b"VV" => {
+                let text = self.version(line);
+                encode::scip2_lines(line, text.split(|byte| *byte == b'\n').skip(2))
+            }
             _ => encode::status_only(line, b"0Eu"),
         }
     }

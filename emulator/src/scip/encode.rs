@@ -57,6 +57,19 @@ pub(crate) fn scip2_scan(values: &[u16], milliseconds: u64) -> Vec<u8> {
     reply
 }
 
+/// Encodes lines of text as a sensor in SCIP 2 does: each ends with `;` and the sum of the rest.
+pub(crate) fn scip2_lines<'a>(echo: &[u8], lines: impl Iterator<Item = &'a [u8]>) -> Vec<u8> {
+    let mut reply = Vec::new();
+    start(&mut reply, echo, b"00P");
+    for line in lines.filter(|line| !line.is_empty()) {
+        let sum = line.iter().fold(0_u16, |sum, &byte| sum.wrapping_add(u16::from(byte)));
+        reply.extend_from_slice(line);
+        reply.extend_from_slice(&[b';', sextet(sum), b'\n']);
+    }
+    reply.push(b'\n');
+    reply
+}
+
 fn start(reply: &mut Vec<u8>, echo: &[u8], status: &[u8]) {
     reply.extend_from_slice(echo);
     reply.push(b'\n');

@@ -19,7 +19,7 @@ use tokio_serial::SerialPort as _;
 use tokio_serial::SerialStream;
 
 /// A serial line with two ends, and the path of one of them.
-struct Line {
+struct SerialLine {
     far: SerialStream,
     /// Held open, so that the line does not hang up between two openings, and to read the
     /// line's settings.
@@ -27,7 +27,7 @@ struct Line {
     path: String,
 }
 
-fn line() -> Line {
+fn line() -> SerialLine {
     limit();
     // Copies, which the programs that other tests start do not inherit.
     let (far, near) = serialport::TTYPort::pair().unwrap();
@@ -36,7 +36,7 @@ fn line() -> Line {
         SerialStream::try_from(copy).unwrap()
     });
     let path = near.name().unwrap();
-    Line { far, near, path }
+    SerialLine { far, near, path }
 }
 
 /// A directory that is removed with its content.
@@ -227,7 +227,7 @@ async fn o07_bytes_received_before_the_port_was_opened_are_read() {
 async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
     let line = line();
     let mut port = SerialPort::open(&line.path).await.unwrap();
-    let Line { far, near, .. } = line;
+    let SerialLine { far, near, .. } = line;
     drop((far, near));
     for _ in 0..3 {
         match port.read(&mut [0; 16]).await {

@@ -14,7 +14,7 @@ use tokio_scip::port::Port;
 use tokio_scip::port::SerialPort;
 use tokio_serial::SerialPort as _;
 
-use super::{Line, line};
+use super::{SerialLine, line};
 use crate::common::limit::limit;
 
 /// Makes a line whose far end is a blocking file, and returns the path of its near end.
@@ -92,9 +92,9 @@ async fn a_command_wakes_the_thread_for_its_reply_alone() {
 
 /// Counts how often it is woken.
 #[derive(Default)]
-struct Woken(AtomicU64);
+struct WokenPort(AtomicU64);
 
-impl Wake for Woken {
+impl Wake for WokenPort {
     fn wake(self: Arc<Self>) {
         self.0.fetch_add(1, Relaxed);
     }
@@ -102,9 +102,9 @@ impl Wake for Woken {
 
 #[tokio::test]
 async fn a_port_with_suspended_wake_ups_wakes_nobody_and_reads_what_came_meanwhile() {
-    let Line { mut far, near, path } = line();
+    let SerialLine { mut far, near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
-    let woken = Arc::new(Woken::default());
+    let woken = Arc::new(WokenPort::default());
     let waker = Waker::from(Arc::clone(&woken));
     let mut bytes = [0; 8];
     for wakes in [false, true] {
@@ -133,7 +133,7 @@ async fn a_port_with_suspended_wake_ups_wakes_nobody_and_reads_what_came_meanwhi
 
 #[tokio::test]
 async fn a_line_that_hangs_up_while_wake_ups_are_suspended_is_noticed_by_the_next_read() {
-    let Line { far, near: _near, path } = line();
+    let SerialLine { far, near: _near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
     assert!(port.read(&mut [0; 8]).now_or_never().is_none());
     assert!(port.hints().unwrap().suspend_wakeups());
@@ -144,7 +144,7 @@ async fn a_line_that_hangs_up_while_wake_ups_are_suspended_is_noticed_by_the_nex
 
 #[tokio::test]
 async fn a_read_that_finds_nothing_wakes_its_reader_again() {
-    let Line { mut far, near: _near, path } = line();
+    let SerialLine { mut far, near: _near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let mut bytes = [0; 8];
     assert!(port.hints().unwrap().suspend_wakeups());
@@ -158,7 +158,7 @@ async fn a_read_that_finds_nothing_wakes_its_reader_again() {
 /// nothing reports it.
 #[tokio::test]
 async fn a_read_that_fills_its_buffer_leaves_wake_ups_suspended() {
-    let Line { mut far, near, path } = line();
+    let SerialLine { mut far, near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let mut bytes = [0; 3];
     assert!(port.hints().unwrap().suspend_wakeups());
