@@ -19,7 +19,7 @@ use crate::common::random::Random;
 
 /// Longest delay between two attempts at a laser that stays as it is, with its jitter.
 const RETRY: Duration = Duration::from_secs(34);
-/// Time in which a link comes back, and a laser or a baud rate is set on it.
+/// Longest time until a link is back and its laser and baud rate are set.
 const SETTLING: Duration = Duration::from_secs(12);
 
 /// Kind of command that the sensor can refuse.
@@ -82,7 +82,7 @@ impl Connect for Opens {
     }
 }
 
-/// The wishes that may count, of which one does. `None` is no wish.
+/// Wishes that may count. Exactly one of each list does; `None` is no wish.
 struct Wishes {
     laser: Vec<Option<bool>>,
     baud_rate: Vec<Option<BaudRate>>,

@@ -222,8 +222,8 @@ impl Service<'_> {
         outcome
     }
 
-    /// Changes the baud rate to one that a handle asked for while there was no link, and of which
-    /// no caller waits for the outcome.
+    /// Changes the baud rate to one that a handle asked for while there was no link. No caller
+    /// waits for the outcome.
     async fn apply_baud_rate(
         &mut self,
         session: &mut Session,

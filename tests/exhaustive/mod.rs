@@ -26,7 +26,7 @@ fn setting(name: &str) -> Option<usize> {
 
 /// The number of exchanges with a choice, and how many of them may have a fault.
 fn depth() -> Depth {
-    let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(2);
+    let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(3);
     Depth { exchanges, faults: setting("SCIP_EXHAUSTIVE_FAULTS").unwrap_or(exchanges) }
 }
 

@@ -27,8 +27,11 @@ pub(crate) struct Run {
     pub(crate) coverage: Arc<Mutex<Coverage>>,
     pub(crate) over: Arc<AtomicBool>,
     pub(crate) healthy: Arc<AtomicBool>,
-    /// True while the laser may be off by request.
+    /// True while the laser may be off by request, or the driver may remember a request for it
+    /// that it could not send.
     pub(crate) laser_may_be_off: Arc<AtomicBool>,
+    /// True while the driver may remember a baud rate that it could not set.
+    pub(crate) baud_rate_may_wait: Arc<AtomicBool>,
     trace: Arc<Mutex<DefaultHasher>>,
     start: Instant,
 }
@@ -108,6 +111,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
         over: Arc::default(),
         healthy: Arc::default(),
         laser_may_be_off: Arc::default(),
+        baud_rate_may_wait: Arc::default(),
         trace: Arc::default(),
         start: Instant::now(),
     };
@@ -242,9 +246,12 @@ async fn recover(run: &Run, sensor: &Sensor) -> Duration {
     }
     let start = Instant::now();
     let laser_may_be_off = run.laser_may_be_off.load(Ordering::Relaxed);
-    if laser_may_be_off {
-        // To switch the laser on and confirm it, one or two revolutions each.
-        allowance += Duration::from_millis(500);
+    // The driver first sends what it remembers: a command and a fence, which take one or two
+    // revolutions each.
+    for may_wait in [laser_may_be_off, run.baud_rate_may_wait.load(Ordering::Relaxed)] {
+        if may_wait {
+            allowance += Duration::from_millis(500);
+        }
     }
     loop {
         let scanned = async {

@@ -119,8 +119,16 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
             move |now: u64| alone && now == resets
         };
         match random.below(7) {
-            0 => drop(timeout(random.ms(600), sensor.set_baud_rate(speed)).await),
-            1 | 2 if run.call("speed", sensor.set_baud_rate(speed)).await.is_ok() => {
+            0 => {
+                run.baud_rate_may_wait.store(true, Ordering::Relaxed);
+                let _ = timeout(random.ms(600), sensor.set_baud_rate(speed)).await;
+            }
+            1 | 2 => {
+                run.baud_rate_may_wait.store(true, Ordering::Relaxed);
+                if run.call("speed", sensor.set_baud_rate(speed)).await.is_err() {
+                    continue;
+                }
+                run.baud_rate_may_wait.store(false, Ordering::Relaxed);
                 if undisturbed(emulator.counts().resets) {
                     let expected = run.case.speed.map(|_| speed);
                     assert_eq!(emulator.baud_rate(), expected, "after a change of speed");
@@ -138,6 +146,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
                 }
             }
             _ => {
+                run.laser_may_be_off.store(true, Ordering::Relaxed);
                 if run.call("laser on", sensor.laser_on()).await.is_ok() {
                     run.laser_may_be_off.store(false, Ordering::Relaxed);
                     if undisturbed(emulator.counts().resets) {

@@ -157,8 +157,8 @@ impl Transfers {
         Some(Duration::from_secs_f64(shortest * bytes as f64))
     }
 
-    /// Records the time in which `bytes` bytes arrived. It is exact only if the driver was awake
-    /// at their end.
+    /// Records the time that `bytes` bytes took to arrive, which is exact only if the driver was
+    /// awake when the last one did (`is_seen`).
     fn record(&mut self, time: Duration, bytes: usize, is_seen: bool) {
         if !is_seen {
             if self.shortest_time(bytes).is_some_and(|shortest| time < shortest) {
@@ -229,7 +229,7 @@ mod tests {
         pauses
     }
 
-    /// Receives a scan of which `missing` bytes follow the first piece, and measures it.
+    /// Receives and measures a scan: its first piece, then `missing` bytes.
     async fn receive(pauses: &mut Pauses, missing: usize) {
         pauses.begin_reply();
         assert_eq!(next(pauses, missing), None);

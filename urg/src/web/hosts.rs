@@ -4,8 +4,8 @@ use std::net::IpAddr;
 
 /// Names that a request may use for this machine, besides addresses and `localhost`.
 ///
-/// The owner of any other name could make it resolve to this machine, and read the page through
-/// the browser of somebody on the same network (DNS rebinding). An address cannot be redirected.
+/// An attacker can make a name of their own resolve to this machine, and so read the page through
+/// the browser of someone on the same network (DNS rebinding). An address cannot be redirected.
 #[derive(Debug)]
 pub(crate) struct Hosts(Vec<String>);
 
