@@ -179,10 +179,16 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
         }
         (reconnects, resets) = latest;
     }
+    // A sensor that seems to refuse both `L0` and to measure is polled until the next `L0`.
+    let may_doubt = run.case.refuses || run.case.flips > 0;
+    let mut doubt_until = off;
     let polls = emulator.log().into_iter().filter(|received| {
         let line = &received.line;
+        if may_doubt && line == b"L0" {
+            doubt_until = received.at + Duration::from_secs(8);
+        }
         let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
-        poll && received.at >= off && !received.garbled
+        poll && received.at >= doubt_until && !received.garbled
     });
     let polls: Vec<_> = polls.collect();
     assert!(
