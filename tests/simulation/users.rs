@@ -185,7 +185,7 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
     let polls = emulator.log().into_iter().filter(|received| {
         let line = &received.line;
         if may_doubt && line == b"L0" {
-            doubt_until = received.at + Duration::from_secs(8);
+            doubt_until = off.max(received.at + Duration::from_secs(8));
         }
         let poll = line.len() == 9 && line[0] == b'G' && line[1..4] != line[4..7];
         poll && received.at >= doubt_until && !received.garbled
