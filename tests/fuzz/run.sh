@@ -23,7 +23,7 @@ declare -A executions=(
     [part]=40000 [driver]=50000
 )
 if [ "${1-}" != --all ] && [ -z "${longest[${1-none}]-}" ]; then
-    sed -n '2,/^set/s/^# \{0,1\}//p' "$0" >&2
+    sed -n '2,/^set/s/^# \{0,1\}//p' run.sh >&2
     exit 2
 fi
 

@@ -20,3 +20,10 @@ proptest! {
         parts::the_index_leads_to_the_same_part(&script);
     }
 }
+
+/// Without the checksum of its first chunk, a damaged beginning hides the channels, which the
+/// index has, and the first scans.
+#[test]
+fn a_part_counts_from_the_first_readable_scan() {
+    parts::the_index_leads_to_the_same_part(&[0, 9, 9, 0x41, 0, 0, 0x7e, 1, 9, 0, 0, 0, 0x8a]);
+}
