@@ -5,75 +5,116 @@
 //! cargo run --example count_people emulated
 //! ```
 //!
-//! The first scan of a link shows the empty doorway. After a cable was pulled and plugged in
-//! again, counting continues. The sensor may have been moved meanwhile, so the program learns
-//! the doorway again.
+//! The doorway must be empty during the first second of each link: the program learns it then,
+//! again after a reconnect, because the sensor may have been moved meanwhile. People who walk
+//! less than half a metre apart, or one in front of the other, count as one.
 
 mod port;
 
-use tokio::sync::mpsc;
-use tokio_scip::{Error, Rate, Scan, Sensor, Window};
+use std::time::Duration;
 
-/// Distances of the empty doorway.
+use tokio::sync::mpsc;
+use tokio::time::timeout;
+use tokio_scip::{Error, ErrorChain, Point, Rate, Scan, Sensor, Window};
+
+/// After this time without a scan, the number is unknown.
+const LIMIT: Duration = Duration::from_millis(500);
+/// Scans of the empty doorway.
+const LEARNED: usize = 10;
+/// A person is this much nearer than the empty doorway, in metres.
+const IN_FRONT: f32 = 0.2;
+/// Points of one person are at most this far apart, in metres: a sensor at shin height sees two
+/// legs, which a stride parts.
+const STRIDE: f32 = 0.5;
+/// Fewer points are noise. A leg at 4 m has five.
+const POINTS: usize = 3;
+/// A number counts once so many scans in a row agree.
+const AGREE: usize = 3;
+
+/// The empty doorway.
 #[derive(Default)]
 pub(crate) struct Doorway {
-    /// The background, and the number of reconnects before its scan.
-    background: Option<(u64, Vec<Option<u16>>)>,
+    reconnects: u64,
+    learned: usize,
+    /// Shortest range in each direction.
+    background: Vec<f32>,
 }
 
 impl Doorway {
-    /// Counts the objects, at least 5 directions wide and 200 mm in front of the background.
-    pub(crate) fn count(&mut self, scan: &Scan) -> usize {
-        let distances = || scan.measurements().map(|measurement| measurement.distance());
-        let link = scan.reconnects();
-        let (_, background) = match &mut self.background {
-            Some(known) if known.0 == link => known,
-            other => other.insert((link, distances().collect())),
-        };
-        let near: Vec<bool> = distances()
-            .zip(background)
-            .map(|(now, known)| matches!((now, known), (Some(a), Some(b)) if a + 200 < *b))
-            .collect();
-        near.chunk_by(|a, b| a == b)
-            .filter(|run| run.first() == Some(&true) && run.len() >= 5)
-            .count()
+    /// Returns the number of people, or `None` while it learns the doorway.
+    pub(crate) fn count(&mut self, scan: &Scan) -> Option<usize> {
+        if self.background.is_empty() || self.reconnects != scan.reconnects() {
+            let background = vec![f32::INFINITY; scan.len()];
+            *self = Self { reconnects: scan.reconnects(), learned: 0, background };
+        }
+        if self.learned < LEARNED {
+            self.learned += 1;
+            for (known, range) in self.background.iter_mut().zip(scan.ranges()) {
+                *known = known.min(range); // of a number and NaN, the number
+            }
+            return None;
+        }
+        let rays = scan.rays().zip(&self.background);
+        let near = rays.filter(|(ray, known)| ray.range() < *known - IN_FRONT);
+        let mut people: Vec<Vec<Point>> = Vec::new();
+        for point in near.filter_map(|(ray, _)| ray.point()) {
+            let is_near = |other: &Point| (point.x - other.x).hypot(point.y - other.y) < STRIDE;
+            match people.iter_mut().find(|person| person.iter().any(is_near)) {
+                Some(person) => person.push(point),
+                None => people.push(vec![point]),
+            }
+        }
+        Some(people.iter().filter(|person| person.len() >= POINTS).count())
     }
 }
+
+/// A door, and the number of people at it or the reason why it is unknown.
+pub(crate) type Report = (String, Result<usize, String>);
 
 /// Sends the number of people at a door whenever it changes.
 pub(crate) async fn watch(
     door: String,
     sensor: Sensor,
-    people: mpsc::Sender<(String, usize)>,
+    reports: mpsc::Sender<Report>,
 ) -> Result<(), Error> {
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    let (mut doorway, mut last) = (Doorway::default(), None);
-    while let Some(scan) = scans.next().await {
-        match scan {
-            Ok(scan) => {
-                let count = doorway.count(&scan);
-                if last != Some(count) && people.send((door.clone(), count)).await.is_err() {
-                    break; // no one counts any more
-                }
-                last = Some(count);
+    let (mut doorway, mut candidate, mut agreed, mut reported) =
+        (Doorway::default(), None, 0, None);
+    loop {
+        let (seen, is_over) = match timeout(LIMIT, scans.next()).await {
+            Ok(Some(Ok(scan))) => (doorway.count(&scan), false),
+            Ok(Some(Err(_))) => continue, // the freshness keeps it
+            Ok(None) => (None, true),
+            Err(_) => (None, false),
+        };
+        agreed = if seen == candidate { agreed + 1 } else { 1 };
+        candidate = seen;
+        if is_over || agreed >= AGREE && reported != Some(seen) {
+            let unknown = || match scans.freshness().check(LIMIT) {
+                Ok(()) => "learning the empty doorway".to_owned(),
+                Err(stale) => ErrorChain(&stale).to_string(),
+            };
+            if reports.send((door.clone(), seen.ok_or_else(unknown))).await.is_err() || is_over {
+                return Ok(()); // no one counts any more, or the driver has ended
             }
-            Err(error) => eprintln!("{door} does not see: {}", error.chain()),
+            reported = Some(seen);
         }
     }
-    Ok(())
 }
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let (people, mut counts) = mpsc::channel(16);
+    let (sender, mut reports) = mpsc::channel(16);
     for door in std::env::args().skip(1) {
-        let builder = Sensor::builder().name(&door).wait_for_sensor(true);
-        let sensor = port::open(builder, &door).await?;
-        tokio::spawn(watch(door, sensor, people.clone()));
+        let sensor = port::open_in_background(Sensor::builder().name(&door), &door)?;
+        tokio::spawn(watch(door, sensor, sender.clone()));
     }
-    drop(people);
-    while let Some((door, count)) = counts.recv().await {
-        println!("{door}: {count} people");
+    drop(sender);
+    while let Some((door, count)) = reports.recv().await {
+        match count {
+            Ok(count) => println!("{door}: {count} people"),
+            Err(reason) => println!("{door}: unknown: {reason}"),
+        }
     }
     Ok(())
 }

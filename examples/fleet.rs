@@ -5,7 +5,8 @@
 //! cargo run --example fleet /dev/ttyACM0 tcp://10.0.0.7:2000 serial:H0713090
 //! ```
 //!
-//! Sensors may be absent at the start, come and go. A line names those without a fresh scan.
+//! Sensors may be absent at the start, come and go. A line names each sensor without a fresh
+//! scan, and the reason.
 
 mod port;
 
@@ -14,8 +15,8 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use tokio::task::JoinSet;
-use tokio::time::{MissedTickBehavior, interval};
-use tokio_scip::{Error, ErrorChain, Rate, ScanStream, Sensor, Window};
+use tokio::time::{Instant, sleep};
+use tokio_scip::{ErrorChain, Rate, ScanStream, Sensor, Window};
 
 const LIMIT: Duration = Duration::from_millis(500);
 
@@ -34,32 +35,23 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut fleet = Vec::new();
     for (number, port) in ports.iter().enumerate() {
         let name = format!("{number} {port}");
-        let (sensor, scans) = start(name.clone(), port).await?;
+        let sensor = port::open_in_background(Sensor::builder().name(&name), port)?;
+        let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
         tasks.spawn(consume(name.clone(), scans));
         fleet.push((name, sensor));
     }
-    let mut ticks = interval(Duration::from_secs(1));
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-    let mut before = 0;
+    let scans = || fleet.iter().map(|(_, sensor)| sensor.stats().scans).sum::<u64>();
     loop {
-        ticks.tick().await;
-        let scans: u64 = fleet.iter().map(|(_, sensor)| sensor.stats().scans).sum();
-        println!("{} sensors, {} scans", fleet.len(), scans - before);
-        before = scans;
+        let (since, before) = (Instant::now(), scans());
+        sleep(Duration::from_secs(1)).await;
+        let rate = (scans() - before) as f64 / since.elapsed().as_secs_f64();
+        println!("{} sensors, {rate:.0} scans/s", fleet.len());
         for (name, sensor) in &fleet {
             if let Err(stale) = sensor.freshness().check(LIMIT) {
-                eprintln!("{name}: {}", ErrorChain(&stale));
+                println!("{name}: {}", ErrorChain(&stale));
             }
         }
     }
-}
-
-/// Returns at once: the sensor is opened when it comes.
-async fn start(name: String, port: &str) -> Result<(Sensor, ScanStream), Error> {
-    let builder = Sensor::builder().name(name).wait_for_sensor(true);
-    let sensor = port::open(builder, port).await?;
-    let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    Ok((sensor, scans))
 }
 
 /// What a service does with each scan. Errors are in the freshness.

@@ -7,7 +7,7 @@
 //!
 //! Each sensor has its place: metres ahead, metres to the left, degrees counter-clockwise.
 //! Name sensors by their serial numbers, since USB ports are numbered in the order of
-//! plugging.
+//! plugging. Each line names the sensors without a fresh scan, and the reason.
 
 mod port;
 
@@ -15,7 +15,7 @@ use std::time::Duration;
 
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_scip::scan::Pose;
-use tokio_scip::{Point, Rate, ScanStream, Sensor, Window};
+use tokio_scip::{ErrorChain, Point, Rate, ScanStream, Sensor, Window};
 
 const PERIOD: Duration = Duration::from_millis(100);
 /// An older scan shows where things were, and not where they are.
@@ -29,16 +29,25 @@ pub(crate) fn parse(text: &str) -> Option<Pose> {
     Some(Pose { x, y, heading: degrees.to_radians() })
 }
 
-/// Merges the newest scan of each sensor that has a fresh one. Returns how many have.
-pub(crate) fn merge(sensors: &[(Pose, ScanStream)], cloud: &mut Vec<Point>) -> usize {
+/// A sensor on the vehicle.
+pub(crate) struct Mounted {
+    pub(crate) port: String,
+    pub(crate) pose: Pose,
+    pub(crate) scans: ScanStream,
+}
+
+/// Merges the newest scans. Returns the ports without a fresh scan, with the reasons.
+pub(crate) fn merge(sensors: &[Mounted], cloud: &mut Vec<Point>) -> Vec<String> {
     cloud.clear();
-    let newest = sensors.iter().filter_map(|(pose, scans)| Some((pose, scans.latest()?)));
-    let mut count = 0;
-    for (pose, scan) in newest.filter(|(_, scan)| scan.age() < LIMIT) {
-        cloud.extend(pose.transform_scan(&scan));
-        count += 1;
+    let mut stale = Vec::new();
+    for Mounted { port, pose, scans } in sensors {
+        if let Err(error) = scans.freshness().check(LIMIT) {
+            stale.push(format!("{port}: {}", ErrorChain(&error)));
+        } else if let Some(scan) = scans.latest() {
+            cloud.extend(pose.transform_scan(&scan));
+        }
     }
-    count
+    stale
 }
 
 #[tokio::main(flavor = "current_thread")]
@@ -46,10 +55,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut sensors = Vec::new();
     for argument in std::env::args().skip(1) {
         let (port, pose) = argument.rsplit_once('@').ok_or("expected PORT@X,Y,DEGREES")?;
-        let pose = parse(pose).ok_or("expected X,Y,DEGREES behind the @")?;
-        let builder = Sensor::builder().name(port).wait_for_sensor(true);
-        let sensor = port::open(builder, port).await?;
-        sensors.push((pose, sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?));
+        let pose = parse(pose).ok_or("expected X,Y,DEGREES after the @")?;
+        let sensor = port::open_in_background(Sensor::builder().name(port), port)?;
+        let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+        sensors.push(Mounted { port: port.to_owned(), pose, scans });
     }
     if sensors.is_empty() {
         return Err("expected PORT@X,Y,DEGREES, such as emulated@0,0,0, once or more".into());
@@ -59,7 +68,8 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     loop {
         ticks.tick().await;
-        let fresh = merge(&sensors, &mut cloud);
-        println!("{fresh} of {} sensors, {} points", sensors.len(), cloud.len());
+        let stale = merge(&sensors, &mut cloud);
+        let (fresh, reasons) = (sensors.len() - stale.len(), stale.join("; "));
+        println!("{fresh} of {} sensors, {} points {reasons}", sensors.len(), cloud.len());
     }
 }

@@ -15,7 +15,7 @@ use tokio_scip::{Rate, Sensor, Window};
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let sensor = port::open(Sensor::builder().wait_for_sensor(true), &port::argument()).await?;
+    let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
     // The driver polls while there is a stream, even if nothing reads it, as here.
     let _scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     let address = std::env::args().nth(2).unwrap_or("127.0.0.1:9100".to_owned());

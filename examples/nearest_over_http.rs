@@ -26,9 +26,8 @@ type HttpRefusal = (StatusCode, String);
 
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    // Waits for the sensor, and serves HTTP once it answers.
-    let builder = Sensor::builder().wait_for_sensor(true);
-    let sensor = port::open(builder, &port::argument()).await?;
+    // Serves HTTP at once: until the sensor is there, /health has the reason.
+    let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
     let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     let address = std::env::args().nth(2).unwrap_or("127.0.0.1:8081".to_owned());
     let listener = TcpListener::bind(address).await?;

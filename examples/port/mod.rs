@@ -1,5 +1,5 @@
 //! The sensor that an argument names: a port, or `emulated` for one in software. A service
-//! of yours needs only `builder.open(port)`.
+//! of yours needs only `builder.open(port)` or `builder.open_in_background(port)`.
 
 use tokio_scip::{Error, Sensor, SensorBuilder};
 use urg_emulator::{Emulator, Room};
@@ -13,16 +13,31 @@ pub(crate) fn argument() -> String {
     })
 }
 
-/// Opens the sensor at `port`. Each emulated one stands in a room of its own.
+/// Opens the sensor at `port`.
+#[allow(dead_code, reason = "some examples open it in the background")]
 pub(crate) async fn open(builder: SensorBuilder, port: &str) -> Result<Sensor, Error> {
+    if port == "emulated" {
+        return builder.connect(emulator()).await;
+    }
+    builder.open(port).await
+}
+
+/// Returns a sensor at once, even if it is not there yet.
+#[allow(dead_code, reason = "some examples need the sensor at once")]
+pub(crate) fn open_in_background(builder: SensorBuilder, port: &str) -> Result<Sensor, Error> {
+    if port == "emulated" {
+        let (sensor, driver) = builder.build(emulator());
+        tokio::spawn(driver);
+        return Ok(sensor);
+    }
+    builder.open_in_background(port)
+}
+
+/// Each emulated sensor stands in a room of its own.
+fn emulator() -> Emulator {
     use std::sync::atomic::{AtomicU64, Ordering};
     static ROOMS: AtomicU64 = AtomicU64::new(0);
 
-    if port != "emulated" {
-        return builder.open(port).await;
-    }
     let number = ROOMS.fetch_add(1, Ordering::Relaxed);
-    let emulator =
-        Emulator::builder().serial_number(format!("H{number:07}")).world(Room::new(number)).build();
-    builder.connect(emulator).await
+    Emulator::builder().serial_number(format!("H{number:07}")).world(Room::new(number)).build()
 }

@@ -224,7 +224,45 @@ impl SensorBuilder {
         E::Error: Into<Error>,
     {
         let endpoint = endpoint.try_into().map_err(Into::into)?;
-        start(self.build_for(endpoint)).await
+        opened(spawn(self.build_for(endpoint))).await
+    }
+
+    /// Opens `endpoint` in the background, and returns at once with a sensor that may not be there
+    /// yet. The driver [waits for it](Self::wait_for_sensor).
+    ///
+    /// Streams begin with its first scan. Until then [`freshness`](Sensor::freshness) and
+    /// [`watch_state`](Sensor::watch_state) have the reason, and requests fail after the [request
+    /// timeout](Self::request_timeout). For your own [`Connect`], spawn the driver that
+    /// [`build`](Self::build) returns.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use tokio_scip::{Rate, Sensor, Window};
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), tokio_scip::Error> {
+    /// let sensor = Sensor::builder().open_in_background("serial:H0713090")?;
+    /// let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    /// assert!(scans.freshness().check(Duration::from_millis(500)).is_err()); // no scan yet
+    /// # Ok(())
+    /// # }
+    /// # main().unwrap();
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// [`InvalidEndpoint`](crate::ErrorKind::InvalidEndpoint) if the text names no endpoint. An
+    /// error that waiting cannot remedy ends the driver later, and fails every call from then on.
+    ///
+    /// # Panics
+    ///
+    /// Outside of a tokio runtime, as `tokio::spawn` does.
+    pub fn open_in_background<E>(self, endpoint: E) -> Result<Sensor, Error>
+    where
+        E: TryInto<Endpoint>,
+        E::Error: Into<Error>,
+    {
+        let endpoint = endpoint.try_into().map_err(Into::into)?;
+        Ok(spawn(self.wait_for_sensor(true).build_for(endpoint)))
     }
 
     /// Opens the sensor behind an open byte stream: a socket, a pipe, an emulated sensor. The
@@ -256,7 +294,7 @@ impl SensorBuilder {
     ///
     /// Outside of a tokio runtime, as `tokio::spawn` does.
     pub async fn connect(self, connect: impl Connect) -> Result<Sensor, Error> {
-        start(self.build(connect)).await
+        opened(spawn(self.build(connect))).await
     }
 
     /// Builds a handle and its driver. Spawn the driver yourself: it opens the port when it first
@@ -273,9 +311,12 @@ impl SensorBuilder {
     }
 }
 
-/// Spawns the driver, and waits until the sensor is open.
-async fn start((sensor, driver): (Sensor, Driver)) -> Result<Sensor, Error> {
+fn spawn((sensor, driver): (Sensor, Driver)) -> Sensor {
     tokio::spawn(driver);
+    sensor
+}
+
+async fn opened(sensor: Sensor) -> Result<Sensor, Error> {
     sensor.wait_until_open().await?;
     Ok(sensor)
 }

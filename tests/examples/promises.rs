@@ -7,13 +7,16 @@ use std::time::Duration;
 use tokio::sync::{mpsc, watch};
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::{Sensor, State};
-use urg_emulator::{Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, World, WorldTime};
+use urg_emulator::{
+    Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, Walk, World, WorldTime,
+};
 
 use crate::common::{limit::limit, ms};
 
+use super::programs::merged::{self, Mounted};
 #[cfg(unix)]
 use super::programs::own_transport;
-use super::programs::{count_people, graceful_shutdown, merged, safety_stop};
+use super::programs::{count_people, graceful_shutdown, safety_stop};
 
 /// A room in which an obstacle appears: the smallest that must be seen, at the limit of the
 /// clearance, 20 degrees to the left.
@@ -149,9 +152,38 @@ async fn in_the_hard_room_with_lost_replies_no_obstacle_is_missed_and_the_vehicl
     assert!(run.clear >= 0.99, "{run:?}");
 }
 
-#[tokio::test(start_paused = true)]
-async fn a_person_at_a_door_is_counted_also_after_the_cable_was_out() {
+/// Returns a function that waits for the next report about the people at a door.
+fn count(emulator: Emulator) -> impl AsyncFnMut() -> Result<usize, String> {
     limit();
+    let (sensor, driver) = Sensor::builder().wait_for_sensor(true).build(emulator);
+    tokio::spawn(driver);
+    let (reports, mut counts) = mpsc::channel(16);
+    tokio::spawn(count_people::watch("door".to_owned(), sensor, reports));
+    async move || timeout(ms(60_000), counts.recv()).await.unwrap().unwrap().1
+}
+
+#[tokio::test(start_paused = true)]
+async fn up_to_three_walkers_are_counted() {
+    for seed in 0..20 {
+        // At different distances, and never one in front of the other.
+        let walk = |from, to, start, speed| Walk::new(from, to).starting_at(ms(start)).speed(speed);
+        let walks = [
+            walk((0.8, -1.7), (2.2, -1.7), 3000, 0.10), // until 17 s
+            walk((2.8, -0.7), (1.6, 0.7), 6000, 0.25),  // until 13.4 s
+            walk((1.9, 1.7), (0.7, 1.7), 9000, 0.60),   // until 11 s
+        ];
+        let room = Scene::new(seed).rectangle((-2.0, -2.5), (3.5, 2.5));
+        let scene = walks.into_iter().fold(room, Scene::person);
+        let mut next = count(Emulator::builder().world(scene).build());
+        assert_eq!(next().await, Err("learning the empty doorway".to_owned()));
+        for people in [0, 1, 2, 3, 2, 1, 0] {
+            assert_eq!(next().await, Ok(people), "{seed}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_door_without_its_sensor_has_no_count() {
     let someone = Arc::new(AtomicBool::default());
     let seen = Arc::clone(&someone);
     let emulator = Emulator::builder()
@@ -162,21 +194,23 @@ async fn a_person_at_a_door_is_counted_also_after_the_cable_was_out() {
             }
         })
         .build();
-    let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
-    let (people, mut counts) = mpsc::channel(16);
-    tokio::spawn(count_people::watch("door".to_owned(), sensor, people));
-    let mut next = async || timeout(ms(60_000), counts.recv()).await.unwrap().unwrap().1;
-    assert_eq!(next().await, 0);
-    someone.store(true, Ordering::Relaxed);
-    assert_eq!(next().await, 1);
-    someone.store(false, Ordering::Relaxed);
-    assert_eq!(next().await, 0);
     emulator.unplug();
-    sleep(ms(5000)).await;
-    emulator.plug_in();
-    sleep(ms(5000)).await;
-    someone.store(true, Ordering::Relaxed);
-    assert_eq!(next().await, 1);
+    let mut next = count(emulator.clone());
+    let absent = async |unknown: Result<usize, String>| {
+        let reason = unknown.unwrap_err();
+        assert!(reason.contains("no port"), "{reason}");
+    };
+    absent(next().await).await;
+    for _ in 0..2 {
+        emulator.plug_in();
+        assert_eq!(next().await, Ok(0));
+        someone.store(true, Ordering::Relaxed);
+        assert_eq!(next().await, Ok(1));
+        someone.store(false, Ordering::Relaxed);
+        assert_eq!(next().await, Ok(0));
+        emulator.unplug();
+        absent(next().await).await;
+    }
 }
 
 #[tokio::test(start_paused = true)]
@@ -193,11 +227,14 @@ async fn a_point_ahead_of_a_sensor_that_looks_back_is_behind_the_vehicle() {
     // A sensor that is lost leaves the cloud.
     let mut scans = sensor.scans(scan.window(), tokio_scip::Rate::hz(10.0)).await.unwrap();
     scans.next().await.unwrap().unwrap();
-    let (sensors, mut cloud) = ([(pose, scans)], Vec::new());
-    assert_eq!((merged::merge(&sensors, &mut cloud), cloud.len()), (1, 1));
+    let (sensors, mut cloud) = ([Mounted { port: "rear".to_owned(), pose, scans }], Vec::new());
+    assert!(merged::merge(&sensors, &mut cloud).is_empty());
+    assert_eq!(cloud.len(), 1);
     emulator.unplug();
     sleep(ms(500)).await;
-    assert_eq!((merged::merge(&sensors, &mut cloud), cloud.len()), (0, 0));
+    let stale = merged::merge(&sensors, &mut cloud);
+    assert!(stale[0].starts_with("rear: ") && stale[0].contains("no port"), "{stale:?}");
+    assert!(cloud.is_empty());
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,9 +1,12 @@
 //! TCP ports, on real sockets.
 
+use std::time::Duration;
+
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpListener;
 use tokio_scip::port::{Connect, Port};
-use tokio_scip::{BaudRate, Endpoint, ErrorKind};
+use tokio_scip::{BaudRate, Endpoint, ErrorKind, Rate, Sensor, State, Window};
+use urg_emulator::Emulator;
 
 #[tokio::test]
 async fn bytes_go_both_ways_over_tcp() {
@@ -92,4 +95,25 @@ async fn an_error_of_a_server_that_never_answers_names_the_endpoint() {
     let opened = tokio_scip::Sensor::builder().open_timeout(limit).open(&endpoint).await;
     let error = opened.unwrap_err();
     assert_eq!(error.chain().to_string(), format!("cannot open {endpoint}: timed out"));
+}
+
+#[tokio::test]
+async fn a_sensor_opened_in_the_background_may_come_later() {
+    let emulator = Emulator::default();
+    emulator.unplug();
+    let listener = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+    let address = format!("tcp://{}", listener.local_addr().unwrap());
+    let server = emulator.clone();
+    tokio::spawn(async move { server.serve_tcp(listener).await });
+
+    let sensor = Sensor::builder().open_in_background(&address).unwrap();
+    let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+    let waits = |state: &State| matches!(state, State::Connecting { error: Some(_) });
+    sensor.watch_state().wait_for(waits).await.unwrap();
+    assert!(sensor.freshness().check(Duration::MAX).unwrap_err().source.is_some());
+    emulator.plug_in();
+    scans.next().await.unwrap().unwrap();
+
+    let invalid = Sensor::builder().open_in_background("tcp://nowhere").unwrap_err();
+    assert!(matches!(invalid.kind(), ErrorKind::InvalidEndpoint { .. }), "{invalid}");
 }
