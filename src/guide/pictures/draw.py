@@ -1,14 +1,11 @@
 #!/usr/bin/env python3
-"""Draws the pictures of the guide and of the README: draw.py URG, where URG is the program.
+"""Draws the pictures of the guide.
 
 Each picture is an SVG of a few kilobytes that follows the reader's light or dark theme.
 `definitions.md` holds the same pictures as data, because rustdoc copies no files."""
 
-import json
 import math
 import pathlib
-import subprocess
-import sys
 import urllib.parse
 
 HERE = pathlib.Path(__file__).resolve().parent
@@ -161,31 +158,11 @@ def time():
          "earliest arrivals and shows how late each scan is.", parts)
 
 
-def room(program):
-    """A scan of the emulated sensor, as the README shows it."""
-    output = subprocess.run([program, "scan", "emulated", "--format", "json"], capture_output=True, check=True, text=True)
-    scan = json.loads(output.stdout)
-    scale, centre, width, height = 75, (300, 265), 600, 330
-    place = lambda x, y: (centre[0] - y * scale, centre[1] - x * scale)
-    points = []
-    for n, distance in enumerate(scan["ranges"]):
-        if distance is not None:
-            angle = scan["angle_min"] + n * scan["angle_increment"]
-            points.append(place(distance * math.cos(angle), distance * math.sin(angle)))
-    dots = "".join(f"M{x:.0f} {y:.0f}h0" for x, y in points if 0 <= x <= width and 0 <= y <= height)
-    parts = [f'<circle class="thin" cx="{centre[0]}" cy="{centre[1]}" r="{metres * scale}"/>' for metres in (1, 2, 3, 4)]
-    parts += [text(centre[0] + 4, centre[1] - metres * scale + 14, f"{metres} m", "dim") for metres in (1, 2)]
-    parts += [f'<path class="blueline" style="stroke-width:4;stroke-linecap:round" d="{dots}"/>',
-              f'<circle class="head" cx="{centre[0]}" cy="{centre[1]}" r="5"/>']
-    save("scan", width, height, "One scan of the emulated sensor: the walls of a room and two people in it, with rings each metre.", parts)
-
-
 geometry()
 polling()
 recovery()
 fence()
 time()
-room(sys.argv[1])
 (HERE / "definitions.md").write_text("".join(
     f"[{path.stem} picture]: data:image/svg+xml,{urllib.parse.quote(path.read_text(), safe='')}\n"
     for path in sorted(HERE.glob("*.svg"))

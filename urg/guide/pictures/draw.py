@@ -27,6 +27,13 @@ COLUMNS, ROWS = 80, 26
 WIDTH, HEIGHT = 8, 16
 SECONDS = 8
 DRIVER_PORT = 9519
+# Where the page shows the two people of the room after SECONDS, in pixels.
+PEOPLE = [(288, 250), (370, 264)]
+LABELS = """for (const [x, y] of arguments[0]) {
+    const label = document.body.appendChild(document.createElement("span"));
+    label.textContent = "person";
+    label.style = `position:fixed; left:${x}px; top:${y}px; transform:translate(-50%,-50%); font-weight:bold`;
+}"""
 
 
 def screen_of_view(urg):
@@ -110,6 +117,7 @@ def page(urg):
     session = call("POST", "", {"capabilities": {"alwaysMatch": options}})["sessionId"]
     call("POST", f"/{session}/url", {"url": url})
     time.sleep(SECONDS)
+    call("POST", f"/{session}/execute/sync", {"script": LABELS, "args": [PEOPLE]})
     picture = call("GET", f"/{session}/screenshot")
     (HERE / "page.png").write_bytes(base64.b64decode(picture))
     call("DELETE", f"/{session}")
