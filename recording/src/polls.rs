@@ -4,6 +4,7 @@
 use std::collections::VecDeque;
 use std::time::{Duration, SystemTime};
 
+use super::event::Event;
 use super::from_ros::MessageScan;
 use super::identity::{parse_version, version_frame};
 use super::record::{Entry, Record, RecordedReply};
@@ -147,6 +148,8 @@ pub(super) struct Polls {
     version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
     revolution: Option<Duration>,
+    /// Number of polls without a scan, by the recorded events.
+    failed_polls: u64,
     is_over: bool,
 }
 
@@ -155,7 +158,8 @@ impl Polls {
         let version = parse_version(&version_frame(recording.metadata()));
         let revolution = version.as_ref().and_then(revolution);
         let (stream, version) = (StreamPolls::default(), None);
-        Self { recording, stream, descriptions: 0, version, revolution, is_over: false }
+        let (descriptions, failed_polls, is_over) = (0, 0, false);
+        Self { recording, stream, descriptions, version, revolution, failed_polls, is_over }
     }
 
     /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
@@ -184,6 +188,10 @@ impl Polls {
         self.recording.no_scans()
     }
 
+    pub(super) fn failed_polls(&self) -> u64 {
+        self.failed_polls
+    }
+
     pub(super) fn is_truncated(&self) -> bool {
         self.recording.is_truncated()
     }
@@ -198,6 +206,7 @@ impl Polls {
 
     fn add(&mut self, record: Record) {
         self.describe();
+        self.failed_polls += u64::from(matches!(record.entry, Entry::Event(Event::Error { .. })));
         if let Entry::Reply(reply) = &record.entry
             && reply.command == Some(Command::Version)
         {

@@ -87,6 +87,11 @@ impl RecordedScans {
         self.polls.is_truncated()
     }
 
+    /// Number of polls without a scan among the records read so far, by the recorded events.
+    pub fn failed_polls(&self) -> u64 {
+        self.polls.failed_polls()
+    }
+
     /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
     /// it.
     pub fn position(&self) -> Duration {

@@ -8,7 +8,7 @@ use tokio_scip::{Rate, Window};
 use crate::args::{LinkArgs, WindowArgs};
 use crate::failure::Failure;
 use crate::playback::PlaybackArgs;
-use crate::port::name::{PortArg, PortName, missing_port};
+use crate::port::name::{PortArg, PortName, argument, missing_port};
 use crate::port::named::{NamedPort, PlacedPort};
 
 /// Sensors of one picture: one PORT, or several NAME=PORT@X,Y,YAW, and how to show them.
@@ -17,7 +17,7 @@ pub(crate) struct PictureArgs {
     /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, or
     /// emulated (see `urg help`). To show several sensors in one picture, give each as
     /// NAME=PORT@X,Y,YAW
-    #[arg(value_name = "PORT")]
+    #[arg(value_name = "PORT", value_parser = argument::<PlacedPort>())]
     ports: Vec<PlacedPort>,
     /// Scans a second, or `max` for as fast as the sensor answers [default: 10]
     #[arg(long, value_name = "HZ", allow_hyphen_values = true)]

@@ -1,6 +1,9 @@
 //! The picture of a scan: it is well-formed SVG, and shows the measured values.
 
-use super::program::{Emulated, run};
+use urg_emulator::Emulator;
+
+use super::program::run;
+use super::web::on_tcp;
 
 struct Element {
     name: String,
@@ -140,8 +143,9 @@ fn every_window_makes_a_picture() {
 
 #[test]
 fn text_from_a_sensor_stays_text_in_a_picture() {
-    let sensor = Emulated::start("--tcp 0 --serial-number <a&b>\"'\x1b]]>");
-    let svg = run(&format!("scan {} --format svg", sensor.port), 0).stdout;
+    let emulator = Emulator::builder().serial_number("<a&b>\"'\x1b]]>").build();
+    let (_runtime, port) = on_tcp(emulator);
+    let svg = run(&format!("scan {port} --format svg"), 0).stdout;
     let texts = texts(&svg);
     assert_eq!(texts[0], r#"SOKUIKI Sensor URG-04LX <a&b>"'\x1b]]>"#);
 }

@@ -104,6 +104,14 @@ fn a_pipe_that_brings_nothing_can_be_interrupted() {
     }
 }
 
+#[cfg(unix)]
+#[test]
+fn a_closed_standard_output_gets_no_recording() {
+    let (_, stderr) = script("$urg record emulated - --count 1 >&-", 2);
+    assert!(stderr.contains("standard output is closed"), "{stderr}");
+    script("$urg record emulated - --count 1 > /dev/null", 0);
+}
+
 #[test]
 fn options_of_files_are_refused_for_standard_output() {
     for options in ["--split 1h", "--split 1h --keep 1GB"] {

@@ -12,7 +12,7 @@ use urg_recording::Event;
 use urg_recording::{Entry, Recorder, Recording};
 
 use super::formats::{check, scans, values};
-use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, run, send, shell};
+use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure, program, run, send, shell};
 use super::served::{FAST, SCANS, check_held, held};
 
 /// Makes a recording of scans at 10 Hz on the paused clock, and returns their values.
@@ -236,6 +236,8 @@ fn polls_without_a_scan_are_counted_for_the_recording_alone() {
     let is_failure = |entry: &Entry| matches!(entry, Entry::Event(Event::Error { .. }));
     let failed = records.filter(is_failure).count();
     assert!(failed > 3, "{stderr}");
+    let check = run(&format!("check {}", file.path()), 0).stdout;
+    assert!(check.contains(&format!("weak    losses   {failed} polls without a scan")), "{check}");
     assert!(stderr.contains(&format!(", {failed} polls without a scan")), "{failed}: {stderr}");
 }
 
@@ -272,6 +274,32 @@ fn a_file_that_another_recorder_writes_or_another_program_removes_ends_the_recor
     let (status, notices) = first.end();
     assert_eq!(status.code(), Some(1));
     assert!(notices.iter().any(|line| line.contains("was removed")), "{notices:?}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_path_need_not_be_utf_8() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = Scratch::new("bytes");
+    fs::create_dir(folder.path()).unwrap();
+    let file = std::path::Path::new(folder.path()).join(OsStr::from_bytes(b"\xff.mcap"));
+    let urg = |command: &str, file: &std::path::Path, options: &str| {
+        let output = program(command).arg(file).args(options.split_whitespace()).output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    assert_eq!(urg("record emulated", &file, "--count 2").0, Some(0));
+    for command in ["info", "check", "scan", "stream"] {
+        assert_eq!(urg(command, &file, "").0, Some(0), "{command}");
+    }
+    assert!(urg("serve", &file, "--listen 999.0.0.0:1").1.contains("cannot listen"));
+    let (status, stderr) = urg("record", &file, "");
+    assert_eq!(status, Some(2));
+    assert!(stderr.starts_with("urg: which PORT?"), "{stderr}");
+    let port = OsStr::from_bytes(b"/dev/tty\xff");
+    assert!(urg("info", port.as_ref(), "").1.contains("expected UTF-8"));
+    fs::remove_dir_all(folder.path()).unwrap();
 }
 
 #[test]

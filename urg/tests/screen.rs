@@ -189,6 +189,19 @@ async fn pasted_text_is_no_keys() {
     assert_eq!(terminal.end().await, Some(0));
 }
 
+/// As a terminal sends pasted text that does not mark it.
+#[tokio::test]
+async fn many_keys_do_not_delay_ctrl_c() {
+    let mut terminal = Terminal::start("view emulated").await;
+    terminal.until_each(&["URG-04LX", "quit"]).await;
+    let began = std::time::Instant::now();
+    terminal.user.write_all("wct+-".repeat(600).as_bytes()).await.unwrap();
+    terminal.user.write_all(b"\x03").await.unwrap();
+    assert_eq!(terminal.end().await, Some(0));
+    // A frame for each key would take more than two minutes.
+    assert!(began.elapsed().as_secs() < 30, "{:?}", began.elapsed());
+}
+
 #[tokio::test]
 async fn a_recording_shows_its_progress_and_removes_that_line_at_the_end() {
     let file = Scratch::mcap("progress");

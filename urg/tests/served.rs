@@ -9,6 +9,7 @@ use urg_emulator::{Emulator, Room, STEPS, Values, World, WorldTime};
 
 use super::formats::{check, event, scans, values};
 use super::program::{Emulated, Running, Scratch, run};
+use super::web::on_tcp;
 
 /// The argument for an emulated sensor with a fast motor, so that tests are fast.
 pub(crate) const FAST: &str = "--revolution 50ms";
@@ -162,8 +163,8 @@ fn faults_cost_scans_and_never_the_stream() {
 
 #[test]
 fn text_from_a_sensor_cannot_control_the_terminal() {
-    let sensor = Emulated::start("--tcp 0 --serial-number \x1b[31mred");
-    let info = run(&format!("info {}", sensor.port), 0).stdout;
+    let (_runtime, port) = on_tcp(Emulator::builder().serial_number("\x1b[31mred").build());
+    let info = run(&format!("info {port}"), 0).stdout;
     assert!(info.contains(r"\x1b[31mred"), "{info}");
     assert!(!info.contains('\x1b'), "{info:?}");
 }

@@ -5,6 +5,7 @@ use std::process::Command;
 use std::time::Instant;
 
 use serde_json::Value;
+use tokio::runtime::Runtime;
 use urg_emulator::{Emulator, Fault, Faults};
 
 use super::formats::{check, event, values};
@@ -193,24 +194,25 @@ fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
     assert_eq!(served.state()["link"], "connected");
 }
 
-/// Serves an emulated sensor on TCP, in threads of this runtime, and returns its PORT.
-async fn on_tcp(emulator: Emulator) -> String {
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+/// Serves an emulated sensor on TCP, in threads of a runtime, and returns both it and the PORT.
+pub(super) fn on_tcp(emulator: Emulator) -> (Runtime, String) {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let listener = runtime.block_on(tokio::net::TcpListener::bind("127.0.0.1:0")).unwrap();
     let address = listener.local_addr().unwrap();
-    tokio::spawn(async move {
+    runtime.spawn(async move {
         while let Ok((client, _)) = listener.accept().await {
             // Ends with the test.
             let _ = emulator.serve(client).await;
         }
     });
-    format!("tcp://{address}?baud=750000")
+    (runtime, format!("tcp://{address}?baud=750000"))
 }
 
 #[test]
 fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
     let emulator = Emulator::default();
-    let served = Served::start(&runtime.block_on(on_tcp(emulator.clone())));
+    let (_runtime, port) = on_tcp(emulator.clone());
+    let served = Served::start(&port);
     served.health(200);
 
     // One byte of each scan is lost. Fences are shorter, and are answered.

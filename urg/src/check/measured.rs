@@ -8,7 +8,6 @@ use tokio_scip::{BaudRate, Error, Rate, Scan, Sensor, Stats, Window};
 
 use super::finding::{Finding, Verdict};
 use crate::format::listed;
-use crate::port::open::ignored_baud_rate;
 use crate::stream::jitter::Jitter;
 use crate::stream::rate_watch::{carries, sufficient_baud_rate};
 
@@ -29,8 +28,6 @@ pub(super) struct Measured {
     rate: Rate,
     asked: f64,
     scans: Vec<Seen>,
-    /// Baud rate that the port ignores, as fast replies show. `baud_rate` is `None` then.
-    outrun: Option<BaudRate>,
     /// Statistics of the driver before and after the measurement.
     before: Stats,
     after: Stats,
@@ -70,9 +67,8 @@ impl Measured {
         // This request waits for the poll in flight, so that `after` counts its outcome.
         let _ = sensor.laser_on().await;
         let after = sensor.stats();
-        let outrun = link_rate.filter(|_| after.baud_rate_outrun);
         let baud_rate = link_rate.filter(|_| !after.baud_rate_outrun);
-        Ok(Self { window, baud_rate, rate, asked, scans, outrun, before, after })
+        Ok(Self { window, baud_rate, rate, asked, scans, before, after })
     }
 
     pub(super) fn steps(&self) -> Vec<Finding> {
@@ -131,11 +127,7 @@ impl Measured {
         }
         let reached = (self.scans.len() - 1) as f64 / time;
         let asked = self.asked;
-        let mut text = format!("{reached:.1} scans a second of {asked:.1}, {}", self.jitter());
-        if let Some(baud_rate) = self.outrun {
-            // Writing to a `String` is infallible.
-            let _ = write!(text, "; {}", ignored_baud_rate(baud_rate));
-        }
+        let text = format!("{reached:.1} scans a second of {asked:.1}, {}", self.jitter());
         if self.rate.is_reached_by(reached) {
             return Finding::ok(NAME, text);
         }

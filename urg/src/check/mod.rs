@@ -17,6 +17,8 @@ use crate::port::name::PortArg;
 use crate::port::open::open;
 use crate::recording::span::TopicArgs;
 
+const DEFAULT_DURATION: Duration = Duration::from_secs(5);
+
 /// Test a sensor, with a verdict for each step
 ///
 /// Finds the sensor, asks for its identity, switches its laser off and on, and
@@ -31,10 +33,9 @@ Examples:
 pub(crate) struct Check {
     #[command(flatten)]
     port: PortArg,
-    /// Duration of the stream of scans: 10s, 500ms, 5m, 1h
-    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true,
-        default_value = "5s")]
-    duration: Duration,
+    /// Duration of the stream of scans: 10s, 500ms, 5m, 1h [default: 5s]
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    duration: Option<Duration>,
     #[command(flatten)]
     topic: TopicArgs,
     #[command(flatten)]
@@ -55,18 +56,22 @@ impl Check {
         port.choose_topic(&self.topic)?;
         let mut report = CheckReport { output: Output::new(), steps: Vec::new() };
         if let Some(recorded) = port.recorded() {
+            if self.duration.is_some() || self.link.baud.is_some() {
+                let text = format!("--duration and --baud are for a sensor: {port} is a recording");
+                return Err(Failure::Usage(text));
+            }
             for step in steps::recording(recorded.contents().await?) {
                 report.add(step).await?;
             }
             return report.end(&port.to_string()).await;
         }
-        let begin = Instant::now();
+        let (begin, duration) = (Instant::now(), self.duration.unwrap_or(DEFAULT_DURATION));
         match open(&port, &self.link, Delivery::Newest).await {
             Ok(sensor) => {
-                report.add(steps::link(&sensor, begin.elapsed())).await?;
+                report.add(steps::link(&sensor, begin.elapsed()).await).await?;
                 report.add(steps::version(&sensor).await).await?;
                 report.add(steps::laser(&sensor).await).await?;
-                for step in steps::scans(&sensor, port.default_window(), self.duration).await {
+                for step in steps::scans(&sensor, port.default_window(), duration).await {
                     report.add(step).await?;
                 }
             }

@@ -8,15 +8,20 @@ use tokio_scip::{Sensor, Version, Window};
 use super::finding::{Finding, Verdict};
 use super::measured::Measured;
 use crate::failure::chain;
+use crate::port::open::proven_baud_rate;
 use crate::recording::contents::{Contents, Row};
 
 /// Describes the link that was found `after` this time.
-pub(crate) fn link(sensor: &Sensor, after: Duration) -> Finding {
-    let place = match sensor.watch_state().get().baud_rate() {
-        Some(rate) => format!("at {rate} baud"),
-        None => "on USB".to_owned(),
-    };
-    Finding::ok("link", format!("found {place} after {:.1} s", after.as_secs_f64()))
+pub(crate) async fn link(sensor: &Sensor, after: Duration) -> Finding {
+    let after = format!("after {:.1} s", after.as_secs_f64());
+    Finding::ok(
+        "link",
+        match proven_baud_rate(sensor).await {
+            None => format!("found on USB {after}"),
+            Some((rate, None)) => format!("found at {rate} baud {after}"),
+            Some((_, Some(why))) => format!("found {after}; {why}"),
+        },
+    )
 }
 
 pub(crate) async fn version(sensor: &Sensor) -> Finding {
@@ -61,6 +66,7 @@ pub(crate) fn recording(contents: Contents) -> Vec<Finding> {
             "scans" if value == 0 => Verdict::Failed,
             "complete" if value != true => Verdict::Failed,
             "gaps" | "clock" if !is_empty => Verdict::Weak,
+            "losses" if value != 0 => Verdict::Weak,
             _ => Verdict::Ok,
         };
         Finding::new(name, verdict, text)
@@ -102,7 +108,7 @@ mod tests {
         let emulator = builder.build();
         let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
         emulator.set_faults(faults);
-        let mut steps = vec![link(&sensor, Duration::ZERO), version(&sensor).await];
+        let mut steps = vec![link(&sensor, Duration::ZERO).await, version(&sensor).await];
         steps.push(laser(&sensor).await);
         steps.extend(scans(&sensor, Window::DETECTION, duration).await);
         let text = steps.iter().map(|step| format!("{step}\n")).collect();

@@ -1,7 +1,7 @@
 //! `urg emulate`: emulates a sensor for other programs.
 
 #[cfg(unix)]
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::ValueEnum;
@@ -32,6 +32,10 @@ pub(crate) struct Emulate {
     #[cfg(unix)]
     #[arg(long, value_name = "PATH")]
     link: Option<PathBuf>,
+    /// Replace the link even if it is another program's, or its terminal exists
+    #[cfg(unix)]
+    #[arg(long, requires = "link")]
+    force: bool,
     /// Serve on TCP instead: a port number for this machine only, or ADDRESS:PORT
     /// (0.0.0.0:4001 opens the sensor to your whole network)
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
@@ -47,7 +51,7 @@ pub(crate) struct Emulate {
     #[arg(long, value_enum, default_value_t = FirmwareDialect::V3)]
     firmware: FirmwareDialect,
     /// Serial number of the sensor
-    #[arg(long, value_name = "NUMBER", default_value = "H0713090")]
+    #[arg(long, value_name = "NUMBER", default_value = "H0713090", value_parser = serial_number)]
     serial_number: String,
     /// Duration of one revolution of the motor, and so of one scan
     #[arg(long, value_name = "TIME", default_value = "100ms", value_parser = duration)]
@@ -138,9 +142,7 @@ impl Emulate {
             Some(link) => Failure::new(format_args!("cannot serve on {}", link.display()), &error),
             None => Failure::new("cannot serve on a pseudo-terminal", &error),
         };
-        // Held until the server stops.
-        self.link.as_deref().map_or(Ok(()), check_link)?;
-        let _claim = self.link.as_deref().map(LinkClaim::take).transpose()?;
+        self.link.as_deref().filter(|_| !self.force).map_or(Ok(()), check_link)?;
         let pty = Pty::open(emulator, self.link.as_deref()).map_err(failed)?;
         self.announce(&pty.path().display().to_string());
         pty.serve().await.map_err(failed)
@@ -162,72 +164,26 @@ impl Emulate {
     }
 }
 
-/// Fails if there is a link at `path` that no emulator has left: it leads to no pseudo-terminal.
+/// Fails if there is a link at `path` that no emulator has left: its pseudo-terminal exists, or it
+/// never led to one.
 #[cfg(unix)]
-fn check_link(path: &std::path::Path) -> Result<(), Failure> {
+fn check_link(path: &Path) -> Result<(), Failure> {
     let terminals = if cfg!(target_os = "linux") { "/dev/pts/" } else { "/dev/ttys" };
-    let target = path.read_link().map(|target| target.display().to_string());
-    match target {
-        Ok(target) if !target.starts_with(terminals) => Err(Failure::Failed(format!(
-            "cannot serve on {}: it is a link to {target}, not of an emulator; remove it, or use \
-             another --link",
-            path.display()
-        ))),
+    match path.read_link() {
+        Ok(target) if target.exists() || !target.to_string_lossy().starts_with(terminals) => {
+            Err(Failure::Failed(format!(
+                "cannot serve on {}: it is a link to {}, and not of an emulator that has ended; \
+                 use another --link, or replace it with --force",
+                path.display(),
+                target.display()
+            )))
+        }
         _ => Ok(()),
     }
 }
 
-/// Lock on the `--link` of a running `urg emulate`.
-///
-/// The link alone does not tell whether its emulator still runs, because the system reuses
-/// numbers of pseudo-terminals. The lock is a Linux abstract socket, which the kernel removes
-/// with the process. Other systems have no lock.
-#[cfg(unix)]
-#[derive(Debug)]
-struct LinkClaim {
-    #[cfg(target_os = "linux")]
-    _socket: std::os::unix::net::UnixDatagram,
-}
-
-#[cfg(unix)]
-impl LinkClaim {
-    /// Locks the link at `path`, unless another emulator holds the lock.
-    #[cfg(target_os = "linux")]
-    fn take(path: &std::path::Path) -> Result<Self, Failure> {
-        use std::hash::{DefaultHasher, Hash, Hasher};
-        use std::io;
-        use std::os::linux::net::SocketAddrExt;
-        use std::os::unix::net::{SocketAddr, UnixDatagram};
-
-        // Canonicalizes the directory only: the link may not exist yet.
-        let directory = match path.parent() {
-            Some(directory) if !directory.as_os_str().is_empty() => directory,
-            _ => std::path::Path::new("."),
-        };
-        let directory = directory.canonicalize().unwrap_or_else(|_| directory.to_owned());
-        let mut hasher = DefaultHasher::new();
-        (directory, path.file_name()).hash(&mut hasher);
-        let name = format!("urg-emulate-{:016x}", hasher.finish());
-        let socket = SocketAddr::from_abstract_name(name)
-            .and_then(|address| UnixDatagram::bind_addr(&address));
-        match socket {
-            Ok(socket) => Ok(Self { _socket: socket }),
-            Err(error) if error.kind() == io::ErrorKind::AddrInUse => {
-                Err(Failure::Failed(format!(
-                    "cannot serve on {}: another `urg emulate` is serving there; stop it first, \
-                     or use another --link",
-                    path.display()
-                )))
-            }
-            Err(error) => {
-                Err(Failure::new(format_args!("cannot serve on {}", path.display()), &error))
-            }
-        }
-    }
-
-    #[cfg(not(target_os = "linux"))]
-    #[expect(clippy::unnecessary_wraps, reason = "it fails on Linux")]
-    fn take(_: &std::path::Path) -> Result<Self, Failure> {
-        Ok(Self {})
-    }
+/// Parses a serial number, a line of the reply to `V`.
+fn serial_number(text: &str) -> Result<String, &'static str> {
+    let is_line = !text.contains(char::is_control);
+    is_line.then(|| text.to_owned()).ok_or("expected text without control characters")
 }

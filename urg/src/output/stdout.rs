@@ -55,6 +55,24 @@ pub(crate) fn failure(error: &io::Error) -> Failure {
     }
 }
 
+/// Checks whether standard output was closed, as by `>&-`. Rust has then opened the null device
+/// in its place, for reading, too.
+#[cfg(unix)]
+pub(crate) fn is_closed() -> bool {
+    use rustix::fs::{OFlags, fcntl_getfl, fstat, stat};
+
+    let stdout = io::stdout();
+    let is_null = fstat(&stdout)
+        .is_ok_and(|stdout| stat("/dev/null").is_ok_and(|null| null.st_rdev == stdout.st_rdev));
+    is_null && fcntl_getfl(&stdout).is_ok_and(|flags| flags & OFlags::RWMODE == OFlags::RDWR)
+}
+
+/// Windows has no such redirection.
+#[cfg(not(unix))]
+pub(crate) fn is_closed() -> bool {
+    false
+}
+
 #[cfg(unix)]
 mod room {
     use std::fs::File;

@@ -1,10 +1,12 @@
 //! PORT argument: an endpoint of the library, `emulated`, or a recording.
 
+use std::ffi::OsString;
 use std::fmt;
 use std::path::Path;
 use std::str::FromStr;
 use std::time::Duration;
 
+use clap::builder::{OsStringValueParser, TypedValueParser};
 use tokio_scip::port;
 use tokio_scip::scan::Pose;
 use tokio_scip::{Endpoint, Error, ErrorKind, Rate, Window};
@@ -20,7 +22,7 @@ const DEFAULT_RATE: Rate = Rate::every(Duration::from_millis(100));
 pub(crate) struct PortArg {
     /// Where the sensor is: a serial port, serial:NUMBER, tcp://HOST:PORT, FILE.mcap, - or
     /// emulated (see `urg help`)
-    #[arg(value_name = "PORT")]
+    #[arg(value_name = "PORT", value_parser = argument::<PortName>())]
     pub(crate) name: Option<PortName>,
 }
 
@@ -38,7 +40,7 @@ impl FromStr for PortName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if let Some(recorded) = Recorded::named(text) {
+        if let Some(recorded) = Recorded::named(Path::new(text)) {
             return Ok(Self::Recording(recorded));
         }
         match text {
@@ -52,6 +54,20 @@ impl FromStr for PortName {
             }),
         }
     }
+}
+
+/// Parser of an argument with a port. The path of a recording need not be UTF-8.
+pub(crate) fn argument<T>() -> impl TypedValueParser<Value = T>
+where
+    T: FromStr<Err = String> + From<PortName> + Clone + Send + Sync + 'static,
+{
+    OsStringValueParser::new().try_map(|argument: OsString| match argument.to_str() {
+        Some(text) => text.parse(),
+        None => match Recorded::named(Path::new(&argument)) {
+            Some(recorded) => Ok(PortName::Recording(recorded).into()),
+            None => Err("expected UTF-8, or the path of a recording, FILE.mcap".to_owned()),
+        },
+    })
 }
 
 /// Checks whether `text` is a misspelt `word`, and not a file.
@@ -146,13 +162,13 @@ pub(crate) async fn missing_port() -> Failure {
     let ports = port::list().await.unwrap_or_default();
     let likely = ports.iter().filter(|port| port.likely_sensor);
     let likely: Vec<_> = likely.map(|port| port.path.as_str()).collect();
-    let mut words: Vec<_> = std::env::args().skip(1).collect();
+    let mut words: Vec<_> = std::env::args_os().skip(1).collect();
     let example = likely.first().unwrap_or(&"emulated");
-    words.insert(words.len().min(1), (*example).to_owned());
+    words.insert(words.len().min(1), example.into());
     let found = match likely.as_slice() {
         [] => "No serial port here is a likely sensor".to_owned(),
         likely => format!("Likely sensors: {}", likely.join(", ")),
     };
-    let words = words.join(" ");
+    let words = words.join(" ".as_ref()).to_string_lossy().into_owned();
     Failure::Usage(format!("which PORT? {found} (see `urg list`). Try `urg {words}`"))
 }

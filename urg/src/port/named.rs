@@ -14,6 +14,12 @@ pub(crate) struct NamedPort {
     pub(crate) port: PortName,
 }
 
+impl From<PortName> for NamedPort {
+    fn from(port: PortName) -> Self {
+        Self { name: None, port }
+    }
+}
+
 impl FromStr for NamedPort {
     type Err = String;
 
@@ -46,6 +52,12 @@ pub(crate) fn token(text: &str) -> Result<&str, String> {
 pub(crate) struct PlacedPort {
     pub(crate) named: NamedPort,
     pub(crate) pose: Pose,
+}
+
+impl From<PortName> for PlacedPort {
+    fn from(port: PortName) -> Self {
+        Self { named: port.into(), pose: Pose::default() }
+    }
 }
 
 impl FromStr for PlacedPort {

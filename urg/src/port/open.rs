@@ -61,6 +61,12 @@ fn spawn(builder: SensorBuilder, connect: impl Connect) -> Sensor {
     sensor
 }
 
+/// Baud rate of the line. `None` on USB, and on a port that ignores its baud rate, as fast replies
+/// have shown.
+pub(crate) fn line_baud_rate(sensor: &Sensor) -> Option<BaudRate> {
+    sensor.watch_state().get().baud_rate().filter(|_| !sensor.stats().baud_rate_outrun)
+}
+
 /// Explains a port that ignores its baud rate, as pseudo-terminals and some adapters do. Such
 /// a sensor is found at the first baud rate tried.
 pub(crate) fn ignored_baud_rate(baud_rate: BaudRate) -> String {

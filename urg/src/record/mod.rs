@@ -20,6 +20,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
 use crate::output::stderr;
+use crate::output::stdout::is_closed;
 use crate::port::name::{PortArg, missing_port};
 use crate::port::open::open;
 use crate::recording::contents::ScanTimes;
@@ -230,6 +231,10 @@ impl Record {
     fn require_pipe(&self) -> Result<(), Failure> {
         if self.split.is_some() || !self.keep.is_empty() {
             let text = "--split and --keep are for files: standard output is one recording";
+            return Err(Failure::Usage(text.to_owned()));
+        }
+        if is_closed() {
+            let text = "standard output is closed: send it to a file or a program";
             return Err(Failure::Usage(text.to_owned()));
         }
         if io::stdout().is_terminal() {

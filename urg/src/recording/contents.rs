@@ -48,6 +48,7 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
             Err(error) => return Err(error),
         }
     }
+    let losses = recorded.failed_polls();
     let complete = !recorded.is_truncated() && damaged_at.is_empty();
     let ScanTimes { scans, gaps, clock_steps, .. } = &times;
     let asked = window.map(|window| format!(" of {window}")).unwrap_or_default();
@@ -73,6 +74,15 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let mut rows = vec![
         ("scans", json!(scans), format!("{scans}{asked}")),
         ("gaps", json!(gaps), listed(gaps)),
+        (
+            "losses",
+            json!(losses),
+            if losses == 0 {
+                "none".to_owned()
+            } else {
+                counted(losses, "poll") + " without a scan"
+            },
+        ),
         ("complete", json!(complete), end),
     ];
     if !clock_steps.is_empty() {

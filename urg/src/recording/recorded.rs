@@ -45,10 +45,10 @@ pub(crate) struct Recorded {
 
 impl Recorded {
     /// Parses the name of a recording. Does not open the file.
-    pub(crate) fn named(text: &str) -> Option<Self> {
-        let is_stdin = text == "-";
-        (is_stdin || Self::is_name(Path::new(text))).then(|| Self {
-            path: text.into(),
+    pub(crate) fn named(path: &Path) -> Option<Self> {
+        let is_stdin = path.as_os_str() == "-";
+        (is_stdin || Self::is_name(path)).then(|| Self {
+            path: path.to_owned(),
             stdin: is_stdin.then(Arc::default),
             window: None,
             rate: None,

@@ -148,7 +148,7 @@ mod tests {
             recorder.record(&scans.next().await.unwrap()).unwrap();
         }
         recorder.finish().await.unwrap();
-        let mut recorded = Recorded::named(path.to_str().unwrap()).unwrap();
+        let mut recorded = Recorded::named(path).unwrap();
         recorded.read_settings().await.unwrap();
         recorded
     }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use tokio_scip::{Freshness, Rate, Sensor, State, Window};
 
 use crate::failure::chain;
+use crate::port::open::line_baud_rate;
 
 /// Tolerance for a late scan, in addition to three periods.
 const SCAN_GRACE: Duration = Duration::from_secs(2);
@@ -35,7 +36,7 @@ impl SensorHealth {
             _ => "unknown",
         };
         let why = trouble(&state).or_else(|| {
-            let wire_time = state.baud_rate().map(|rate| window.wire_time(rate));
+            let wire_time = line_baud_rate(sensor).map(|rate| window.wire_time(rate));
             let period = rate.period().unwrap_or_default().max(wire_time.unwrap_or_default());
             overdue(&sensor.freshness(), 3 * period + SCAN_GRACE)
         });

@@ -11,6 +11,7 @@ use tokio_scip::{BaudRate, Endpoint, Rate, Scan, Sensor, Stats, Window};
 
 use crate::format::listed;
 use crate::port::name::PortName;
+use crate::port::open::line_baud_rate;
 
 /// About the time over which the driver measures the rate.
 const MEASURED_OVER: Duration = Duration::from_secs(3);
@@ -49,8 +50,7 @@ impl RateWatch {
         self.checked_at = Some(now);
         let stats = sensor.stats();
         let ScheduleStats { reached, shortfall, .. } = *schedule(&stats, self.window)?;
-        let baud_rate = sensor.watch_state().get().baud_rate().filter(|_| !stats.baud_rate_outrun);
-        self.notice(rate, reached?, shortfall, baud_rate, &stats)
+        self.notice(rate, reached?, shortfall, line_baud_rate(sensor), &stats)
     }
 
     fn notice(

@@ -122,16 +122,9 @@ impl Viewer {
                 screen.ready().await
             };
             tokio::select! {
-                ready = frame, if changed => {
-                    ready?;
-                    changed = false;
-                    next_frame = Instant::now() + FRAME_INTERVAL;
-                    self.refresh();
-                    let mut help = None;
-                    screen.draw(|frame| help = draw::draw(frame, &self.model, self.palette))?;
-                    self.model.help = help;
-                    continue;
-                }
+                // Keys come first, because pasted text must not delay Ctrl-C by a frame for each
+                // of its letters.
+                biased;
                 event = keys.next() => match event {
                     Some(Ok(Event::Key(key))) => match self.model.key(key) {
                         Some(Action::Quit) => return Ok(StreamEnd::Interrupted),
@@ -144,6 +137,16 @@ impl Viewer {
                     // The terminal's input has ended.
                     None => return Ok(StreamEnd::Interrupted),
                 },
+                ready = frame, if changed => {
+                    ready?;
+                    changed = false;
+                    next_frame = Instant::now() + FRAME_INTERVAL;
+                    self.refresh();
+                    let mut help = None;
+                    screen.draw(|frame| help = draw::draw(frame, &self.model, self.palette))?;
+                    self.model.help = help;
+                    continue;
+                }
                 (number, arrival) = next_of_any(&mut self.sources) => match arrival {
                     Arrival::Scan(scan) => self.scanned(number, scan),
                     Arrival::Trouble(error) => self.trouble(number, &error),

@@ -152,6 +152,7 @@ class Radar {
     const ratio = canvas.width / (canvas.clientWidth || 1);
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, canvas.clientWidth, canvas.clientHeight);
+    this.texts = [];
     const view = this.current();
     this.grid(view);
     for (const layer of this.layers) {
@@ -167,6 +168,7 @@ class Radar {
     context.globalAlpha = 1;
     this.choice(view);
     for (const layer of this.layers) this.sensor(view, layer);
+    this.write();
   }
 
   arc(view, { pose }, metres, from, to, pixels = 0) {
@@ -202,7 +204,7 @@ class Radar {
     for (const ring of [...rings, REACH]) { context.beginPath(); this.arc(view, layer, ring, from, to); context.stroke(); }
 
     const rim = REACH + LABELS / view.scale;
-    for (const d of marks) this.label(`${d}°`, ...this.place(layer, d * Math.PI / 180, rim, view));
+    for (const d of marks) this.label(2, `${d}°`, [this.place(layer, d * Math.PI / 180, rim, view)]);
     // Beside the right edge, where nothing is measured.
     const outside = from + layer.pose.yaw - Math.PI / 2;
     this.ringLabels(view, layer, rings, (ring) => {
@@ -215,12 +217,12 @@ class Radar {
   // spot out of sight.
   ringLabels(view, origin, rings, spot) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
-    const inside = ([x, y]) => x > 0 && x < width && y > 0 && y < height;
+    const inside = ([x, y]) => x > 20 && x < width - 20 && y > 10 && y < height - 10;
     const [x, y] = this.place(origin, 0, 0, view);
     const middle = Math.atan2(x - width / 2, y - height / 2) - origin.pose.yaw;
     for (const ring of rings) {
-      const place = [spot(ring), this.place(origin, middle, ring, view)].find(inside);
-      if (place) this.label(`${Number(ring.toFixed(2))} m`, ...place);
+      const places = [spot(ring), this.place(origin, middle, ring, view)].filter(inside);
+      this.label(2, `${Number(ring.toFixed(2))} m`, places);
     }
   }
 
@@ -255,15 +257,31 @@ class Radar {
     this.ringLabels(view, origin, rings, (ring) => this.place(origin, 0, ring, view));
   }
 
-  // Text that stays readable on lines.
-  label(text, x, y, colour = this.theme.soft, align = "center") {
+  // Keeps a text for `write`, which needs one of these places. Texts of a lower rank come first.
+  label(rank, text, places, colour = this.theme.soft, align = "center") {
+    this.texts.push({ rank, text, places, colour, align, alpha: this.context.globalAlpha });
+  }
+
+  // Writes the texts that cover no other one, readable on lines.
+  write() {
     const { context, theme } = this;
+    const taken = [];
     context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
-    context.textAlign = align; context.textBaseline = "middle";
-    context.lineWidth = 4; context.lineJoin = "round";
-    context.strokeStyle = theme.ground; context.strokeText(text, x, y);
-    context.fillStyle = colour; context.fillText(text, x, y);
-    context.lineWidth = 1; context.strokeStyle = theme.ring;
+    context.textBaseline = "middle"; context.lineWidth = 4; context.lineJoin = "round";
+    for (const { text, places, colour, align, alpha } of this.texts.sort((a, b) => a.rank - b.rank)) {
+      const width = context.measureText(text).width;
+      const start = { left: 0, center: width / 2, right: width }[align];
+      const isFree = ([x, y]) => taken.every((other) =>
+        x - start >= other.right || x - start + width <= other.left || Math.abs(y - other.y) >= 13);
+      const place = places.find(isFree);
+      if (!place) continue;
+      const [x, y] = place;
+      taken.push({ left: x - start, right: x - start + width, y });
+      context.globalAlpha = alpha; context.textAlign = align;
+      context.strokeStyle = theme.ground; context.strokeText(text, x, y);
+      context.fillStyle = colour; context.fillText(text, x, y);
+    }
+    context.globalAlpha = 1;
   }
 
   points(view, layer, scan, alpha, part) {
@@ -320,7 +338,7 @@ class Radar {
     context.beginPath(); context.arc(x, y, 8, 0, 2 * Math.PI); context.stroke();
     const [ox] = this.place(layer, 0, 0, view);
     const aside = x < ox ? -12 : 12;
-    this.label(`${near.distance.toFixed(2)} m`, x + aside, y, theme.text, x < ox ? "right" : "left");
+    this.label(1, `${near.distance.toFixed(2)} m`, [[x + aside, y]], theme.text, x < ox ? "right" : "left");
   }
 
   choice(view) {
@@ -350,7 +368,9 @@ class Radar {
     context.moveTo(0, -8); context.lineTo(6, 6); context.lineTo(-6, 6);
     context.fill();
     context.restore();
+    if (!layer.colour) return;
     const [ahead, left] = [Math.cos(layer.pose.yaw) * 20, Math.sin(layer.pose.yaw) * 26];
-    if (layer.colour) this.label(layer.name, x - left, y - ahead, theme[layer.colour]);
+    const places = [1, 2, 3, 4].map((far) => [x - left * far, y - ahead * far]);
+    this.label(0, layer.name, places, theme[layer.colour]);
   }
 }

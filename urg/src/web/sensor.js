@@ -135,7 +135,7 @@ class Sensor {
       ["Port", this.report.port],
       ["Place", place],
       ["Link", playback ? "recording" : link],
-      ["Line", baud ? `${baud} baud` : link === "connected" ? "no baud rate (USB)" : null],
+      ["Line", baud ? `${baud} baud` : link === "connected" ? "no baud rate" : null],
       ["Window", `steps ${window.start} to ${window.end}` + (window.cluster > 1 ? `, by ${window.cluster}` : "")],
       ["Scans", stats?.scans ?? playback?.scans],
       ["Recorded", playback && this.scan ? `${new Date(this.scan.stamp * 1000).toISOString().replace("T", " ").slice(0, 19)} UTC` : null],

@@ -13,6 +13,7 @@ use super::source::SiteSource;
 use crate::format::json_line;
 use crate::playback::{PlaybackStatus, Player};
 use crate::plot::pose;
+use crate::port::open::line_baud_rate;
 use crate::stream::jitter::Jitter;
 
 #[derive(Debug, Serialize)]
@@ -32,6 +33,7 @@ struct SensorReport<'a> {
     link: &'static str,
     /// Reason why no scans arrive; null while they do.
     why: Option<String>,
+    /// Null on USB, and on a port that ignores it.
     baud_rate: Option<tokio_scip::BaudRate>,
     window: Window,
     /// Requested rate in scans a second; null for the maximum.
@@ -67,7 +69,7 @@ impl<'a> SensorReport<'a> {
             port: source.picture.port.to_string(),
             link: health.link,
             why: health.why,
-            baud_rate: sensor.and_then(|sensor| sensor.watch_state().get().baud_rate()),
+            baud_rate: sensor.and_then(line_baud_rate),
             window: source.picture.window,
             asked: hub
                 .and_then(|_| source.picture.rate.period())
