@@ -1,37 +1,40 @@
 //! [`Queue`]: hands messages from async code to the thread that writes the file, and bounds
-//! the waiting bytes. Also contains the thread.
+//! the waiting bytes. Also contains the thread. `held` holds messages back before that.
 
-use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{oneshot, watch};
+use tokio::time::Instant;
 
 use super::RecordingError;
+use super::held::Held;
+use super::item::WriteItem;
 use super::output::{Durable, Output};
 use super::parts::{Limits, Parts};
 use super::progress::Progress;
 use super::sync::Syncer;
-use super::writer::{LogClock, Times, Writer};
-use tokio_scip::Scan;
+use super::writer::{LogClock, Writer};
 
 /// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
 /// about four minutes.
 const HIGH_WATER_BYTES: usize = 8 << 20;
+/// Largest number of bytes held before a trigger: the rest of the queue is for what comes while they
+/// are written.
+const HELD_BYTES: usize = HIGH_WATER_BYTES / 2;
 /// [`Queue::ready`] waits until at most this many bytes wait.
 const LOW_WATER_BYTES: usize = 1 << 20;
-/// Bytes that a queued item takes besides its content.
-const ITEM_OVERHEAD_BYTES: usize = 128;
-
 /// Items on their way into the file.
 #[derive(Debug)]
 pub(super) struct Queue {
     items: mpsc::Sender<WriteItem>,
+    /// Items before the trigger, if there is to be one.
+    held: Mutex<Option<Held>>,
     /// Number of waiting bytes, or `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
     scans: AtomicU64,
@@ -45,49 +48,21 @@ pub(super) struct Queue {
     syncer: Option<Syncer>,
 }
 
-#[derive(Debug)]
-pub(super) enum WriteItem {
-    Scan(Scan),
-    Reply {
-        command: String,
-        bytes: Box<[u8]>,
-        times: Times,
-    },
-    Event {
-        json: String,
-        times: Times,
-    },
-    Metadata(BTreeMap<String, String>),
-    /// Ends the file, and confirms that it was written.
-    Finish(oneshot::Sender<()>),
-}
-
 /// Settings that the threads of a recording need.
 #[derive(Debug, Clone)]
 pub(super) struct QueueSettings {
     pub(super) limits: Limits,
     pub(super) frame_id: String,
     pub(super) sync_interval: Option<Duration>,
-}
-
-impl WriteItem {
-    /// Number of bytes that this item takes in the queue.
-    fn weight(&self) -> usize {
-        ITEM_OVERHEAD_BYTES
-            + match self {
-                Self::Scan(scan) => scan.len() * size_of::<u16>(),
-                Self::Reply { bytes, .. } => bytes.len(),
-                Self::Event { json, .. } => json.len(),
-                Self::Metadata(_) | Self::Finish(_) => 0,
-            }
-    }
+    pub(super) before: Option<Duration>,
 }
 
 impl Queue {
-    fn new(syncer: Option<Syncer>) -> (Self, mpsc::Receiver<WriteItem>) {
+    fn new(syncer: Option<Syncer>, before: Option<Duration>) -> (Self, mpsc::Receiver<WriteItem>) {
         let (items, receiver) = mpsc::channel();
         let queue = Self {
             items,
+            held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
             waiting: watch::Sender::new(Some(0)),
             scans: AtomicU64::new(0),
             replies: AtomicU64::new(0),
@@ -110,9 +85,9 @@ impl Queue {
         path: Option<PathBuf>,
         settings: QueueSettings,
     ) -> Result<Arc<Self>, RecordingError> {
-        let QueueSettings { limits, frame_id, sync_interval } = settings;
+        let QueueSettings { limits, frame_id, sync_interval, before } = settings;
         let syncer = sync_interval.map(Syncer::start).transpose().map_err(RecordingError::write)?;
-        let (queue, receiver) = Self::new(syncer);
+        let (queue, receiver) = Self::new(syncer, before);
         let queue = Arc::new(queue);
         let first = Counted::wrap(out, &queue);
         let further = {
@@ -136,9 +111,27 @@ impl Queue {
         Ok(queue)
     }
 
-    /// Queues an item. If too many bytes wait already, or the thread has ended, the item is
-    /// lost and counted.
+    /// Queues an item, or holds it until the trigger. If too many bytes wait already, or the
+    /// thread has ended, the item is lost and counted.
     pub(super) fn push(&self, item: WriteItem) {
+        match self.held().as_mut() {
+            Some(held) => held.push(item, Instant::now()),
+            None => self.queue(item),
+        }
+    }
+
+    /// Queues the held items and all later ones.
+    pub(super) fn release(&self) {
+        // Locked until the end, so that no later item overtakes one of them.
+        let mut held = self.held();
+        held.take().into_iter().flatten().for_each(|item| self.queue(item));
+    }
+
+    fn held(&self) -> MutexGuard<'_, Option<Held>> {
+        self.held.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn queue(&self, item: WriteItem) {
         let weight = item.weight();
         let counters = match &item {
             WriteItem::Scan(_) => Some((&self.scans, &self.lost)),
@@ -312,7 +305,10 @@ mod tests {
 
     use futures::FutureExt as _;
 
+    use std::collections::BTreeMap;
+
     use super::super::output::Plain;
+    use super::super::writer::Times;
     use super::*;
 
     fn times() -> Times {
@@ -321,7 +317,8 @@ mod tests {
 
     #[test]
     fn an_item_takes_the_bytes_of_its_content_until_it_is_written() {
-        let scan = Scan::builder(tokio_scip::Window::DETECTION, [0; 682]).build().unwrap();
+        let scan =
+            tokio_scip::Scan::builder(tokio_scip::Window::DETECTION, [0; 682]).build().unwrap();
         let (command, bytes) = (String::from("V"), Box::from([0; 1000]));
         for (item, content) in [
             (WriteItem::Scan(scan), 2 * 682),
@@ -329,7 +326,7 @@ mod tests {
             (WriteItem::Event { json: "x".repeat(50), times: times() }, 50),
             (WriteItem::Metadata(BTreeMap::new()), 0),
         ] {
-            let (queue, items) = Queue::new(None);
+            let (queue, items) = Queue::new(None, None);
             queue.push(item);
             assert_eq!(*queue.waiting.borrow(), Some(128 + content));
             let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out);
@@ -378,6 +375,7 @@ mod tests {
             limits: Limits::default(),
             frame_id: String::new(),
             sync_interval: Some(Duration::ZERO),
+            before: None,
         };
         let disk = Box::new(Hangs(Arc::new(Mutex::new(wait))));
         let queue = Queue::into_file(disk, Path::new(""), None, settings).unwrap();
@@ -391,7 +389,7 @@ mod tests {
     /// The thread is marked as ended before its end of the channel closes.
     #[test]
     fn ready_returns_for_items_pushed_while_the_thread_ends() {
-        let (queue, _receiver) = Queue::new(None);
+        let (queue, _receiver) = Queue::new(None, None);
         let push = || {
             let json = "x".repeat(LOW_WATER_BYTES);
             queue.push(WriteItem::Event { json, times: times() });

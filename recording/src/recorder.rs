@@ -11,10 +11,11 @@ use tokio::time::Instant;
 
 use super::RecordingError;
 use super::file::RecordingFile;
+use super::item::WriteItem;
 use super::output::{Output, Plain};
 use super::parts::{Limits, further_part, next_path};
 use super::progress::Progress;
-use super::queue::{Queue, QueueSettings, WriteItem};
+use super::queue::{Queue, QueueSettings};
 use super::writer::Times;
 use crate::event::{Event, Events};
 use tokio_scip::RawReply;
@@ -47,6 +48,7 @@ pub struct RecorderBuilder {
     overwrite: bool,
     limits: Limits,
     sync_interval: Option<Duration>,
+    before: Option<Duration>,
 }
 
 impl Recorder {
@@ -69,6 +71,7 @@ impl Recorder {
             overwrite: false,
             limits: Limits::default(),
             sync_interval: Some(Duration::from_secs(1)),
+            before: None,
         }
     }
 
@@ -177,6 +180,12 @@ impl Recorder {
             self.queue.push(WriteItem::Scan(scan.clone()));
         }
         self.queue.failure().map_or(Ok(()), Err)
+    }
+
+    /// Writes what is held [before](RecorderBuilder::before) this call, and from now on every item.
+    /// Does nothing if nothing is held back.
+    pub fn trigger(&self) {
+        self.queue.release();
     }
 
     /// Waits until at most 1 MiB is queued for the disk, or writing has failed.
@@ -315,6 +324,42 @@ impl RecorderBuilder {
         self
     }
 
+    /// Makes the recorder a black box: it holds the items of this time in memory, and writes them
+    /// when you [trigger](Recorder::trigger) it. From then on it records everything.
+    ///
+    /// Holds at most 4 MiB, about two minutes of full scans and their replies at 10 Hz: beyond that
+    /// the oldest items are dropped earlier. Without a trigger the file stays empty.
+    ///
+    /// ```
+    /// # use std::time::Duration;
+    /// # use tokio_scip::{Rate, Sensor, Window};
+    /// # use urg_emulator::Emulator;
+    /// # use urg_recording::Recorder;
+    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
+    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
+    /// let before = Duration::from_secs(60);
+    /// let mut recorder = Recorder::builder().before(before).write_to(Vec::new())?;
+    /// recorder.observe(&sensor);
+    /// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    /// recorder.describe(&sensor, &scans).await?;
+    /// for n in 0..6000 {
+    ///     let Some(item) = scans.next().await else { break };
+    ///     recorder.record(&item)?;
+    ///     if n == 5000 {
+    ///         recorder.trigger(); // the vehicle has hit something
+    ///     }
+    /// }
+    /// // 60 s before the trigger, 100 s after it.
+    /// assert_eq!(recorder.finish().await?.scans, 601 + 999);
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn before(mut self, before: Duration) -> Self {
+        self.before = Some(before);
+        self
+    }
+
     /// Creates the file and records into it.
     ///
     /// # Errors
@@ -373,8 +418,8 @@ impl RecorderBuilder {
         current: &Path,
         path: Option<PathBuf>,
     ) -> Result<Recorder, RecordingError> {
-        let Self { limits, frame_id, sync_interval, .. } = self;
-        let settings = QueueSettings { limits, frame_id, sync_interval };
+        let Self { limits, frame_id, sync_interval, before, .. } = self;
+        let settings = QueueSettings { limits, frame_id, sync_interval, before };
         let queue = Queue::into_file(out, current, path, settings)?;
         Ok(Recorder { queue, events: Events::new(), observation: None, is_complete: false })
     }

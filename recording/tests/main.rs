@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
 mod any_time;
+mod before;
 mod common;
 #[cfg(feature = "compression")]
 mod compressed;

@@ -21,10 +21,11 @@ pub(crate) struct Interrupt {
 }
 
 impl Interrupt {
-    /// Starts to listen for signals. Must run inside a tokio runtime.
-    pub(crate) fn listen() -> io::Result<Self> {
+    /// Starts to listen for signals, without SIGUSR1 if that is a trigger. Must run inside a tokio
+    /// runtime.
+    pub(crate) fn listen(has_trigger: bool) -> io::Result<Self> {
         let (sender, since) = watch::channel(None);
-        let signalled = signalled()?;
+        let signalled = signalled(has_trigger)?;
         #[cfg(unix)]
         report_file_size_limit()?;
         tokio::spawn(async move {
@@ -71,7 +72,7 @@ impl Interrupt {
 /// Starts to listen for signals. The future completes at the first signal since this call, not
 /// since its first `poll`.
 #[cfg(unix)]
-fn signalled() -> io::Result<impl Future<Output = ()>> {
+fn signalled(has_trigger: bool) -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let kinds = [
         SignalKind::interrupt(),
@@ -82,8 +83,11 @@ fn signalled() -> io::Result<impl Future<Output = ()>> {
         SignalKind::user_defined2(),
         SignalKind::hangup(),
     ];
-    let wanted =
-        kinds.into_iter().filter(|kind| *kind != SignalKind::hangup() || !ignores_hangup());
+    let wanted = kinds.into_iter().filter(|kind| match *kind {
+        kind if kind == SignalKind::hangup() => !ignores_hangup(),
+        kind if kind == SignalKind::user_defined1() => !has_trigger,
+        _ => true,
+    });
     let mut signals = wanted.map(signal).collect::<io::Result<Vec<_>>>()?;
     Ok(async move {
         select_all(signals.iter_mut().map(|signal| Box::pin(signal.recv()))).await;
@@ -112,7 +116,7 @@ fn report_file_size_limit() -> io::Result<()> {
 /// another. After its console closes, or during shutdown, Windows kills the program within
 /// five seconds.
 #[cfg(windows)]
-fn signalled() -> io::Result<impl Future<Output = ()>> {
+fn signalled(_has_trigger: bool) -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::windows::{ctrl_break, ctrl_c, ctrl_close, ctrl_shutdown};
     let (mut ctrl_c, mut ctrl_break) = (ctrl_c()?, ctrl_break()?);
     let (mut closed, mut shutdown) = (ctrl_close()?, ctrl_shutdown()?);

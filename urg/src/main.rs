@@ -177,8 +177,9 @@ fn run(cli: Cli) -> Result<(), Failure> {
 }
 
 async fn run_command(command: Command) -> Result<(), Failure> {
-    let interrupt =
-        Interrupt::listen().map_err(|error| Failure::new("cannot listen for signals", &error))?;
+    let has_trigger = matches!(&command, Command::Record(record) if record.before.is_some());
+    let interrupt = Interrupt::listen(has_trigger)
+        .map_err(|error| Failure::new("cannot listen for signals", &error))?;
     match command {
         // These handle the interrupt themselves.
         Command::Check(check) => check.run(&interrupt).await,

@@ -1,6 +1,6 @@
 //! Runs the program and reads its output.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, ExitStatus, Stdio};
 #[cfg(unix)]
@@ -110,8 +110,7 @@ pub(crate) fn failure(arguments: &str) -> String {
 /// A running program, killed if the test fails meanwhile.
 pub(crate) struct Running {
     child: Child,
-    /// Held, so that it stays open.
-    _stdin: Option<ChildStdin>,
+    stdin: Option<ChildStdin>,
     stdout: Option<Receiver<String>>,
     stderr: Receiver<String>,
 }
@@ -137,7 +136,7 @@ impl Running {
             .spawn()
             .unwrap();
         let stderr = lines(child.stderr.take().unwrap());
-        Self { _stdin: child.stdin.take(), child, stdout: None, stderr }
+        Self { stdin: child.stdin.take(), child, stdout: None, stderr }
     }
 
     /// Starts to read standard output.
@@ -158,6 +157,11 @@ impl Running {
     /// Reads standard output to its end.
     pub(crate) fn rest(&mut self) -> Vec<String> {
         self.stdout.take().map(|lines| all(&lines)).unwrap_or_default()
+    }
+
+    /// Presses Enter.
+    pub(crate) fn enter(&mut self) {
+        self.stdin.as_mut().unwrap().write_all(b"\n").unwrap();
     }
 
     /// Closes the pipe of standard output.

@@ -6,8 +6,9 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 use serde_json::Value;
+use tokio::net::TcpListener;
 use tokio_scip::{Rate, ScanStream, Sensor, Window};
-use urg_emulator::Emulator;
+use urg_emulator::{Emulator, Values, WorldTime};
 use urg_recording::Event;
 use urg_recording::{Entry, Recorder, Recording};
 
@@ -411,6 +412,41 @@ fn an_interrupted_recording_ends_with_its_index() {
         let stderr = notices[0].split_once(".mcap: ").unwrap().1.to_owned();
         assert!(stderr.starts_with(&format!("{} scans in ", scans.count())), "{stderr}");
         assert!(!recording.is_truncated(), "{signal}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trigger_records_the_time_before_it() {
+    for trigger in ["Enter", "USR1", "INT"] {
+        let (measured, mut scans) = tokio::sync::mpsc::unbounded_channel();
+        let world = move |_: WorldTime, values: &mut Values| {
+            values.fill(1000);
+            let _ = measured.send(());
+        };
+        let emulator = Emulator::builder().world(world).usb().build();
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap();
+        tokio::spawn(async move { emulator.serve_tcp(listener).await });
+        let file = Scratch::mcap(&format!("before-{trigger}"));
+        let arguments = format!("record tcp://{port} {} --before 60s --count 5", file.path());
+        let mut record = Running::start(&arguments);
+        assert!(record.notice().ends_with("waiting for Enter or SIGUSR1"));
+        for _ in 0..20 {
+            scans.recv().await.unwrap();
+        }
+        match trigger {
+            "Enter" => record.enter(),
+            signal => record.signal(signal),
+        }
+        let (status, notices) = record.end();
+        assert_eq!(status.code(), Some(0), "{notices:?}");
+        let scans = Recording::open(file.path()).unwrap().scans();
+        let recorded = scans.filter(Result::is_ok).count();
+        match trigger {
+            "INT" => assert_eq!(recorded, 0),
+            // The last few may not have arrived when it was triggered.
+            _ => assert!(recorded >= 20, "{recorded} scans, {notices:?}"),
+        }
     }
 }
 

@@ -1,8 +1,9 @@
 //! `urg record`: records scans, and every reply of the sensor, into a file. `limits` parses its
-//! options, and `totals` formats its progress.
+//! options, `trigger` waits for the trigger of `--before`, and `totals` formats its progress.
 
 mod limits;
 mod totals;
+mod trigger;
 
 use std::io::{self, IsTerminal};
 use std::path::{Path, PathBuf};
@@ -14,7 +15,8 @@ use urg_recording::{Recorder, RecorderBuilder, RecordingError, RecordingFile};
 
 use self::limits::{SplitLimit, sync_interval};
 use self::totals::RecordTotals;
-use crate::args::{LinkArgs, PaceArgs, WindowArgs, frame_id};
+use self::trigger::trigger;
+use crate::args::{LinkArgs, PaceArgs, WindowArgs, duration, frame_id};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -50,6 +52,7 @@ Examples:
   urg view run.mcap                      replay at the recorded pace
   urg stream run.mcap --rate max         replay as fast as possible
   urg record /dev/ttyACM0 log.mcap --wait --split 1h --keep 20GB
+  urg record /dev/ttyACM0 crash.mcap --before 60s --duration 10s
   ssh robot urg record /dev/ttyACM0 - > run.mcap
   ssh robot urg record /dev/ttyACM0 - | urg stream -"
 )]
@@ -76,6 +79,12 @@ pub(crate) struct Record {
     /// last file. The current file is never removed.
     #[arg(long, value_name = "LIMIT")]
     keep: Vec<SplitLimit>,
+    /// Hold this time in memory, and write it once you press Enter or send SIGUSR1
+    ///
+    /// From then on, record until Ctrl-C, --count or --duration. A line from a program on
+    /// standard input is a trigger, too. Holds at most 4 MiB, two minutes at 10 Hz.
+    #[arg(long, value_name = "TIME", value_parser = duration, allow_hyphen_values = true)]
+    pub(crate) before: Option<Duration>,
     /// Sync the file to the disk this often; 0 leaves it to the system
     ///
     /// If the power fails, you lose at most this time and one more second.
@@ -95,6 +104,8 @@ pub(crate) struct Record {
 
 impl Record {
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
+        // First: without a handler SIGUSR1 ends the program.
+        let trigger = self.before.map(|before| (before, trigger()));
         let Some(file) = &self.file else { return Err(self.without_file().await) };
         let (port, rate) = interrupt.unless(self.port.polled_at(self.pace.rate)).await?;
         if let Some(recorded) = port.recorded() {
@@ -127,21 +138,33 @@ impl Record {
             described.map_err(|error| Failure::at(&port, &error))?;
             Ok((sensor, feed, recorder))
         };
-        let (sensor, feed, recorder) = interrupt.unless(opening).await?;
-        let reporter = Reporter::new(port, sensor).with_rate(window, rate);
-        self.write(recorder, feed, reporter, &target, interrupt).await
+        let (sensor, mut feed, mut recorder) = interrupt.unless(opening).await?;
+        let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
+        let held = match trigger {
+            Some((before, trigger)) => {
+                let holding = hold(&mut recorder, &mut feed, &mut reporter, &target, trigger);
+                before.min(tokio::select! {
+                    held = holding => held?,
+                    _ = interrupt.requested() => Duration::ZERO,
+                })
+            }
+            None => Duration::ZERO,
+        };
+        self.write(recorder, feed, reporter, &target, held, interrupt).await
     }
 
-    /// Writes the stream into the file until one of them ends, and then the end of the file.
+    /// Writes the stream into the file until one of them ends, and then the end of the file, which
+    /// begins with the `held` time.
     async fn write(
         &self,
         mut recorder: Recorder,
         mut feed: Feed,
         mut reporter: Reporter,
         target: &str,
+        held: Duration,
         interrupt: &Interrupt,
     ) -> Result<(), Failure> {
-        let began = Instant::now();
+        let began = Instant::now() - held;
         let mut times = ScanTimes::new(Some(feed.scans().rate()));
         // When the progress line may change again.
         let mut refresh_at = began;
@@ -191,7 +214,8 @@ impl Record {
             take(update).await?;
         }
         // Without a scan, the time that it waited for one.
-        let length = if times.length().is_zero() { began.elapsed() } else { times.length() };
+        let recorded = times.length();
+        let length = if recorded.is_zero() { began.elapsed() } else { held + recorded };
         let completed = tokio::select! {
             completed = recorder.complete() => completed.map_err(|error| failure(target, &error)),
             () = interrupt.overdue() => Err(Failure::Failed(format!(
@@ -277,7 +301,11 @@ impl Record {
     }
 
     fn builder(&self) -> RecorderBuilder {
-        let mut builder = Recorder::builder()
+        let mut builder = Recorder::builder();
+        if let Some(before) = self.before {
+            builder = builder.before(before);
+        }
+        builder = builder
             .frame_id(&self.frame_id)
             .overwrite(self.force)
             .sync_interval(Some(self.sync).filter(|interval| !interval.is_zero()));
@@ -295,6 +323,36 @@ impl Record {
         }
         builder
     }
+}
+
+/// Holds what comes until the trigger. Returns how long that took.
+async fn hold(
+    recorder: &mut Recorder,
+    feed: &mut Feed,
+    reporter: &mut Reporter,
+    target: &str,
+    trigger: impl Future<Output = ()>,
+) -> Result<Duration, Failure> {
+    let began = Instant::now();
+    tokio::pin!(trigger);
+    notice(format_args!("{target}: waiting for Enter or SIGUSR1"));
+    loop {
+        let update = tokio::select! {
+            () = &mut trigger => break,
+            update = feed.next() => update,
+        };
+        // At the end of the stream `follow` finds it again.
+        let Some(update) = update else { break };
+        reporter.report(&update);
+        let item = match update {
+            Update::Scan(scan) => Ok(scan),
+            Update::Error(error) => Err(error),
+            Update::Event(_) => continue,
+        };
+        recorder.record(&item).map_err(|error| failure(target, &error))?;
+    }
+    recorder.trigger();
+    Ok(began.elapsed())
 }
 
 fn failure(target: &str, error: &RecordingError) -> Failure {

@@ -1,0 +1,106 @@
+//! [`Held`]: the newest items of a recording that waits for its trigger.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::item::WriteItem;
+
+/// Newest items, and what a file needs at its beginning.
+#[derive(Debug)]
+pub(super) struct Held {
+    span: Duration,
+    max_bytes: usize,
+    metadata: Option<WriteItem>,
+    /// Latest reply to `V` that is no longer among the items: a replay begins with it.
+    version: Option<WriteItem>,
+    items: VecDeque<(Instant, WriteItem)>,
+    bytes: usize,
+}
+
+impl Held {
+    pub(super) fn new(span: Duration, max_bytes: usize) -> Self {
+        Self { span, max_bytes, metadata: None, version: None, items: VecDeque::new(), bytes: 0 }
+    }
+
+    /// Adds an item, and drops those that are too old, or too many.
+    pub(super) fn push(&mut self, item: WriteItem, now: Instant) {
+        if matches!(item, WriteItem::Metadata(_)) {
+            self.metadata = Some(item);
+            return;
+        }
+        self.bytes += item.weight();
+        self.items.push_back((now, item));
+        while let Some((at, _)) = self.items.front()
+            && (now - *at > self.span || self.bytes > self.max_bytes)
+            && let Some((_, item)) = self.items.pop_front()
+        {
+            self.bytes -= item.weight();
+            if matches!(&item, WriteItem::Reply { command, .. } if command == "V") {
+                self.version = Some(item);
+            }
+        }
+    }
+}
+
+impl IntoIterator for Held {
+    type Item = WriteItem;
+    type IntoIter = Box<dyn Iterator<Item = WriteItem>>;
+
+    /// In the order of the file, whose time begins with the first item.
+    fn into_iter(mut self) -> Self::IntoIter {
+        if let (Some(WriteItem::Reply { times, .. }), Some((at, _))) =
+            (&mut self.version, self.items.front())
+        {
+            times.steady = at.into_std();
+        }
+        let head = self.metadata.into_iter().chain(self.version);
+        Box::new(head.chain(self.items.into_iter().map(|(_, item)| item)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use super::*;
+    use crate::writer::Times;
+
+    fn reply(command: &str, bytes: usize) -> WriteItem {
+        let times = Times { steady: std::time::Instant::now(), wall: SystemTime::now() };
+        WriteItem::Reply { command: command.to_owned(), bytes: vec![0; bytes].into(), times }
+    }
+
+    fn lengths(held: Held) -> Vec<usize> {
+        let length = |item| match item {
+            WriteItem::Reply { bytes, .. } => bytes.len(),
+            _ => 0,
+        };
+        held.into_iter().map(length).collect()
+    }
+
+    #[test]
+    fn the_newest_items_and_the_version_are_held() {
+        let (mut held, began) = (Held::new(Duration::from_secs(60), usize::MAX), Instant::now());
+        held.push(reply("V", 206), began);
+        for second in 1..=100 {
+            held.push(reply("G04472501", second), began + Duration::from_secs(second as u64));
+        }
+        held.push(WriteItem::Metadata(Default::default()), began + Duration::from_secs(100));
+        let expected: Vec<_> = [0, 206].into_iter().chain(40..=100).collect();
+        assert_eq!(lengths(held), expected);
+    }
+
+    #[test]
+    fn held_bytes_are_bounded() {
+        let (mut held, now) = (Held::new(Duration::MAX, 1 << 20), Instant::now());
+        for _ in 0..5000 {
+            held.push(reply("G04472501", 1399), now);
+            assert!(held.bytes <= 1 << 20);
+        }
+        let sum: usize = held.items.iter().map(|(_, item)| item.weight()).sum();
+        assert_eq!(held.bytes, sum);
+        assert_eq!(lengths(held).len(), (1 << 20) / reply("G04472501", 1399).weight());
+    }
+}
