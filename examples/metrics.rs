@@ -1,11 +1,13 @@
-//! The driver's counters for Prometheus:
+//! The driver's counters for Prometheus, with a label for each sensor:
 //!
 //! ```sh
-//! cargo run --example metrics emulated 127.0.0.1:9100
+//! cargo run --example metrics 127.0.0.1:9100 emulated serial:H0713090
 //! curl http://127.0.0.1:9100/metrics
 //! ```
 
 mod port;
+
+use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::State;
@@ -13,35 +15,49 @@ use axum::routing::get;
 use tokio::net::TcpListener;
 use tokio_scip::{Rate, Sensor, Window};
 
+type Sensors = Arc<[(String, Sensor)]>;
+
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
-    // The driver polls while there is a stream, even if nothing reads it, as here.
-    let _scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    let address = std::env::args().nth(2).unwrap_or("127.0.0.1:9100".to_owned());
+    let mut arguments = std::env::args().skip(1);
+    let address = arguments.next().ok_or("expected HOST:PORT and ports of sensors")?;
+    let (mut sensors, mut streams) = (Vec::new(), Vec::new());
+    for port in arguments {
+        let sensor = port::open_in_background(Sensor::builder(), &port)?;
+        // The driver polls while there is a stream, even if nothing reads it, as here.
+        streams.push(sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?);
+        sensors.push((port, sensor));
+    }
     let listener = TcpListener::bind(address).await?;
     println!("listening on http://{}/metrics", listener.local_addr()?);
-    let service = Router::new().route("/metrics", get(metrics)).with_state(sensor.clone());
+    let service = Router::new().route("/metrics", get(metrics)).with_state(sensors.into());
     Ok(axum::serve(listener, service).await?)
 }
 
-async fn metrics(State(sensor): State<Sensor>) -> String {
-    text(&sensor)
+async fn metrics(State(sensors): State<Sensors>) -> String {
+    text(&sensors)
 }
 
 /// Returns the figures as Prometheus reads them.
-pub(crate) fn text(sensor: &Sensor) -> String {
+pub(crate) fn text(sensors: &[(String, Sensor)]) -> String {
+    let figures = sensors
+        .iter()
+        .flat_map(|(name, sensor)| sensor.stats().metrics().map(move |metric| (name, metric)));
+    let mut figures: Vec<_> = figures.collect();
+    // The figures of a name follow each other, for all sensors.
+    figures.sort_by_key(|(_, metric)| metric.name);
     let mut text = String::new();
-    let mut name = "";
-    for metric in sensor.stats().metrics() {
-        if name != metric.name {
-            name = metric.name;
-            let (kind, help) = (metric.kind, metric.help);
-            text += &format!("# HELP {name} {help}\n# TYPE {name} {kind}\n");
+    let mut family = "";
+    for (sensor, metric) in figures {
+        let (name, suffix, value) = (metric.name, metric.suffix, metric.value);
+        if family != name {
+            family = name;
+            text += &format!("# HELP {name} {}\n# TYPE {name} {}\n", metric.help, metric.kind);
         }
-        let labels = metric.labels.iter().map(|(name, value)| format!("{name}=\"{value}\""));
-        let (suffix, labels) = (metric.suffix, labels.collect::<Vec<_>>().join(","));
-        text += &format!("{name}{suffix}{{{labels}}} {}\n", metric.value);
+        let labels = metric.labels.iter().map(|(name, value)| format!(",{name}=\"{value}\""));
+        let labels: String = labels.collect();
+        // `{:?}` escapes what a label must not contain.
+        text += &format!("{name}{suffix}{{sensor={sensor:?}{labels}}} {value}\n");
     }
     text
 }

@@ -2,6 +2,7 @@
 
 #![allow(dead_code, reason = "not each executable of tests calls all of it")]
 
+use std::ffi::OsStr;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -16,12 +17,18 @@ pub(crate) struct Example {
 
 impl Example {
     pub(crate) fn run(name: &str, arguments: &[&str]) -> Self {
+        Self::run_with(name, arguments, &[])
+    }
+
+    /// Runs it with these variables of the environment.
+    pub(crate) fn run_with(name: &str, arguments: &[&str], variables: &[(&str, &OsStr)]) -> Self {
         limit();
         // `cargo test` builds them before it runs tests, into the folder beside theirs.
         let tests = std::env::current_exe().unwrap();
         let examples = tests.parent().unwrap().parent().unwrap().join("examples");
         let mut command = Command::new(examples.join(name));
-        let child = command.args(arguments).stdout(Stdio::piped()).spawn();
+        let child =
+            command.args(arguments).envs(variables.iter().copied()).stdout(Stdio::piped()).spawn();
         // `cargo test --test it` does not build them.
         let mut child = child.expect("run `cargo build --workspace --examples` first");
         let lines = BufReader::new(child.stdout.take().unwrap());

@@ -48,15 +48,45 @@ fn the_safety_stop_begins_with_a_stop_and_drives_in_a_clear_room() {
 
 #[test]
 fn metrics_are_served_as_prometheus_reads_them() {
-    let mut example = Example::run("metrics", &["emulated", "127.0.0.1:0"]);
+    let mut example = Example::run("metrics", &["127.0.0.1:0", "emulated", ABSENT]);
     let line = example.line();
     let scans = |answer: &str| {
-        let line = answer.lines().find(|line| line.starts_with("urg_scans"));
+        let prefix = "urg_scans_total{sensor=\"emulated\"} ";
+        let line = answer.lines().find(|line| line.starts_with(prefix));
         line.map_or(0.0, |line| address(line).parse().unwrap())
     };
     let answers = std::iter::repeat_with(|| get(address(&line)));
     let answer = { answers }.find(|answer| scans(answer) > 2.0).unwrap();
     assert!(answer.contains(" 200 "), "{answer}");
+    assert!(answer.contains(&format!("urg_scans_total{{sensor=\"{ABSENT}\"}} 0\n")), "{answer}");
+    assert!(answer.contains("{sensor=\"emulated\",cause=\"timeout\"} 0\n"), "{answer}");
+    assert_eq!(answer.matches("# TYPE urg_scans_total counter\n").count(), 1, "{answer}");
+}
+
+/// The messages that a program sends to systemd.
+#[cfg(unix)]
+fn notified(port: &str) -> impl Iterator<Item = String> {
+    let path =
+        std::env::temp_dir().join(format!("urg-notify-{}-{}", std::process::id(), port.len()));
+    let _ = std::fs::remove_file(&path);
+    let systemd = std::os::unix::net::UnixDatagram::bind(&path).unwrap();
+    let example = Example::run_with("watchdog", &[port], &[("NOTIFY_SOCKET", path.as_os_str())]);
+    std::iter::repeat_with(move || {
+        let (_running, mut message) = (&example, [0; 4096]);
+        let length = systemd.recv(&mut message).unwrap();
+        String::from_utf8(message[..length].to_vec()).unwrap()
+    })
+}
+
+#[cfg(unix)]
+#[test]
+fn fresh_scans_feed_the_watchdog() {
+    assert_eq!(notified("emulated").next().unwrap(), "READY=1\n");
+    let fed = "WATCHDOG=1\nSTATUS=scans are fresh\n";
+    assert!(notified("emulated").any(|message| message == fed));
+    for message in notified(ABSENT).skip(1).take(3) {
+        assert!(message.starts_with("STATUS=expected a scan"), "{message}");
+    }
 }
 
 #[cfg(unix)]
