@@ -82,8 +82,8 @@ impl Service<'_> {
         }
     }
 
-    /// Serves one request or one poll, or waits for either. Alternates when both are due,
-    /// so that neither starves the other.
+    /// Serves one request, wish or poll, or waits for one. Alternates when both a poll and something
+    /// else are due, so that neither starves the other.
     async fn serve_next(
         &mut self,
         session: &mut Session,
@@ -100,6 +100,7 @@ impl Service<'_> {
         }
         let wish = self.queue.wishes.laser;
         if let Some(on) = wish.filter(|_| self.laser.is_due(wish)) {
+            *request_served = true;
             let outcome = self.switch_laser(session, on, true).await;
             ignore_command_errors(outcome)?;
         }
@@ -117,6 +118,7 @@ impl Service<'_> {
                 return Ok(());
             }
             if let Some(baud_rate) = self.queue.wishes.baud_rate {
+                *request_served = true;
                 return self.apply_baud_rate(session, baud_rate).await;
             }
         }

@@ -25,9 +25,9 @@ const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
 /// window, so that consecutive polls differ.
 const SAME_LENGTH: usize = 8;
-/// Fraction of the shortest transfer time to sleep, indexed by the number of consecutive
-/// overshoots: scans then arrive faster than expected.
-const SHARES: [f64; 4] = [1.0, 0.875, 0.75, 0.5];
+/// Part of the time of a scan that was complete before its pause ended, as which it counts: how
+/// much faster it was is unknown.
+const OVERSHOT: f64 = 0.5;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
@@ -54,8 +54,6 @@ struct Transfers {
     shortest: [Option<f64>; 2],
     /// Number of scans in the first of these.
     measured: u32,
-    /// Number of consecutive scans that were complete before their pause ended.
-    overshoots: usize,
 }
 
 /// How late timers are.
@@ -107,7 +105,7 @@ impl Pauses {
         // Counts from the first piece, because the last piece takes no time once it is
         // complete.
         let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
-        let end = current.since + transfers.planned_time(current.missing)?;
+        let end = current.since + transfers.shortest_time(current.missing)?;
         let margin = TIMER_DELAY + self.lateness.median();
         let left = end.min(deadline).saturating_duration_since(now).checked_sub(margin)?;
         // Whole milliseconds, so that the timer is not later than expected.
@@ -141,13 +139,7 @@ impl Transfers {
         self.length.abs_diff(length) <= SAME_LENGTH
     }
 
-    /// Time to sleep of the transfer of `bytes` bytes, or `None` before enough were measured.
-    fn planned_time(&self, bytes: usize) -> Option<Duration> {
-        let share = SHARES.get(self.overshoots).copied().unwrap_or(0.0);
-        Some(self.shortest_time(bytes)?.mul_f64(share))
-    }
-
-    /// Shortest time for receiving `bytes` bytes.
+    /// Shortest time for receiving `bytes` bytes, or `None` before enough were measured.
     fn shortest_time(&self, bytes: usize) -> Option<Duration> {
         let [lately, before] = self.shortest;
         if before.is_none() && self.measured < MEASURED_FIRST {
@@ -160,14 +152,11 @@ impl Transfers {
     /// Records the time that `bytes` bytes took to arrive, which is exact only if the driver was
     /// awake when the last one did (`is_seen`).
     fn record(&mut self, time: Duration, bytes: usize, is_seen: bool) {
-        if !is_seen {
-            if self.shortest_time(bytes).is_some_and(|shortest| time < shortest) {
-                self.overshoots += 1;
-            }
+        if !is_seen && self.shortest_time(bytes).is_none_or(|shortest| time >= shortest) {
             return;
         }
-        self.overshoots = 0;
-        let time = time.as_secs_f64() / bytes as f64;
+        let part = if is_seen { 1.0 } else { OVERSHOT };
+        let time = part * time.as_secs_f64() / bytes as f64;
         let [lately, before] = &mut self.shortest;
         if self.measured >= MEASURED_LATELY {
             *before = lately.take();
@@ -339,7 +328,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn scans_that_take_exactly_the_shortest_time_make_no_pause_shorter() {
         let mut pauses = measured().await;
-        for _ in 0..=SHARES.len() {
+        for _ in 0..5 {
             pauses.begin_reply();
             let pause = next(&mut pauses, REST).unwrap();
             assert!(pause > REST_TIME - 3 * TIMER_DELAY, "{pause:?}");
