@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{Notify, mpsc, watch};
+use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::{Sensor, State};
 use urg_emulator::{
@@ -16,7 +17,8 @@ use crate::common::{limit::limit, ms};
 use super::programs::merged::{self, Mounted};
 #[cfg(unix)]
 use super::programs::own_transport;
-use super::programs::{count_people, graceful_shutdown, safety_stop};
+use super::programs::safety_stop::{self, Fields, Motion, TERMS, Terms};
+use super::programs::{count_people, graceful_shutdown};
 
 /// A room in which an obstacle appears: the smallest that must be seen, at the limit of the
 /// clearance, 20 degrees to the left.
@@ -39,10 +41,21 @@ impl World for Appearing {
 struct PromiseRun {
     /// The longest time from an obstacle to the stop.
     reaction: Duration,
-    /// The age of the oldest good scan that permitted to drive.
+    /// The age of the oldest good scan that permitted to move.
     age: Duration,
-    /// The share of the time in which the path was clear and the vehicle could drive.
+    /// The share of the time in which the field was clear and the vehicle could move.
     clear: f64,
+}
+
+/// The running guard of a sensor.
+async fn guarded(
+    sensor: &Sensor,
+    interlock: Option<Arc<Notify>>,
+) -> (JoinHandle<()>, watch::Receiver<Motion>) {
+    let fields = Fields::new().unwrap();
+    let scans = fields.scans(sensor).await.unwrap();
+    let (output, motion) = watch::channel(Motion::Stop);
+    (tokio::spawn(safety_stop::guard(fields, scans, output, interlock)), motion)
 }
 
 /// Runs the safety stop for `obstacles` obstacles, two seconds each, with three seconds
@@ -56,9 +69,7 @@ async fn run(
     limit();
     let emulator = Emulator::builder().world(world).build();
     let sensor = safety_stop::settings().jitter_seed(7).connect(emulator.clone()).await.unwrap();
-    let (output, may_drive) = watch::channel(false);
-    let (scans, path) = (safety_stop::ahead(&sensor).await.unwrap(), safety_stop::path().unwrap());
-    let guard = tokio::spawn(safety_stop::guard(scans, path, output));
+    let (guard, motion) = guarded(&sensor, None).await;
     emulator.set_faults(faults);
     let mut run = PromiseRun::default();
     let (mut driving, mut total) = (0, 0);
@@ -68,16 +79,16 @@ async fn run(
             let start = Instant::now();
             while start.elapsed() < ms(length) {
                 sleep(ms(5)).await;
-                let drives = *may_drive.borrow();
-                if drives {
+                let moves = *motion.borrow() != Motion::Stop;
+                if moves {
                     run.age = run.age.max(sensor.freshness().age().unwrap());
                 }
-                if drives && blocked {
+                if moves && blocked {
                     run.reaction = run.reaction.max(start.elapsed());
                 }
-                // From then on it would see a clear path without faults.
-                if !blocked && start.elapsed() > safety_stop::REACTION {
-                    (driving, total) = (driving + u32::from(drives), total + 1);
+                // From then on it would move without faults.
+                if !blocked && start.elapsed() > TERMS.response() + safety_stop::RESTART {
+                    (driving, total) = (driving + u32::from(moves), total + 1);
                 }
             }
         }
@@ -86,13 +97,13 @@ async fn run(
     drop(sensor);
     guard.abort();
     assert!(guard.await.is_err());
-    assert!(!*may_drive.borrow(), "a guard that ends stops the vehicle");
+    assert_eq!(*motion.borrow(), Motion::Stop, "a guard that ends stops the vehicle");
     run
 }
 
-/// An obstacle of the smallest width, facing the sensor.
-fn obstacle() -> Scene {
-    let (distance, width) = (safety_stop::CLEARANCE - 0.03, safety_stop::WIDTH);
+/// An obstacle of the smallest width at `distance`, facing the sensor.
+fn obstacle(distance: f64) -> Scene {
+    let width = safety_stop::WIDTH;
     let end = |left: f64| {
         let angle = 20f64.to_radians();
         (distance * angle.cos() - left * angle.sin(), distance * angle.sin() + left * angle.cos())
@@ -103,7 +114,7 @@ fn obstacle() -> Scene {
 fn appearing(room: impl World + 'static) -> (Appearing, Arc<AtomicBool>) {
     let is_blocked = Arc::new(AtomicBool::new(false));
     // Its distances are as sparse as those of the hard room.
-    let blocked = Box::new(Sparse::new(obstacle(), 0.44, 3));
+    let blocked = Box::new(Sparse::new(obstacle(TERMS.distance() - 0.03), 0.44, 3));
     let world = Appearing { room: Box::new(room), blocked, is_blocked: Arc::clone(&is_blocked) };
     (world, is_blocked)
 }
@@ -137,8 +148,8 @@ async fn the_vehicle_stops_in_time_with_every_fault() {
         let faults = Faults::none().rate(share, fault.clone());
         let run = run(world, faults, &is_blocked, 4).await;
         println!("{share} {fault:?}: {run:?}");
-        assert!(run.reaction <= safety_stop::REACTION, "{fault:?}: {run:?}");
-        assert!(run.age <= safety_stop::LIMIT + ms(5), "{fault:?}: {run:?}");
+        assert!(run.reaction <= TERMS.response(), "{fault:?}: {run:?}");
+        assert!(run.age <= TERMS.limit + ms(5), "{fault:?}: {run:?}");
         assert!(share > 0.0 || run.clear == 1.0, "{run:?}");
     }
 }
@@ -148,8 +159,83 @@ async fn in_the_hard_room_with_lost_replies_no_obstacle_is_missed_and_the_vehicl
     let (world, is_blocked) = appearing(Room::hard(1));
     let run = run(world, Faults::none().rate(0.01, Fault::Lost), &is_blocked, 60).await;
     println!("{run:?}");
-    assert!(run.reaction <= safety_stop::REACTION, "{run:?}");
+    assert!(run.reaction <= TERMS.response(), "{run:?}");
     assert!(run.clear >= 0.99, "{run:?}");
+}
+
+#[test]
+fn the_protective_field_follows_from_its_terms() {
+    // A person who walks towards a machine that stops 300 ms after the output.
+    let terms = Terms { approach: 1.6, braking: ms(300), supplement: 0.85, ..TERMS };
+    assert!((terms.distance() - (1.6 * (0.1 + 0.05 + 0.5 + 0.3) + 0.85)).abs() < 1e-9);
+    assert!((TERMS.distance() - 0.6).abs() < 1e-9);
+}
+
+/// A room with an obstacle in the revolutions for which `is_there` returns true.
+fn sensor_with(distance: f64, is_there: impl Fn(u64) -> bool + Send + 'static) -> Emulator {
+    limit();
+    let (mut blocked, mut clear) = (obstacle(distance), Fixed::filled(3000));
+    let world = move |time: WorldTime, values: &mut Values| match is_there(time.revolution) {
+        true => blocked.measure(time, values),
+        false => clear.measure(time, values),
+    };
+    Emulator::builder().world(world).usb().build()
+}
+
+async fn waits_for(motion: &mut watch::Receiver<Motion>, wanted: Motion) {
+    let outcome = timeout(ms(20_000), motion.wait_for(|motion| *motion == wanted)).await;
+    outcome.expect("it does not get there").unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn two_of_three_scans_stop_the_vehicle_and_one_does_not() {
+    for (pattern, stops) in [([3, 6, 9], false), ([3, 5, 9], true), ([3, 4, 9], true)] {
+        let is_there = move |revolution| revolution > 50 && pattern.contains(&(revolution % 10));
+        let emulator = sensor_with(0.5, is_there);
+        let sensor = safety_stop::settings().connect(emulator).await.unwrap();
+        let (_guard, mut motion) = guarded(&sensor, None).await;
+        waits_for(&mut motion, Motion::Drive).await;
+        let stopped = timeout(ms(20_000), motion.wait_for(|motion| *motion == Motion::Stop)).await;
+        assert_eq!(stopped.is_ok(), stops, "{pattern:?}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_obstacle_in_the_warning_field_slows_the_vehicle() {
+    let emulator = sensor_with(1.5 * TERMS.distance(), |revolution| revolution > 30);
+    let sensor = safety_stop::settings().connect(emulator).await.unwrap();
+    let (_guard, mut motion) = guarded(&sensor, None).await;
+    waits_for(&mut motion, Motion::Drive).await;
+    waits_for(&mut motion, Motion::Slow).await;
+    sleep(ms(5000)).await;
+    assert_eq!(*motion.borrow(), Motion::Slow);
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_vehicle_restarts_after_a_delay_and_a_reset() {
+    let is_blocked = Arc::new(AtomicBool::new(false));
+    let seen = Arc::clone(&is_blocked);
+    let emulator = sensor_with(0.5, move |_| seen.load(Ordering::Relaxed));
+    let sensor = safety_stop::settings().connect(emulator).await.unwrap();
+    let reset = Arc::new(Notify::new());
+    let (_first, mut automatic) = guarded(&sensor, None).await;
+    let (_second, mut locked) = guarded(&sensor, Some(Arc::clone(&reset))).await;
+    for _ in 0..2 {
+        let clear = Instant::now();
+        waits_for(&mut automatic, Motion::Drive).await;
+        assert!(clear.elapsed() >= safety_stop::RESTART, "{:?}", clear.elapsed());
+        sleep(ms(5000)).await;
+        assert_eq!(*locked.borrow(), Motion::Stop);
+        reset.notify_one();
+        waits_for(&mut locked, Motion::Drive).await;
+        is_blocked.store(true, Ordering::Relaxed);
+        waits_for(&mut automatic, Motion::Stop).await;
+        waits_for(&mut locked, Motion::Stop).await;
+        // Does not count: there is an obstacle in the field.
+        reset.notify_one();
+        sleep(ms(1000)).await;
+        is_blocked.store(false, Ordering::Relaxed);
+    }
 }
 
 /// Returns a function that waits for the next report about the people at a door.

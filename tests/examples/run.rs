@@ -42,8 +42,9 @@ fn the_sensors_that_are_there_are_merged() {
 #[test]
 fn the_safety_stop_begins_with_a_stop_and_drives_in_a_clear_room() {
     let mut example = Example::run("safety_stop", &["emulated"]);
-    assert_eq!(example.line(), "stops within 650ms of an obstacle, 500ms after the last good scan");
-    assert_eq!([example.line(), example.line()], ["stop", "drive"]);
+    assert_eq!(example.line(), "stops within 650ms of an obstacle in 0.60 m");
+    assert_eq!(example.line(), "Stop");
+    example.line_with("Drive");
 }
 
 #[test]
