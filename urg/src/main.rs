@@ -160,7 +160,11 @@ fn arguments() -> Result<Vec<OsString>, Failure> {
     }
     #[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
     if arguments.get(1).is_some_and(|command| command == "publish") {
-        return publish::ros_args::as_options(arguments);
+        let nodes = |arguments: &[OsString]| match Cli::try_parse_from(arguments) {
+            Ok(Cli { command: Command::Publish(publish) }) => publish.nodes(),
+            _ => Vec::new(),
+        };
+        return publish::ros_args::as_options(arguments, nodes);
     }
     Ok(arguments)
 }

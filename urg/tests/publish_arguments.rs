@@ -27,6 +27,7 @@ fn a_wrong_name_is_refused_with_what_was_expected() {
         (["--topic", "/a//b"], "`/a//b`: expected no empty part"),
         (["--topic", ""], "--topic: expected a name"),
         (["--topic", "/"], "--topic: expected a name"),
+        (["--topic", "~/"], "--topic: expected a name"),
         (["--topic", "sc an"], "--topic: invalid name `sc an`"),
         (["--topic", &long], "too long: expected at most 240"),
         (["--namespace", "a//b"], "`a//b`: expected no empty part"),
@@ -96,11 +97,13 @@ fn an_argument_of_ros_is_checked_as_its_option_is() {
         (&["-p", "depth"], "expected NAME:=VALUE, found `depth`"),
         (&["-p", "depth:="], "expected NAME:=VALUE, found `depth:=`"),
         (&["-p"], "expected NAME:=VALUE after -p"),
-        (&["-r", ":=x"], "expected NAME:=VALUE, found `:=x`"),
+        (&["-p", "depth:='"], "`depth:='`: invalid YAML"),
+        (&["-p", "depth:=[1]"], "expected one value for depth"),
+        (&["-r", ":=x"], "expected FROM:=TO, found `:=x`"),
         (&["-p", "use_sim_time:=true"], "use_sim_time is not supported"),
         (&["-r", "__node:=a-b"], "invalid name `a-b`"),
         (&["--log-level"], "expected a value after --log-level"),
-        (&["--params-file", "p.yaml"], "`--params-file` is not supported"),
+        (&["--params-file", "p.yaml"], "cannot use --params-file p.yaml: No such file"),
     ] {
         let error = refused(&[&["--ros-args"], arguments].concat());
         assert!(error.contains(expected), "{arguments:?}: {error}");

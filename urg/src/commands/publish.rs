@@ -42,7 +42,12 @@ const DEFAULT_LISTEN: SocketAddr = SocketAddr::V4(SocketAddrV4::new(Ipv4Addr::LO
 /// back. Nothing is protected: anyone on your network can read the scans, and publish
 /// others in their place (see "Who can read and write" in `guide/publish.md`).
 #[derive(Debug, clap::Args)]
-#[command(after_help = "`--help` explains names and topics", after_long_help = HELP)]
+#[command(
+    // Launch files append their parameters.
+    args_override_self = true,
+    after_help = "`--help` explains names and topics",
+    after_long_help = HELP
+)]
 pub(crate) struct Publish {
     /// Port of the sensor; for several sensors, give each as NAME=PORT
     #[arg(value_name = "PORT")]
@@ -96,13 +101,13 @@ pub(crate) struct Publish {
 
 const HELP: &str = "\
 Topics:
-  /scan         sensor_msgs/msg/LaserScan, stamped with the time of its first ray
+  scan          sensor_msgs/msg/LaserScan, stamped with the time of its first ray
   /diagnostics  diagnostic_msgs/msg/DiagnosticArray, once a second
   /tf_static    tf2_msgs/msg/TFMessage, with --tf
 
-Names: `front=PORT` is the node /front/urg_node with the topic /front/scan in the
-frame front_laser. All sensors share one connection to the network, and are polled
-in turn.
+Names: `--namespace robot` moves the node and `scan`: /robot/scan. `front=PORT` is the
+node /front/urg_node with the topic /front/scan in the frame front_laser. All sensors
+share one connection to the network, and are polled in turn.
 
 Examples:
   urg publish /dev/ttyACM0                  then: ros2 topic hz /scan
@@ -116,6 +121,11 @@ Examples:
 type Ended = (String, Result<(), Failure>);
 
 impl Publish {
+    /// Returns the nodes, or none if a name is invalid.
+    pub(crate) fn nodes(&self) -> Vec<NodeNames> {
+        self.names.resolve(&self.sensors).unwrap_or_default()
+    }
+
     pub(crate) async fn run(self, interrupt: &Interrupt) -> Result<(), Failure> {
         if self.sensors.is_empty() {
             return Err(missing_port().await);

@@ -20,7 +20,7 @@ pub(super) struct Counted {
     pub(super) possibly_lost: u64,
     /// Number of readers, if the engine knows it.
     pub(super) readers: Option<usize>,
-    /// Number of restarts of a dead engine.
+    /// Number of times that the engine was opened again.
     pub(super) restarts: u64,
 }
 

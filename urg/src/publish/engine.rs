@@ -130,17 +130,34 @@ impl EngineSettings {
 /// Why an open engine has to be reopened.
 #[derive(Debug)]
 pub(super) enum Reopen {
-    Outdated,
+    /// The engine works, but not for everybody, for this reason.
+    Outdated(String),
     /// The engine has stopped working, for this reason.
     Dead(String),
+}
+
+/// Why an engine cannot be opened.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Unavailable {
+    /// It may open later.
+    Now(String),
+    Permanently(String),
+}
+
+impl From<String> for Unavailable {
+    fn from(why: String) -> Self {
+        Self::Now(why)
+    }
 }
 
 pub(super) trait Engine: Sized + Send + 'static {
     /// What an engine leaves to the one that is opened after it.
     type Memory: Default + Send;
 
-    /// Opens the engine. Blocks. The error explains why the network is unavailable; the caller
-    /// retries.
+    /// Whether another engine may be opened while this one hangs in `close`.
+    const MAY_OVERLAP: bool;
+
+    /// Opens the engine. Blocks.
     fn open(
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
@@ -164,7 +181,9 @@ pub(super) trait Publisher: Send + Sync {
 }
 
 /// Engine that was opened, and its publisher.
-pub(super) type OpenedEngine<E> = Result<(E, Arc<dyn Publisher>), String>;
+pub(super) type Opened<E> = (E, Arc<dyn Publisher>);
+
+pub(super) type OpenedEngine<E> = Result<Opened<E>, Unavailable>;
 
 /// Publisher of the engine; `None` while it is not open.
 pub(super) type Shared = Arc<RwLock<Option<Arc<dyn Publisher>>>>;

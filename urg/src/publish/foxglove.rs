@@ -28,6 +28,8 @@ pub(super) struct Foxglove {
 
 impl Engine for Foxglove {
     type Memory = ();
+    /// They would share a port.
+    const MAY_OVERLAP: bool = false;
 
     fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
         let failed = |error: FoxgloveError| {

@@ -12,8 +12,8 @@ const MAX_NAME: usize = 240;
 
 #[derive(Debug, clap::Args)]
 pub(crate) struct NameArgs {
-    /// Topic of the scans; without the leading `/` it is in the namespace
-    #[arg(long, value_name = "NAME", default_value = "/scan", help_heading = "ROS")]
+    /// Topic of the scans: `scan` is in the namespace, `/scan` in none, `~/scan` in the node
+    #[arg(long, value_name = "NAME", default_value = "scan", help_heading = "ROS")]
     topic: String,
     /// Name of the node
     #[arg(long, value_name = "NAME", default_value = "urg_node", help_heading = "ROS")]
@@ -43,14 +43,28 @@ pub(crate) struct NodeNames {
 }
 
 impl NodeNames {
-    pub(super) fn full_name(&self) -> String {
+    pub(crate) fn full_name(&self) -> String {
         format!("{}/{}", self.namespace.trim_end_matches('/'), self.node)
+    }
+
+    /// Expands the name of a topic as ROS does: `/scan` is absolute, `~/scan` is in the node, and
+    /// `scan` is in the node's namespace.
+    pub(super) fn expanded(&self, name: &str) -> Result<String, String> {
+        let (base, inner) = match (name.strip_prefix('/'), name.strip_prefix("~/")) {
+            (Some(inner), _) => (String::new(), inner),
+            (None, Some(inner)) => (self.full_name(), inner),
+            (None, None) => (self.namespace.trim_end_matches('/').to_owned(), name),
+        };
+        if inner.is_empty() {
+            return Err("expected a name such as scan".to_owned());
+        }
+        Ok(base + &absolute(parts(inner, name)?.into_iter()))
     }
 }
 
 impl NameArgs {
     /// Computes the names for each of `sensors`. The name of a sensor becomes a namespace for
-    /// its node and topic, and a prefix of its frame.
+    /// its node, and a prefix of its frame.
     ///
     /// Usage errors: a name that breaks the rules of ROS, and two sensors on one topic.
     pub(crate) fn resolve(&self, sensors: &[NamedPort]) -> Result<Vec<NodeNames>, Failure> {
@@ -58,12 +72,12 @@ impl NameArgs {
         let usage = |option: &'static str| {
             move |reason: String| Failure::Usage(format!("{option}: {reason}"))
         };
-        let namespace = path(namespace).map_err(usage("--namespace"))?;
-        let node = token(node).map_err(usage("--node"))?;
-        let topic_path = path(topic).map_err(usage("--topic"))?;
-        let [topic_namespace @ .., base] = topic_path.as_slice() else {
-            return Err(usage("--topic")("expected a name such as /scan".to_owned()));
+        let inner = namespace.strip_prefix('/').unwrap_or(namespace);
+        let namespace = match inner {
+            "" => Vec::new(),
+            _ => parts(inner, namespace).map_err(usage("--namespace"))?,
         };
+        let node = token(node).map_err(usage("--node"))?;
         // tf2 refuses a leading slash. Otherwise a frame may contain almost any character.
         if frame.is_empty()
             || frame.starts_with('/')
@@ -76,37 +90,31 @@ impl NameArgs {
             )));
         }
         let mut topics = BTreeSet::new();
-        sensors
-            .iter()
-            .map(|sensor| {
-                let name = sensor.name.as_deref();
-                // A name that starts with `/` is absolute.
-                let own: &[&str] = if topic.starts_with('/') { &[] } else { &namespace };
-                let parts = own.iter().chain(topic_namespace).copied().chain(name);
-                let names = NodeNames {
-                    namespace: absolute(namespace.iter().copied().chain(name)),
-                    node: node.to_owned(),
-                    topic: absolute(parts.chain([*base])),
-                    frame: name.map_or_else(|| frame.to_owned(), |name| format!("{name}_{frame}")),
-                };
-                let node_length = names.namespace.len() + 1 + names.node.len();
-                if names.topic.len() > MAX_NAME || node_length > MAX_NAME {
-                    return Err(Failure::Usage(format!(
-                        "the name of a node or topic is too long: expected at most {MAX_NAME} \
-                         characters with its namespace"
-                    )));
-                }
-                if topics.insert(names.topic.clone()) {
-                    Ok(names)
-                } else {
-                    Err(Failure::Usage(format!(
-                        "two sensors would publish on {}: name each of them, such as \
-                         `front=/dev/ttyACM0 rear=/dev/ttyACM1`",
-                        names.topic
-                    )))
-                }
-            })
-            .collect()
+        let named = sensors.iter().map(|sensor| {
+            let name = sensor.name.as_deref();
+            let mut names = NodeNames {
+                namespace: absolute(namespace.iter().copied().chain(name)),
+                node: node.to_owned(),
+                topic: String::new(),
+                frame: name.map_or_else(|| frame.to_owned(), |name| format!("{name}_{frame}")),
+            };
+            names.topic = names.expanded(topic).map_err(usage("--topic"))?;
+            if names.topic.len() > MAX_NAME || names.full_name().len() > MAX_NAME {
+                return Err(Failure::Usage(format!(
+                    "the name of a node or topic is too long: expected at most {MAX_NAME} \
+                     characters with its namespace"
+                )));
+            }
+            if topics.insert(names.topic.clone()) {
+                return Ok(names);
+            }
+            Err(Failure::Usage(format!(
+                "two sensors would publish on {}: name each of them, such as \
+                 `front=/dev/ttyACM0 rear=/dev/ttyACM1`, and give --topic no leading `/`",
+                names.topic
+            )))
+        });
+        named.collect()
     }
 }
 
@@ -114,15 +122,11 @@ fn absolute<'a>(parts: impl Iterator<Item = &'a str>) -> String {
     format!("/{}", parts.collect::<Vec<_>>().join("/"))
 }
 
-/// Splits a name such as `/robot/scan` into its parts.
-fn path(text: &str) -> Result<Vec<&str>, String> {
-    let inner = text.strip_prefix('/').unwrap_or(text);
-    if inner.is_empty() {
-        return Ok(Vec::new());
-    }
+/// Splits `inner`, which is `name` without its prefix, into its parts.
+fn parts<'a>(inner: &'a str, name: &str) -> Result<Vec<&'a str>, String> {
     if inner.split('/').any(str::is_empty) {
         return Err(format!(
-            "invalid name `{text}`: expected no empty part, as between two `/` or behind the last"
+            "invalid name `{name}`: expected no empty part, as between two `/` or after the last"
         ));
     }
     inner.split('/').map(token).collect()
@@ -144,14 +148,16 @@ mod tests {
     }
 
     #[test]
-    fn the_name_of_a_sensor_is_a_namespace_of_its_own() {
-        assert_eq!(topics(&["emulated"], "/", "/scan"), ["/scan"]);
+    fn topics_follow_the_rules_of_ros() {
+        assert_eq!(topics(&["emulated"], "/", "scan"), ["/scan"]);
         assert_eq!(topics(&["emulated"], "robot", "scan"), ["/robot/scan"]);
         assert_eq!(topics(&["emulated"], "/robot", "/scan"), ["/scan"]);
+        assert_eq!(topics(&["emulated"], "/robot", "~/scan"), ["/robot/urg_node/scan"]);
         let both = ["front=emulated", "rear=tcp://host:1?baud=19200"];
-        assert_eq!(topics(&both, "/", "/scan"), ["/front/scan", "/rear/scan"]);
-        assert_eq!(topics(&both, "/a/b", "c/scan"), ["/a/b/c/front/scan", "/a/b/c/rear/scan"]);
-        let front = names(&["front=emulated"], "/a", "/scan").remove(0);
+        assert_eq!(topics(&both, "/", "scan"), ["/front/scan", "/rear/scan"]);
+        assert_eq!(topics(&both, "/a/b", "c/scan"), ["/a/b/front/c/scan", "/a/b/rear/c/scan"]);
+        assert_eq!(topics(&both[..1], "/a", "/scan"), ["/scan"]);
+        let front = names(&["front=emulated"], "/a", "scan").remove(0);
         assert_eq!((&*front.namespace, &*front.frame), ("/a/front", "front_laser"));
     }
 }

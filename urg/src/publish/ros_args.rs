@@ -1,122 +1,301 @@
 //! Translates `--ros-args`, as passed by `ros2 run` and launch files, into ordinary options, so
 //! that clap checks both.
 
+use std::collections::BTreeSet;
 use std::ffi::OsString;
 
+use saphyr::{ScalarStyle, YamlLoader, YamlOwned};
+use saphyr_parser::Parser;
+
+use super::names::NodeNames;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
 const BEGIN: &str = "--ros-args";
 const END: &str = "--";
 
-/// Replaces each argument between `--ros-args` and `--` with an option of `urg publish`. An
-/// unsupported flag is a usage error; an unknown name only prints a notice.
-pub(crate) fn as_options(arguments: Vec<OsString>) -> Result<Vec<OsString>, Failure> {
-    let mut options = Vec::new();
-    let mut arguments = arguments.into_iter();
-    let mut is_inside = false;
-    while let Some(argument) = arguments.next() {
-        if argument == BEGIN {
-            is_inside = true;
-        } else if !is_inside {
-            options.push(argument);
-        } else if argument == END {
-            is_inside = false;
-        } else {
-            let name = argument.to_string_lossy().into_owned();
-            let option = match &*name {
-                "-r" | "--remap" => remapped(&value(&name, arguments.next())?)?,
-                "-p" | "--param" => parameter(&value(&name, arguments.next())?)?,
-                "--log-level" | "--log-config-file" | "--log-file-name" => {
-                    let value = arguments.next().ok_or_else(|| {
-                        Failure::Usage(format!("{BEGIN}: expected a value after {name}"))
-                    })?;
-                    unused_log_flag(&format!("{name} {}", value.to_string_lossy()))
-                }
-                _ if is_log_switch(&name) => unused_log_flag(&name),
-                _ => {
-                    return Err(Failure::Usage(format!(
-                        "{BEGIN}: `{name}` is not supported: expected -r FROM:=TO or -p NAME:=VALUE"
-                    )));
-                }
-            };
-            options.extend(option.map(OsString::from));
-        }
+/// Replaces all arguments between `--ros-args` and `--` with options of `urg publish` that come
+/// last, because the last one applies. `nodes` parses a command line for the names of its nodes;
+/// it returns none if the command line is invalid.
+///
+/// An unsupported flag, an invalid value, and a file that cannot be read are usage errors. An
+/// unknown name only prints a notice.
+pub(crate) fn as_options(
+    arguments: Vec<OsString>,
+    nodes: impl Fn(&[OsString]) -> Vec<NodeNames>,
+) -> Result<Vec<OsString>, Failure> {
+    let (plain, ros) = RosArgs::split(arguments)?;
+    let with = |options: &[String]| {
+        let end = plain.iter().position(|argument| argument == END).unwrap_or(plain.len());
+        let (before, after) = plain.split_at(end);
+        let options = options.iter().map(OsString::from);
+        before.iter().cloned().chain(options).chain(after.iter().cloned()).collect::<Vec<_>>()
+    };
+    let mut options = ros.names();
+    let nodes = nodes(&with(&options));
+    if !nodes.is_empty() {
+        options.extend(ros.topic(&nodes));
+        options.extend(ros.parameters(&nodes)?);
     }
-    Ok(options)
+    Ok(with(&options))
 }
 
-fn value(name: &str, argument: Option<OsString>) -> Result<String, Failure> {
-    let text = argument.and_then(|argument| argument.into_string().ok());
-    text.ok_or_else(|| Failure::Usage(format!("{BEGIN}: expected NAME:=VALUE after {name}")))
+#[derive(Default)]
+struct RosArgs {
+    /// Pairs of `-r FROM:=TO`.
+    remappings: Vec<(String, String)>,
+    sources: Vec<Source>,
+}
+
+/// Origin of parameters, for messages, and what it sets.
+struct Source {
+    text: String,
+    parameters: Vec<Parameter>,
+}
+
+struct Parameter {
+    /// Full name of the node, in which `*` stands for a part and `**` for any number of them.
+    node: String,
+    name: String,
+    value: YamlOwned,
+}
+
+impl RosArgs {
+    /// Separates the arguments of ROS from all others.
+    fn split(arguments: Vec<OsString>) -> Result<(Vec<OsString>, Self), Failure> {
+        let (mut plain, mut ros) = (Vec::new(), Self::default());
+        let mut arguments = arguments.into_iter();
+        let mut is_inside = false;
+        while let Some(argument) = arguments.next() {
+            if argument == BEGIN {
+                is_inside = true;
+            } else if !is_inside {
+                plain.push(argument);
+            } else if argument == END {
+                is_inside = false;
+            } else {
+                let flag = argument.to_string_lossy();
+                if is_log_switch(&flag) {
+                    unused_log_flag(&flag);
+                    continue;
+                }
+                let value = arguments.next().and_then(|value| value.into_string().ok());
+                ros.add(&flag, value.as_deref())?;
+            }
+        }
+        Ok((plain, ros))
+    }
+
+    fn add(&mut self, flag: &str, value: Option<&str>) -> Result<(), Failure> {
+        let expected = match flag {
+            "-r" | "--remap" => "FROM:=TO",
+            "-p" | "--param" => "NAME:=VALUE",
+            "--params-file" => "a file",
+            "--log-level" | "--log-config-file" | "--log-file-name" => "a value",
+            _ => {
+                return Err(usage(format!(
+                    "`{flag}` is not supported: expected -r FROM:=TO, -p NAME:=VALUE or \
+                     --params-file FILE"
+                )));
+            }
+        };
+        let value = value.ok_or_else(|| usage(format!("expected {expected} after {flag}")))?;
+        match flag {
+            "-r" | "--remap" => {
+                let (_, from, to) = assignment(value, expected)?;
+                self.remappings.push((from.to_owned(), to.to_owned()));
+            }
+            "-p" | "--param" => {
+                let (node, name, yaml) = assignment(value, expected)?;
+                let yaml = load(yaml).map_err(|why| usage(format!("`{value}`: {why}")))?;
+                let node = node.unwrap_or("/**").to_owned();
+                let parameters = vec![Parameter { node, name: name.to_owned(), value: yaml }];
+                self.sources.push(Source { text: value.trim().to_owned(), parameters });
+            }
+            "--params-file" => {
+                let mut parameters = Vec::new();
+                std::fs::read_to_string(value)
+                    .map_err(|error| error.to_string())
+                    .and_then(|text| collect("", &load(&text)?, &mut parameters))
+                    .map_err(|why| usage(format!("cannot use --params-file {value}: {why}")))?;
+                self.sources.push(Source { text: value.to_owned(), parameters });
+            }
+            _ => unused_log_flag(&format!("{flag} {value}")),
+        }
+        Ok(())
+    }
+
+    /// Options for the names of the node. As in ROS, the first remapping of a name applies.
+    fn names(&self) -> Vec<String> {
+        let names = [("node", &["__node", "__name"][..]), ("namespace", &["__ns"][..])];
+        let option = |(option, from): (&str, &[&str])| {
+            let found = self.remappings.iter().find(|(name, _)| from.contains(&name.as_str()));
+            found.map(|(_, to)| format!("--{option}={to}"))
+        };
+        names.into_iter().filter_map(option).collect()
+    }
+
+    /// Option for the topic, if it is remapped.
+    fn topic(&self, nodes: &[NodeNames]) -> Option<String> {
+        let mut topic = None;
+        for (from, to) in &self.remappings {
+            let is_topic =
+                |node: &NodeNames| node.expanded(from).is_ok_and(|name| name == node.topic);
+            if nodes.iter().any(is_topic) {
+                topic.get_or_insert_with(|| format!("--topic={to}"));
+            } else if !from.starts_with("__") {
+                // ROS ignores remappings of unknown names: a launch file may apply them to all
+                // nodes.
+                notice(format_args!("`{from}:={to}` changes nothing: only `scan` can be remapped"));
+            }
+        }
+        topic
+    }
+
+    /// Options for the parameters of `nodes`, in their order: the last one applies.
+    fn parameters(&self, nodes: &[NodeNames]) -> Result<Vec<String>, Failure> {
+        let mut options = Vec::new();
+        for Source { text, parameters } in &self.sources {
+            let nodes: Vec<_> = nodes.iter().map(NodeNames::full_name).collect();
+            let is_ours = |it: &&Parameter| nodes.iter().any(|node| matches(&it.node, node));
+            let ours: Vec<_> = parameters.iter().filter(is_ours).collect();
+            if ours.is_empty() {
+                notice(format_args!("`{text}` has no parameter for {}", nodes.join(" or ")));
+            }
+            for parameter in ours {
+                options.extend(parameter.option(text)?);
+            }
+        }
+        Ok(options)
+    }
+}
+
+impl Parameter {
+    fn option(&self, text: &str) -> Result<Option<String>, Failure> {
+        let name = &*self.name;
+        let option = match name {
+            // Usual name in other drivers.
+            "frame_id" => "frame".to_owned(),
+            "use_sim_time" => String::new(),
+            "frame" | "qos" | "depth" | "time_offset" | "domain" | "interface" | "rate"
+            | "start" | "end" | "from" | "to" | "cluster" | "tf" | "engine" | "router" | "mode"
+            | "listen" | "topic" => name.replace('_', "-"),
+            _ => {
+                notice(format_args!(
+                    "the parameter {name} of `{text}` changes nothing: urg publish has none of \
+                     this name"
+                ));
+                return Ok(None);
+            }
+        };
+        let value = match &self.value {
+            YamlOwned::Representation(value, style, _)
+                if *style != ScalarStyle::Plain || !["", "~", "null"].contains(&&**value) =>
+            {
+                value
+            }
+            _ => return Err(usage(format!("`{text}`: expected one value for {name}"))),
+        };
+        if option.is_empty() {
+            return match &*value.to_ascii_lowercase() {
+                "false" | "no" | "off" | "n" => Ok(None),
+                _ => Err(usage(
+                    "use_sim_time is not supported: a sensor measures in the system's time"
+                        .to_owned(),
+                )),
+            };
+        }
+        Ok(Some(format!("--{option}={value}")))
+    }
+}
+
+fn usage(line: String) -> Failure {
+    Failure::Usage(format!("{BEGIN}: {line}"))
+}
+
+/// Splits `NODE:NAME:=VALUE`; `NODE:` is optional.
+fn assignment<'a>(
+    text: &'a str,
+    expected: &str,
+) -> Result<(Option<&'a str>, &'a str, &'a str), Failure> {
+    let (name, value) = text.split_once(":=").unwrap_or((text, ""));
+    let (node, name) = name.split_once(':').map_or((None, name), |(node, name)| (Some(node), name));
+    if name.is_empty() || value.trim().is_empty() {
+        return Err(usage(format!("expected {expected}, found `{text}`")));
+    }
+    Ok((node, name, value))
+}
+
+/// Loads the first document, with each scalar as it was written.
+fn load(text: &str) -> Result<YamlOwned, String> {
+    let mut loader = YamlLoader::<YamlOwned>::default();
+    loader.early_parse(false);
+    Parser::new_from_str(text)
+        .load(&mut loader, true)
+        .map_err(|error| format!("invalid YAML: {error}"))?;
+    if let Some(error) = loader.error() {
+        return Err(format!("invalid YAML: {error}"));
+    }
+    loader.into_documents().into_iter().next().ok_or_else(|| "it is empty".to_owned())
+}
+
+/// Collects the parameters in a file: names of nodes, which may be nested, and in each
+/// `ros__parameters`.
+fn collect(node: &str, yaml: &YamlOwned, parameters: &mut Vec<Parameter>) -> Result<(), String> {
+    let expected = || "expected `NODE: {ros__parameters: {NAME: VALUE}}`".to_owned();
+    for (key, value) in yaml.as_mapping().ok_or_else(expected)? {
+        let YamlOwned::Representation(key, ..) = key else { return Err(expected()) };
+        if key != "ros__parameters" {
+            collect(&format!("{node}/{}", key.trim_matches('/')), value, parameters)?;
+            continue;
+        }
+        for (name, value) in value.as_mapping().ok_or_else(expected)? {
+            let YamlOwned::Representation(name, ..) = name else { return Err(expected()) };
+            let (node, name) = (node.to_owned(), name.clone());
+            parameters.push(Parameter { node, name, value: value.clone() });
+        }
+    }
+    Ok(())
+}
+
+/// Checks whether `pattern` stands for `node`.
+fn matches(pattern: &str, node: &str) -> bool {
+    let parts: Vec<_> = node.trim_start_matches('/').split('/').collect();
+    // Numbers of parts that the pattern so far can stand for.
+    let mut reached = BTreeSet::from([0]);
+    for part in pattern.trim_start_matches('/').split('/') {
+        let is_next = |at: &&usize| parts.get(**at).is_some_and(|name| ["*", name].contains(&part));
+        reached = match (part, reached.first()) {
+            ("**", Some(first)) => (*first..=parts.len()).collect(),
+            _ => reached.iter().filter(is_next).map(|at| at + 1).collect(),
+        };
+    }
+    reached.contains(&parts.len())
 }
 
 /// Checks for flags such as `--disable-stdout-logs`.
-fn is_log_switch(name: &str) -> bool {
-    let log = name.strip_prefix("--enable-").or_else(|| name.strip_prefix("--disable-"));
+fn is_log_switch(flag: &str) -> bool {
+    let log = flag.strip_prefix("--enable-").or_else(|| flag.strip_prefix("--disable-"));
     matches!(log, Some("rosout-logs" | "stdout-logs" | "external-lib-logs"))
 }
 
 /// Launch files pass flags for the log to all nodes.
-fn unused_log_flag(text: &str) -> Option<String> {
+fn unused_log_flag(text: &str) {
     notice(format_args!("`{text}` changes nothing: set RUST_LOG for a log"));
-    None
-}
-
-/// Splits `NODE:NAME:=VALUE`. Ignores the optional `NODE:`, because all nodes are of one kind.
-fn split(text: &str) -> Result<(&str, &str), Failure> {
-    let (name, value) = text.split_once(":=").unwrap_or((text, ""));
-    let name = name.rsplit_once(':').map_or(name, |(_, name)| name);
-    if name.is_empty() || value.is_empty() {
-        return Err(Failure::Usage(format!("{BEGIN}: expected NAME:=VALUE, found `{text}`")));
-    }
-    Ok((name, value))
-}
-
-fn remapped(text: &str) -> Result<Option<String>, Failure> {
-    let (from, to) = split(text)?;
-    let option = match from {
-        "__node" | "__name" => "node",
-        "__ns" => "namespace",
-        "scan" | "/scan" => "topic",
-        // ROS ignores remappings of unknown names: a launch file may apply them to all nodes.
-        _ => {
-            notice(format_args!("`{text}` changes nothing: only `scan` can be remapped"));
-            return Ok(None);
-        }
-    };
-    Ok(Some(format!("--{option}={to}")))
-}
-
-fn parameter(text: &str) -> Result<Option<String>, Failure> {
-    let (name, value) = split(text)?;
-    let option = match name {
-        // Usual name in other drivers.
-        "frame_id" => "frame".to_owned(),
-        "use_sim_time" if value.eq_ignore_ascii_case("false") => return Ok(None),
-        "use_sim_time" => {
-            return Err(Failure::Usage(format!(
-                "{BEGIN}: use_sim_time is not supported: a sensor measures in the system's time"
-            )));
-        }
-        "frame" | "qos" | "depth" | "time_offset" | "domain" | "interface" | "rate" | "start"
-        | "end" | "from" | "to" | "cluster" | "tf" | "engine" | "router" | "mode" | "topic" => {
-            name.replace('_', "-")
-        }
-        _ => {
-            notice(format_args!("`{text}` changes nothing: urg publish has no such parameter"));
-            return Ok(None);
-        }
-    };
-    Ok(Some(format!("--{option}={value}")))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn node(namespace: &str, topic: &str) -> NodeNames {
+        let [namespace, topic] = [namespace, topic].map(str::to_owned);
+        NodeNames { namespace, topic, node: "urg_node".to_owned(), frame: String::new() }
+    }
+
     fn options(text: &str) -> Result<String, Failure> {
-        let options = as_options(text.split(' ').map(OsString::from).collect())?;
+        let arguments = text.split(' ').map(OsString::from).collect();
+        let options = as_options(arguments, |_| vec![node("/robot", "/robot/scan")])?;
         Ok(options.join(" ".as_ref()).into_string().unwrap())
     }
 
@@ -129,15 +308,70 @@ mod tests {
             ),
             (
                 "publish --ros-args -p frame_id:=f -p time_offset:=-0.05 -- emulated",
-                "publish --frame=f --time-offset=-0.05 emulated",
+                "publish emulated --frame=f --time-offset=-0.05",
             ),
-            ("publish --ros-args --ros-args -p urg_node:depth:=3", "publish --depth=3"),
+            ("publish --ros-args --ros-args -p /robot/urg_node:depth:=3", "publish --depth=3"),
+            ("publish --ros-args -p /other/urg_node:depth:=3", "publish"),
+            ("publish a --ros-args -r __ns:=/a -r __ns:=/b", "publish a --namespace=/a"),
+            ("publish a --ros-args -r /robot/scan:=/x -r scan:=/y", "publish a --topic=/x"),
+            ("publish a --ros-args -r /scan:=/x", "publish a"),
             ("publish a --ros-args -p use_sim_time:=False -r /tf:=tf -p other:=1", "publish a"),
-            ("publish a -- b", "publish a -- b"),
+            ("publish --ros-args -p depth:=4 -- a -- b", "publish a --depth=4 -- b"),
             ("publish a --ros-args --log-level urg:=debug --disable-stdout-logs", "publish a"),
             ("publish --ros-args --enable-rosout-logs --log-file-name x -- a", "publish a"),
+            // As PyYAML writes them for launch files.
+            ("publish --ros-args -p depth:=5\n...\n", "publish --depth=5"),
+            ("publish --ros-args -p frame_id:='5'\n", "publish --frame=5"),
+            ("publish --ros-args -p frame_id:=\"f\\u0031\"", "publish --frame=f1"),
         ] {
             assert_eq!(options(text).unwrap(), expected);
+        }
+    }
+
+    #[test]
+    fn a_pattern_stands_for_nodes_as_in_ros() {
+        let node = "/robot/front/urg_node";
+        for pattern in [
+            "/**",
+            "/robot/front/urg_node",
+            "robot/front/urg_node",
+            "/*/*/*",
+            "/**/urg_node",
+            "/robot/**",
+            "/**/robot/**/urg_node/**",
+            "/*/front/**",
+        ] {
+            assert!(matches(pattern, node), "{pattern}");
+        }
+        for pattern in
+            ["", "/", "/*", "/*/*", "urg_node", "/robot/front", "/**/rear/**", "/*/**/*/*/*"]
+        {
+            assert!(!matches(pattern, node), "{pattern}");
+        }
+    }
+
+    #[test]
+    fn a_file_has_nodes_and_their_parameters() {
+        let text = "/**: {ros__parameters: {depth: 0x5, frame: 'a'}}\n\
+                    robot: {front: {ros__parameters: {frame: b}}}\n/robot/front:\n  \
+                    ros__parameters:\n    tf: base,0,0,0,0\n";
+        let mut found = Vec::new();
+        collect("", &load(text).unwrap(), &mut found).unwrap();
+        let found: Vec<_> = found
+            .iter()
+            .map(|it| format!("{} {:?}", it.node, it.option("f").unwrap().unwrap()))
+            .collect();
+        let expected = [
+            "/** \"--depth=0x5\"",
+            "/** \"--frame=a\"",
+            "/robot/front \"--frame=b\"",
+            "/robot/front \"--tf=base,0,0,0,0\"",
+        ];
+        assert_eq!(found, expected);
+        for wrong in ["", "a", "a: b", "a: {ros__parameters: 1}", "[a]: {}", "a: [", "a: {}\na: {}"]
+        {
+            let outcome = load(wrong).and_then(|yaml| collect("", &yaml, &mut Vec::new()));
+            assert!(outcome.is_err(), "{wrong}");
         }
     }
 }

@@ -12,7 +12,10 @@ use tokio::sync::mpsc;
 
 #[cfg(feature = "dds")]
 use super::dds::Dds;
-use super::engine::{Engine, EngineName, EngineSettings, Outlet, Publisher, Reopen, Shared, Topic};
+use super::engine::{
+    Engine, EngineName, EngineSettings, Opened, Outlet, Publisher, Reopen, Shared, Topic,
+    Unavailable,
+};
 #[cfg(feature = "foxglove")]
 use super::foxglove::Foxglove;
 use super::names::NodeNames;
@@ -32,7 +35,11 @@ const WORKING_CHECKS: u32 = 120;
 /// Maximum number of consecutive restarts. After that, only the user can help.
 const MAX_RESTARTS: u32 = 5;
 
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
+/// Time that an engine has to close.
+const fn close_timeout<E: Engine>() -> Duration {
+    let test = if cfg!(test) { 100 } else { 1 };
+    Duration::from_millis(if E::MAY_OVERLAP { 2_000 } else { 10_000 } / test)
+}
 
 /// Engine on its own thread. Dropping it closes the engine without waiting.
 #[derive(Debug)]
@@ -126,35 +133,33 @@ impl<E: Engine> Watched<E> {
     /// Runs the engine until it is stopped. Reopens it after the network has changed or the
     /// engine has died. The error is permanent: reopening did not help.
     fn run(&mut self) -> Result<(), Failure> {
-        while let Some((mut engine, publisher)) = self.open() {
+        while let Some((mut engine, publisher)) = self.open()? {
             self.set(Some(publisher));
             let watched = self.watch(&mut engine);
             self.set(None);
-            let is_closed = close(engine);
-            match watched {
-                Ok(()) => break,
-                Err(Reopen::Outdated) => {}
-                Err(Reopen::Dead(why)) => self.restart(&why, is_closed)?,
-            }
+            let is_closed = close(engine) || E::MAY_OVERLAP;
+            let Err(reason) = watched else { break };
+            self.count(&reason, is_closed)?;
         }
         Ok(())
     }
 
     /// Retries until the engine opens. `None` if it was stopped meanwhile.
-    fn open(&mut self) -> Option<(E, Arc<dyn Publisher>)> {
+    fn open(&mut self) -> Result<Option<Opened<E>>, Failure> {
         loop {
             let opened = match missing_address(self.settings.interface) {
-                Some(why) => Err(why),
+                Some(why) => Err(Unavailable::Now(why)),
                 None => E::open(&self.settings, &self.topics, &self.memory),
             };
             match opened {
-                Ok(opened) => return Some(opened),
-                Err(why) => self
+                Ok(opened) => return Ok(Some(opened)),
+                Err(Unavailable::Permanently(why)) => return Err(Failure::Failed(why)),
+                Err(Unavailable::Now(why)) => self
                     .network
                     .report(Some(format!("{why}; waiting for it, scans are dropped until then"))),
             }
             if self.is_stopped(RETRY_INTERVAL) {
-                return None;
+                return Ok(None);
             }
         }
     }
@@ -173,24 +178,28 @@ impl<E: Engine> Watched<E> {
                 return Ok(());
             }
             if missing_address(self.settings.interface).is_some() {
-                return Err(Reopen::Outdated);
+                return Err(Reopen::Outdated("the address of --interface is gone".to_owned()));
             }
         }
     }
 
-    /// Counts and announces a restart. An error if the engine hangs, or has restarted too often.
-    fn restart(&mut self, why: &str, is_closed: bool) -> Result<(), Failure> {
+    /// Counts and announces that the engine is opened again. An error if the old one hangs,
+    /// because two would publish twice, or if it has died too often.
+    fn count(&mut self, reason: &Reopen, is_closed: bool) -> Result<(), Failure> {
+        let (Reopen::Outdated(why) | Reopen::Dead(why)) = reason;
         if !is_closed {
-            return Err(Failure::Failed(format!("{why}, and it cannot be closed")));
+            return Err(Failure::Failed(format!("{why}, and the engine cannot be closed")));
         }
-        if self.restarts == MAX_RESTARTS {
-            return Err(Failure::Failed(format!(
-                "{why}, also after it was opened again {MAX_RESTARTS} times"
-            )));
+        if matches!(reason, Reopen::Dead(_)) {
+            if self.restarts == MAX_RESTARTS {
+                return Err(Failure::Failed(format!(
+                    "{why}, also after it was opened again {MAX_RESTARTS} times"
+                )));
+            }
+            self.restarts += 1;
         }
-        self.restarts += 1;
         self.topics.iter().for_each(|topic| topic.counts.lock().restarts += 1);
-        notice(format_args!("{why}: it is opened again"));
+        notice(format_args!("{why}: the engine is opened again"));
         Ok(())
     }
 
@@ -205,13 +214,13 @@ impl<E: Engine> Watched<E> {
 }
 
 /// Closes an engine on a separate thread. Returns false if it hangs.
-fn close(engine: impl Engine) -> bool {
+fn close<E: Engine>(engine: E) -> bool {
     let (end, ended) = std_mpsc::channel();
     let closing = std::thread::Builder::new().name("closing".to_owned()).spawn(move || {
         engine.close();
         let _ = end.send(());
     });
-    closing.is_ok() && ended.recv_timeout(CLOSE_TIMEOUT) != Err(RecvTimeoutError::Timeout)
+    closing.is_ok() && ended.recv_timeout(close_timeout::<E>()) != Err(RecvTimeoutError::Timeout)
 }
 
 /// Checks that an interface has the address of `--interface`, and explains if not.
@@ -226,8 +235,8 @@ fn missing_address(address: Option<IpAddr>) -> Option<String> {
 #[derive(Debug)]
 struct NetworkNotices {
     topics: String,
-    /// Whether the network was away at the last notice; `None` before the first.
-    away: Option<bool>,
+    /// Why the network was away at the last notice; `None` before the first.
+    away: Option<Option<String>>,
 }
 
 impl NetworkNotices {
@@ -249,11 +258,11 @@ impl NetworkNotices {
 
     /// Updates the state. Returns a line for the user if it changed.
     fn change(&mut self, unreachable: Option<String>) -> Option<String> {
-        let before = self.away.replace(unreachable.is_some());
+        let before = self.away.replace(unreachable.clone());
         match (before, unreachable) {
-            (Some(true), Some(_)) | (Some(false), None) => None,
+            (Some(before), now) if before == now => None,
             (_, Some(why)) => Some(why),
-            (Some(true), None) => Some("the network is back: scans are published".to_owned()),
+            (Some(_), None) => Some("the network is back: scans are published".to_owned()),
             (None, None) => Some(format!("scans are published on {}; Ctrl-C stops", self.topics)),
         }
     }
@@ -266,48 +275,86 @@ mod tests {
     use super::super::engine::OpenedEngine;
     use super::*;
 
-    struct Dead;
+    /// Engine that dies at once, or that hangs when it is closed.
+    struct Faulty {
+        hangs: bool,
+    }
 
-    static OPENED: AtomicU32 = AtomicU32::new(0);
+    /// Numbers of engines that were opened: dying, and hanging.
+    static OPENED: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 
-    impl Publisher for Dead {
+    impl Publisher for Faulty {
         fn publish(&self, _: usize, _: Vec<u8>) {}
     }
 
-    impl Engine for Dead {
+    impl Engine for Faulty {
         type Memory = ();
+        const MAY_OVERLAP: bool = false;
 
-        fn open(_: &Arc<EngineSettings>, _: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
-            OPENED.fetch_add(1, Ordering::Relaxed);
-            Ok((Self, Arc::new(Self)))
+        fn open(settings: &Arc<EngineSettings>, _: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
+            if settings.depth == 0 {
+                return Err(Unavailable::Permanently("it can never open".to_owned()));
+            }
+            let hangs = settings.depth == 2;
+            OPENED[usize::from(hangs)].fetch_add(1, Ordering::Relaxed);
+            Ok((Self { hangs }, Arc::new(Self { hangs })))
         }
 
         fn check(&mut self) -> Result<Option<String>, Reopen> {
-            Err(Reopen::Dead("the engine is dead".to_owned()))
+            Err(match self.hangs {
+                true => Reopen::Outdated("the network has changed".to_owned()),
+                false => Reopen::Dead("the engine is dead".to_owned()),
+            })
         }
 
-        fn close(self) {}
+        fn close(self) {
+            if self.hangs {
+                loop {
+                    std::thread::park();
+                }
+            }
+        }
+    }
+
+    fn faulty(depth: usize) -> (RunningEngine, Vec<Outlet>) {
+        let settings = EngineSettings { depth, ..EngineSettings::with_namespaces(&["/"]) };
+        start::<Faulty>(settings).unwrap()
     }
 
     #[tokio::test]
-    async fn an_engine_that_stays_dead_is_opened_again_and_counted_and_fails_in_the_end() {
-        let settings = EngineSettings::with_namespaces(&["/"]);
-        let (mut running, outlets) = start::<Dead>(settings).unwrap();
+    async fn a_dead_engine_is_opened_again_and_counted() {
+        let (mut running, outlets) = faulty(1);
         let failure = running.failed().await;
         assert_eq!(failure.line(), "the engine is dead, also after it was opened again 5 times");
-        assert_eq!(OPENED.load(Ordering::Relaxed), 1 + MAX_RESTARTS);
+        assert_eq!(OPENED[0].load(Ordering::Relaxed), 1 + MAX_RESTARTS);
         assert_eq!(outlets[0].counts().lock().restarts, 5);
         running.close().await;
+    }
+
+    #[tokio::test]
+    async fn no_second_engine_is_opened_beside_one_that_hangs() {
+        let (mut running, _) = faulty(2);
+        let failure = running.failed().await;
+        assert_eq!(failure.line(), "the network has changed, and the engine cannot be closed");
+        assert_eq!(OPENED[1].load(Ordering::Relaxed), 1);
+    }
+
+    #[tokio::test]
+    async fn an_engine_that_can_never_open_fails_at_once() {
+        let (mut running, _) = faulty(0);
+        assert_eq!(running.failed().await.line(), "it can never open");
     }
 
     #[test]
     fn a_change_of_the_network_is_reported_once() {
         let mut network = NetworkNotices { topics: "/scan".to_owned(), away: None };
-        let said = [None, None, Some("no router"), Some("no router"), None, None]
-            .map(|why| network.change(why.map(str::to_owned)));
+        let said =
+            [None, None, Some("no router"), Some("no router"), Some("no address"), None, None]
+                .map(|why| network.change(why.map(str::to_owned)));
         let expected = [
             "scans are published on /scan; Ctrl-C stops",
             "no router",
+            "no address",
             "the network is back: scans are published",
         ];
         assert_eq!(said.into_iter().flatten().collect::<Vec<_>>(), expected);

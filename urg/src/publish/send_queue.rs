@@ -97,10 +97,6 @@ impl SendQueue {
         state.silent_checks > MAX_SILENT_CHECKS
     }
 
-    pub(super) fn is_connected(&self) -> bool {
-        self.state.lock().is_connected
-    }
-
     /// Sets whether messages can be sent. Without a connection, drops all messages: old scans
     /// are useless.
     pub(super) fn set_connected(&self, is_connected: bool) {

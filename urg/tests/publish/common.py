@@ -7,6 +7,7 @@ import signal
 import struct
 import subprocess
 import sys
+import threading
 import time
 import traceback
 from pathlib import Path
@@ -25,6 +26,7 @@ def end(*failure):
 
 
 sys.excepthook = end
+threading.excepthook = lambda failure: end(*failure[:3])
 
 
 def single(number):

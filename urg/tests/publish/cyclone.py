@@ -96,7 +96,7 @@ def places_are_kept_for_late_readers():
     arguments = ["-r", "__node:=eyes", "-r", "__ns:=/robot", "-r", "scan:=laser/scan",
                  "-p", "frame_id:=f", "-p", "depth:=3"]
     places = ["--tf", "base,0.5,-1,2,90", "--tf", "base,0,0,0,-180"]
-    scans = DataReader(participant, Topic(participant, "rt/robot/laser/a/scan", LaserScan), qos=qos)
+    scans = DataReader(participant, Topic(participant, "rt/robot/a/laser/scan", LaserScan), qos=qos)
     with Urg("publish", "a=emulated", "b=emulated", *places, "--ros-args", *arguments):
         wait("a scan", lambda: scans.take(1))
         # The places were published when the engine was opened, before the first scan.

@@ -6,23 +6,36 @@ discovery.py PROGRAM RECORDING
 
 import os
 import signal
+import sys
+import threading
 import time
 
 from common import Urg, ok, wait
-from namespaces import Lines, Namespace, ip, use
+from namespaces import ROS_READER, Lines, Namespace, ip, use
 
-# Prints publisher's number and stamp in nanoseconds of each scan.
-READER = """
-import rclpy
-from sensor_msgs.msg import LaserScan
-rclpy.init()
-node = rclpy.create_node("reader")
+# Announces itself each 30 s, as its lease of 40 s allows.
+RARE = """
+import time
+from cyclonedds.domain import Domain, DomainParticipant
+domain = Domain(7, "<Discovery><LeaseDuration>40s</LeaseDuration></Discovery>")
+participant = DomainParticipant(7)
 print("ready", flush=True)
-def got(scan, info):
-    stamp = scan.header.stamp
-    print(info["publication_sequence_number"], stamp.sec * 10**9 + stamp.nanosec, flush=True)
-node.create_subscription(LaserScan, "/scan", got, 100)
-rclpy.spin(node)
+time.sleep(3600)
+"""
+
+# Takes the ports of the first participants of a machine.
+CROWD = """
+import socket, time
+taken = []
+for index in range(int(__import__("sys").argv[1])):
+    for port in (9160 + 2 * index, 9161 + 2 * index):
+        taken.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        try:
+            taken[-1].bind(("", port))
+        except OSError:
+            pass
+print("ready", flush=True)
+time.sleep(3600)
 """
 
 LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
@@ -47,9 +60,12 @@ class Hosts:
             ip(f"route replace 224.0.0.0/4 dev {name}", place.enter)
 
     def reader(self, namespace, *settings):
-        reader = Lines(READER, namespace=namespace, settings=settings)
-        self.programs.append(reader)
-        return reader
+        return self.program(ROS_READER, namespace, *settings)
+
+    def program(self, text, namespace, *settings, arguments=()):
+        program = Lines(text, *arguments, namespace=namespace, settings=settings)
+        self.programs.append(program)
+        return program
 
     def urg(self, *settings):
         return Urg("publish", "emulated", enter=("env", *settings, *self.near.enter))
@@ -89,6 +105,33 @@ def localhost():
     ok("with LOCALHOST readers on this host get scans, and others none")
 
 
+def many_participants_on_this_machine():
+    with Hosts() as hosts:
+        reader = hosts.reader(hosts.near, LOCALHOST)
+        crowd = hosts.program(CROWD, hosts.near, arguments=["60"])
+        with hosts.urg(LOCALHOST):
+            reader.more(20, 40)
+        crowd.kill()
+        crowd = hosts.program(CROWD, hosts.near, arguments=["120"])
+        with hosts.urg(LOCALHOST) as urg:
+            urg.wait_for("Failed to find a free participant index")
+            assert "too many participants run on this machine" in urg.read()
+            crowd.kill()
+            reader.more(20, 40)
+    ok("the 61st participant of a machine publishes; the 120th says why not, and waits")
+
+
+def a_participant_that_announces_itself_rarely():
+    """Its announcements, more than 20 s apart, are no reason to open the engine again."""
+    with Hosts() as hosts:
+        hosts.program(RARE, hosts.far)
+        with hosts.urg() as urg:
+            time.sleep(65)
+            said = urg.stop()
+            assert len(said.splitlines()) == 1, said
+    ok("a participant with a longer lease is not taken for one that was forgotten")
+
+
 def a_second_interface():
     with Hosts() as hosts:
         first = hosts.reader(hosts.far)
@@ -100,7 +143,7 @@ def a_second_interface():
             other.more(20, 40)
             first.more(20)
             said = urg.stop()
-            assert len(said.splitlines()) == 1, said
+            assert said.count("interfaces have changed") == 1 and len(said.splitlines()) == 2, said
         other.kill()
         second.process.kill()
     ok("an interface that is added while it publishes is used, and the first one still")
@@ -109,7 +152,7 @@ def a_second_interface():
 def reopened_for_a_forgotten_reader():
     with Hosts() as hosts:
         steady, forgotten = hosts.reader(hosts.far), hosts.reader(hosts.far)
-        with hosts.urg():
+        with hosts.urg() as urg:
             steady.more(20, 40), forgotten.more(20, 40)
             forgotten.process.send_signal(signal.SIGSTOP)
             time.sleep(LEASE + 5)
@@ -119,6 +162,7 @@ def reopened_for_a_forgotten_reader():
             again = lambda: any(b < a for a, b in zip(numbers(), numbers()[1:]))
             wait("the engine is opened again", again, 20)
             forgotten.more(20), steady.more(20)
+            assert "a reader is back that was silent for" in urg.read(), urg.said
         stamps = [int(stamp) for _, stamp in steady.lines]
         gaps = [b - a for a, b in zip(stamps, stamps[1:])]
         assert min(gaps) > 0, "a scan came twice, or late"
@@ -127,8 +171,15 @@ def reopened_for_a_forgotten_reader():
     ok(f"opened again for a reader that was forgotten: no scan came twice, {missed} are missing")
 
 
+# Kilted has no Cyclone DDS.
+rare = threading.Thread(target=a_participant_that_announces_itself_rarely)
+if "jazzy" in sys.prefix:
+    rare.start()
 static_peers()
 localhost()
+many_participants_on_this_machine()
 a_second_interface()
 reopened_for_a_forgotten_reader()
+if rare.ident:
+    rare.join()
 os._exit(0)

@@ -178,7 +178,7 @@ async function connectionsThatUseUpAllFilesDoNotEndTheServer() {
   for (let count = 0; count < 60; count++) {
     sockets.push(net.connect(port, "127.0.0.1").on("error", () => {}));
   }
-  await published.says("it is opened again");
+  await published.says("the engine is opened again");
   sockets.forEach((socket) => socket.destroy());
   for (let tries = 0; ; tries++) {
     try {
@@ -193,7 +193,21 @@ async function connectionsThatUseUpAllFilesDoNotEndTheServer() {
   await published.stop();
 }
 
+// A viewer that speaks only the protocol before `foxglove.sdk.v1`, as Lichtblick 1.21 does.
+async function viewersOfTheOlderProtocolAreRefused() {
+  const port = await freePort();
+  const published = publish(port, "emulated");
+  await published.says("can connect to ws://");
+  const older = new WebSocket(`ws://127.0.0.1:${port}`, "foxglove.websocket.v1");
+  const [, response] = await once(older, "unexpected-response");
+  assert.equal(response.statusCode, 400);
+  const [body] = await once(response, "data");
+  assert.match(body.toString(), /sec-websocket-protocol/);
+  await published.stop();
+}
+
 for (const test of [
+  viewersOfTheOlderProtocolAreRefused,
   viewersGetWhatTheDriverDelivered,
   viewersComeAndGoAndThePublisherStops,
   connectionsThatUseUpAllFilesDoNotEndTheServer,

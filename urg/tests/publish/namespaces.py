@@ -23,6 +23,20 @@ print("ready", flush=True)
 time.sleep(86400)
 """
 
+# Prints publisher's number and stamp in nanoseconds of each scan.
+ROS_READER = """
+import rclpy
+from sensor_msgs.msg import LaserScan
+rclpy.init()
+node = rclpy.create_node("reader")
+print("ready", flush=True)
+def got(scan, info):
+    stamp = scan.header.stamp
+    print(info["publication_sequence_number"], stamp.sec * 10**9 + stamp.nanosec, flush=True)
+node.create_subscription(LaserScan, "/scan", got, 100)
+rclpy.spin(node)
+"""
+
 
 def ip(command, inside=()):
     subprocess.run([*inside, "ip", *command.split()], check=True)

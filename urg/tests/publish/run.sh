@@ -13,9 +13,9 @@ trap 'rm -rf "$place"' EXIT
 cd "$place"
 "$program" record emulated "$place/run.mcap" --count 60
 "$program" stream "$place/run.mcap" --rate max >"$place/run.ndjson"
-readers=("jazzy cyclone" "jazzy zenoh_peers" "jazzy dds" "kilted dds")
+readers=("jazzy cyclone" "jazzy zenoh_peers" "jazzy launch" "jazzy dds" "kilted dds")
 if [ "${2-}" != core ]; then
-    readers+=("jazzy discovery" "kilted discovery" "jazzy networks" "jazzy slow_network")
+    readers+=("jazzy discovery" "kilted discovery" "jazzy interfaces" "jazzy networks" "jazzy slow_network")
 fi
 for reader in "${readers[@]}"; do
     read -r venv script <<<"$reader"

@@ -1,10 +1,11 @@
 //! Filter for what Cyclone DDS writes to standard error. Cyclone has no other way to report a
 //! packet that it cannot send, and prints a line for each of them.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 use parking_lot::Mutex;
 
@@ -15,49 +16,91 @@ use crate::output::notice::notice;
 /// announcement, every 2 s.
 const FAILING_CHECKS: u32 = 6;
 
+/// Maximum number of different lines printed in [`PAUSE`].
 const MAX_LINES: usize = 20;
 
-/// Lines printed so far: each only once, even if DDS is opened again.
-static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+/// Time until a line is printed again.
+const PAUSE: Duration = Duration::from_secs(600);
+
+/// Lines printed lately, without what differs each time. Outlives the reopening of DDS.
+static SAID: Mutex<BTreeMap<String, Instant>> = Mutex::new(BTreeMap::new());
 
 /// Receiver of Cyclone's lines.
 pub(super) struct Log {
-    unsent: Arc<AtomicU64>,
-    seen: u64,
-    failing_checks: u32,
-    _capture: Capture,
+    unsent: Unsent,
+    unsent_multicast: Unsent,
+    last: Arc<Mutex<Option<String>>>,
+    capture: Capture,
 }
 
 impl Log {
     pub(super) fn start() -> io::Result<Self> {
-        let unsent = Arc::new(AtomicU64::new(0));
-        let count = Arc::clone(&unsent);
+        let (unsent, unsent_multicast) = (Unsent::default(), Unsent::default());
+        let (any, multicast) = (Arc::clone(&unsent.lines), Arc::clone(&unsent_multicast.lines));
+        let last = Arc::<Mutex<_>>::default();
+        let latest = Arc::clone(&last);
         let capture = Capture::start(move |line| {
             let text = text(line);
             if text.starts_with("ddsi_udp_conn_write") {
                 tracing::debug!("{line}");
-                count.fetch_add(1, Ordering::Relaxed);
+                any.fetch_add(1, Ordering::Relaxed);
+                let is_multicast = text.contains("udp/239.255.0.1:");
+                multicast.fetch_add(is_multicast.into(), Ordering::Relaxed);
                 return;
             }
-            let mut said = SAID.lock();
-            if said.len() < MAX_LINES && said.insert(text.to_owned()) {
+            if is_news(&mut SAID.lock(), text, Instant::now()) {
                 notice(format_args!("DDS: {text}"));
             }
+            *latest.lock() = Some(text.to_owned());
         })?;
-        Ok(Self { unsent, seen: 0, failing_checks: 0, _capture: capture })
+        Ok(Self { unsent, unsent_multicast, last, capture })
     }
 
-    /// Checks whether Cyclone cannot send packets. Call it at regular intervals.
-    pub(super) fn is_failing(&mut self) -> bool {
-        let unsent = self.unsent.load(Ordering::Relaxed);
-        self.failing_checks = if unsent == self.seen {
-            self.failing_checks.saturating_sub(1)
-        } else {
-            FAILING_CHECKS
-        };
-        self.seen = unsent;
-        self.failing_checks > 0
+    /// Counts the checks for which Cyclone could not send some packets, and those for which it
+    /// could not send announcements. Call it at regular intervals.
+    pub(super) fn failing_checks(&mut self) -> (u32, u32) {
+        (self.unsent.check(), self.unsent_multicast.check())
     }
+
+    /// Waits for all lines. Returns the last one that was not about an unsent packet.
+    pub(super) fn finish(self) -> Option<String> {
+        drop(self.capture);
+        self.last.lock().take()
+    }
+}
+
+/// Packets that could not be sent.
+#[derive(Default)]
+struct Unsent {
+    lines: Arc<AtomicU64>,
+    seen: u64,
+    /// Checks without a line before sending works again.
+    left: u32,
+    checks: u32,
+}
+
+impl Unsent {
+    fn check(&mut self) -> u32 {
+        let lines = self.lines.load(Ordering::Relaxed);
+        let is_new = std::mem::replace(&mut self.seen, lines) != lines;
+        self.left = if is_new { FAILING_CHECKS } else { self.left.saturating_sub(1) };
+        self.checks = if self.left > 0 { self.checks + 1 } else { 0 };
+        self.checks
+    }
+}
+
+/// Checks whether a line is to be printed, and remembers it. Lines that differ only in numbers,
+/// such as addresses in memory, count as the same.
+fn is_news(said: &mut BTreeMap<String, Instant>, text: &str, now: Instant) -> bool {
+    let is_number = |word: &&str| word.contains(|c: char| c.is_ascii_digit());
+    let words = text.split([' ', '(', ')', ',', '=', '@']).filter(|word| !is_number(word));
+    let key = words.collect::<Vec<_>>().join(" ");
+    said.retain(|_, at| now - *at < PAUSE);
+    if said.contains_key(&key) || said.len() >= MAX_LINES {
+        return false;
+    }
+    said.insert(key, now);
+    true
 }
 
 /// Cuts the time and the thread off a line such as `1795395521.219124 [7]        dds: text`.
@@ -82,5 +125,29 @@ mod tests {
         ] {
             assert_eq!(text(line), expected);
         }
+    }
+
+    #[test]
+    fn lines_are_limited_in_number_for_a_time() {
+        let (mut said, start) = (BTreeMap::new(), Instant::now());
+        let mut is_news = |text: &str, seconds| {
+            super::is_news(&mut said, text, start + Duration::from_secs(seconds))
+        };
+        assert!(is_news("invalid packet (0x7f01) of 10.0.0.1:7400", 0));
+        assert!(!is_news("invalid packet (0x8f02) of 10.0.0.2:7410", 1));
+        for name in 'a'..='z' {
+            is_news(&format!("a packet called {name}"), 2);
+        }
+        assert!(!is_news("another one", 500), "too many");
+        assert!(is_news("invalid packet (0x7f01) of 10.0.0.1:7400", 700));
+        assert!(is_news("another one", 700));
+    }
+
+    #[test]
+    fn sending_fails_until_there_was_no_line_for_some_checks() {
+        let mut unsent = Unsent::default();
+        assert_eq!(unsent.check(), 0);
+        unsent.lines.fetch_add(1, Ordering::Relaxed);
+        assert_eq!([(); 7].map(|()| unsent.check()), [1, 2, 3, 4, 5, 6, 0]);
     }
 }

@@ -7,10 +7,12 @@
 //! - `discovery_info` tells ROS the writers of each node.
 //! - `network` chooses interfaces, and writes Cyclone's configuration.
 //! - `log` filters Cyclone's messages.
+//! - `backoff` limits how often DDS is reopened.
 //! - `neighbours` detects other participants that return after a pause.
 //! - `pulse` checks from outside whether the participant is alive.
 //! - `static_peers` repeats the participant's announcements to hosts beyond multicast.
 
+mod backoff;
 mod discovery_info;
 mod log;
 mod neighbours;
@@ -23,17 +25,22 @@ mod static_peers;
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
+
+use self::backoff::Backoff;
 use self::log::Log;
 use self::neighbours::{Heard, Neighbours};
 use self::network::Network;
 use self::pulse::Pulse;
 use self::rtps::Prefix;
 use self::static_peers::StaticPeers;
-use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic};
+use super::discovery::StaticPeer;
+use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic, Unavailable};
 use super::names::NodeNames;
 use super::send_queue::{MAX_SILENT_CHECKS, SendQueue};
+use crate::output::notice::notice;
 
 /// Time that a new participant has to announce itself.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -46,38 +53,57 @@ const CHECKS_PER_INFO: u32 = 8;
 /// a moment when its lease is renewed.
 const MAX_CHANGED_CHECKS: u32 = 2;
 
+/// Checks without a sent announcement, on interfaces that are up, before the participant is
+/// reopened: 5 s.
+const MAX_DEAF_CHECKS: u32 = 10;
+
+/// What one participant leaves to the next.
+#[derive(Default)]
+pub(super) struct Memory {
+    heard: Arc<Mutex<Heard>>,
+    backoff: Arc<Mutex<Backoff>>,
+}
+
 pub(super) struct Dds {
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
     queue: Arc<SendQueue>,
-    thread: JoinHandle<Result<(), String>>,
+    thread: JoinHandle<Result<(), Unavailable>>,
     pulse: Pulse,
     log: Log,
     neighbours: Neighbours,
     static_peers: StaticPeers,
     prefix: Prefix,
     network: Network,
+    backoff: Arc<Mutex<Backoff>>,
+    /// Why the participant is to be reopened as soon as `backoff` allows it.
+    outdated: Option<String>,
     checks: u32,
     changed_checks: u32,
     silent_checks: u32,
 }
 
 impl Engine for Dds {
-    type Memory = Heard;
+    type Memory = Memory;
+    /// A participant that hangs may still answer readers.
+    const MAY_OVERLAP: bool = false;
 
     fn open(
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
-        heard: &Heard,
+        memory: &Memory,
     ) -> OpenedEngine<Self> {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
         let domain = settings.domain;
-        let neighbours = Neighbours::listen(domain, network.used(), heard)
+        let neighbours = Neighbours::listen(domain, network.used(), &memory.heard)
             .map_err(|error| format!("cannot listen to other participants: {error}"))?;
-        let peers = &settings.discovery.static_peers;
-        let static_peers = StaticPeers::new(peers, domain, settings.interface)
+        let mut peers = settings.discovery.static_peers.clone();
+        if network.asks_this_machine(&settings.discovery) {
+            peers.push(StaticPeer { host: "127.0.0.1".to_owned(), port: None });
+        }
+        let static_peers = StaticPeers::new(&peers, domain, settings.interface)
             .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
         let config = network.config(&settings.discovery, pulse.address());
         // Of the discovery information, only the last matters.
@@ -99,9 +125,17 @@ impl Engine for Dds {
         let Some(first) = first else {
             queue.close();
             // Joining a thread that hangs would hang too.
-            let why = (opened != Err(RecvTimeoutError::Timeout)).then(|| ended(thread)).flatten();
-            return Err(why.unwrap_or_else(|| "DDS does not announce itself".to_owned()));
+            let has_ended = opened != Err(RecvTimeoutError::Timeout);
+            let why = has_ended.then(|| ended(thread)).flatten();
+            let why = why.unwrap_or_else(|| "DDS does not announce itself".to_owned().into());
+            return Err(match (why, log.finish()) {
+                (Unavailable::Now(why), Some(line)) => format!("{why}: {}", explained(line)).into(),
+                (why, _) => why,
+            });
         };
+        if let Some(shortage) = network.shortage() {
+            notice(shortage);
+        }
         static_peers.announce(&first.bytes);
         let dds = Self {
             settings: Arc::clone(settings),
@@ -114,6 +148,8 @@ impl Engine for Dds {
             static_peers,
             prefix: first.sender,
             network,
+            backoff: Arc::clone(&memory.backoff),
+            outdated: None,
             checks: 0,
             changed_checks: 0,
             silent_checks: 0,
@@ -149,16 +185,27 @@ impl Engine for Dds {
             return dead("DDS no longer takes scans");
         }
         let network = Network::current(self.settings.interface, &self.settings.discovery);
-        self.changed_checks =
-            if self.network.differs(&network) { self.changed_checks + 1 } else { 0 };
-        if self.neighbours.is_one_back() || self.changed_checks >= MAX_CHANGED_CHECKS {
-            return Err(Reopen::Outdated);
+        let is_changed = self.network.differs(&network);
+        self.changed_checks = if is_changed { self.changed_checks + 1 } else { 0 };
+        if self.changed_checks >= MAX_CHANGED_CHECKS {
+            return Err(Reopen::Outdated("the network interfaces have changed".to_owned()));
+        }
+        let (failing_checks, deaf_checks) = self.log.failing_checks();
+        let deaf = || {
+            let is_deaf = deaf_checks >= MAX_DEAF_CHECKS && network.is_up();
+            is_deaf.then(|| "DDS cannot send, but its network interfaces are up".to_owned())
+        };
+        self.outdated = self.outdated.take().or(self.neighbours.returned()).or_else(deaf);
+        if let Some(why) = &self.outdated
+            && self.backoff.lock().allows(Instant::now())
+        {
+            return Err(Reopen::Outdated(why.clone()));
         }
         // Readers on this machine still get scans: DDS has no central server.
         Ok(if self.network.is_absent() && self.settings.discovery.is_beyond_this_machine() {
             let text = "this machine is in no network: until it is, only readers on it get scans";
             Some(text.to_owned())
-        } else if self.log.is_failing() {
+        } else if failing_checks > 0 {
             let text = "DDS cannot send on some network: readers there get no scans until it can";
             Some(text.to_owned())
         } else {
@@ -175,6 +222,10 @@ impl Engine for Dds {
         self.announce(&[]);
         self.queue.close();
         let _ = ended(self.thread);
+        // Cyclone's last announcement says that the participant is gone.
+        if let Some(announcement) = self.pulse.latest() {
+            self.static_peers.announce(&announcement.bytes);
+        }
     }
 }
 
@@ -187,10 +238,17 @@ impl Dds {
 }
 
 /// Waits until the thread ends. Returns its error.
-fn ended(thread: JoinHandle<Result<(), String>>) -> Option<String> {
-    match thread.join() {
-        Ok(Ok(())) => None,
-        Ok(Err(why)) => Some(why),
-        Err(_) => Some("the thread of DDS has panicked".to_owned()),
+fn ended(thread: JoinHandle<Result<(), Unavailable>>) -> Option<Unavailable> {
+    thread.join().unwrap_or_else(|_| Err("the thread of DDS has panicked".to_owned().into())).err()
+}
+
+/// Adds to a line of Cyclone what the user can do.
+fn explained(line: String) -> String {
+    if line.contains("participant index") {
+        return format!(
+            "{line}: too many participants run on this machine, end some of them or choose \
+             another --domain"
+        );
     }
+    line
 }

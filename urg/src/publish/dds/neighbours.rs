@@ -14,31 +14,45 @@ use std::time::{Duration, Instant, SystemTime};
 use parking_lot::Mutex;
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 
-use super::rtps::{Prefix, packets};
+use super::rtps::{Packet, Prefix, packets};
 
 /// Default multicast group of DDS for announcements.
 const GROUP: Ipv4Addr = Ipv4Addr::new(239, 255, 0, 1);
 
-/// Silence after which a participant is forgotten. ROS 2 has a lease of 20 s; a second less,
-/// because checks may be late.
-const LEASE: Duration = Duration::from_secs(19);
+/// Silence after which others forget this process. Its lease, as in `network`, is a second
+/// longer: checks may be late.
+const OWN_LEASE: Duration = Duration::from_secs(19);
+
+/// Lease of a participant that announces none.
+const DEFAULT_LEASE: Duration = Duration::from_secs(100);
 
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
 const MAX_NEIGHBOURS: usize = 10_000;
 
-/// When each participant was last heard. Outlives Cyclone's participant: another one may answer the
+/// Participants by their identity. Outlives Cyclone's participant: another one may answer the
 /// new participant directly, and then be silent before it announces itself to all.
-pub(super) type Heard = Arc<Mutex<HashMap<Prefix, Instant>>>;
+pub(super) type Heard = HashMap<Prefix, Neighbour>;
+
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Neighbour {
+    /// When its latest announcement was received.
+    last: Instant,
+    lease: Duration,
+}
 
 pub(super) struct Neighbours {
     socket: UdpSocket,
-    heard: Heard,
+    heard: Arc<Mutex<Heard>>,
     checked: (Instant, SystemTime),
 }
 
 impl Neighbours {
     /// Gives each participant in `heard` a new lease: any of them may know the new participant.
-    pub(super) fn listen(domain: u16, interfaces: &[Ipv4Addr], heard: &Heard) -> io::Result<Self> {
+    pub(super) fn listen(
+        domain: u16,
+        interfaces: &[Ipv4Addr],
+        heard: &Arc<Mutex<Heard>>,
+    ) -> io::Result<Self> {
         let port = 7400 + 250 * u32::from(domain);
         let port = u16::try_from(port).map_err(io::Error::other)?;
         let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
@@ -51,70 +65,90 @@ impl Neighbours {
             let _ = socket.join_multicast_v4(&GROUP, interface);
         }
         let checked = (Instant::now(), SystemTime::now());
-        heard.lock().values_mut().for_each(|last| *last = checked.0);
+        heard.lock().values_mut().for_each(|neighbour| neighbour.last = checked.0);
         Ok(Self { socket: socket.into(), heard: Arc::clone(heard), checked })
     }
 
-    /// Checks whether a forgotten participant is back. Also true if this process itself was
-    /// stopped, or the machine slept. Call it at regular intervals.
-    pub(super) fn is_one_back(&mut self) -> bool {
+    /// Checks whether a forgotten participant is back, or this process itself, after it was
+    /// stopped or the machine slept. Returns a line for the user. Call it at regular intervals.
+    pub(super) fn returned(&mut self) -> Option<String> {
         let (now, clock) = (Instant::now(), SystemTime::now());
         let (before, clock_before) = std::mem::replace(&mut self.checked, (now, clock));
         // Only the wall clock includes the time that the machine slept.
         let slept = clock.duration_since(clock_before).unwrap_or_default();
-        if now - before > LEASE || slept > LEASE {
-            return true;
+        let stopped = slept.max(now - before);
+        if stopped > OWN_LEASE {
+            return Some(format!("this program was stopped for {} s", stopped.as_secs()));
         }
         // Takes all of them, also after one that is back.
-        packets(&self.socket).filter(|packet| self.hear(packet.sender, now)).count() > 0
+        let silences = packets(&self.socket).filter_map(|packet| self.hear(&packet, now));
+        let silence = silences.max()?;
+        Some(format!("a reader is back that was silent for {} s", silence.as_secs()))
     }
 
-    /// Notes an announcement. True if the participant had been forgotten.
-    fn hear(&self, sender: Prefix, now: Instant) -> bool {
+    /// Remembers an announcement. Returns the silence before it, if the participant had been
+    /// forgotten.
+    fn hear(&self, packet: &Packet, now: Instant) -> Option<Duration> {
         let mut heard = self.heard.lock();
         if heard.len() >= MAX_NEIGHBOURS {
             heard.clear();
         }
-        heard.insert(sender, now).is_some_and(|before| now - before > LEASE)
+        let neighbour =
+            heard.entry(packet.sender).or_insert(Neighbour { last: now, lease: DEFAULT_LEASE });
+        let silence = now - std::mem::replace(&mut neighbour.last, now);
+        // Checks may be late.
+        let is_back = silence > neighbour.lease.mul_f64(0.95);
+        neighbour.lease = packet.lease().unwrap_or(neighbour.lease);
+        is_back.then_some(silence)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::rtps::tests::announced;
     use super::*;
+
+    fn announcement(number: u8) -> Packet {
+        Packet { sender: [number; 12], ..announced(24) }
+    }
 
     #[test]
     fn a_participant_that_was_silent_for_its_lease_is_back() {
-        let neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
+        let neighbours = Neighbours::listen(0, &[], &Arc::default()).unwrap();
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
-        assert!(!neighbours.hear([1; 12], start), "it is new");
-        assert!(!neighbours.hear([1; 12], after(15)));
-        assert!(!neighbours.hear([2; 12], after(33)), "another one is new");
-        assert!(neighbours.hear([1; 12], after(36)));
-        assert!(!neighbours.hear([1; 12], after(39)), "once");
+        let hear = |number, at| neighbours.hear(&announcement(number), at);
+        assert_eq!(hear(1, start), None, "it is new");
+        assert_eq!(hear(1, after(22)), None);
+        assert_eq!(hear(2, after(33)), None, "another one is new");
+        assert_eq!(hear(1, after(46)), Some(Duration::from_secs(24)));
+        assert_eq!(hear(1, after(49)), None, "once");
     }
 
     #[test]
     fn a_participant_that_was_last_heard_before_a_reopening_is_back_after_its_lease() {
-        let heard = Heard::default();
+        let heard = Arc::default();
         let before = Neighbours::listen(0, &[], &heard).unwrap();
-        before.hear([1; 12], Instant::now());
-        before.hear([2; 12], Instant::now());
+        before.hear(&announcement(1), Instant::now());
+        before.hear(&announcement(2), Instant::now());
         let after = Neighbours::listen(0, &[], &heard).unwrap();
         let reopened = Instant::now();
-        assert!(!after.hear([1; 12], reopened + Duration::from_secs(15)), "it has a new lease");
-        assert!(after.hear([2; 12], reopened + Duration::from_secs(42)));
+        let hear = |number, seconds| {
+            after.hear(&announcement(number), reopened + Duration::from_secs(seconds))
+        };
+        assert_eq!(hear(1, 15), None, "it has a new lease");
+        assert!(hear(2, 42).is_some());
     }
 
     #[test]
     fn a_process_that_was_stopped_is_back_itself() {
-        let mut neighbours = Neighbours::listen(0, &[], &Heard::default()).unwrap();
-        assert!(!neighbours.is_one_back());
-        neighbours.checked.0 -= LEASE + Duration::from_secs(1);
-        assert!(neighbours.is_one_back());
-        neighbours.checked.1 -= LEASE + Duration::from_secs(1);
-        assert!(neighbours.is_one_back(), "its machine slept");
-        assert!(!neighbours.is_one_back());
+        let mut neighbours = Neighbours::listen(0, &[], &Arc::default()).unwrap();
+        assert_eq!(neighbours.returned(), None);
+        let long = OWN_LEASE + Duration::from_secs(1);
+        neighbours.checked.0 -= long;
+        assert!(neighbours.returned().is_some());
+        neighbours.checked.1 -= long;
+        assert!(neighbours.returned().is_some(), "its machine slept");
+        assert_eq!(neighbours.returned(), None);
     }
 }

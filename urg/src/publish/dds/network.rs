@@ -4,9 +4,9 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
-use super::static_peers::MAX_PEER_INDEX;
 use crate::publish::discovery::{Discovery, Range};
 
+/// Maximum of Cyclone.
 const MAX_INTERFACES: usize = 4;
 
 /// Highest index of a participant on this machine. The index selects its ports, and a domain
@@ -17,52 +17,63 @@ const MAX_INDEX: u32 = 119;
 const MAX_VENDOR: u32 = 32;
 
 /// Addresses of this machine.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub(super) struct Network {
-    /// All addresses except loopback. If they change, the participant has to be reopened.
-    addresses: BTreeSet<Ipv4Addr>,
+    /// All addresses except loopback, with the index of their interface. If they change, the
+    /// participant has to be reopened. An interface that is made again has another index.
+    addresses: BTreeSet<(Option<u32>, Ipv4Addr)>,
     /// Addresses for DDS, one per interface.
     used: Vec<Ipv4Addr>,
+    /// Addresses for which DDS has no room.
+    left_out: Vec<Ipv4Addr>,
+    /// Whether all used interfaces are up.
+    is_up: bool,
+}
+
+/// Interface as the system describes it.
+struct Interface {
+    is_up: bool,
+    index: Option<u32>,
+    name: String,
+    address: Ipv4Addr,
 }
 
 impl Network {
     /// Reads the interfaces of the system. `only` restricts DDS to one address.
     pub(super) fn current(only: Option<IpAddr>, discovery: &Discovery) -> Self {
-        if let Some(IpAddr::V4(only)) = only {
-            return Self { addresses: BTreeSet::from([only]), used: vec![only] };
-        }
-        if discovery.range != Range::Subnet && discovery.static_peers.is_empty() {
-            return Self { addresses: BTreeSet::new(), used: vec![Ipv4Addr::LOCALHOST] };
+        if discovery.range != Range::Subnet && discovery.static_peers.is_empty() && only.is_none() {
+            return Self::from_interfaces(Vec::new());
         }
         // An error means out of memory. The next check tries again.
         let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
         let found = interfaces.into_iter().filter_map(|interface| match interface.ip() {
-            IpAddr::V4(address) if !address.is_loopback() => {
-                Some((interface.is_oper_up(), interface.name, address))
+            IpAddr::V4(address) if only.map_or(!address.is_loopback(), |only| only == address) => {
+                let (is_up, index) = (interface.is_oper_up(), interface.index);
+                Some(Interface { is_up, index, name: interface.name, address })
             }
             _ => None,
         });
         Self::from_interfaces(found.collect())
     }
 
-    /// Chooses among interfaces, each with its state (up or not), name and address.
-    fn from_interfaces(mut found: Vec<(bool, String, Ipv4Addr)>) -> Self {
-        let addresses = found.iter().map(|(.., address)| *address).collect();
+    fn from_interfaces(mut found: Vec<Interface>) -> Self {
+        let addresses = found.iter().map(|it| (it.index, it.address)).collect();
         // Cyclone does not mix link-local addresses with others.
-        if found.iter().any(|(.., address)| !address.is_link_local()) {
-            found.retain(|(.., address)| !address.is_link_local());
+        if found.iter().any(|it| !it.address.is_link_local()) {
+            found.retain(|it| !it.address.is_link_local());
         } else {
             found.truncate(1);
         }
         let mut names = BTreeSet::new();
-        found.retain(|(_, name, _)| names.insert(name.clone()));
-        found.sort_by_key(|(is_up, ..)| !is_up);
-        found.truncate(MAX_INTERFACES);
-        let mut used: Vec<_> = found.into_iter().map(|(.., address)| address).collect();
+        found.retain(|it| names.insert(it.name.clone()));
+        found.sort_by_key(|it| !it.is_up);
+        let others = found.split_off(found.len().min(MAX_INTERFACES));
+        let is_up = found.iter().all(|it| it.is_up);
+        let mut used: Vec<_> = found.into_iter().map(|it| it.address).collect();
         if used.is_empty() {
             used.push(Ipv4Addr::LOCALHOST);
         }
-        Self { addresses, used }
+        Self { addresses, used, left_out: others.iter().map(|it| it.address).collect(), is_up }
     }
 
     pub(super) fn used(&self) -> &[Ipv4Addr] {
@@ -74,29 +85,51 @@ impl Network {
         self.addresses.is_empty()
     }
 
-    /// Checks whether an address was added or removed since `self`.
+    pub(super) fn is_up(&self) -> bool {
+        self.is_up
+    }
+
+    /// Line for the user if there are more interfaces than DDS can use.
+    pub(super) fn shortage(&self) -> Option<String> {
+        let list = |addresses: &[Ipv4Addr]| {
+            addresses.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+        };
+        let (used, left_out) = (list(&self.used), list(&self.left_out));
+        (!left_out.is_empty()).then(|| {
+            format!("DDS uses only {used}, and not {left_out}: choose one with --interface")
+        })
+    }
+
+    /// Whether participants on this machine have to be asked one by one: they may not listen to
+    /// multicast.
+    pub(super) fn asks_this_machine(&self, discovery: &Discovery) -> bool {
+        match discovery.range {
+            Range::Subnet => self.is_loopback(),
+            Range::Localhost => true,
+            Range::Off => false,
+        }
+    }
+
+    fn is_loopback(&self) -> bool {
+        self.used == [Ipv4Addr::LOCALHOST]
+    }
+
+    /// Checks whether an address was added or removed since `self`, or its interface made again.
     pub(super) fn differs(&self, now: &Self) -> bool {
         self.addresses != now.addresses
     }
 
     /// Writes Cyclone's configuration. The participant announces itself to `pulse` as well.
     pub(super) fn config(&self, discovery: &Discovery, pulse: SocketAddr) -> String {
-        let is_local = self.used == [Ipv4Addr::LOCALHOST];
         let is_off = discovery.range == Range::Off;
         let has_multicast = discovery.range == Range::Subnet;
         let mut interfaces = String::new();
         for address in &self.used {
             // The loopback of Linux supports multicast, but does not have the flag.
-            let multicast = if is_local && has_multicast { " multicast=\"true\"" } else { "" };
+            let multicast =
+                if self.is_loopback() && has_multicast { " multicast=\"true\"" } else { "" };
             let _ = write!(interfaces, "<NetworkInterface address=\"{address}\"{multicast}/>");
         }
-        let mut peers = format!("<Peer address=\"{pulse}\" PruneDelay=\"inf\"/>");
-        let asks_this_machine = !is_off && (is_local || !has_multicast);
-        if asks_this_machine {
-            peers.push_str("<Peer address=\"127.0.0.1\" PruneDelay=\"inf\"/>");
-        }
-        let is_asked = asks_this_machine || !discovery.static_peers.is_empty();
-        let max_index = if is_asked { MAX_PEER_INDEX } else { MAX_INDEX };
         // A unique tag isolates the participant, as in ROS 2.
         let tag =
             if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };
@@ -119,9 +152,9 @@ impl Network {
              <AllowMulticast>{multicast}</AllowMulticast>\
              <MaxMessageSize>65000B</MaxMessageSize><FragmentSize>60000B</FragmentSize></General>\
              <Discovery><ParticipantIndex>auto</ParticipantIndex>\
-             <MaxAutoParticipantIndex>{max_index}</MaxAutoParticipantIndex>\
+             <MaxAutoParticipantIndex>{MAX_INDEX}</MaxAutoParticipantIndex>\
              <LeaseDuration>20s</LeaseDuration><SPDPInterval>2s</SPDPInterval>{tag}\
-             <Peers AddLocalhost=\"false\">{peers}</Peers></Discovery>\
+             <Peers AddLocalhost=\"false\"><Peer address=\"{pulse}\" PruneDelay=\"inf\"/></Peers></Discovery>\
              <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\
              <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation>\
@@ -135,12 +168,18 @@ impl Network {
 mod tests {
     use super::*;
 
+    fn network(found: &[(bool, &str, &str)]) -> Network {
+        let interface = |(number, (is_up, name, address)): (u32, &(bool, &str, &str))| Interface {
+            is_up: *is_up,
+            index: Some(number),
+            name: (*name).to_owned(),
+            address: address.parse().unwrap(),
+        };
+        Network::from_interfaces((1..).zip(found).map(interface).collect())
+    }
+
     fn used(found: &[(bool, &str, &str)]) -> Vec<String> {
-        let found = found
-            .iter()
-            .map(|(up, name, address)| (*up, (*name).to_owned(), address.parse().unwrap()))
-            .collect();
-        Network::from_interfaces(found).used.iter().map(ToString::to_string).collect()
+        network(found).used.iter().map(ToString::to_string).collect()
     }
 
     #[test]
@@ -154,6 +193,10 @@ mod tests {
             (true, "eth1", "10.3.0.1"),
         ];
         assert_eq!(used(&found), ["10.0.0.1", "10.1.0.1", "10.2.0.1", "10.3.0.1"]);
+        let line = network(&found).shortage().unwrap();
+        assert!(line.contains("10.3.0.1, and not 172.17.0.1"), "{line}");
+        assert_eq!(network(&found[1..]).shortage(), None);
+        assert!(network(&found).is_up && !network(&found[..1]).is_up);
     }
 
     #[test]
@@ -164,5 +207,14 @@ mod tests {
             ["169.254.1.1"]
         );
         assert_eq!(used(&[]), ["127.0.0.1"]);
+    }
+
+    #[test]
+    fn an_interface_made_again_is_another_one() {
+        let (a, b) = ((true, "a", "10.0.0.1"), (true, "b", "10.1.0.1"));
+        let before = network(&[a, b]);
+        assert!(!before.differs(&network(&[(false, "a", "10.0.0.1"), b])), "it is down");
+        assert!(before.differs(&network(&[b, a])), "other indexes");
+        assert!(before.differs(&network(&[a])));
     }
 }

@@ -12,7 +12,7 @@ use serde::de::{Deserialize, Deserializer, Error};
 use serde::ser::{Serialize, SerializeTuple, Serializer};
 
 use super::discovery_info;
-use crate::publish::engine::{self, Qos};
+use crate::publish::engine::{self, Qos, Unavailable};
 use crate::publish::send_queue::SendQueue;
 
 // The binding prepends a header with this machine's byte order to our little-endian messages.
@@ -70,15 +70,16 @@ impl Topicable for Encoded {
 /// information. Calls `opened`, writes the messages of `queue` until it is closed and empty, and
 /// closes the participant.
 ///
-/// `config` is Cyclone's configuration, as XML.
+/// `config` is Cyclone's configuration, as XML. Only the network can be a reason to retry.
 pub(super) fn run(
     domain: u16,
     config: &str,
     topics: &[engine::Topic],
     queue: &SendQueue,
     opened: impl FnOnce(),
-) -> Result<(), String> {
+) -> Result<(), Unavailable> {
     let failed = |what: &'static str| move |error| format!("cannot {what}: {error}");
+    let never = |what| move |error| Unavailable::Permanently(failed(what)(error));
     let domain = Domain::new_with_xml_config(domain.into(), config).map_err(failed("open DDS"))?;
     // Same as ROS 2's own participants. Without it, ROS 2 Kilted shows endpoints without names.
     let enclave = QoS::new().with_user_data(UserData { value: b"enclave=/;".to_vec() });
@@ -88,7 +89,7 @@ pub(super) fn run(
         .map_err(failed("create a DDS participant"))?;
     let topic = |name: &str, type_name: String| {
         TYPE_NAME.set(type_name);
-        Topic::<Encoded>::new(&participant, name).map_err(failed("create a DDS topic"))
+        Topic::<Encoded>::new(&participant, name).map_err(never("create a DDS topic"))
     };
     // ROS topics have a prefix in DDS.
     let ros_topics =
@@ -104,7 +105,7 @@ pub(super) fn run(
         .zip(ros_qos.chain([qos(Qos::Reliable, 1, true)]))
         .map(|(topic, qos)| Writer::builder(topic).with_qos(&qos).build())
         .collect::<Result<Vec<_>, _>>()
-        .map_err(failed("create a DDS writer"))?;
+        .map_err(never("create a DDS writer"))?;
     opened();
     while let Some(message) = queue.pop() {
         let Some(writer) = writers.get(message.topic) else { continue };

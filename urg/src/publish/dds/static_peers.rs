@@ -16,7 +16,7 @@ use parking_lot::Mutex;
 use crate::publish::discovery::StaticPeer;
 
 /// Highest participant index to try at a peer, as in ROS 2: each index costs a packet.
-pub(super) const MAX_PEER_INDEX: u32 = 32;
+const MAX_PEER_INDEX: u32 = 32;
 
 const LOOKUP_INTERVAL: Duration = Duration::from_secs(10);
 

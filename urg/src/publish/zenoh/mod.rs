@@ -12,9 +12,10 @@ mod graph;
 mod kept;
 mod router;
 
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub;
@@ -24,7 +25,7 @@ use zenoh::{Config, Session, Wait};
 use self::graph::{Gid, GraphNode, attachment, gid};
 use self::kept::Kept;
 use self::router::InTransit;
-use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Reopen, Topic};
+use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Reopen, Topic, Unavailable};
 use super::send_queue::SendQueue;
 
 /// Setting for how long a put waits for room, in microseconds.
@@ -34,9 +35,14 @@ const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/
 /// keep-alives in that time.
 const LEASE: u32 = 2_000;
 
+/// Time for the last messages when the session is closed. On a dead link a `put` waits longer.
+const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+
 pub(super) struct Zenoh {
     settings: Arc<EngineSettings>,
     session: Session,
+    /// Address of the link to the router, when the session was opened.
+    local_address: Option<IpAddr>,
     tokens: Vec<LivelinessToken>,
     /// Serves late readers until dropped.
     _transforms: Option<Kept>,
@@ -47,9 +53,14 @@ pub(super) struct Zenoh {
 
 impl Engine for Zenoh {
     type Memory = ();
+    /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. The router drops it
+    /// after 2 s.
+    const MAY_OVERLAP: bool = true;
 
     fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
-        let config = config(settings).map_err(|error| format!("cannot set up zenoh: {error}"))?;
+        let config = config(settings)
+            .map_err(|error| Unavailable::Permanently(format!("cannot set up zenoh: {error}")))?;
+        let local_address = router::local_address(&settings.router);
         let session = zenoh::open(config)
             .wait()
             .map_err(|_| format!("no zenoh router answers at {}", settings.router))?;
@@ -64,6 +75,7 @@ impl Engine for Zenoh {
         let zenoh = Self {
             settings: Arc::clone(settings),
             session,
+            local_address,
             tokens,
             _transforms: transforms,
             queue: Arc::clone(&queue),
@@ -80,6 +92,11 @@ impl Engine for Zenoh {
                 self.queue.set_connected(answers);
                 let update = if answers { InTransit::confirm } else { InTransit::lose };
                 self.in_transit.iter_mut().for_each(update);
+                // zenoh itself keeps the dead link for 10 s.
+                let address = (!answers).then(|| router::local_address(&self.settings.router));
+                if address.flatten().is_some_and(|now| Some(now) != self.local_address) {
+                    return Err(Reopen::Outdated("this machine has another address".to_owned()));
+                }
                 (!answers).then_some("waiting for it, scans are dropped until then")
             }
             Mode::Peer => {
@@ -99,16 +116,17 @@ impl Engine for Zenoh {
 
     fn close(mut self) {
         self.queue.close();
-        // Without a connection, a `put` may wait for a long time.
-        if self.queue.is_connected() {
-            // The thread does not panic.
-            let _ = self.thread.join();
+        let end = Instant::now() + DRAIN_TIMEOUT;
+        while !self.thread.is_finished() && Instant::now() < end {
+            std::thread::sleep(DRAIN_TIMEOUT / 100);
         }
         // No answer confirms the last scans.
         self.in_transit.iter_mut().for_each(InTransit::lose);
-        for token in self.tokens {
-            // An error means that the session is already closed.
-            let _ = token.undeclare().wait();
+        if self.thread.is_finished() {
+            for token in self.tokens {
+                // An error means that the session is already closed.
+                let _ = token.undeclare().wait();
+            }
         }
         let _ = self.session.close().wait();
     }

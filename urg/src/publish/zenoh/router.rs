@@ -2,6 +2,7 @@
 //! Zenoh itself closes the link to a silent router only after 10 s, and does not tell which
 //! messages were lost.
 
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -24,6 +25,20 @@ pub(super) fn answers(session: &Session) -> bool {
     // The router answers by closing the channel without a reply. A reply can only be the
     // timeout's error. Without a connection, the channel closes as well.
     replies.recv().is_err() && session.info().routers_zid().wait().next().is_some()
+}
+
+/// Local address that a new link to the router would have. Blocks while it looks up a name.
+pub(super) fn local_address(locator: &str) -> Option<IpAddr> {
+    let address = locator.strip_prefix("tcp/")?.split(['#', '?']).next()?;
+    let router = address.to_socket_addrs().ok()?.next()?;
+    let any: IpAddr = match router {
+        SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
+        SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
+    };
+    let socket = UdpSocket::bind((any, 0)).ok()?;
+    // Sends nothing: UDP has no connections.
+    socket.connect(router).ok()?;
+    Some(socket.local_addr().ok()?.ip())
 }
 
 /// Messages of one topic that the router may not have received yet.
