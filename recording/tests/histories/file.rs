@@ -48,8 +48,10 @@ impl Message {
         is_poll || self.is_laser_scan() && super::foreign::is_readable(&self.data)
     }
 
+    /// A topic whose type was lost with a damaged part is taken for what its name says.
     pub(super) fn is_laser_scan(&self) -> bool {
-        self.topic.starts_with("/scan cdr ") && self.topic.contains("sensor_msgs/msg/LaserScan")
+        let is_of_type = self.topic.contains("sensor_msgs/msg/LaserScan") || self.has_lost_type();
+        self.topic.starts_with("/scan cdr ") && is_of_type
     }
 
     pub(super) fn has_lost_type(&self) -> bool {
