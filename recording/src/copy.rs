@@ -58,8 +58,10 @@ pub struct Copied {
 /// file makes the most of small records.
 ///
 /// Blocks the thread, and reads all inputs to their end. Needs memory for the longest chunk of each
-/// input, plus 100 bytes for each chunk of the copy, plus the definitions of message types: up to
-/// 64 MiB for each input, and twice for the copy. Definitions that do not fit are damage.
+/// input, plus 64 MiB for the index of the copy, plus the definitions of message types: up to 64 MiB
+/// for each input, and twice for the copy. Definitions that do not fit are damage. A copy whose index
+/// would be longer has none: its chunks have about a second of messages, and 768 KiB once the index
+/// has 8 MiB.
 ///
 /// Definitions that were lost with a damaged part are taken from the index if the input is a
 /// [`File`](std::fs::File). Without it, messages of recordings keep their type, and others have none.
@@ -337,7 +339,8 @@ impl<W: Write> Copy<W> {
 
     fn message(&mut self, header: MessageHeader, data: &[u8]) -> std::io::Result<()> {
         let began = *self.chunk_began.get_or_insert(header.log_time);
-        if header.log_time.saturating_sub(began) >= CHUNK_SPAN {
+        let is_long = header.log_time.saturating_sub(began) >= CHUNK_SPAN;
+        if is_long && self.writer.has_short_index() {
             self.writer.flush()?;
             self.chunk_began = Some(header.log_time);
         }

@@ -18,11 +18,10 @@ use super::topics::Topic;
 use super::{METADATA, RecordingError};
 use tokio_scip::{Rate, Window};
 
-/// Number of records to search for the metadata. The search stops after the section that
-/// reaches this position: the metadata is near the beginning, and the records read before
-/// it stay in memory.
+/// Number of messages to search for the metadata, which are near the beginning. The messages before
+/// them stay in memory, so the search also stops after this many bytes of records.
 const METADATA_SEARCH_RECORDS: usize = 256;
-const METADATA_SEARCH_BYTES: u64 = 1 << 20;
+const METADATA_SEARCH_BYTES: usize = 1 << 20;
 /// Number of other topics to name.
 const MAX_OTHER_TOPICS: usize = 16;
 /// Reason for damage that no checksum covers.
@@ -35,8 +34,9 @@ const UNKNOWN_CHANNEL: &str = "the channel of a message is not defined";
 /// A damaged part is an item, [`RecordingError::Damaged`], and the records after it
 /// follow. Any other error is the last item. Reading blocks the thread.
 ///
-/// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims. With
-/// feature `compression` the limit also applies to its decompressed bytes.
+/// The file's longest chunk, at most 64 MiB, bounds the memory, whatever the file claims: one more
+/// of its messages may be in memory too. With feature `compression` the limit also applies to its
+/// decompressed bytes.
 ///
 /// ```no_run
 /// use urg_recording::{Entry, Recording};
@@ -54,6 +54,8 @@ pub struct Recording {
     metadata: BTreeMap<String, String>,
     /// Number of metadata records of a sensor read so far.
     descriptions: u64,
+    /// Bytes of records read so far, without compression.
+    read_bytes: usize,
     /// Records read in advance.
     ahead: VecDeque<Result<Record, RecordingError>>,
     /// Part to read.
@@ -69,7 +71,7 @@ pub struct Recording {
 
 impl Recording {
     /// Opens a recording and reads up to its metadata: at most 256 messages, and at most one
-    /// chunk beyond the first MiB.
+    /// message beyond the first MiB of records.
     ///
     /// # Errors
     ///
@@ -101,6 +103,7 @@ impl Recording {
             messages: Messages::default(),
             metadata: BTreeMap::new(),
             descriptions: 0,
+            read_bytes: 0,
             ahead: VecDeque::new(),
             range: TimeRange::new(&..),
             topic: None,
@@ -110,7 +113,7 @@ impl Recording {
         };
         while recording.metadata.is_empty()
             && recording.ahead.len() < METADATA_SEARCH_RECORDS
-            && recording.records.offset() < METADATA_SEARCH_BYTES
+            && recording.read_bytes < METADATA_SEARCH_BYTES
         {
             match recording.step() {
                 Ok(ReadStep::Record(record)) => recording.ahead.push_back(Ok(record)),
@@ -248,6 +251,7 @@ impl Recording {
 
     fn next_step(&mut self) -> Result<ReadStep, RecordingError> {
         let Some((kind, content)) = self.records.next()? else { return Ok(ReadStep::End) };
+        self.read_bytes = self.read_bytes.saturating_add(content.len());
         match kind {
             kind::SCHEMA | kind::CHANNEL => self.messages.define(kind, content),
             kind::METADATA => {

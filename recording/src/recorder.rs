@@ -400,9 +400,9 @@ impl RecorderBuilder {
         self.start(out, &current, first)
     }
 
-    /// Records into any writer, such as a pipe. Makes no further files: a recording of more
-    /// than 65,536 chunks ends without an index, and other readers have to read it from its
-    /// beginning.
+    /// Records into any writer, such as a pipe. Makes no further files: after 150,000 chunks,
+    /// 41 hours or more, a recording ends without an index, and other readers have to read it
+    /// from its beginning.
     ///
     /// # Errors
     ///

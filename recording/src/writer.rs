@@ -6,7 +6,7 @@ use std::io;
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
-use super::mcap::{self, MAX_INDEX_ENTRIES, McapWriter, MessageHeader, nanos};
+use super::mcap::{self, McapWriter, MessageHeader, nanos};
 use super::output::Output;
 use super::parts::Parts;
 use super::topics::Topic;
@@ -225,7 +225,7 @@ impl Writer {
 
 /// Starts a file with the three channels.
 fn start(out: Box<dyn Output>) -> io::Result<McapWriter<Box<dyn Output>>> {
-    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY), MAX_INDEX_ENTRIES)?;
+    let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY))?;
     for topic in Topic::ALL {
         let message = topic.message_type();
         mcap.add_schema(topic.schema(), message.name(), message.definition());

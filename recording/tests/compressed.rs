@@ -11,7 +11,10 @@ use ruzstd::encoding::{CompressionLevel, compress_to_vec};
 use tokio_scip::{Scan, Window};
 use urg_recording::{Recording, cut, repair};
 
-use super::raw::{MAGIC, channel, chunk_of, damaged_at, end, event, of_kind, read, text};
+use super::memory::reply;
+use super::raw::{
+    MAGIC, channel, channel_content, chunk_of, damaged_at, end, event, of_kind, read, text,
+};
 use super::sink::{Sink, record, replayed, sensor, window};
 
 /// Chunk with this compression, which claims `size` bytes and has no checksum.
@@ -148,6 +151,20 @@ async fn a_compressed_recording_is_read_replayed_and_copied_as_the_original() {
         let told = |scan: &Scan| (scan.values().to_vec(), scan.stamp());
         assert!(replayed.iter().map(told).eq(scans.iter().map(told)));
     }
+}
+
+/// Replies before the metadata are kept in memory, and compressed ones are short in the file.
+#[test]
+fn long_compressed_messages_do_not_fill_the_memory() {
+    let channel = of_kind(0x04, &channel_content(0, "/scip/replies"));
+    let records = [channel, reply(4_000_000)].concat();
+    let chunk = compressed_chunk("zstd", records.len() as u64, &compress("zstd", &records));
+    let file = [MAGIC, &chunk.repeat(50)].concat();
+    let counted = allocation_counter::measure(|| {
+        let recording = Recording::read(Cursor::new(file)).unwrap();
+        assert_eq!(recording.map(Result::unwrap).count(), 50);
+    });
+    assert!(counted.bytes_max < 40_000_000, "{} bytes in memory", counted.bytes_max);
 }
 
 #[tokio::test(start_paused = true)]
@@ -296,27 +313,27 @@ fn a_chunk_that_decompresses_to_more_than_it_claims_is_damaged_and_takes_no_memo
     }
 }
 
-/// Each chunk has a schema of 2 MiB and a message of its type.
+/// Each chunk has a schema of a megabyte and a message of its type.
 #[test]
 fn compressed_schemas_do_not_fill_the_memory() {
     const MIB: usize = 1 << 20;
     let chunk = |number: u8| {
         let channel = [&[number, 0, number, 0][..], &text("/a"), &text("cdr"), &[0; 4]].concat();
         let name = text(&format!("a/msg/A{number}"));
-        let definition = [&(2 * MIB as u32).to_le_bytes()[..], &vec![b' '; 2 * MIB]].concat();
+        let definition = [&1_000_000_u32.to_le_bytes()[..], &vec![b' '; 1_000_000]].concat();
         let schema = [&[number, 0][..], &name, &text("ros2msg"), &definition].concat();
         let message = [&[number][..], &[0; 21]].concat();
         let records =
             [of_kind(0x03, &schema), of_kind(0x04, &channel), of_kind(0x05, &message)].concat();
         compressed_chunk("lz4", records.len() as u64, &compress("lz4", &records))
     };
-    let chunks: Vec<u8> = (1..=60).flat_map(chunk).collect();
+    let chunks: Vec<u8> = (1..=120).flat_map(chunk).collect();
     let file = [MAGIC, &chunks, &end()].concat();
     assert!(file.len() < 2 * MIB);
     let counted = allocation_counter::measure(|| {
         let outcome = repair(Cursor::new(file), std::io::sink()).unwrap();
         // Those whose schema did not fit have none.
-        assert_eq!((outcome.messages, outcome.damaged_parts), (60, 29));
+        assert_eq!((outcome.messages, outcome.damaged_parts), (120, 53));
     });
     // The definitions of the file, and twice those of its copy: for its chunks, and for its index.
     let most = (3 * 64 + 16) * MIB as u64;

@@ -4,7 +4,7 @@ use std::io::{self, Read};
 
 use allocation_counter::measure;
 use tokio_scip::Rate;
-use urg_recording::{Recording, RecordingError};
+use urg_recording::{Recording, RecordingError, repair};
 
 use super::raw::{MAGIC, channel, channel_content, chunk_of, event, metadata, of_kind, text};
 
@@ -58,7 +58,7 @@ fn a_recording_of_20_mb_is_read_in_the_memory_of_two_of_its_chunks() {
 }
 
 /// Makes a reply of a sensor of this length.
-fn reply(length: usize) -> Vec<u8> {
+pub(super) fn reply(length: usize) -> Vec<u8> {
     let (command, length_field) = (text("\0"), (length as u32).to_le_bytes());
     // The encapsulation, a dimension, the padded label, size, stride, offset, the bytes.
     let layout = [&[0, 1, 0, 0, 1, 0, 0, 0][..], &command, &[0; 3], &[0; 12], &length_field];
@@ -96,13 +96,39 @@ fn metadata_is_known_at_once_if_it_is_in_the_first_mebibyte_and_256_messages() {
     let events = |count| event(0).repeat(count);
     assert!(has_metadata(&[channel(), events(255), metadata(), events(1)]));
     assert!(!has_metadata(&[channel(), events(256), metadata(), events(1)]));
-    // The message behind the long one begins so many bytes before the end of the mebibyte.
-    for (before, is_known) in [(1, true), (0, false)] {
-        let start = MAGIC.len() + reply_channel().len();
-        let long = reply((1 << 20) - start - reply(0).len() - before);
-        let parts = [reply_channel(), long, reply(0), metadata(), reply(0)];
-        assert_eq!(has_metadata(&parts), is_known, "{before}");
+    // The records before the metadata have this many bytes less than a mebibyte.
+    for (less, is_known) in [(1, true), (0, false)] {
+        let heads = reply_channel().len() + reply(0).len() - 2 * 9;
+        let long = reply((1 << 20) - heads - less);
+        let parts = [reply_channel(), long, metadata(), reply(0)];
+        assert_eq!(has_metadata(&parts), is_known, "{less}");
     }
+}
+
+/// Metadata of long names: the index repeats the name.
+#[test]
+fn a_copy_of_100_mb_of_names_takes_64_mib() {
+    let name = [&text(&"x".repeat(500_000))[..], &[0; 4]].concat();
+    let part = [of_kind(0x0c, &name), chunk_of(&[channel(), event(0)].concat())].concat();
+    let file = Endless::new(MAGIC, part, 200);
+    let counted = measure(|| assert_eq!(repair(file, io::sink()).unwrap().messages, 200));
+    assert!(counted.bytes_max < 64 << 20, "{} bytes in memory", counted.bytes_max);
+}
+
+/// A message each second, as of a sensor that is polled rarely.
+#[test]
+fn a_copy_of_days_has_longer_chunks_and_an_index() {
+    let seconds = 110_000;
+    let message = |second: u64| {
+        let times = (second * 1_000_000_000).to_le_bytes().repeat(2);
+        of_kind(0x05, &[&[0; 6][..], &times].concat())
+    };
+    let parts = (0..seconds).map(message).collect::<Vec<_>>().concat();
+    let (file, mut copy) = ([MAGIC, &channel(), &chunk_of(&parts)].concat(), Vec::new());
+    repair(io::Cursor::new(file), &mut copy).unwrap();
+    let summary = mcap::Summary::read(&copy).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, seconds);
+    assert!(summary.chunk_indexes.len() < seconds as usize, "{}", summary.chunk_indexes.len());
 }
 
 /// A file that cannot be read.

@@ -1,6 +1,6 @@
 //! Form of a record: its head, its fields, and which fields each kind must have.
 
-use super::{Fields, MessageHeader, RECORD_HEAD, kind};
+use super::{Fields, MAX_RECORD_BYTES, MessageHeader, RECORD_HEAD, kind};
 
 /// Kind of a record and length of its content.
 pub(super) fn record_head(bytes: &[u8]) -> Option<(u8, u64)> {
@@ -47,7 +47,7 @@ pub(super) fn is_well_formed(kind: u8, content: &[u8]) -> bool {
         kind::MESSAGE => return MessageHeader::parse(content).is_some(),
         _ => return true,
     };
-    is_right && fields.0.is_empty()
+    is_right && fields.0.is_empty() && content.len() as u64 <= MAX_RECORD_BYTES
 }
 
 /// Splits metadata into its name and its pairs.

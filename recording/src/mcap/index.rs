@@ -4,11 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use super::{Fields, MessageHeader, kind, put_bytes, put_record};
-
-/// Largest number of chunks and metadata records in a file's index, 100 bytes each: 7 MB.
-/// At one chunk per second this lasts 18 hours.
-pub(in super::super) const MAX_INDEX_ENTRIES: usize = 1 << 16;
+use super::{Fields, MAX_INDEX_BYTES, MessageHeader, kind, put_bytes, put_record};
 
 /// Messages of a chunk: their times, and their positions among its records.
 #[derive(Default)]
@@ -33,9 +29,9 @@ pub(super) struct Index {
     span: Option<(u64, u64)>,
     /// Number of messages of each channel.
     messages: BTreeMap<u16, u64>,
-    /// Limit of entries. A file with more gets no summary: it can be read but not
+    /// Set once the index was too long. Such a file gets no summary: it can be read but not
     /// searched.
-    max_entries: usize,
+    is_too_long: bool,
 }
 
 /// Position of a chunk in the file, and the lengths of its parts.
@@ -86,8 +82,9 @@ impl ChunkMessages {
 }
 
 impl Index {
-    pub(super) fn new(max_entries: usize) -> Self {
-        Self { max_entries, ..Self::default() }
+    /// Length of the records for chunks and metadata.
+    pub(super) fn len(&self) -> usize {
+        self.chunk_indexes.len() + self.metadata_indexes.len()
     }
 
     /// Number of chunks and metadata records.
@@ -125,7 +122,7 @@ impl Index {
     /// Adds a metadata record of this name, `length` bytes long, at `start`.
     pub(super) fn add_metadata(&mut self, start: u64, length: u64, name: &str) {
         self.metadata += 1;
-        if !self.has_room() {
+        if self.is_too_long {
             return;
         }
         put_record(&mut self.metadata_indexes, kind::METADATA_INDEX, |out| {
@@ -133,6 +130,7 @@ impl Index {
             out.extend_from_slice(&length.to_le_bytes());
             put_bytes(out, name.as_bytes());
         });
+        self.limit_length();
     }
 
     /// Adds a chunk with these messages.
@@ -149,7 +147,7 @@ impl Index {
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
-        if !self.has_room() {
+        if self.is_too_long {
             return;
         }
         let (start, end) = messages.span();
@@ -164,22 +162,22 @@ impl Index {
                 out.extend_from_slice(&field.to_le_bytes());
             }
         });
+        self.limit_length();
     }
 
-    /// Returns true if the index is within its limit. If not, frees its memory.
-    fn has_room(&mut self) -> bool {
-        let has_room = self.entries() <= self.max_entries;
-        if !has_room {
+    /// Frees the memory of an index that is too long.
+    fn limit_length(&mut self) {
+        self.is_too_long = self.len() > MAX_INDEX_BYTES;
+        if self.is_too_long {
             (self.chunk_indexes, self.metadata_indexes) = (Vec::new(), Vec::new());
         }
-        has_room
     }
 
     /// Appends the summary to `out`, which starts at `base` in the file. Returns the
     /// positions in the file of the summary and of the offsets at its end, or 0 for both
-    /// if there were too many entries.
-    pub(super) fn put_summary(mut self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
-        if !self.has_room() {
+    /// if the index was too long.
+    pub(super) fn put_summary(self, out: &mut Vec<u8>, base: u64) -> [u64; 2] {
+        if self.is_too_long {
             return [0, 0];
         }
         let start = base + out.len() as u64;
@@ -241,8 +239,8 @@ mod tests {
     use super::*;
 
     /// Writes `count` chunks of one message.
-    fn chunks(count: usize, max_entries: usize) -> McapWriter<Vec<u8>> {
-        let mut writer = McapWriter::start(Vec::new(), &header("", ""), max_entries).unwrap();
+    fn chunks(count: usize) -> McapWriter<Vec<u8>> {
+        let mut writer = McapWriter::start(Vec::new(), &header("", "")).unwrap();
         writer.add_schema(1, "std_msgs/msg/String", "string data");
         writer.add_channel(0, 1, "/scan");
         for sequence in 0..count as u32 {
@@ -256,7 +254,7 @@ mod tests {
 
     #[test]
     fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
-        let writer = chunks(1000, 1000);
+        let writer = chunks(1000);
         assert_eq!(writer.index_entries(), 1000);
         // A recording has three channels, of 10 bytes each here.
         assert!(writer.index().chunk_indexes.len() <= 1000 * (106 - 20));
@@ -266,15 +264,17 @@ mod tests {
     }
 
     #[test]
-    fn a_file_of_more_entries_keeps_no_index_and_ends_without_a_summary() {
-        let mut writer = chunks(999, 1000);
-        for _ in 0..2 {
-            writer.metadata("name", &BTreeMap::new()).unwrap();
+    fn an_index_over_its_limit_is_dropped_with_its_memory() {
+        let name = "x".repeat(MAX_INDEX_BYTES / 4);
+        for (count, is_kept) in [(3, true), (4, false)] {
+            let mut writer = chunks(999);
+            (0..count).for_each(|_| writer.metadata(&name, &BTreeMap::new()).unwrap());
+            writer.flush().unwrap();
+            assert_eq!(writer.index().chunk_indexes.capacity() > 0, is_kept);
+            assert_eq!(writer.index().metadata_indexes.capacity() > 0, is_kept);
+            let file = writer.finish().unwrap();
+            assert_eq!(::mcap::Summary::read(&file).unwrap().is_some(), is_kept);
+            assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 999);
         }
-        assert_eq!(writer.index().chunk_indexes.capacity(), 0);
-        assert_eq!(writer.index().metadata_indexes.capacity(), 0);
-        let file = writer.finish().unwrap();
-        assert!(::mcap::Summary::read(&file).unwrap().is_none());
-        assert_eq!(::mcap::MessageStream::new(&file).unwrap().count(), 999);
     }
 }

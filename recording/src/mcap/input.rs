@@ -7,10 +7,7 @@ use std::io::{self, Read, Seek, SeekFrom};
 use std::ops::{Range, RangeInclusive};
 
 use super::form::{is_well_formed, split_record};
-use super::{FILE_END, FOOTER_BYTES, Fields, RECORD_HEAD, kind};
-
-/// Longest index to read. The longest that this crate writes has 7 MB.
-const MAX_INDEX_BYTES: u64 = 16 << 20;
+use super::{FILE_END, FOOTER_BYTES, Fields, MAX_INDEX_BYTES, RECORD_HEAD, kind};
 
 /// Bytes of a recording, in order.
 pub(in super::super) enum Input {
@@ -130,7 +127,7 @@ fn index(file: &mut File) -> Option<FileIndex> {
     let mut fields = Fields(footer.get(RECORD_HEAD..)?);
     let (start, _offsets, crc) = (fields.u64()?, fields.u64()?, fields.u32()?);
     let length = end.checked_sub(start)?;
-    if length > MAX_INDEX_BYTES {
+    if length > MAX_INDEX_BYTES as u64 {
         return None;
     }
     file.seek(SeekFrom::Start(start)).ok()?;
@@ -163,7 +160,7 @@ mod tests {
     #[test]
     fn an_index_of_16_mib_is_read_and_none_that_is_longer() {
         let path = std::env::temp_dir().join(format!("scip-index-{}", std::process::id()));
-        let longest = MAX_INDEX_BYTES as usize;
+        let longest = MAX_INDEX_BYTES;
         for (length, is_read) in [(longest, true), (longest + 1, false)] {
             // The whole file is its index.
             let mut bytes = vec![0; length];

@@ -6,7 +6,7 @@
 //! panics at a claim of 2^63 bytes unless you set a limit. Here a length is checked
 //! against the existing bytes. The crate does not search for the next chunk after a
 //! damaged length. Its writer keeps an entry for every chunk; here an index has at most
-//! 65,536. The tests read with that crate what is written here.
+//! 16 MiB. The tests read with that crate what is written here.
 
 mod definitions;
 mod form;
@@ -20,7 +20,6 @@ use std::time::Duration;
 
 pub(super) use self::definitions::{DefinitionWriter, Definitions};
 pub(super) use self::form::parse_metadata;
-pub(super) use self::index::MAX_INDEX_ENTRIES;
 pub(super) use self::input::Input;
 pub(super) use self::read::FileError;
 pub(super) use self::records::Records;
@@ -41,6 +40,8 @@ const FILE_END: usize = RECORD_HEAD + FOOTER_BYTES + MAGIC.len();
 const MAX_CHUNK_BYTES: u64 = 64 << 20;
 /// Longest record of another kind to read.
 const MAX_RECORD_BYTES: u64 = 1 << 20;
+/// Longest index to read and to write. 45 hours of chunks of a second take as much.
+const MAX_INDEX_BYTES: usize = 16 << 20;
 
 /// Kinds of records.
 pub(super) mod kind {

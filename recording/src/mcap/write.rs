@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 use super::index::{ChunkMessages, ChunkPlace, Index};
-use super::{CHUNK_HEAD, MAGIC, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
+use super::{CHUNK_HEAD, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
 
 /// A chunk is written before a message makes it longer than this. Until then it waits for a flush.
 const CHUNK_BYTES: usize = 768 << 10;
@@ -32,29 +32,30 @@ struct OpenChunk {
 
 impl<W: Write> McapWriter<W> {
     /// Starts a file. `header` is the content of its header record, from [`header`]. A
-    /// file whose index has more than `max_index_entries` entries ends without an index.
-    pub(in super::super) fn start(
-        mut out: W,
-        header: &[u8],
-        max_index_entries: usize,
-    ) -> io::Result<Self> {
+    /// file with an index longer than [`MAX_INDEX_BYTES`] ends without one.
+    pub(in super::super) fn start(mut out: W, header: &[u8]) -> io::Result<Self> {
         let mut head = MAGIC.to_vec();
         put_record(&mut head, kind::HEADER, |out| out.extend_from_slice(header));
         out.write_all(&head)?;
-        let (chunk, index) = (OpenChunk::default(), Index::new(max_index_entries));
+        let (chunk, index) = (OpenChunk::default(), Index::default());
         Ok(Self { out, offset: head.len() as u64, chunk, index, since_channels: None })
     }
 
     /// Starts a copy of other files, and repeats its channels only if they are shorter than the
     /// messages before: a hostile file has many long ones, and chunks of one message.
     pub(in super::super) fn start_copy(out: W, header: &[u8]) -> io::Result<Self> {
-        let writer = Self::start(out, header, usize::MAX)?;
+        let writer = Self::start(out, header)?;
         Ok(Self { since_channels: Some(0), ..writer })
     }
 
     /// Length of the file so far, including the open chunk.
     pub(in super::super) fn len(&self) -> u64 {
         self.offset + self.chunk.record.len() as u64
+    }
+
+    /// Returns true while there is room for twice as many chunks in the index.
+    pub(in super::super) fn has_short_index(&self) -> bool {
+        self.index.len() < MAX_INDEX_BYTES / 2
     }
 
     /// Number of chunks and metadata records written.
@@ -258,7 +259,7 @@ mod tests {
         let header = MessageHeader { channel: 0, sequence: 0, log_time: 0, publish_time: 0 };
         let first = CHUNK_BYTES / 2;
         for (longer, chunks) in [(0, 1), (1, 2)] {
-            let mut writer = McapWriter::start(Vec::new(), &super::header("", ""), 9).unwrap();
+            let mut writer = McapWriter::start(Vec::new(), &super::header("", "")).unwrap();
             writer.message(header, &vec![0; first]).unwrap();
             // With its data the chunk has exactly the limit, or one byte more.
             let rest = CHUNK_BYTES - CHUNK_HEAD - MESSAGE_HEAD - first + longer;
