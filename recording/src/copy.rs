@@ -9,8 +9,8 @@ use std::time::Duration;
 
 use super::RecordingError;
 use super::mcap::{
-    DefinitionWriter, Definitions, Input, McapWriter, MessageHeader, Records, header, kind,
-    parse_metadata,
+    DefinitionWriter, Definitions, FileError, Input, McapWriter, MessageHeader, Records, header,
+    kind, parse_metadata,
 };
 use super::messages::{Messages, lost_schema, time};
 use super::polls::StreamPolls;
@@ -42,6 +42,16 @@ pub struct Copied {
     /// True if the end of a file was missing or damaged. Other readers need the end, an index, to
     /// find the messages.
     pub was_truncated: bool,
+}
+
+impl Copied {
+    /// Counts a damaged part, unless it is known.
+    fn add_damage(&mut self, offset: Option<u64>) {
+        self.damaged_parts += u64::from(offset.is_some());
+        if self.damaged_at.len() < MAX_PLACES {
+            self.damaged_at.extend(offset);
+        }
+    }
 }
 
 /// Copies the part of a recording in `range`, counted from the first scan, to `output`. Pass all
@@ -147,6 +157,7 @@ pub fn repair(
 }
 
 /// Input of a copy, read up to its next message.
+#[derive(Default)]
 struct Source {
     records: Records,
     /// Content of the file's header.
@@ -162,28 +173,15 @@ struct Source {
     message: Option<Vec<u8>>,
     /// Log time of the next message, or of the previous one if metadata come first.
     time: u64,
-    /// Position of the last reported damage.
-    damaged_at: Option<u64>,
     is_over: bool,
 }
 
 impl Source {
     fn new(input: Input) -> Self {
-        Self {
-            records: Records::new(input),
-            header: None,
-            definitions: Definitions::default(),
-            messages: Messages::default(),
-            channels: HashMap::new(),
-            metadata: Vec::new(),
-            message: None,
-            time: 0,
-            damaged_at: None,
-            is_over: false,
-        }
+        Self { records: Records::new(input), ..Self::default() }
     }
 
-    /// Reads up to the next message of a defined channel.
+    /// Reads up to the next message.
     fn advance(&mut self, outcome: &mut Copied) -> Result<(), RecordingError> {
         let mut metadata_bytes = 0;
         while metadata_bytes <= MAX_METADATA_BYTES {
@@ -194,56 +192,36 @@ impl Source {
                     self.is_over = true;
                     return Ok(());
                 }
-                Err(error) => match RecordingError::from(error) {
-                    RecordingError::Damaged { offset, .. } => {
-                        self.report_damage(offset, outcome);
-                        continue;
-                    }
-                    error => return Err(error),
-                },
-            };
-            let is_right = match kind {
-                kind::HEADER => {
-                    self.header.get_or_insert_with(|| content.to_vec());
-                    true
+                Err(FileError::Damaged { offset, .. }) => {
+                    outcome.add_damage(Some(offset));
+                    continue;
                 }
+                Err(error) => return Err(error.into()),
+            };
+            match kind {
+                kind::HEADER => drop(self.header.get_or_insert_with(|| content.to_vec())),
                 kind::SCHEMA | kind::CHANNEL => {
                     self.messages.define(kind, content);
                     // A schema changes its channels.
                     self.channels.clear();
-                    self.definitions.define(kind, content)
+                    if !self.definitions.define(kind, content) {
+                        outcome.add_damage(self.records.report_damage());
+                    }
                 }
                 kind::METADATA => {
                     metadata_bytes += content.len();
                     self.metadata.push(content.to_vec());
-                    true
                 }
-                kind::MESSAGE => match MessageHeader::parse(content) {
-                    Some((header, _)) if self.definitions.has_channel(header.channel) => {
-                        self.time = header.log_time;
-                        self.message = Some(content.to_vec());
-                        return Ok(());
-                    }
-                    _ => false,
-                },
-                _ => true,
-            };
-            if !is_right {
-                self.report_damage(self.records.offset(), outcome);
+                kind::MESSAGE => {
+                    self.time =
+                        MessageHeader::parse(content).map_or(0, |(header, _)| header.log_time);
+                    self.message = Some(content.to_vec());
+                    return Ok(());
+                }
+                _ => {}
             }
         }
         Ok(())
-    }
-
-    /// Reports a damaged part once, however many of its records are malformed.
-    fn report_damage(&mut self, offset: u64, outcome: &mut Copied) {
-        if self.damaged_at.replace(offset) == Some(offset) {
-            return;
-        }
-        outcome.damaged_parts += 1;
-        if outcome.damaged_at.len() < MAX_PLACES {
-            outcome.damaged_at.push(offset);
-        }
     }
 }
 
@@ -289,7 +267,7 @@ impl<W: Write> Copy<W> {
         }
         let Some(content) = source.message.take() else { return Ok(()) };
         let Some((mut header, data)) = MessageHeader::parse(&content) else { return Ok(()) };
-        let record = source.messages.parse(&content).ok().flatten();
+        let record = source.messages.parse(&content);
         let record = record.filter(|record| record.topic.is_none());
         if let Some(record) = &record {
             self.range.see(record);
@@ -312,7 +290,7 @@ impl<W: Write> Copy<W> {
             }
         };
         let Some(channel) = channel else {
-            source.report_damage(source.records.offset(), &mut self.outcome);
+            self.outcome.add_damage(source.records.report_damage());
             return Ok(());
         };
         header.channel = channel;

@@ -101,13 +101,16 @@ impl RecordingFile {
     }
 
     /// Empties the file.
-    pub(super) fn begin(self) -> io::Result<Box<dyn Output>> {
+    pub(super) fn begin(self) -> io::Result<Output> {
         let Self { path: mut opened, file, is_regular, .. } = self;
         opened.is_unused = false;
+        let mut durable: Option<Box<dyn Durable>> = None;
         if is_regular {
             file.set_len(0)?;
+            let (path, file) = (opened.path.clone(), file.try_clone()?);
+            durable = Some(Box::new(DurableFile { file, path }));
         }
-        Ok(Box::new(FileOutput { path: opened.path.clone(), file, is_regular, length: 0 }))
+        Ok(Output { writer: Box::new(FileWriter { file, is_regular, length: 0 }), durable })
     }
 }
 
@@ -135,15 +138,14 @@ fn check(file: &File, length: u64) -> io::Result<()> {
 }
 
 /// Writes a [`RecordingFile`].
-struct FileOutput {
-    path: PathBuf,
+struct FileWriter {
     file: File,
     is_regular: bool,
     /// Length of the file if no other program writes to it.
     length: u64,
 }
 
-impl Write for FileOutput {
+impl Write for FileWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.is_regular {
             check(&self.file, self.length)?;
@@ -160,18 +162,11 @@ impl Write for FileOutput {
 
 /// Unlocks the file, although the thread that syncs it may still have it open: from now on it is an
 /// old part, which may be removed.
-impl Drop for FileOutput {
+impl Drop for FileWriter {
     fn drop(&mut self) {
         if self.is_regular {
             unlock(&self.file);
         }
-    }
-}
-
-impl Output for FileOutput {
-    fn durable(&self) -> Option<Box<dyn Durable>> {
-        let file = self.file.try_clone().ok().filter(|_| self.is_regular)?;
-        Some(Box::new(DurableFile { file, path: self.path.clone() }))
     }
 }
 
@@ -239,11 +234,9 @@ mod tests {
     fn a_finished_file_is_free_while_its_sync_has_it_open() {
         let path = std::env::temp_dir().join(format!("scip-lock-{}.mcap", std::process::id()));
         let output = RecordingFile::open(&path, true).unwrap().begin().unwrap();
-        let durable = output.durable().unwrap();
         assert!(RecordingFile::is_busy(&path));
-        drop(output);
-        assert!(!RecordingFile::is_busy(&path));
-        drop(durable);
+        drop(output.writer);
+        assert!(output.durable.is_some() && !RecordingFile::is_busy(&path));
         std::fs::remove_file(&path).unwrap();
     }
 }

@@ -30,10 +30,6 @@ struct Channel {
     name: Arc<str>,
 }
 
-/// Message whose channel is not defined.
-#[derive(Debug)]
-pub(super) struct UnknownChannel;
-
 impl Messages {
     /// Remembers a well-formed record that defines a message type or a channel.
     pub(super) fn define(&mut self, kind: u8, content: &[u8]) {
@@ -79,14 +75,14 @@ impl Messages {
 
     /// Parses the content of a message. Returns `None` for a topic that recordings do not
     /// have, and for a message in another form, such as a compressed one.
-    pub(super) fn parse(&self, content: &[u8]) -> Result<Option<Record>, UnknownChannel> {
-        let Some((header, data)) = MessageHeader::parse(content) else { return Ok(None) };
-        let channel = self.channels.get(&header.channel).ok_or(UnknownChannel)?;
+    pub(super) fn parse(&self, content: &[u8]) -> Option<Record> {
+        let (header, data) = MessageHeader::parse(content)?;
+        let channel = self.channels.get(&header.channel)?;
         let (at, stamp) = (time(header.log_time), time(header.publish_time));
         let (sequence, topic) = (header.sequence, channel.topic.is_none());
         let topic = topic.then(|| Arc::clone(&channel.name));
-        let entry = self.topic(channel).and_then(|topic| parse_entry(topic, stamp, data));
-        Ok(entry.map(|entry| Record { at, stamp, topic, sequence, entry }))
+        let entry = parse_entry(self.topic(channel)?, stamp, data)?;
+        Some(Record { at, stamp, topic, sequence, entry })
     }
 }
 

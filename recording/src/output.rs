@@ -6,9 +6,10 @@ use std::fmt;
 use std::io::{self, Write};
 
 /// Target of a recording.
-pub(super) trait Output: Write + Send {
-    /// Handle that makes the written bytes durable, if the target can.
-    fn durable(&self) -> Option<Box<dyn Durable>>;
+pub(super) struct Output {
+    pub(super) writer: Box<dyn Write + Send>,
+    /// Makes the written bytes durable, if the target can.
+    pub(super) durable: Option<Box<dyn Durable>>,
 }
 
 /// File, as the thread that syncs it sees it.
@@ -18,25 +19,6 @@ pub(super) trait Durable: Send {
 
     /// Waits until the file's name is on the disk.
     fn sync_folder(&self) -> io::Result<()>;
-}
-
-/// Any writer, such as a pipe.
-pub(super) struct Plain<W>(pub(super) W);
-
-impl<W: Write> Write for Plain<W> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.0.flush()
-    }
-}
-
-impl<W: Write + Send> Output for Plain<W> {
-    fn durable(&self) -> Option<Box<dyn Durable>> {
-        None
-    }
 }
 
 /// What another program did to a file, so that it is no longer written to.

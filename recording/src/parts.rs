@@ -2,7 +2,7 @@
 //! which old files are removed for it.
 
 use std::fs;
-use std::io;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
@@ -35,7 +35,7 @@ impl Limits {
 }
 
 /// Wraps the output of a further file.
-type Wrap = Box<dyn Fn(Box<dyn Output>) -> Box<dyn Output> + Send>;
+type Wrap = Box<dyn Fn(Output) -> Box<dyn Write + Send> + Send>;
 
 /// Files of a recording after the first one.
 pub(super) struct Parts {
@@ -63,7 +63,7 @@ impl Parts {
         limits: Limits,
         path: Option<PathBuf>,
         current: &Path,
-        wrap: impl Fn(Box<dyn Output>) -> Box<dyn Output> + Send + 'static,
+        wrap: impl Fn(Output) -> Box<dyn Write + Send> + Send + 'static,
     ) -> Self {
         let number = path.as_ref().map_or(1, |path| highest_part(path).max(1));
         let mut parts = Self { limits, path, number, old: Vec::new(), wrap: Box::new(wrap) };
@@ -80,7 +80,7 @@ impl Parts {
     }
 
     /// Creates the next file, with the next unused number.
-    pub(super) fn next(&mut self) -> io::Result<Box<dyn Output>> {
+    pub(super) fn next(&mut self) -> io::Result<Box<dyn Write + Send>> {
         let Some(path) = self.path.clone() else { return Err(io::ErrorKind::Unsupported.into()) };
         loop {
             self.number += 1;
@@ -212,7 +212,7 @@ mod tests {
     fn a_file_is_full_at_its_limits_and_a_pipe_never_is() {
         let limits =
             Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99), ..Limits::default() };
-        let parts = |path| Parts::new(limits, path, Path::new("run.mcap"), |out| out);
+        let parts = |path| Parts::new(limits, path, Path::new("run.mcap"), |out| out.writer);
         let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
         for (seconds, bytes, entries, is_full) in [
             (8, 98, MAX_PART_ENTRIES - 1, false),
@@ -250,7 +250,7 @@ mod tests {
         assert_eq!(next_path(&path).unwrap(), folder.join("run_10001.mcap"));
         let current = folder.join("run_10000.mcap");
         let left = |limits: Limits, length| {
-            Parts::new(limits, Some(path.clone()), &current, |out| out).remove_old(length);
+            Parts::new(limits, Some(path.clone()), &current, |out| out.writer).remove_old(length);
             names.map(|name| usize::from(folder.join(name).exists())).iter().sum::<usize>()
         };
         assert_eq!(left(Limits::default(), u64::MAX), 5);

@@ -4,7 +4,6 @@
 use std::io::{self, Write};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -15,7 +14,7 @@ use tokio::time::Instant;
 use super::RecordingError;
 use super::held::Held;
 use super::item::WriteItem;
-use super::output::{Durable, Output};
+use super::output::Output;
 use super::parts::{Limits, Parts};
 use super::progress::Progress;
 use super::sync::Syncer;
@@ -37,12 +36,7 @@ pub(super) struct Queue {
     held: Mutex<Option<Held>>,
     /// Number of waiting bytes, or `None` once the thread has ended.
     waiting: watch::Sender<Option<usize>>,
-    scans: AtomicU64,
-    replies: AtomicU64,
-    bytes: AtomicU64,
-    files: AtomicU64,
-    lost: AtomicU64,
-    lost_replies: AtomicU64,
+    progress: Mutex<Progress>,
     failure: Mutex<Option<RecordingError>>,
     /// `None` if nothing is synced.
     syncer: Option<Syncer>,
@@ -64,12 +58,7 @@ impl Queue {
             items,
             held: Mutex::new(before.map(|span| Held::new(span, HELD_BYTES))),
             waiting: watch::Sender::new(Some(0)),
-            scans: AtomicU64::new(0),
-            replies: AtomicU64::new(0),
-            bytes: AtomicU64::new(0),
-            files: AtomicU64::new(1),
-            lost: AtomicU64::new(0),
-            lost_replies: AtomicU64::new(0),
+            progress: Mutex::new(Progress { files: 1, ..Progress::default() }),
             failure: Mutex::new(None),
             syncer,
         };
@@ -80,7 +69,7 @@ impl Queue {
     /// further files beside it; `current` is the path of `out`. Without a `sync_interval`
     /// nothing is synced.
     pub(super) fn into_file(
-        out: Box<dyn Output>,
+        out: Output,
         current: &Path,
         path: Option<PathBuf>,
         settings: QueueSettings,
@@ -93,7 +82,7 @@ impl Queue {
         let further = {
             let queue = Arc::clone(&queue);
             move |out| {
-                queue.files.fetch_add(1, Ordering::Relaxed);
+                queue.counts().files += 1;
                 Counted::wrap(out, &queue)
             }
         };
@@ -133,11 +122,8 @@ impl Queue {
 
     fn queue(&self, item: WriteItem) {
         let weight = item.weight();
-        let counters = match &item {
-            WriteItem::Scan(_) => Some((&self.scans, &self.lost)),
-            WriteItem::Reply { .. } => Some((&self.replies, &self.lost_replies)),
-            _ => None,
-        };
+        let (is_scan, is_reply) =
+            (matches!(item, WriteItem::Scan(_)), matches!(item, WriteItem::Reply { .. }));
         let fits = self.waiting.send_if_modified(|waiting| {
             let more =
                 waiting.map(|waiting| waiting + weight).filter(|more| *more <= HIGH_WATER_BYTES);
@@ -145,9 +131,14 @@ impl Queue {
             more.is_some()
         });
         let queued = fits && self.items.send(item).is_ok();
-        if let Some((kept, lost)) = counters {
-            if queued { kept } else { lost }.fetch_add(1, Ordering::Relaxed);
-        }
+        let mut counts = self.counts();
+        let Progress { scans, replies, lost, lost_replies, .. } = &mut *counts;
+        *if queued { scans } else { lost } += u64::from(is_scan);
+        *if queued { replies } else { lost_replies } += u64::from(is_reply);
+    }
+
+    fn counts(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Waits until at most [`LOW_WATER_BYTES`] bytes wait, or the thread has ended.
@@ -174,16 +165,10 @@ impl Queue {
     }
 
     pub(super) fn progress(&self) -> Progress {
-        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         Progress {
-            scans: count(&self.scans),
-            replies: count(&self.replies),
-            bytes: count(&self.bytes),
-            files: count(&self.files),
-            lost: count(&self.lost),
-            lost_replies: count(&self.lost_replies),
             late_syncs: self.syncer.as_ref().map_or(0, Syncer::late),
             cannot_sync: self.syncer.as_ref().is_some_and(Syncer::is_unsupported),
+            ..*self.counts()
         }
     }
 
@@ -259,21 +244,21 @@ fn write_all(
 /// Counts the bytes written, and has them synced. A panic of the user's writer becomes an
 /// error that ends the recording but not this thread.
 struct Counted {
-    out: Box<dyn Output>,
+    out: Box<dyn Write + Send>,
     queue: Arc<Queue>,
 }
 
 impl Counted {
-    fn wrap(out: Box<dyn Output>, queue: &Arc<Queue>) -> Box<dyn Output> {
-        if let (Some(syncer), Some(file)) = (&queue.syncer, out.durable()) {
+    fn wrap(out: Output, queue: &Arc<Queue>) -> Box<dyn Write + Send> {
+        if let (Some(syncer), Some(file)) = (&queue.syncer, out.durable) {
             syncer.begin(file);
         }
-        Box::new(Self { out, queue: Arc::clone(queue) })
+        Box::new(Self { out: out.writer, queue: Arc::clone(queue) })
     }
 
     fn catch_panic<T>(
         &mut self,
-        work: impl FnOnce(&mut dyn Output) -> io::Result<T>,
+        work: impl FnOnce(&mut dyn Write) -> io::Result<T>,
     ) -> io::Result<T> {
         let done = catch_unwind(AssertUnwindSafe(|| work(&mut *self.out)));
         done.unwrap_or_else(|_| Err(io::Error::other("the writer panicked")))
@@ -283,19 +268,13 @@ impl Counted {
 impl Write for Counted {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.catch_panic(|out| out.write(bytes))?;
-        self.queue.bytes.fetch_add(written as u64, Ordering::Relaxed);
+        self.queue.counts().bytes += written as u64;
         Ok(written)
     }
 
     fn flush(&mut self) -> io::Result<()> {
         self.catch_panic(|out| out.flush())?;
         self.queue.syncer.as_ref().map_or(Ok(()), Syncer::written)
-    }
-}
-
-impl Output for Counted {
-    fn durable(&self) -> Option<Box<dyn Durable>> {
-        self.out.durable()
     }
 }
 
@@ -307,7 +286,7 @@ mod tests {
 
     use std::collections::BTreeMap;
 
-    use super::super::output::Plain;
+    use super::super::output::Durable;
     use super::super::writer::Times;
     use super::*;
 
@@ -329,8 +308,8 @@ mod tests {
             let (queue, items) = Queue::new(None, None);
             queue.push(item);
             assert_eq!(*queue.waiting.borrow(), Some(128 + content));
-            let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out);
-            let (out, clock) = (Box::new(Plain(io::sink())), LogClock::starting_now());
+            let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out.writer);
+            let (out, clock) = (Box::new(io::sink()), LogClock::starting_now());
             let writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
             let _finished = queue.finish();
             write_all(writer, &items, &queue).unwrap();
@@ -339,32 +318,16 @@ mod tests {
     }
 
     /// Disk that syncs once its sender is dropped.
-    struct Hangs(Arc<Mutex<std::sync::mpsc::Receiver<()>>>);
-
-    impl Write for Hangs {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
+    struct Hangs(mpsc::Receiver<()>);
 
     impl Durable for Hangs {
         fn sync(&self) -> io::Result<()> {
-            let _ = self.0.lock().unwrap().recv();
+            let _ = self.0.recv();
             Ok(())
         }
 
         fn sync_folder(&self) -> io::Result<()> {
             Ok(())
-        }
-    }
-
-    impl Output for Hangs {
-        fn durable(&self) -> Option<Box<dyn Durable>> {
-            Some(Box::new(Self(Arc::clone(&self.0))))
         }
     }
 
@@ -377,7 +340,7 @@ mod tests {
             sync_interval: Some(Duration::ZERO),
             before: None,
         };
-        let disk = Box::new(Hangs(Arc::new(Mutex::new(wait))));
+        let disk = Output { writer: Box::new(io::sink()), durable: Some(Box::new(Hangs(wait))) };
         let queue = Queue::into_file(disk, Path::new(""), None, settings).unwrap();
         queue.finish().await.unwrap();
         assert!(queue.ended().now_or_never().is_none());

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
 use super::mcap::{Input, Records, kind, parse_metadata};
-use super::messages::{Messages, UnknownChannel};
+use super::messages::Messages;
 use super::range::TimeRange;
 use super::record::Record;
 use super::topics::Topic;
@@ -24,8 +24,6 @@ const METADATA_SEARCH_RECORDS: usize = 256;
 const METADATA_SEARCH_BYTES: usize = 1 << 20;
 /// Number of other topics to name.
 const MAX_OTHER_TOPICS: usize = 16;
-/// Reason for damage that no checksum covers.
-const UNKNOWN_CHANNEL: &str = "the channel of a message is not defined";
 
 /// Iterates over the records of a recording, in file order.
 ///
@@ -64,9 +62,6 @@ pub struct Recording {
     topic: Option<Arc<str>>,
     /// Other topics with laser scans.
     other_topics: BTreeSet<Arc<str>>,
-    /// Position of the last reported damage.
-    damaged_at: Option<u64>,
-    is_over: bool,
 }
 
 impl Recording {
@@ -108,21 +103,18 @@ impl Recording {
             range: TimeRange::new(&..),
             topic: None,
             other_topics: BTreeSet::new(),
-            damaged_at: None,
-            is_over: false,
         };
         while recording.metadata.is_empty()
             && recording.ahead.len() < METADATA_SEARCH_RECORDS
             && recording.read_bytes < METADATA_SEARCH_BYTES
         {
-            match recording.step() {
-                Ok(ReadStep::Record(record)) => recording.ahead.push_back(Ok(record)),
-                Ok(ReadStep::Other) => {}
-                Ok(ReadStep::End) => break,
-                Err(error @ RecordingError::Damaged { .. }) => {
+            match recording.advance() {
+                None => break,
+                Some(Ok(record)) => recording.ahead.extend(record.map(Ok)),
+                Some(Err(error @ RecordingError::Damaged { .. })) => {
                     recording.ahead.push_back(Err(error));
                 }
-                Err(error) => return Err(error),
+                Some(Err(error)) => return Err(error),
             }
         }
         Ok(recording)
@@ -213,64 +205,25 @@ impl Recording {
         self.range.since_first_scan(at)
     }
 
-    /// Reads the next record of a recording. After an error other than
-    /// [`RecordingError::Damaged`], no records follow.
-    fn advance(&mut self) -> Option<Result<Record, RecordingError>> {
-        loop {
-            return match self.step() {
-                Ok(ReadStep::Record(record)) => Some(Ok(record)),
-                Ok(ReadStep::Other) => continue,
-                Ok(ReadStep::End) => None,
-                Err(error) => Some(Err(error)),
-            };
-        }
-    }
-
-    /// Returns true if the error belongs to a part whose damage was already reported:
-    /// report a part once, however many of its records are malformed.
-    fn is_reported(&mut self, error: &RecordingError) -> bool {
-        let RecordingError::Damaged { offset, .. } = error else { return false };
-        self.damaged_at.replace(*offset) == Some(*offset)
-    }
-
-    fn step(&mut self) -> Result<ReadStep, RecordingError> {
-        if self.is_over {
-            return Ok(ReadStep::End);
-        }
-        let outcome = match self.next_step() {
-            Err(error) if self.is_reported(&error) => Ok(ReadStep::Other),
-            outcome => outcome,
+    /// Reads one record of the file, `Ok(None)` if it is no item of a recording. After an error other
+    /// than [`RecordingError::Damaged`], no records follow.
+    fn advance(&mut self) -> Option<Result<Option<Record>, RecordingError>> {
+        let (kind, content) = match self.records.next() {
+            Ok(record) => record?,
+            Err(error) => return Some(Err(error.into())),
         };
-        let goes_on = matches!(
-            outcome,
-            Ok(ReadStep::Record(_) | ReadStep::Other) | Err(RecordingError::Damaged { .. })
-        );
-        self.is_over = !goes_on;
-        outcome
-    }
-
-    fn next_step(&mut self) -> Result<ReadStep, RecordingError> {
-        let Some((kind, content)) = self.records.next()? else { return Ok(ReadStep::End) };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
         match kind {
-            kind::SCHEMA | kind::CHANNEL => self.messages.define(kind, content),
+            kind::MESSAGE => return Some(Ok(self.messages.parse(content))),
             kind::METADATA => {
                 if let Some(metadata) = parse_sensor_metadata(content) {
                     self.metadata = metadata;
                     self.descriptions += 1;
                 }
             }
-            kind::MESSAGE => match self.messages.parse(content) {
-                Ok(Some(record)) => return Ok(ReadStep::Record(record)),
-                Ok(None) => {}
-                Err(UnknownChannel) => {
-                    let (offset, reason) = (self.records.offset(), UNKNOWN_CHANNEL);
-                    return Err(RecordingError::Damaged { offset, reason });
-                }
-            },
-            _ => {}
+            kind => self.messages.define(kind, content),
         }
-        Ok(ReadStep::Other)
+        Some(Ok(None))
     }
 }
 
@@ -288,20 +241,18 @@ pub(super) fn window_of(metadata: &BTreeMap<String, String>) -> Option<Window> {
     window.with_cluster_count(number("cluster")?.try_into().ok()?).ok()
 }
 
-/// Outcome of reading one record of the file.
-enum ReadStep {
-    Record(Record),
-    /// Record that is no item of a recording.
-    Other,
-    End,
-}
-
 impl Iterator for Recording {
     type Item = Result<Record, RecordingError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let item = self.ahead.pop_front().or_else(|| self.advance())?;
+            let item = match self.ahead.pop_front() {
+                Some(item) => item,
+                None => match self.advance()?.transpose() {
+                    Some(item) => item,
+                    None => continue,
+                },
+            };
             let Ok(record) = &item else { return Some(item) };
             if record.topic != self.topic {
                 if self.other_topics.len() < MAX_OTHER_TOPICS {
@@ -314,7 +265,6 @@ impl Iterator for Recording {
             if let Some(times) = self.range.take_times()
                 && let Err(error) = self.records.leave_out_others(&times)
             {
-                self.is_over = true;
                 return Some(Err(error.into()));
             }
             if is_inside {

@@ -12,7 +12,7 @@ use tokio::time::Instant;
 use super::RecordingError;
 use super::file::RecordingFile;
 use super::item::WriteItem;
-use super::output::{Output, Plain};
+use super::output::Output;
 use super::parts::{Limits, further_part, next_path};
 use super::progress::Progress;
 use super::queue::{Queue, QueueSettings};
@@ -409,12 +409,13 @@ impl RecorderBuilder {
     /// Fails with [`RecordingError::Write`] if the file's head cannot be written, or no
     /// thread can be started.
     pub fn write_to(self, out: impl Write + Send + 'static) -> Result<Recorder, RecordingError> {
-        self.start(Box::new(Plain(out)), Path::new(""), None)
+        let out = Output { writer: Box::new(out), durable: None };
+        self.start(out, Path::new(""), None)
     }
 
     fn start(
         self,
-        out: Box<dyn Output>,
+        out: Output,
         current: &Path,
         path: Option<PathBuf>,
     ) -> Result<Recorder, RecordingError> {

@@ -2,7 +2,6 @@
 //! slow disk delays neither the writing thread nor a stream.
 
 use std::io;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,54 +12,43 @@ use super::output::Durable;
 #[derive(Debug, Clone)]
 pub(super) struct Syncer {
     steps: mpsc::Sender<SyncStep>,
-    outcome: Arc<SyncOutcome>,
+    state: Arc<Mutex<SyncState>>,
 }
 
 /// Results of the syncs.
 #[derive(Debug, Default)]
-pub(super) struct SyncOutcome {
-    /// Number of finished syncs that took longer than the interval.
-    late: AtomicU64,
-    /// Set once the file system has refused to sync.
-    is_unsupported: AtomicBool,
-    state: Mutex<SyncState>,
-}
-
-#[derive(Debug, Default)]
 struct SyncState {
+    /// Number of finished syncs that took longer than the interval.
+    late: u64,
     /// When the current sync is late, if one is running.
     late_at: Option<Instant>,
+    /// Set once the file system has refused to sync.
+    is_unsupported: bool,
     failure: Option<io::Error>,
 }
 
-impl SyncOutcome {
-    fn state(&self) -> MutexGuard<'_, SyncState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+fn lock(state: &Mutex<SyncState>) -> MutexGuard<'_, SyncState> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
-    /// Syncs a file, unless its file system cannot. Returns when it began.
-    fn sync(&self, file: Option<&dyn Durable>, interval: Duration) -> Instant {
-        let began = Instant::now();
-        let Some(file) = file.filter(|_| !self.is_unsupported.load(Ordering::Relaxed)) else {
-            return began;
-        };
-        self.state().late_at = began.checked_add(interval);
-        let synced = file.sync();
-        let mut state = self.state();
-        state.late_at = None;
-        if began.elapsed() > interval {
-            self.late.fetch_add(1, Ordering::Relaxed);
+/// Syncs a file, unless its file system cannot. Returns when it began.
+fn sync(file: Option<&dyn Durable>, interval: Duration, state: &Mutex<SyncState>) -> Instant {
+    let began = Instant::now();
+    let Some(file) = file.filter(|_| !lock(state).is_unsupported) else { return began };
+    lock(state).late_at = began.checked_add(interval);
+    let synced = file.sync();
+    let mut state = lock(state);
+    state.late_at = None;
+    state.late += u64::from(began.elapsed() > interval);
+    match synced {
+        Ok(()) => {}
+        Err(error) if is_unsupported(&error) => {
+            tracing::warn!(%error, "the file system cannot sync: a power failure may cost more");
+            state.is_unsupported = true;
         }
-        match synced {
-            Ok(()) => {}
-            Err(error) if is_unsupported(&error) => {
-                tracing::warn!(%error, "the file system cannot sync: a power failure may cost more");
-                self.is_unsupported.store(true, Ordering::Relaxed);
-            }
-            Err(error) => drop(state.failure.get_or_insert(error)),
-        }
-        began
+        Err(error) => drop(state.failure.get_or_insert(error)),
     }
+    began
 }
 
 /// EINVAL, ENOSYS and EOPNOTSUPP, as some file systems in user space answer.
@@ -80,13 +68,13 @@ impl Syncer {
     /// Starts the thread. It syncs the written bytes, at most once per `interval`.
     pub(super) fn start(interval: Duration) -> io::Result<Self> {
         let (steps, receiver) = mpsc::channel();
-        let outcome = Arc::new(SyncOutcome::default());
+        let state = Arc::<Mutex<SyncState>>::default();
         let thread = {
-            let outcome = Arc::clone(&outcome);
-            move || run(&receiver, interval, &outcome)
+            let state = Arc::clone(&state);
+            move || run(&receiver, interval, &state)
         };
         std::thread::Builder::new().name("recorder-sync".to_owned()).spawn(thread)?;
-        Ok(Self { steps, outcome })
+        Ok(Self { steps, state })
     }
 
     /// Syncs another file from now on, and its folder at once.
@@ -105,20 +93,20 @@ impl Syncer {
     pub(super) fn finish(&self) -> io::Result<()> {
         let (done, finished) = mpsc::channel();
         self.send(SyncStep::Finish(done));
-        // Fails if the thread has ended, and so has failed.
+        // Fails once the thread has ended, which it does after this step.
         let _ = finished.recv();
         self.failure()
     }
 
     /// Number of syncs that took longer than the interval, including the running one.
     pub(super) fn late(&self) -> u64 {
-        let is_late = self.outcome.state().late_at.is_some_and(|late_at| Instant::now() > late_at);
-        self.outcome.late.load(Ordering::Relaxed) + u64::from(is_late)
+        let state = lock(&self.state);
+        state.late + u64::from(state.late_at.is_some_and(|late_at| Instant::now() > late_at))
     }
 
     /// Returns true if the file system cannot sync.
     pub(super) fn is_unsupported(&self) -> bool {
-        self.outcome.is_unsupported.load(Ordering::Relaxed)
+        lock(&self.state).is_unsupported
     }
 
     fn send(&self, step: SyncStep) {
@@ -127,22 +115,18 @@ impl Syncer {
     }
 
     fn failure(&self) -> io::Result<()> {
-        match &self.outcome.state().failure {
-            Some(error) => {
-                let text = format!("cannot sync the recording to the disk: {error}");
-                Err(io::Error::new(error.kind(), text))
-            }
-            None => Ok(()),
-        }
+        let Some(error) = &lock(&self.state).failure else { return Ok(()) };
+        let text = format!("cannot sync the recording to the disk: {error}");
+        Err(io::Error::new(error.kind(), text))
     }
 }
 
-fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, outcome: &SyncOutcome) {
+fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, state: &Mutex<SyncState>) {
     let mut file: Option<Box<dyn Durable>> = None;
     // When to sync next, once there is something to sync.
     let mut due: Option<Instant> = None;
     let mut next = Instant::now();
-    let sync = |file: &Option<Box<dyn Durable>>| outcome.sync(file.as_deref(), interval) + interval;
+    let sync = |file: &Option<Box<dyn Durable>>| sync(file.as_deref(), interval, state) + interval;
     loop {
         let step = match due {
             None => steps.recv().map_err(|_| RecvTimeoutError::Disconnected),
@@ -166,8 +150,7 @@ fn run(steps: &mpsc::Receiver<SyncStep>, interval: Duration, outcome: &SyncOutco
             }
             Ok(SyncStep::Finish(done)) => {
                 sync(&file);
-                let _ = done.send(());
-                return;
+                return drop(done);
             }
             Err(RecvTimeoutError::Disconnected) => {
                 sync(&file);

@@ -2,12 +2,11 @@
 //! next file at a split. Knows no threads.
 
 use std::collections::BTreeMap;
-use std::io;
+use std::io::{self, Write};
 use std::time::{Duration, Instant, SystemTime};
 
 use super::METADATA;
 use super::mcap::{self, McapWriter, MessageHeader, nanos};
-use super::output::Output;
 use super::parts::Parts;
 use super::topics::Topic;
 use crate::ros::{self, since_1970};
@@ -55,7 +54,7 @@ impl LogClock {
 
 /// Writes a recording, in one file or several.
 pub(super) struct Writer {
-    mcap: McapWriter<Box<dyn Output>>,
+    mcap: McapWriter<Box<dyn Write + Send>>,
     parts: Parts,
     clock: LogClock,
     frame_id: String,
@@ -91,7 +90,7 @@ struct Preamble {
 
 impl Writer {
     pub(super) fn new(
-        out: Box<dyn Output>,
+        out: Box<dyn Write + Send>,
         parts: Parts,
         clock: LogClock,
         frame_id: String,
@@ -224,7 +223,7 @@ impl Writer {
 }
 
 /// Starts a file with the three channels.
-fn start(out: Box<dyn Output>) -> io::Result<McapWriter<Box<dyn Output>>> {
+fn start(out: Box<dyn Write + Send>) -> io::Result<McapWriter<Box<dyn Write + Send>>> {
     let mut mcap = McapWriter::start(out, &mcap::header("ros2", LIBRARY))?;
     for topic in Topic::ALL {
         let message = topic.message_type();
@@ -254,8 +253,8 @@ mod tests {
     #[test]
     fn a_wall_clock_that_is_set_moves_no_log_time() {
         let path = std::env::temp_dir().join(format!("scip-clock-{}.mcap", std::process::id()));
-        let parts = Parts::new(Limits::default(), None, &path, |out| out);
-        let out = RecordingFile::open(&path, true).unwrap().begin().unwrap();
+        let parts = Parts::new(Limits::default(), None, &path, |out| out.writer);
+        let out = RecordingFile::open(&path, true).unwrap().begin().unwrap().writer;
         let clock = LogClock::starting_now();
         let Times { steady, wall } = clock.began;
         let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
@@ -278,8 +277,8 @@ mod tests {
         let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");
-        let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out);
-        let out = RecordingFile::open(&path, false).unwrap().begin().unwrap();
+        let parts = Parts::new(Limits::default(), Some(path.clone()), &path, |out| out.writer);
+        let out = RecordingFile::open(&path, false).unwrap().begin().unwrap().writer;
         let clock = LogClock::starting_now();
         let mut times = clock.began;
         let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();

@@ -33,10 +33,6 @@ impl Definitions {
         true
     }
 
-    pub(in super::super) fn has_channel(&self, number: u16) -> bool {
-        self.contents.get(&(kind::CHANNEL, number)).is_some_and(|content| !content.is_empty())
-    }
-
     fn get(&self, kind: u8, number: u16) -> Option<&[u8]> {
         self.contents.get(&(kind, number)).filter(|content| !content.is_empty()).map(Vec::as_slice)
     }

@@ -16,6 +16,12 @@ pub(in super::super) enum Input {
     Stream(Box<dyn Read + Send>),
 }
 
+impl Default for Input {
+    fn default() -> Self {
+        Self::Stream(Box::new(io::empty()))
+    }
+}
+
 impl Input {
     /// Knows a file by its type.
     pub(in super::super) fn new(input: impl Read + Send + 'static) -> Self {
@@ -24,7 +30,7 @@ impl Input {
         match (file.and_then(Option::take), input) {
             (Some(file), _) => Self::File(file),
             (None, Some(input)) => Self::Stream(Box::new(input)),
-            (None, None) => Self::Stream(Box::new(io::empty())),
+            (None, None) => Self::default(),
         }
     }
 

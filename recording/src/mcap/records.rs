@@ -1,38 +1,36 @@
 //! [`Records`]: the records of a file one by one, including those in chunks.
 
+use std::collections::HashSet;
 use std::ops::{Range, RangeInclusive};
 
-use super::Input;
 use super::form::{is_well_formed, split_record};
 use super::input::FileIndex;
 use super::read::{FileError, Section, Sections};
+use super::{Fields, Input, kind};
 
-/// Reason for damage that no checksum covers.
-const MALFORMED: &str = "a record is malformed";
-
-/// Reads the records of a file, including those in chunks.
+/// Reads the well-formed records of a file, including those in chunks.
+#[derive(Default)]
 pub(in super::super) struct Records {
     sections: Sections,
     /// Records of the current chunk that were not returned yet.
     rest: Range<usize>,
     is_cut: bool,
+    /// Channels defined so far.
+    channels: HashSet<u16>,
     /// Index of the file, once its definitions are needed.
     index: Option<FileIndex>,
+    /// Position of the last reported damage.
+    damaged_at: Option<u64>,
 }
 
 impl Records {
     pub(in super::super) fn new(input: Input) -> Self {
-        Self { sections: Sections::new(input), rest: 0..0, is_cut: false, index: None }
+        Self { sections: Sections::new(input), ..Self::default() }
     }
 
     /// Returns true if the whole file was read and its end is missing.
     pub(in super::super) fn is_truncated(&self) -> bool {
         self.sections.is_truncated()
-    }
-
-    /// Position in the file of the latest record's section.
-    pub(in super::super) fn offset(&self) -> u64 {
-        self.sections.offset()
     }
 
     /// Leaves out chunks without a message at these times, if the file's index lists them.
@@ -45,21 +43,41 @@ impl Records {
         Ok(())
     }
 
+    /// Reports the latest record as damaged. Returns the position of its section, once: however many
+    /// of its records are damaged.
+    pub(in super::super) fn report_damage(&mut self) -> Option<u64> {
+        let offset = self.sections.offset();
+        self.is_news(offset).then_some(offset)
+    }
+
+    fn is_news(&mut self, damaged_at: u64) -> bool {
+        self.damaged_at.replace(damaged_at) != Some(damaged_at)
+    }
+
     /// Reads the kind and content of the next record, or returns `None` at the end of the
-    /// data. After the first damage, which may have hit definitions, those of the file's index
-    /// follow. After an error other than [`FileError::Damaged`], no records follow.
+    /// data. A message is of a channel before it. After the first damage, which may have hit
+    /// definitions, those of the file's index follow. After an error other than
+    /// [`FileError::Damaged`], no records follow.
     pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
-        if let Some((kind, content)) = self.index.as_mut().and_then(FileIndex::next_definition) {
-            let content = self.index.as_ref().map(|index| index.bytes(content));
-            return Ok(Some((kind, content.unwrap_or_default())));
+        if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {
+            let content = self.index.as_ref().map(|index| index.bytes(place)).unwrap_or_default();
+            if kind == kind::CHANNEL {
+                self.channels.extend(Fields(content).u16());
+            }
+            return Ok(Some((kind, content)));
         }
-        match self.next_place() {
-            Ok(place) => Ok(place.map(|(kind, content)| (kind, self.sections.bytes(content)))),
-            Err(error) => {
-                if matches!(error, FileError::Damaged { .. }) && self.index.is_none() {
-                    self.index = Some(self.sections.index()?);
+        loop {
+            match self.next_place() {
+                Ok(place) => {
+                    return Ok(place.map(|(kind, content)| (kind, self.sections.bytes(content))));
                 }
-                Err(error)
+                Err(FileError::Damaged { offset, .. }) if !self.is_news(offset) => {}
+                Err(error) => {
+                    if matches!(error, FileError::Damaged { .. }) && self.index.is_none() {
+                        self.index = Some(self.sections.index()?);
+                    }
+                    return Err(error);
+                }
             }
         }
     }
@@ -67,35 +85,47 @@ impl Records {
     /// Finds the next record among the bytes of the section.
     fn next_place(&mut self) -> Result<Option<(u8, Range<usize>)>, FileError> {
         loop {
-            if !self.rest.is_empty() {
-                let rest = self.rest.clone();
-                let Some((kind, content, after)) = split_record(self.sections.bytes(rest.clone()))
-                else {
-                    self.rest = 0..0;
-                    if std::mem::take(&mut self.is_cut) {
-                        continue;
+            if self.rest.is_empty() {
+                match self.sections.next()? {
+                    None => return Ok(None),
+                    Some(Section::Record { kind, content }) => {
+                        return self.check(kind, &content).map(|()| Some((kind, content)));
                     }
-                    return Err(self.sections.damaged("a chunk ends in the middle of a record"));
-                };
-                let is_right = is_well_formed(kind, content);
-                let content = rest.end - after.len() - content.len()..rest.end - after.len();
-                self.rest = content.end..rest.end;
-                if !is_right {
-                    return Err(self.sections.damaged(MALFORMED));
+                    Some(Section::Chunk { records, is_cut }) => {
+                        (self.rest, self.is_cut) = (records, is_cut);
+                    }
                 }
-                return Ok(Some((kind, content)));
+                continue;
             }
-            match self.sections.next()? {
-                None => return Ok(None),
-                Some(Section::Record { kind, content }) => {
-                    if !is_well_formed(kind, self.sections.bytes(content.clone())) {
-                        return Err(self.sections.damaged(MALFORMED));
-                    }
-                    return Ok(Some((kind, content)));
+            let rest = std::mem::take(&mut self.rest);
+            match split_record(self.sections.bytes(rest.clone())) {
+                Some((kind, content, after)) => {
+                    let end = rest.end - after.len();
+                    let content = end - content.len()..end;
+                    self.rest = end..rest.end;
+                    return self.check(kind, &content).map(|()| Some((kind, content)));
                 }
-                Some(Section::Chunk { records }) => (self.rest, self.is_cut) = (records, false),
-                Some(Section::CutChunk { records }) => (self.rest, self.is_cut) = (records, true),
+                None if self.is_cut => {}
+                None => {
+                    return Err(self.sections.damaged("a chunk ends in the middle of a record"));
+                }
             }
         }
+    }
+
+    /// Checks what no checksum covers.
+    fn check(&mut self, kind: u8, content: &Range<usize>) -> Result<(), FileError> {
+        let content = self.sections.bytes(content.clone());
+        if !is_well_formed(kind, content) {
+            return Err(self.sections.damaged("a record is malformed"));
+        }
+        let number = Fields(content).u16().unwrap_or_default();
+        if kind == kind::MESSAGE && !self.channels.contains(&number) {
+            return Err(self.sections.damaged("the channel of a message is not defined"));
+        }
+        if kind == kind::CHANNEL {
+            self.channels.insert(number);
+        }
+        Ok(())
     }
 }

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 use super::index::{ChunkMessages, ChunkPlace, Index};
-use super::{CHUNK_HEAD, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record};
+use super::{
+    CHUNK_HEAD, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record,
+};
 
 /// A chunk is written before a message makes it longer than this. Until then it waits for a flush.
 const CHUNK_BYTES: usize = 768 << 10;

@@ -52,13 +52,13 @@ pub(in super::super) enum FileError {
 pub(super) enum Section {
     /// A record outside of chunks.
     Record { kind: u8, content: Range<usize> },
-    /// Records of a chunk with a correct checksum, without compression.
-    Chunk { records: Range<usize> },
-    /// Beginning of a chunk at the end of a cut-off file.
-    CutChunk { records: Range<usize> },
+    /// Records of a chunk without compression: with a correct checksum, or the beginning of one at
+    /// the end of a cut-off file.
+    Chunk { records: Range<usize>, is_cut: bool },
 }
 
 /// Reads the parts of a file up to its summary.
+#[derive(Default)]
 pub(super) struct Sections {
     input: Input,
     /// Bytes of the file, used up to `start`.
@@ -90,18 +90,7 @@ struct ChunkHead {
 
 impl Sections {
     pub(super) fn new(input: Input) -> Self {
-        Self {
-            input,
-            window: Vec::new(),
-            start: 0,
-            decompressed: Vec::new(),
-            offset: 0,
-            used: 0,
-            unwanted: VecDeque::new(),
-            is_started: false,
-            is_over: false,
-            is_truncated: false,
-        }
+        Self { input, ..Self::default() }
     }
 
     /// Returns true if the whole file was read and its end is missing.
@@ -133,7 +122,10 @@ impl Sections {
 
     /// Reads the index at the end of the file, which is empty if the file has none.
     pub(super) fn index(&mut self) -> Result<FileIndex, FileError> {
-        self.input.index().map_err(FileError::Io)
+        self.input.index().map_err(|error| {
+            self.is_over = true;
+            FileError::Io(error)
+        })
     }
 
     /// Reads the next section, or returns `None` at the end of the data. After an error
@@ -318,15 +310,13 @@ impl Sections {
             self.decompress(&head, is_whole)?;
             0..self.decompressed.len()
         };
-        if !is_whole {
-            // A chunk that is cut short cannot be checked.
-            self.is_truncated = true;
-            return Ok(Some(Section::CutChunk { records }));
-        }
-        if head.crc != 0 && crc32fast::hash(self.bytes(records.clone())) != head.crc {
+        // A chunk that is cut short cannot be checked.
+        self.is_truncated |= !is_whole;
+        let is_checked = is_whole && head.crc != 0;
+        if is_checked && crc32fast::hash(self.bytes(records.clone())) != head.crc {
             return Err(self.damaged(WRONG_CHECKSUM));
         }
-        Ok(Some(Section::Chunk { records }))
+        Ok(Some(Section::Chunk { records, is_cut: !is_whole }))
     }
 
     /// Decompresses the chunk at `start`.
