@@ -225,20 +225,13 @@ impl Source {
     }
 }
 
-/// Version of the sensor, as one of the inputs has it.
-struct Version {
-    source: usize,
-    header: MessageHeader,
-    data: Vec<u8>,
-}
-
 /// Copy in progress.
 struct Copy<W> {
     writer: McapWriter<W>,
     definitions: DefinitionWriter,
     range: TimeRange,
-    /// Latest version of the sensor.
-    version: Option<Version>,
+    /// Latest version of the sensor, and its source.
+    version: Option<(usize, MessageHeader, Vec<u8>)>,
     /// Latest metadata of a recording, and its source: each file of a split recording repeats it.
     metadata: Option<(usize, Vec<u8>)>,
     /// Time of the first message in the open chunk, once the part has begun.
@@ -295,17 +288,17 @@ impl<W: Write> Copy<W> {
         };
         header.channel = channel;
         if is_version {
-            self.version = Some(Version { source: number, header, data: data.to_vec() });
+            self.version = Some((number, header, data.to_vec()));
             if !is_inside {
                 return Ok(());
             }
         }
         if self.chunk_began.is_none()
             && !is_version
-            && let Some(Version { header: version, data, .. }) = self.version.take()
+            && let Some((_, version, data)) = self.version.take()
         {
             self.message(MessageHeader { log_time: header.log_time, ..version }, &data)?;
-            self.version = Some(Version { source: number, header: version, data });
+            self.version = Some((number, version, data));
         }
         self.message(header, data)?;
         if let Some(record) = record {
@@ -329,10 +322,8 @@ impl<W: Write> Copy<W> {
     /// Returns true for a version that another file has already: each file of a split recording
     /// begins with it.
     fn is_repeated(&self, number: usize, header: MessageHeader, data: &[u8]) -> bool {
-        self.version.as_ref().is_some_and(|known| {
-            known.source != number
-                && known.header.publish_time == header.publish_time
-                && known.data == data
+        self.version.as_ref().is_some_and(|(source, known, bytes)| {
+            *source != number && known.publish_time == header.publish_time && bytes == data
         })
     }
 

@@ -65,7 +65,8 @@ impl Parts {
         current: &Path,
         wrap: impl Fn(Output) -> Box<dyn Write + Send> + Send + 'static,
     ) -> Self {
-        let number = path.as_ref().map_or(1, |path| highest_part(path).max(1));
+        let last = path.as_ref().and_then(|path| begun_parts(path).pop());
+        let number = last.map_or(1, |(number, _)| number);
         let mut parts = Self { limits, path, number, old: Vec::new(), wrap: Box::new(wrap) };
         parts.find_old(current);
         parts
@@ -107,16 +108,12 @@ impl Parts {
     fn find_old(&mut self, current: &Path) {
         self.old.clear();
         let Some(path) = self.path.as_ref().filter(|_| self.limits.removes_old()) else { return };
-        let mut numbers = part_numbers(path);
-        numbers.sort_unstable();
-        let paths = [path.clone()]
-            .into_iter()
-            .chain(numbers.into_iter().map(|number| part_path(path, number)));
         let old = |path: PathBuf| {
-            let metadata = path.metadata().ok().filter(fs::Metadata::is_file)?;
+            let metadata = path.metadata().ok()?;
             let changed = metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
             Some(OldPart { path, bytes: metadata.len(), changed })
         };
+        let paths = begun_parts(path).into_iter().map(|(_, path)| path);
         self.old = paths.filter(|path| path != current).filter_map(old).collect();
     }
 
@@ -152,45 +149,36 @@ impl Parts {
 /// Path of the next file of a recording, after all existing ones, or `path` if there are none. Fails
 /// if another recorder writes the last one: the files of both would alternate.
 pub(super) fn next_path(path: &Path) -> Result<PathBuf, RecordingError> {
-    let number = highest_part(path);
-    let last = if number > 1 { part_path(path, number) } else { path.to_owned() };
-    match number {
-        0 => Ok(last),
-        _ if RecordingFile::is_busy(&last) => Err(RecordingError::Busy { path: last }),
-        number => Ok(part_path(path, number + 1)),
+    match begun_parts(path).pop() {
+        None => Ok(path.to_owned()),
+        Some((_, last)) if RecordingFile::is_busy(&last) => {
+            Err(RecordingError::Busy { path: last })
+        }
+        Some((number, _)) => Ok(part_path(path, number + 1)),
     }
 }
 
 /// Finds the first further file of a recording, if any.
 pub(super) fn further_part(path: &Path) -> Option<PathBuf> {
-    let begun = part_numbers(path).into_iter().map(|number| (number, part_path(path, number)));
-    let begun = begun.filter(|(_, path)| is_begun(path));
-    begun.min_by_key(|(number, _)| *number).map(|(_, path)| path)
+    begun_parts(path).into_iter().find(|(number, _)| *number > 1).map(|(_, path)| path)
 }
 
-/// Highest number of the files of a recording: 1 for the first file, 0 without files. An
-/// empty file does not count, because it never began.
-fn highest_part(path: &Path) -> u32 {
-    let numbers =
-        part_numbers(path).into_iter().filter(|number| is_begun(&part_path(path, *number)));
-    numbers.max().unwrap_or(u32::from(is_begun(path)))
-}
-
-fn is_begun(path: &Path) -> bool {
-    path.metadata().is_ok_and(|file| file.len() > 0)
-}
-
-/// Numbers of the further files of a recording, in any order.
-fn part_numbers(path: &Path) -> Vec<u32> {
+/// Files of a recording, with their numbers, in their order. The first file has number 1. An empty
+/// file does not count, because it never began.
+fn begun_parts(path: &Path) -> Vec<(u32, PathBuf)> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let Ok(entries) = fs::read_dir(folder.unwrap_or(Path::new("."))) else { return Vec::new() };
-    let number = |name: &str| {
-        let stem = Path::new(name).file_stem()?.to_str()?;
-        let number = stem.rsplit_once('_')?.1.parse().ok().filter(|number| *number > 1)?;
-        (part_path(path, number).file_name()?.to_str()? == name).then_some(number)
+    let entries = fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten().flatten();
+    let number = |name: &Path| {
+        let number = name.file_stem()?.to_str()?.rsplit_once('_')?.1.parse().ok()?;
+        (number > 1 && part_path(path, number).file_name()? == name).then_some(number)
     };
-    let names = entries.flatten().map(|entry| entry.file_name());
-    names.filter_map(|name| number(name.to_str()?)).collect()
+    let further = entries.filter_map(|entry| number(Path::new(&entry.file_name())));
+    let further = further.map(|number| (number, part_path(path, number)));
+    let is_begun = |path: &Path| path.metadata().is_ok_and(|file| file.is_file() && file.len() > 0);
+    let all = [(1, path.to_owned())].into_iter().chain(further);
+    let mut parts: Vec<_> = all.filter(|(_, path)| is_begun(path)).collect();
+    parts.sort_unstable();
+    parts
 }
 
 /// `run.mcap`, `run_0002.mcap`, `run_0003.mcap`.
@@ -207,24 +195,6 @@ fn part_path(path: &Path, number: u32) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_file_is_full_at_its_limits_and_a_pipe_never_is() {
-        let limits =
-            Limits { duration: Some(Duration::from_secs(9)), bytes: Some(99), ..Limits::default() };
-        let parts = |path| Parts::new(limits, path, Path::new("run.mcap"), |out| out.writer);
-        let (file, pipe) = (parts(Some("run.mcap".into())), parts(None));
-        for (seconds, bytes, entries, is_full) in [
-            (8, 98, MAX_PART_ENTRIES - 1, false),
-            (9, 0, 0, true),
-            (0, 99, 0, true),
-            (0, 0, MAX_PART_ENTRIES, true),
-        ] {
-            let duration = Duration::from_secs(seconds);
-            assert_eq!(file.is_full(duration, bytes, entries), is_full);
-            assert!(!pipe.is_full(duration, bytes, entries));
-        }
-    }
 
     #[test]
     fn parts_are_numbered_before_the_extension() {

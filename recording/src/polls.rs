@@ -7,6 +7,7 @@ use std::time::{Duration, SystemTime};
 use super::event::Event;
 use super::from_ros::MessageScan;
 use super::identity::{parse_version, version_frame};
+use super::reader::Item;
 use super::record::{Entry, Record, RecordedReply};
 use super::{Recording, RecordingError};
 use tokio_scip::protocol::{Command, Reply};
@@ -140,16 +141,14 @@ impl StreamPolls {
 
 /// Polls of a recording, in the order of the file.
 pub(super) struct Polls {
-    recording: Recording,
+    pub(super) recording: Recording,
     stream: StreamPolls,
-    /// Number of metadata records that describe the stream so far.
-    descriptions: u64,
     /// First successful reply to `V`.
-    version: Option<RecordedReply>,
+    pub(super) version: Option<RecordedReply>,
     /// Time of one revolution, from the sensor's latest reply to `V`, or else from the metadata.
-    revolution: Option<Duration>,
+    pub(super) revolution: Option<Duration>,
     /// Number of polls without a scan, by the recorded events.
-    failed_polls: u64,
+    pub(super) failed_polls: u64,
     is_over: bool,
 }
 
@@ -158,8 +157,7 @@ impl Polls {
         let version = parse_version(&version_frame(recording.metadata()));
         let revolution = version.as_ref().and_then(revolution);
         let (stream, version) = (StreamPolls::default(), None);
-        let (descriptions, failed_polls, is_over) = (0, 0, false);
-        Self { recording, stream, descriptions, version, revolution, failed_polls, is_over }
+        Self { recording, stream, version, revolution, failed_polls: 0, is_over: false }
     }
 
     /// Reply to `V` without its terminator: the first one that was read, or else what the metadata
@@ -169,43 +167,7 @@ impl Polls {
         frame.map_or_else(|| version_frame(self.recording.metadata()), <[u8]>::to_vec)
     }
 
-    /// Wall clock of the first reply to `V` that was read.
-    pub(super) fn version_stamp(&self) -> Option<SystemTime> {
-        self.version.as_ref().map(|reply| reply.stamp)
-    }
-
-    /// Time of one revolution, if the sensor's firmware line has it.
-    pub(super) fn revolution(&self) -> Option<Duration> {
-        self.revolution
-    }
-
-    /// Time from the first scan of the file to a reply.
-    pub(super) fn since_first_scan(&self, poll: &PollReply) -> Duration {
-        self.recording.since_first_scan(poll.at)
-    }
-
-    pub(super) fn no_scans(&self) -> RecordingError {
-        self.recording.no_scans()
-    }
-
-    pub(super) fn failed_polls(&self) -> u64 {
-        self.failed_polls
-    }
-
-    pub(super) fn is_truncated(&self) -> bool {
-        self.recording.is_truncated()
-    }
-
-    /// Describes the stream by the metadata before the latest record, or at the end of the file.
-    fn describe(&mut self) {
-        let descriptions = self.recording.descriptions();
-        if std::mem::replace(&mut self.descriptions, descriptions) != descriptions {
-            self.stream.describe(self.recording.window());
-        }
-    }
-
     fn add(&mut self, record: Record) {
-        self.describe();
         self.failed_polls += u64::from(matches!(record.entry, Entry::Event(Event::Error { .. })));
         if let Entry::Reply(reply) = &record.entry
             && reply.command == Some(Command::Version)
@@ -228,14 +190,12 @@ impl Iterator for Polls {
             if let Some(poll) = self.stream.next(self.is_over) {
                 return Some(Ok(poll));
             }
-            match self.recording.next() {
-                Some(Ok(record)) => self.add(record),
+            match self.recording.next_item() {
+                Some(Ok(Item::Record(record))) => self.add(record),
+                Some(Ok(Item::Description(window))) => self.stream.describe(window),
                 Some(Err(error)) => return Some(Err(error)),
                 None if self.is_over => return None,
-                None => {
-                    self.describe();
-                    self.is_over = true;
-                }
+                None => self.is_over = true,
             }
         }
     }

@@ -50,12 +50,10 @@ pub struct Recording {
     records: Records,
     messages: Messages,
     metadata: BTreeMap<String, String>,
-    /// Number of metadata records of a sensor read so far.
-    descriptions: u64,
     /// Bytes of records read so far, without compression.
     read_bytes: usize,
-    /// Records read in advance.
-    ahead: VecDeque<Result<Record, RecordingError>>,
+    /// Items read in advance.
+    ahead: VecDeque<Result<Item, RecordingError>>,
     /// Part to read.
     range: TimeRange,
     /// Topic to read instead of `/scan`.
@@ -97,7 +95,6 @@ impl Recording {
             records: Records::new(input),
             messages: Messages::default(),
             metadata: BTreeMap::new(),
-            descriptions: 0,
             read_bytes: 0,
             ahead: VecDeque::new(),
             range: TimeRange::new(&..),
@@ -110,7 +107,7 @@ impl Recording {
         {
             match recording.advance() {
                 None => break,
-                Some(Ok(record)) => recording.ahead.extend(record.map(Ok)),
+                Some(Ok(item)) => recording.ahead.extend(item.map(Ok)),
                 Some(Err(error @ RecordingError::Damaged { .. })) => {
                     recording.ahead.push_back(Err(error));
                 }
@@ -145,16 +142,7 @@ impl Recording {
     }
 
     /// Reads the laser scans of this topic, and nothing else: those of another program, for example
-    /// of several sensors.
-    ///
-    /// ```no_run
-    /// use urg_recording::Recording;
-    ///
-    /// for scan in Recording::open("bag.mcap")?.topic("/front/scan").scans() {
-    ///     println!("{:?}", scan?.stamp());
-    /// }
-    /// # Ok::<(), urg_recording::RecordingError>(())
-    /// ```
+    /// of several sensors, such as `/front/scan`.
     #[must_use]
     pub fn topic(mut self, topic: &str) -> Self {
         self.topic = (topic != Topic::Scans.name()).then(|| topic.into());
@@ -188,12 +176,6 @@ impl Recording {
         self.records.is_truncated()
     }
 
-    /// Number of metadata records of a sensor among the records read so far. While records that were
-    /// read in advance are returned, the metadata after them does not count.
-    pub(super) fn descriptions(&self) -> u64 {
-        if self.ahead.is_empty() { self.descriptions } else { 0 }
-    }
-
     /// Reports that there was no scan, and on which topics there are others.
     pub(super) fn no_scans(&self) -> RecordingError {
         let topics = self.other_topics.iter().map(|topic| topic.to_string()).collect();
@@ -207,24 +189,65 @@ impl Recording {
 
     /// Reads one record of the file, `Ok(None)` if it is no item of a recording. After an error other
     /// than [`RecordingError::Damaged`], no records follow.
-    fn advance(&mut self) -> Option<Result<Option<Record>, RecordingError>> {
+    fn advance(&mut self) -> Option<Result<Option<Item>, RecordingError>> {
         let (kind, content) = match self.records.next() {
             Ok(record) => record?,
             Err(error) => return Some(Err(error.into())),
         };
         self.read_bytes = self.read_bytes.saturating_add(content.len());
-        match kind {
-            kind::MESSAGE => return Some(Ok(self.messages.parse(content))),
-            kind::METADATA => {
-                if let Some(metadata) = parse_sensor_metadata(content) {
-                    self.metadata = metadata;
-                    self.descriptions += 1;
-                }
+        Some(Ok(match kind {
+            kind::MESSAGE => self.messages.parse(content).map(Item::Record),
+            kind::METADATA => parse_sensor_metadata(content).map(|metadata| {
+                self.metadata = metadata;
+                Item::Description(self.window())
+            }),
+            kind => {
+                self.messages.define(kind, content);
+                None
             }
-            kind => self.messages.define(kind, content),
-        }
-        Some(Ok(None))
+        }))
     }
+
+    /// Returns the next item of the part.
+    pub(super) fn next_item(&mut self) -> Option<Result<Item, RecordingError>> {
+        loop {
+            let item = match self.ahead.pop_front() {
+                Some(item) => item,
+                None => match self.advance()?.transpose() {
+                    Some(item) => item,
+                    None => continue,
+                },
+            };
+            let record = match &item {
+                Ok(Item::Record(record)) => record,
+                Ok(Item::Description(_)) if self.topic.is_some() => continue,
+                _ => return Some(item),
+            };
+            if record.topic != self.topic {
+                if self.other_topics.len() < MAX_OTHER_TOPICS {
+                    self.other_topics.extend(record.topic.clone());
+                }
+                continue;
+            }
+            let is_version = self.range.see(record);
+            let is_inside = is_version || self.range.contains(record.at);
+            if let Some(times) = self.range.take_times()
+                && let Err(error) = self.records.leave_out_others(&times)
+            {
+                return Some(Err(error.into()));
+            }
+            if is_inside {
+                return Some(item);
+            }
+        }
+    }
+}
+
+/// Part of a file that is read one by one.
+pub(super) enum Item {
+    Record(Record),
+    /// Metadata of a sensor, with the window of its stream.
+    Description(Option<Window>),
 }
 
 /// Parses the metadata of a recorded sensor, or returns `None` for other metadata.
@@ -246,29 +269,10 @@ impl Iterator for Recording {
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let item = match self.ahead.pop_front() {
-                Some(item) => item,
-                None => match self.advance()?.transpose() {
-                    Some(item) => item,
-                    None => continue,
-                },
-            };
-            let Ok(record) = &item else { return Some(item) };
-            if record.topic != self.topic {
-                if self.other_topics.len() < MAX_OTHER_TOPICS {
-                    self.other_topics.extend(record.topic.clone());
-                }
-                continue;
-            }
-            let is_version = self.range.see(record);
-            let is_inside = is_version || self.range.contains(record.at);
-            if let Some(times) = self.range.take_times()
-                && let Err(error) = self.records.leave_out_others(&times)
-            {
-                return Some(Err(error.into()));
-            }
-            if is_inside {
-                return Some(item);
+            match self.next_item()? {
+                Ok(Item::Record(record)) => return Some(Ok(record)),
+                Ok(Item::Description(_)) => {}
+                Err(error) => return Some(Err(error)),
             }
         }
     }

@@ -80,30 +80,6 @@ impl Recorder {
     ///
     /// A recorder observes one sensor: a second call ends the first observation. To record the
     /// replies with which a sensor is opened, set an [`observer`](Self::observer) instead.
-    ///
-    /// ```
-    /// # use tokio_scip::Sensor;
-    /// # use urg_emulator::Emulator;
-    /// use urg_recording::Recorder;
-    /// use tokio_scip::{Rate, Window};
-    ///
-    /// # #[tokio::main(flavor = "current_thread", start_paused = true)]
-    /// # async fn main() -> Result<(), Box<dyn std::error::Error>> {
-    /// # let sensor = Sensor::builder().connect(Emulator::default()).await?;
-    /// // Record the next ten scans of a sensor that is already open.
-    /// let mut recorder = Recorder::builder().write_to(Vec::new())?;
-    /// recorder.observe(&sensor);
-    /// let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    /// recorder.describe(&sensor, &scans).await?;
-    /// for _ in 0..10 {
-    ///     let Some(item) = scans.next().await else { break };
-    ///     recorder.record(&item)?;
-    /// }
-    /// let progress = recorder.finish().await?;
-    /// assert_eq!((progress.scans, progress.replies), (10, 11));
-    /// # Ok(())
-    /// # }
-    /// ```
     pub fn observe(&mut self, sensor: &Sensor) {
         self.observation = None;
         self.observation = Some(sensor.observe_replies(self.observer()));

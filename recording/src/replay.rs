@@ -75,9 +75,10 @@ impl Replies {
         };
         replies.read();
         let Some(first) = &replies.next else {
-            return Err(replies.failure.unwrap_or_else(|| replies.polls.no_scans()));
+            return Err(replies.failure.unwrap_or_else(|| replies.polls.recording.no_scans()));
         };
-        replies.stamp = replies.polls.version_stamp().unwrap_or(first.stamp);
+        let version = replies.polls.version.as_ref();
+        replies.stamp = version.map_or(first.stamp, |version| version.stamp);
         replies.began = first.at;
         Ok(replies)
     }

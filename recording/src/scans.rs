@@ -84,12 +84,12 @@ impl RecordedScans {
     /// Returns true if the whole file was read and its end is missing; see
     /// [`Recording::is_truncated`].
     pub fn is_truncated(&self) -> bool {
-        self.polls.is_truncated()
+        self.polls.recording.is_truncated()
     }
 
     /// Number of polls without a scan among the records read so far, by the recorded events.
     pub fn failed_polls(&self) -> u64 {
-        self.polls.failed_polls()
+        self.polls.failed_polls
     }
 
     /// Time from the file's first scan to the latest one, as [`Recording::range`] takes
@@ -107,18 +107,6 @@ impl RecordedScans {
 
     /// Numbers the next scan `sequence`, and counts on from there. Use it for a
     /// [part](Recording::range) whose position in the file you know.
-    ///
-    /// ```no_run
-    /// use urg_recording::Recording;
-    ///
-    /// // The place of the thousandth scan, to which one may want to return.
-    /// let mut scans = Recording::open("run.mcap")?.scans();
-    /// scans.by_ref().take(1000).for_each(drop);
-    /// let place = scans.position();
-    ///
-    /// let again = Recording::open("run.mcap")?.range(place..).scans().numbered_from(999);
-    /// # Ok::<(), urg_recording::RecordingError>(())
-    /// ```
     #[must_use]
     pub fn numbered_from(mut self, sequence: u64) -> Self {
         self.sequence = sequence;
@@ -135,12 +123,12 @@ impl RecordedScans {
             .received_at(began.checked_add(since).unwrap_or(began))
             .stamp(poll.stamp)
             .repeat(self.previous.as_ref() == Some(&values));
-        if let Some(revolution) = poll.scan_time.or(self.polls.revolution()) {
+        if let Some(revolution) = poll.scan_time.or(self.polls.revolution) {
             scan = scan.scan_time(revolution);
         }
         let scan = scan.build().ok()?;
         self.sequence = self.sequence.wrapping_add(1);
-        self.position = self.polls.since_first_scan(poll);
+        self.position = self.polls.recording.since_first_scan(poll.at);
         self.previous = Some(values);
         Some(scan)
     }
@@ -155,7 +143,7 @@ impl Iterator for RecordedScans {
                 None => {
                     self.is_over = true;
                     if !self.has_polls {
-                        return Some(Err(self.polls.no_scans()));
+                        return Some(Err(self.polls.recording.no_scans()));
                     }
                 }
                 Some(Err(error)) => return Some(Err(error)),

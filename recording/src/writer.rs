@@ -250,27 +250,6 @@ mod tests {
         assert_eq!(steady.checked_sub(second).map(|at| clock.log_time(at)), Some(999_000_000_000));
     }
 
-    #[test]
-    fn a_wall_clock_that_is_set_moves_no_log_time() {
-        let path = std::env::temp_dir().join(format!("scip-clock-{}.mcap", std::process::id()));
-        let parts = Parts::new(Limits::default(), None, &path, |out| out.writer);
-        let out = RecordingFile::open(&path, true).unwrap().begin().unwrap().writer;
-        let clock = LogClock::starting_now();
-        let Times { steady, wall } = clock.began;
-        let mut writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
-        let (second, hour) = (Duration::from_secs(1), Duration::from_secs(3600));
-        for (number, wall) in (0..).zip([wall, wall + 72 * hour, wall - hour]) {
-            writer.event("{}", Times { steady: steady + number * second, wall }).unwrap();
-        }
-        writer.finish().unwrap();
-        let file = std::fs::read(&path).unwrap();
-        let messages = ::mcap::MessageStream::new(&file).unwrap().map(Result::unwrap);
-        let times: Vec<u64> = messages.map(|message| message.log_time).collect();
-        let began = nanos(since_1970(wall));
-        assert_eq!(times, [0, 1, 2].map(|number| began + number * 1_000_000_000));
-        std::fs::remove_file(&path).unwrap();
-    }
-
     /// A file can only be split at a scan, and grows until one comes.
     #[test]
     fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {

@@ -34,22 +34,6 @@ pub(super) struct Index {
     is_too_long: bool,
 }
 
-/// Position of a chunk in the file, and the lengths of its parts.
-pub(super) struct ChunkPlace {
-    pub(super) start: u64,
-    /// Length of the whole record.
-    pub(super) length: u64,
-    /// Length of the records in it.
-    pub(super) size: u64,
-}
-
-/// Records after a chunk that list its messages.
-pub(super) struct MessageIndexes {
-    pub(super) records: Vec<u8>,
-    /// Position in the file of each channel's record, as in a chunk's index.
-    places: Vec<u8>,
-}
-
 impl ChunkMessages {
     /// Adds a message that starts at `place` in the chunk's records.
     pub(super) fn add(&mut self, header: MessageHeader, place: usize) {
@@ -62,9 +46,10 @@ impl ChunkMessages {
         self.span.unwrap_or_default()
     }
 
-    /// Encodes the records for position `start` in the file.
-    pub(super) fn indexes(&self, start: u64) -> MessageIndexes {
-        let (mut records, mut places) = (Vec::new(), Vec::new());
+    /// Encodes the records that list the messages after a chunk, and appends to `places` the
+    /// position of each channel's record. The first one is at `start` in the file.
+    fn indexes(&self, start: u64, places: &mut Vec<u8>) -> Vec<u8> {
+        let mut records = Vec::new();
         for (channel, messages) in &self.channels {
             places.extend_from_slice(&channel.to_le_bytes());
             places.extend_from_slice(&(start + records.len() as u64).to_le_bytes());
@@ -77,7 +62,7 @@ impl ChunkMessages {
                 }
             });
         }
-        MessageIndexes { records, places }
+        records
     }
 }
 
@@ -133,36 +118,41 @@ impl Index {
         self.limit_length();
     }
 
-    /// Adds a chunk with these messages.
+    /// Adds a chunk at `start` with these messages. Its record has `length` bytes, and `size` bytes
+    /// are records in it. Returns the records that follow the chunk.
     pub(super) fn add_chunk(
         &mut self,
-        chunk: &ChunkPlace,
+        start: u64,
+        length: u64,
+        size: u64,
         messages: &ChunkMessages,
-        indexes: &MessageIndexes,
-    ) {
+    ) -> Vec<u8> {
         self.chunks += 1;
-        if let Some((start, end)) = messages.span {
-            self.span = Some(extend(self.span, start, end));
+        if let Some((first, last)) = messages.span {
+            self.span = Some(extend(self.span, first, last));
         }
         for (channel, messages) in &messages.channels {
             *self.messages.entry(*channel).or_default() += messages.len() as u64;
         }
+        let mut places = Vec::new();
+        let lists = messages.indexes(start + length, &mut places);
         if self.is_too_long {
-            return;
+            return lists;
         }
-        let (start, end) = messages.span();
+        let (first, last) = messages.span();
         put_record(&mut self.chunk_indexes, kind::CHUNK_INDEX, |out| {
-            for field in [start, end, chunk.start, chunk.length] {
+            for field in [first, last, start, length] {
                 out.extend_from_slice(&field.to_le_bytes());
             }
-            put_bytes(out, &indexes.places);
-            out.extend_from_slice(&(indexes.records.len() as u64).to_le_bytes());
+            put_bytes(out, &places);
+            out.extend_from_slice(&(lists.len() as u64).to_le_bytes());
             put_bytes(out, b"");
-            for field in [chunk.size; 2] {
+            for field in [size; 2] {
                 out.extend_from_slice(&field.to_le_bytes());
             }
         });
         self.limit_length();
+        lists
     }
 
     /// Frees the memory of an index that is too long.
@@ -250,17 +240,6 @@ mod tests {
             writer.flush().unwrap();
         }
         writer
-    }
-
-    #[test]
-    fn the_index_of_the_longest_file_takes_a_hundred_bytes_a_chunk() {
-        let writer = chunks(1000);
-        assert_eq!(writer.index_entries(), 1000);
-        // A recording has three channels, of 10 bytes each here.
-        assert!(writer.index().chunk_indexes.len() <= 1000 * (106 - 20));
-        let file = writer.finish().unwrap();
-        let summary = ::mcap::Summary::read(&file).unwrap().unwrap();
-        assert_eq!(summary.chunk_indexes.len(), 1000);
     }
 
     #[test]

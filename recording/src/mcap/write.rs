@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-use super::index::{ChunkMessages, ChunkPlace, Index};
+use super::index::{ChunkMessages, Index};
 use super::{
     CHUNK_HEAD, MAGIC, MAX_INDEX_BYTES, MessageHeader, RECORD_HEAD, kind, put_bytes, put_record,
 };
@@ -204,12 +204,10 @@ impl<W: Write> McapWriter<W> {
         if let Some(place) = chunk.record.get_mut(..CHUNK_HEAD) {
             place.copy_from_slice(&head);
         }
-        let start = self.offset;
+        let (start, length) = (self.offset, chunk.record.len() as u64);
         self.write(&chunk.record)?;
-        let indexes = chunk.messages.indexes(self.offset);
-        self.write(&indexes.records)?;
-        let place = ChunkPlace { start, length: chunk.record.len() as u64, size: size as u64 };
-        self.index.add_chunk(&place, &chunk.messages, &indexes);
+        let lists = self.index.add_chunk(start, length, size as u64, &chunk.messages);
+        self.write(&lists)?;
         // The next chunk reuses the memory.
         chunk.record.clear();
         self.chunk.record = chunk.record;

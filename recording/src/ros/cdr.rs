@@ -141,22 +141,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_string_has_its_nul_and_numbers_are_aligned_behind_the_header() {
-        let mut out = vec![9; 3];
-        let mut cdr = CdrWriter::new(&mut out);
-        cdr.string("laser");
-        cdr.u32(7);
-        cdr.bytes(&[b"a", b"bc"]);
-        cdr.f32(1.0);
-        assert_eq!(out, b"\0\x01\0\0\x06\0\0\0laser\0\0\0\x07\0\0\0\x03\0\0\0abc\0\0\0\x80\x3f");
-        let mut cdr = CdrReader::new(&out).unwrap();
-        assert_eq!(cdr.string(), Some("laser"));
-        assert_eq!(cdr.u32(), Some(7));
-        assert_eq!(cdr.bytes(), Some(&b"abc"[..]));
-        assert_eq!((cdr.f32(), cdr.f32()), (Some(1.0), None));
-    }
-
-    #[test]
     fn a_message_cut_short_anywhere_is_read_as_far_as_it_goes_and_no_further() {
         let mut out = Vec::new();
         let mut cdr = CdrWriter::new(&mut out);

@@ -1,10 +1,8 @@
 //! `sensor_msgs/msg/LaserScan`: its definition and encoding.
 
-use std::time::Duration;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
-use super::cdr::CdrReader;
-use super::cdr::CdrWriter;
+use super::cdr::{CdrReader, CdrWriter};
 use super::{MessageType, write_header};
 use tokio_scip::Scan;
 

@@ -4,29 +4,6 @@ use super::{FileError, Sections};
 use crate::mcap::form::record_head;
 use crate::mcap::{FILE_END, FOOTER_BYTES, Fields, MAGIC, RECORD_HEAD, kind};
 
-/// Fields of a footer.
-struct Footer {
-    /// Positions in the file of the summary and of the offsets at its end, or 0.
-    summary: u64,
-    offsets: u64,
-    /// Checksum of the summary and of the footer up to here, or 0.
-    crc: u32,
-}
-
-impl Footer {
-    fn parse(record: &[u8]) -> Option<Self> {
-        let mut fields = Fields(record.get(RECORD_HEAD..)?);
-        let (summary, offsets) = (fields.u64()?, fields.u64()?);
-        Some(Self { summary, offsets, crc: fields.u32()? })
-    }
-
-    /// Checks the positions, if the data ends at `start` and the footer is at `end`.
-    fn is_at(&self, start: u64, end: u64) -> bool {
-        let is_inside = (start..=end).contains(&self.offsets);
-        (self.summary == start || self.summary == 0) && (is_inside || self.offsets == 0)
-    }
-}
-
 impl Sections {
     /// Reads the end of the file, starting at the end of its data. Returns true if other
     /// readers can find the messages with it: the summary is where the footer says, its
@@ -54,12 +31,15 @@ impl Sections {
             summary.update(checked);
             let is_last = length == FOOTER_BYTES as u64 && head.len() == FILE_END;
             let is_whole = is_last && head.ends_with(&MAGIC);
-            let footer = Footer::parse(head).filter(|_| is_whole);
-            let is_right = |footer: Footer| {
-                footer.is_at(start, self.offset)
-                    && (footer.crc == 0 || footer.crc == summary.finalize())
+            let mut fields = Fields(head.get(RECORD_HEAD..).unwrap_or_default());
+            let (Some(at), Some(offsets), Some(crc)) = (fields.u64(), fields.u64(), fields.u32())
+            else {
+                return Ok(false);
             };
-            return Ok(footer.is_some_and(is_right));
+            // A position of 0 means that there is none, and a checksum of 0 that it is not known.
+            let are_inside = (start..=self.offset).contains(&offsets) || offsets == 0;
+            let is_checked = crc == 0 || crc == summary.finalize();
+            return Ok(is_whole && is_checked && are_inside && (at == start || at == 0));
         }
     }
 
