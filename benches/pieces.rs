@@ -1,11 +1,11 @@
-//! Wake-ups, CPU time and latency of scans that arrive in pieces, as over a serial line,
-//! at the rate of a real sensor: on a pseudo-terminal, with the sensor in another
+//! Wake-ups, system calls, CPU time and latency of scans that arrive in pieces, as over a
+//! serial line, at the rate of a real sensor: on a pseudo-terminal, with the sensor in another
 //! process. Beside the driver the same without pauses, a floor, which only writes a
 //! command and reads, blocking, until the reply has ended, and the same loop on tokio and
 //! tokio-serial, with a deadline.
 //!
-//! `cargo bench --bench pieces` prints a table, `-- usb 60` that of one pattern, with one
-//! round of 60 s for each poller. With the arguments of one poller (`floor`, `tokio`,
+//! `cargo bench --bench pieces` prints a table, `-- usb 5 60` that of one pattern, with five
+//! rounds of 60 scans for each poller. strace counts the system calls. With the arguments of one poller (`floor`, `tokio`,
 //! `driver` or `unpaused`), one pattern (the first column) and a number of
 //! scans it runs only these, for `strace` and `.ci/system_calls`.
 
@@ -14,6 +14,7 @@
 use std::io::{self, Read, Write};
 use std::path::Path;
 use std::pin::Pin;
+use std::process::{Command, Stdio};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -39,35 +40,58 @@ const FIRST_SCANS: usize = 5;
 const END_BYTES: usize = 6;
 const POLLERS: [&str; 4] = ["floor", "tokio", "driver", "unpaused"];
 
+/// A revolution of the motor of a real sensor.
+const REVOLUTION: Duration = Duration::from_nanos(99_760_500);
+
 /// The way in which the bytes of a reply arrive.
 struct Pattern {
     name: &'static str,
-    /// The time from the command to the reply.
-    latency: Duration,
+    /// When a reply begins.
+    begins: Begins,
     /// Bytes a piece.
     piece: usize,
     /// The time from piece to piece.
     interval: Duration,
-    /// Scans a second.
-    rate: u32,
+    /// Scans a second, or `None` to poll as fast as the sensor answers.
+    rate: Option<u32>,
 }
 
-const PATTERNS: [Pattern; 6] = [
+#[derive(Clone, Copy, PartialEq)]
+enum Begins {
+    AtOnce,
+    /// 90 ms after its command.
+    Later,
+    /// When the motor ends its revolution.
+    WithTheMotor,
+}
+
+const PATTERNS: [Pattern; 8] = [
     // 115,200 baud: 11,520 bytes a second.
-    Pattern::new("rs232", 0, 14, 1_215_278, 5),
-    Pattern::new("adapter", 0, 62, 5_381_944, 5),
-    // 375 kB a second: the sensor answers at once, and in phase with its motor.
-    Pattern::new("usb", 0, 64, 170_667, 10),
-    Pattern::new("usb-phase", 90, 64, 170_667, 10),
+    Pattern::new("rs232", Begins::AtOnce, 14, 1_215_278, Some(5)),
+    Pattern::new("adapter", Begins::AtOnce, 62, 5_381_944, Some(5)),
+    // 375 kB a second.
+    Pattern::new("usb", Begins::AtOnce, 64, 170_667, Some(10)),
+    Pattern::new("usb-phase", Begins::Later, 64, 170_667, Some(10)),
     // As a URG does: frames of 375 bytes, one each millisecond.
-    Pattern::new("frames", 0, 375, 1_000_000, 10),
-    Pattern::new("whole", 0, 4096, 170_667, 10),
+    Pattern::new("frames", Begins::WithTheMotor, 375, 1_000_000, Some(10)),
+    Pattern::new("frames-max", Begins::WithTheMotor, 375, 1_000_000, None),
+    Pattern::new("whole", Begins::AtOnce, 4096, 170_667, Some(10)),
+    Pattern::new("whole-max", Begins::AtOnce, 4096, 0, None),
 ];
 
 impl Pattern {
-    const fn new(name: &'static str, latency: u64, piece: usize, interval: u64, rate: u32) -> Self {
-        let (latency, interval) = (Duration::from_millis(latency), Duration::from_nanos(interval));
-        Self { name, latency, piece, interval, rate }
+    const fn new(
+        name: &'static str,
+        begins: Begins,
+        piece: usize,
+        interval: u64,
+        rate: Option<u32>,
+    ) -> Self {
+        Self { name, begins, piece, interval: Duration::from_nanos(interval), rate }
+    }
+
+    fn period(&self) -> Option<Duration> {
+        self.rate.map(|rate| Duration::from_secs(1) / rate)
     }
 }
 
@@ -77,14 +101,14 @@ fn main() {
     let pattern = |name| PATTERNS.iter().find(|pattern| pattern.name == name).unwrap();
     match arguments[..] {
         ["serve", name] => serve(pattern(name)),
-        [name, seconds] => {
-            let (pattern, seconds) = (pattern(name), seconds.parse::<usize>().unwrap());
+        [name, rounds, scans] if !POLLERS.contains(&name) => {
             println!("{HEADER}");
-            table(pattern, 1, seconds * pattern.rate as usize);
+            table(pattern(name), rounds.parse().unwrap(), scans.parse().unwrap());
         }
         [poller, name, scans] => {
             let server = Server::start(name);
-            println!("{:?}", poll(poller, &server.path, pattern(name), scans.parse().unwrap()));
+            let cost = poll(poller, &server.path, pattern(name), scans.parse().unwrap());
+            println!("{:.1} wake-ups, {:.0} us", cost.wake_ups(), cost.cpu());
         }
         _ => {
             println!("{HEADER}");
@@ -93,8 +117,7 @@ fn main() {
     }
 }
 
-const HEADER: &str =
-    "pattern  poller    wake-ups/scan  CPU us/scan  of floor  latency us: median    99 %";
+const HEADER: &str = "pattern     poller    wake-ups/scan  calls/scan  CPU us/scan  of floor  of tokio  latency us: median    99 %";
 
 /// Prints the medians of some rounds of each poller.
 fn table(pattern: &Pattern, rounds: usize, scans: usize) {
@@ -105,18 +128,38 @@ fn table(pattern: &Pattern, rounds: usize, scans: usize) {
         .collect();
     for (index, poller) in POLLERS.into_iter().enumerate() {
         let of = |figure: fn(&Cost) -> f64| median(rounds.iter().map(|r| figure(&r[index])));
-        let to_floor = median(rounds.iter().map(|r| r[index].cpu() / r[0].cpu()));
+        let to = |other: usize| median(rounds.iter().map(|r| r[index].cpu() / r[other].cpu()));
         let mut latencies: Vec<Duration> =
             rounds.iter().flat_map(|round| round[index].latencies.clone()).collect();
+        let calls = calls(poller, pattern).map_or("-".to_owned(), |calls| format!("{calls:.1}"));
         println!(
-            "{:8} {poller:8}  {:13.1}  {:11.0}  {to_floor:8.2}  {:18.0}  {:6.0}",
+            "{:10}  {poller:8}  {:13.1}  {calls:>10}  {:11.0}  {:8.2}  {:8.2}  {:18.0}  {:6.0}",
             pattern.name,
             of(Cost::wake_ups),
             of(Cost::cpu),
+            to(0),
+            to(1),
             us(percentile(&mut latencies, 0.5)),
             us(percentile(&mut latencies, 0.99)),
         );
     }
+}
+
+/// System calls a scan of the thread that polls, or `None` without strace. The difference of two
+/// runs: the start of the program is in both.
+fn calls(poller: &str, pattern: &Pattern) -> Option<f64> {
+    let (few, many) = (10, 40);
+    let count = |scans: usize| {
+        let traced = Command::new("strace")
+            .arg(std::env::current_exe().ok()?)
+            .args([poller, pattern.name, &scans.to_string()])
+            .stdout(Stdio::null())
+            .output()
+            .ok()?;
+        let lines = traced.stderr.split(|byte| *byte == b'\n');
+        Some(lines.filter(|line| line.first().is_some_and(u8::is_ascii_lowercase)).count())
+    };
+    Some((count(many)? as f64 - count(few)? as f64) / (many - few) as f64)
 }
 
 /// The cost of a number of scans.
@@ -155,8 +198,10 @@ fn floor(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
     let mut buffer = [0; 4096];
     let mut due = Instant::now();
     let mut scan = || {
-        due += Duration::from_secs(1) / pattern.rate;
-        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        if let Some(period) = pattern.period() {
+            due += period;
+            std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        }
         port.write_all(b"G04472501\n").unwrap();
         let mut length = 0;
         while !buffer[..length].ends_with(b"\n\n") {
@@ -184,14 +229,16 @@ fn age_of(reply: &[u8]) -> Duration {
 fn bare_tokio(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let path = path.to_str().unwrap().to_owned();
-    let period = Duration::from_secs(1) / pattern.rate;
+    let period = pattern.period();
     let polling = runtime.spawn(async move {
         let mut port = SerialStream::open(&tokio_serial::new(path, 19_200)).unwrap();
         let mut buffer = [0; 4096];
         let mut due = tokio::time::Instant::now();
         let mut scan = async || {
-            due += period;
-            sleep_until(due).await;
+            if let Some(period) = period {
+                due += period;
+                sleep_until(due).await;
+            }
             AsyncWriteExt::write_all(&mut port, b"G04472501\n").await.unwrap();
             let reply = async {
                 let mut length = 0;
@@ -219,7 +266,7 @@ fn bare_tokio(path: &Path, pattern: &Pattern, scans: usize) -> Cost {
 /// Polls through the driver, with the consumer in a task of its own.
 fn driver(unpaused: bool, path: &Path, pattern: &Pattern, scans: usize) -> Cost {
     let path = path.to_str().unwrap().to_owned();
-    let rate = Rate::hz(f64::from(pattern.rate));
+    let rate = pattern.rate.map_or(Rate::UNLIMITED, |rate| Rate::hz(f64::from(rate)));
     let runtime = Builder::new_current_thread().enable_all().build().unwrap();
     let polling = runtime.spawn(async move {
         let sensor = match unpaused {
@@ -345,11 +392,21 @@ fn serve(pattern: &Pattern) {
     let mut terminal = terminal::Terminal::open();
     println!("{}", terminal.path.display());
     let (mut command, mut reply) = (Vec::new(), Vec::new());
+    let mut revolution = Instant::now();
     while terminal::read_command(&mut terminal.master, &mut command).is_some() {
         reply.clear();
         instant_sensor::reply(&command, &mut reply);
         let is_scan = reply.len() > 1000;
-        let (mut due, mut rest) = (Instant::now() + pattern.latency, &mut reply[..]);
+        let now = Instant::now();
+        while revolution < now {
+            revolution += REVOLUTION;
+        }
+        let begins = match pattern.begins {
+            Begins::AtOnce => now,
+            Begins::Later => now + Duration::from_millis(90),
+            Begins::WithTheMotor => revolution,
+        };
+        let (mut due, mut rest) = (begins, &mut reply[..]);
         while !rest.is_empty() {
             // The last piece has room for the stamp.
             let is_last = rest.len() < pattern.piece + END_BYTES;

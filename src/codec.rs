@@ -15,6 +15,8 @@ use crate::protocol::{Command, Window};
 
 /// Longest reply in bytes, without its terminator. A sensor's longest reply has 1,574.
 const MAX_FRAME: usize = 4096;
+/// Number of bytes that are searched at once.
+const BLOCK: usize = 32;
 /// Length of a terminator, two LFs.
 pub(crate) const TERMINATOR: usize = 2;
 
@@ -225,26 +227,19 @@ impl Encoder<&Command> for ScipCodec {
 
 /// Finds the first two LFs in a row.
 fn find_terminator(bytes: &[u8]) -> Option<usize> {
-    // Large blocks first, then small blocks from where the large ones stopped.
-    let mut at = skip::<128>(bytes, 0);
-    at = skip::<16>(bytes, at);
-    let pairs = bytes.get(at..)?.windows(2);
-    pairs.into_iter().position(|pair| pair == b"\n\n").map(|found| at + found)
+    // Whole blocks first, while no terminator begins in them.
+    let after = bytes.get(1..).unwrap_or_default().as_chunks::<BLOCK>().0;
+    let pairs = bytes.as_chunks::<BLOCK>().0.iter().zip(after);
+    let mut at = BLOCK * pairs.take_while(|(first, second)| !has_pair(first, second)).count();
+    while bytes.get(at..at + TERMINATOR)? != b"\n\n" {
+        at += 1;
+    }
+    Some(at)
 }
 
-/// Skips whole blocks from `at` until a terminator begins in one. Returns the position of
-/// that block.
-fn skip<const BLOCK: usize>(bytes: &[u8], at: usize) -> usize {
-    if bytes.len() - at <= BLOCK {
-        // Bytes that arrive one at a time are searched one at a time.
-        return at;
-    }
-    let blocks = |from: usize| bytes.get(from..).unwrap_or_default().as_chunks::<BLOCK>().0;
-    let free = blocks(at).iter().zip(blocks(at + 1)).take_while(|(first, second)| {
-        // Zero where both bytes are LF. Without a branch, the compiler emits vector
-        // instructions.
-        let pairs = first.iter().zip(second.iter());
-        pairs.fold(u8::MAX, |least, (a, b)| least.min((a ^ b'\n') | (b ^ b'\n'))) != 0
-    });
-    at + free.count() * BLOCK
+/// Returns true if both blocks have an LF at the same place.
+fn has_pair(first: &[u8; BLOCK], second: &[u8; BLOCK]) -> bool {
+    // Zero where both bytes are LF. Without a branch, the compiler emits vector instructions.
+    let pairs = first.iter().zip(second).map(|(a, b)| (a ^ b'\n') | (b ^ b'\n'));
+    pairs.fold(u8::MAX, u8::min) == 0
 }

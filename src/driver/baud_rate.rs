@@ -105,7 +105,7 @@ pub(crate) async fn change(
     };
     session.set_baud_rate(old).map_err(lost)?;
     let status = match session.command(command).await {
-        Ok((reply, _)) => Some(reply.status()),
+        Ok(reply) => Some(reply.status()),
         // Without a reply, nothing tells whether the sensor has changed.
         Err(ExchangeError::Command(ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. })) => {
             None

@@ -201,7 +201,7 @@ async fn set_laser(session: &mut Session, on: bool) -> Result<(), ExchangeError>
     loop {
         tries -= 1;
         let status = match session.command_twice(command).await {
-            Ok((reply, _)) => Some(reply.status()),
+            Ok(reply) => Some(reply.status()),
             Err(ExchangeError::Command(ErrorKind::Refused { status, .. })) => Some(status),
             Err(ExchangeError::Command(_)) => None,
             Err(lost) => return Err(lost),

@@ -45,7 +45,7 @@ impl ReplyObservers {
     /// Passes `reply` to each observer.
     pub(crate) fn pass(&self, reply: RawReply<'_>) {
         // Called without the lock, so that an observer may add and remove others.
-        let list = Arc::clone(&*self.locked());
+        let list = self.locked().clone();
         list.iter().for_each(|observer| observer(reply));
     }
 

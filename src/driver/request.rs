@@ -2,6 +2,7 @@
 //! once: by the driver, or when it is dropped with the driver.
 
 use std::collections::VecDeque;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
@@ -155,12 +156,12 @@ impl RequestQueue {
         self.waiting.iter_mut().for_each(|waiting| waiting.expires = expires);
     }
 
-    /// Waits until [`pop`](Self::pop) has a request. Cancel-safe.
-    pub(crate) async fn ready(&mut self) -> Result<(), Abandoned> {
+    /// Waits until [`pop`](Self::pop) has a request.
+    pub(crate) fn poll_ready(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), Abandoned>> {
         if self.waiting.is_empty() && self.next.is_none() {
-            self.next = Some(self.receiver.recv().await.ok_or(Abandoned)?);
+            self.next = Some(ready!(self.receiver.poll_recv(cx)).ok_or(Abandoned)?);
         }
-        Ok(())
+        Poll::Ready(Ok(()))
     }
 
     /// While there is no link: returns the next request that needs none. The others wait
@@ -223,6 +224,8 @@ impl Wishes {
 
 #[cfg(test)]
 mod tests {
+    use std::future::poll_fn;
+
     use futures::FutureExt;
 
     use super::*;
@@ -231,11 +234,12 @@ mod tests {
     async fn a_request_that_waited_for_a_link_is_ready_when_there_is_one() {
         let (sender, receiver) = mpsc::channel(2);
         let mut queue = RequestQueue::new(receiver, Duration::from_secs(1));
-        assert!(queue.ready().now_or_never().is_none(), "no request was sent");
+        let ready = poll_fn(|cx| queue.poll_ready(cx)).now_or_never();
+        assert!(ready.is_none(), "no request was sent");
         let (responder, _answer) = oneshot::channel();
         assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
         assert!(queue.next_unlinked().now_or_never().is_none(), "it needs a link");
-        assert!(matches!(queue.ready().now_or_never(), Some(Ok(()))));
+        assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
         assert!(matches!(queue.pop(), Ok(Some(Request::Version(_)))));
     }
 

@@ -35,7 +35,7 @@ struct Schedule {
     ring: Arc<Ring>,
     /// Next grid point. At [`Rate::UNLIMITED`], the end of the last poll.
     due: Instant,
-    /// Number of scans that readers had missed by the latest poll.
+    /// Number of scans that readers had missed by the latest one.
     missed: u64,
     /// Kind of the last error since the last scan.
     condition: Option<Discriminant<ErrorKind>>,
@@ -54,6 +54,8 @@ pub(crate) struct DuePoll {
 pub(crate) struct Ended {
     /// True if the scan's values equal the previous ones.
     pub(crate) repeats: bool,
+    /// Number of scans that readers have missed since the previous one.
+    pub(crate) newly_missed: u64,
     /// Why the rate falls short, if that is news.
     pub(crate) shortfall: Option<Shortfall>,
 }
@@ -114,7 +116,8 @@ impl Schedules {
             if schedule.due > now {
                 return None;
             }
-            if schedule.ring.readers() > 0 {
+            // Readers own the ring, too. Cheaper than to count them.
+            if Arc::strong_count(&schedule.ring) > 1 {
                 let skipped = schedule.advance(now);
                 return Some((DuePoll { window: schedule.window, rate: schedule.rate }, skipped));
             }
@@ -133,8 +136,10 @@ impl Schedules {
         schedule.condition = None;
         let latency = scan.received_at().saturating_duration_since(scan.requested_at());
         schedule.speed.count_scan(latency, scan.scan_time());
-        let repeats = schedule.ring.push(scan);
-        Ended { repeats, shortfall: self.end_poll(poll, baud_rate) }
+        let (repeats, missed) = schedule.ring.push(scan);
+        let newly_missed = missed - std::mem::replace(&mut schedule.missed, missed);
+        self.missed += newly_missed;
+        Ended { repeats, newly_missed, shortfall: self.end_poll(poll, baud_rate) }
     }
 
     /// Reports the error of one poll.
@@ -142,7 +147,7 @@ impl Schedules {
         let Some(schedule) = self.find(poll.window, poll.rate) else { return Ended::default() };
         schedule.report(error);
         schedule.speed.count_failure();
-        Ended { repeats: false, shortfall: self.end_poll(poll, None) }
+        Ended { shortfall: self.end_poll(poll, None), ..Ended::default() }
     }
 
     /// Ends a poll, and returns why the rate falls short, if that is news. At [`Rate::UNLIMITED`] the
@@ -153,11 +158,9 @@ impl Schedules {
         if poll.rate.period().is_none() {
             schedule.due = now;
         }
-        let missed = schedule.newly_missed();
         let wire_time = || baud_rate.map(|baud_rate| poll.window.wire_time(baud_rate));
         let span = schedule.speed.finish_span(now, || wire_time().unwrap_or_default());
         let shortfall = span.and_then(|span| schedule.speed.report(span));
-        self.missed += missed;
         self.changed |= span.is_some();
         shortfall
     }
@@ -216,6 +219,7 @@ impl Schedules {
         });
     }
 
+    #[inline(never)]
     fn find(&mut self, window: Window, rate: Rate) -> Option<&mut Schedule> {
         self.all.iter_mut().find(|schedule| schedule.window == window && schedule.rate == rate)
     }
@@ -250,8 +254,11 @@ impl Schedule {
             self.due = self.due.max(now);
             return 0;
         };
-        let late = now.saturating_duration_since(self.due).as_nanos();
-        let period = period.as_nanos();
+        let late = now.saturating_duration_since(self.due);
+        if late < period {
+            return 0;
+        }
+        let (late, period) = (late.as_nanos(), period.as_nanos());
         // Both casts are exact: u64 nanoseconds overflow after 584 years.
         let skipped = (late / period) as u64;
         self.due += Duration::from_nanos((period * u128::from(skipped)) as u64);

@@ -1,8 +1,10 @@
 //! Serves an open session: requests and polls in turn.
 
+use std::future::poll_fn;
+use std::task::Poll;
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::Instant;
 
 use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
@@ -11,9 +13,10 @@ use super::motor_clock::{MotorClock, Revolution};
 use super::request::{Abandoned, Request, RequestQueue, Responder};
 use super::schedule::{DuePoll, Ended, Schedules};
 use super::session::{Polled, Session};
+use super::transport::{Timer, Timing};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
-use crate::stats::{ScheduleStats, Shortfall};
+use crate::stats::Shortfall;
 use crate::{BaudRate, ErrorChain, ErrorKind, Window};
 
 /// Number of attempts at a baud rate that the sensor neither confirms nor refuses. At a baud rate
@@ -59,6 +62,8 @@ pub(crate) struct Service<'a> {
     pub(crate) reconnects: u64,
     /// True if scans are polled, as the state reports it.
     pub(crate) streaming: bool,
+    /// Wakes the driver for the next poll, probe or attempt.
+    pub(crate) timer: Timer,
 }
 
 impl Service<'_> {
@@ -91,17 +96,18 @@ impl Service<'_> {
     ) -> Result<(), Stop> {
         // Only bytes from the sensor show that the link is alive: some requests are answered
         // without it.
+        let now = Instant::now();
         let latest = session.transport.latest_at();
         let probe = self.probe_interval.zip(latest).map(|(interval, latest)| latest + interval);
         // Now, while nothing else is due, a fence delays no poll.
-        if !session.is_settled() || probe.is_some_and(|due| due <= Instant::now()) {
-            let outcome = self.resynchronise(session).await;
+        if !session.is_settled() || probe.is_some_and(|due| due <= now) {
+            let outcome = Box::pin(self.resynchronise(session)).await;
             ignore_command_errors(outcome)?;
         }
         let wish = self.queue.wishes.laser;
         if let Some(on) = wish.filter(|_| self.laser.is_due(wish)) {
             *request_served = true;
-            let outcome = self.switch_laser(session, on, true).await;
+            let outcome = Box::pin(self.switch_laser(session, on, true)).await;
             ignore_command_errors(outcome)?;
         }
         let polling = !self.schedules.is_empty() && !self.laser.is_off();
@@ -111,7 +117,7 @@ impl Service<'_> {
         if !(*request_served && poll_is_due) {
             if let Some(request) = self.queue.pop()? {
                 *request_served = true;
-                self.answer(session, request).await?;
+                Box::pin(self.answer(session, request)).await?;
                 // One of the streams may have been dropped since the last request.
                 self.schedules.drop_unread();
                 self.schedules.publish(self.telemetry);
@@ -119,7 +125,7 @@ impl Service<'_> {
             }
             if let Some(baud_rate) = self.queue.wishes.baud_rate {
                 *request_served = true;
-                return self.apply_baud_rate(session, baud_rate).await;
+                return Box::pin(self.apply_baud_rate(session, baud_rate)).await;
             }
         }
         *request_served = false;
@@ -127,13 +133,16 @@ impl Service<'_> {
             return self.poll_due(session).await;
         }
         let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
-        tokio::select! {
-            biased;
-            outcome = session.transport.idle() => ignore_command_errors(outcome)?,
-            outcome = self.queue.ready() => outcome?,
-            () = sleep_until(wake.unwrap_or_else(Instant::now)), if wake.is_some() => {}
-        }
-        Ok(())
+        poll_fn(|cx| {
+            if let Poll::Ready(outcome) = session.transport.poll_idle(cx) {
+                return Poll::Ready(ignore_command_errors(outcome));
+            }
+            if let Poll::Ready(outcome) = self.queue.poll_ready(cx) {
+                return Poll::Ready(outcome.map_err(Stop::from));
+            }
+            wake.map_or(Poll::Pending, |wake| self.timer.poll(cx, wake).map(Ok))
+        })
+        .await
     }
 
     /// Drops pending input and sends a fence. If the sensor answers with a distance although its laser should be
@@ -260,11 +269,18 @@ impl Service<'_> {
         let mut tries = 2;
         loop {
             tries -= 1;
-            match self.poll(session, window).await {
+            let mut polled = session.poll(window).await;
+            if let Err(failure) = polled {
+                polled = self.poll_again(session, window, failure).await;
+            }
+            match polled {
                 Err(ExchangeError::Command(
                     ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
                 )) if tries > 0 && !self.telemetry.is_closing() => {}
-                outcome => return outcome,
+                Ok(polled) => {
+                    return Ok(self.scan_from(window, polled, session.transport.timing()));
+                }
+                Err(failure) => return Err(failure),
             }
         }
     }
@@ -279,70 +295,86 @@ impl Service<'_> {
         if poll.rate.period().is_some()
             && let Some(copies_end) = session.copies_end(poll.window)
         {
-            sleep_until(copies_end).await;
+            self.timer.wait(copies_end).await;
         }
         // Few polls of a session: they show whether replies follow the motor.
-        let delay = self.motor_clock.poll_delay(Instant::now());
+        let now = Instant::now();
+        let delay = self.motor_clock.poll_delay(now);
         if !delay.is_zero() {
-            sleep(delay).await;
+            self.timer.wait(now + delay).await;
         }
-        let (outcome, ended) = match self.poll(session, poll.window).await {
-            Ok(scan) => (Ok(()), self.schedules.deliver(poll, scan, session.believed_baud_rate())),
-            Err(failure) => match command_error(failure) {
-                Ok(kind) => (Ok(()), self.schedules.fail(poll, &self.telemetry.error(kind))),
-                Err(failure) => (Err(failure.into()), Ended::default()),
-            },
+        let mut polled = session.poll(poll.window).await;
+        if let Err(failure) = polled {
+            polled = Box::pin(self.poll_again(session, poll.window, failure)).await;
+        }
+        let ended = match polled {
+            Ok(polled) => {
+                let scan = self.scan_from(poll.window, polled, session.transport.timing());
+                self.schedules.deliver(poll, scan, session.believed_baud_rate())
+            }
+            Err(failure) => self.fail(poll, failure)?,
         };
-        if let Some(shortfall) = ended.shortfall
-            && let Some(stats) = self.schedules.stats(poll)
-        {
-            warn_of(shortfall, poll, stats);
+        if let Some(shortfall) = ended.shortfall {
+            self.warn_of(shortfall, poll);
         }
-        let mut stats = self.telemetry.stats();
-        stats.repeats += u64::from(ended.repeats);
-        stats.polls_skipped += skipped;
-        stats.missed = self.schedules.missed();
-        drop(stats);
+        if ended.repeats || ended.newly_missed > 0 || skipped > 0 {
+            let mut stats = self.telemetry.stats();
+            stats.repeats += u64::from(ended.repeats);
+            stats.polls_skipped += skipped;
+            stats.missed = self.schedules.missed();
+        }
         self.schedules.publish(self.telemetry);
+        Ok(())
+    }
+
+    #[cold]
+    fn fail(&mut self, poll: DuePoll, failure: ExchangeError) -> Result<Ended, LinkError> {
+        let kind = command_error(failure)?;
+        Ok(self.schedules.fail(poll, &self.telemetry.error(kind)))
+    }
+
+    /// Handles the failure of a poll. If the sensor refused because its laser is off, and this
+    /// driver did not switch it off, switches it on and polls once more. Otherwise records why there
+    /// is no scan.
+    async fn poll_again(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+        failure: ExchangeError,
+    ) -> Result<Polled, ExchangeError> {
+        let outcome = match failure {
+            ExchangeError::Command(ErrorKind::Refused { command, status, .. })
+                if self.queue.wishes.laser != Some(false) =>
+            {
+                self.poll_with_laser_on(session, window, Refusal { command, status }).await
+            }
+            failure => Err(failure),
+        };
+        if let Err(failure) = &outcome {
+            self.telemetry.fail(failure.kind().clone());
+        }
         outcome
     }
 
-    /// Polls, and records the scan or the reason why there is none. If the sensor refuses
-    /// because its laser is off, and this driver did not switch it off, switches it on and polls
-    /// once more.
-    async fn poll(&mut self, session: &mut Session, window: Window) -> Result<Scan, ExchangeError> {
-        let mut outcome = session.poll(window).await;
-        if let Err(ExchangeError::Command(ErrorKind::Refused { command, status, .. })) = outcome
-            && self.queue.wishes.laser != Some(false)
-        {
-            let refusal = Refusal { command, status };
-            outcome = match self.laser.switch_on(session, window, refusal).await {
-                Ok(()) => {
-                    let again = session.poll(window).await;
-                    match &again {
-                        Ok(_) => {
-                            tracing::info!(%status, "the sensor refused a poll: switched its laser on");
-                        }
-                        Err(ExchangeError::Command(ErrorKind::Refused { .. })) => {
-                            self.laser.record_refusal(window, None);
-                        }
-                        Err(_) => {}
-                    }
-                    again
-                }
-                Err(failure) => Err(failure),
-            };
-        }
-        match outcome {
-            Ok(polled) => {
-                self.laser.record_scan(window);
-                Ok(self.scan_from(window, polled))
+    async fn poll_with_laser_on(
+        &mut self,
+        session: &mut Session,
+        window: Window,
+        refusal: Refusal,
+    ) -> Result<Polled, ExchangeError> {
+        self.laser.switch_on(session, window, refusal).await?;
+        let again = session.poll(window).await;
+        match &again {
+            Ok(_) => {
+                let Refusal { status, .. } = refusal;
+                tracing::info!(%status, "the sensor refused a poll: switched its laser on");
             }
-            Err(failure) => {
-                self.telemetry.fail(failure.kind().clone());
-                Err(failure)
+            Err(ExchangeError::Command(ErrorKind::Refused { .. })) => {
+                self.laser.record_refusal(window, None);
             }
+            Err(_) => {}
         }
+        again
     }
 
     /// Answers a request. Also returns a reason to stop if the line failed.
@@ -360,8 +392,9 @@ impl Service<'_> {
     }
 
     /// Makes a scan of a reply, and learns from its arrival when the motor's revolutions end.
-    fn scan_from(&mut self, window: Window, polled: Polled) -> Scan {
-        let Polled { values, first, timing } = polled;
+    fn scan_from(&mut self, window: Window, polled: Polled, timing: &Timing) -> Scan {
+        self.laser.record_scan(window);
+        let Polled { values, first } = polled;
         let revolution = match timing.is_replayed {
             true => Revolution::default(),
             false => self.motor_clock.observe(timing.requested, timing.began),
@@ -382,6 +415,28 @@ impl Service<'_> {
             reconnects: self.reconnects,
         };
         Scan::new(window, values, first, meta)
+    }
+
+    /// Logs why a schedule falls short of its rate.
+    #[cold]
+    fn warn_of(&mut self, shortfall: Shortfall, poll: DuePoll) {
+        let DuePoll { window, rate } = poll;
+        let Some(stats) = self.schedules.stats(poll) else { return };
+        let (reached, failed) = (stats.reached.unwrap_or_default(), stats.failed);
+        match shortfall {
+            Shortfall::Line => tracing::warn!(
+                %window, asked = %rate, reached,
+                "the line cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
+            ),
+            Shortfall::Sensor => tracing::warn!(
+                %window, asked = %rate, reached,
+                "the sensor answers no faster, mostly once in a revolution: ask for fewer scans"
+            ),
+            Shortfall::Loss => tracing::warn!(
+                %window, asked = %rate, reached, failed,
+                "replies are lost, malformed or refused: check the cable and the sensor's power"
+            ),
+        }
     }
 
     /// Updates the state only on a change, because a user may hold a borrow of it.
@@ -407,27 +462,4 @@ fn command_error(failure: ExchangeError) -> Result<ErrorKind, LinkError> {
 
 fn ignore_command_errors(outcome: Result<(), ExchangeError>) -> Result<(), Stop> {
     outcome.or_else(|failure| Ok(command_error(failure).map(drop)?))
-}
-
-/// Logs why a schedule falls short of its rate.
-fn warn_of(
-    shortfall: Shortfall,
-    poll: DuePoll,
-    ScheduleStats { reached, failed, .. }: ScheduleStats,
-) {
-    let DuePoll { window, rate } = poll;
-    match shortfall {
-        Shortfall::Line => tracing::warn!(
-            %window, asked = %rate, reached = reached.unwrap_or_default(),
-            "the line cannot keep up: ask for fewer scans or steps, or for a higher baud rate"
-        ),
-        Shortfall::Sensor => tracing::warn!(
-            %window, asked = %rate, reached = reached.unwrap_or_default(),
-            "the sensor answers no faster, mostly once in a revolution: ask for fewer scans"
-        ),
-        Shortfall::Loss => tracing::warn!(
-            %window, asked = %rate, reached = reached.unwrap_or_default(), failed,
-            "replies are lost, malformed or refused: check the cable and the sensor's power"
-        ),
-    }
 }

@@ -20,6 +20,7 @@ use super::request::{RequestQueue, Unlinked};
 use super::schedule::Schedules;
 use super::serve::{Service, Stop};
 use super::session::Session;
+use super::transport::Timer;
 use crate::port::AnyConnect;
 use crate::state::{State, Telemetry};
 use crate::{Error, ErrorChain, ErrorKind};
@@ -141,6 +142,7 @@ impl Supervisor {
             motor_clock: MotorClock::new(scan_time),
             reconnects,
             streaming: false,
+            timer: Timer::default(),
         };
         let stop = service.run(session).await;
         self.offline.pause();

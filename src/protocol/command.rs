@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::ops::Deref;
+use std::time::Duration;
 
 use super::{BaudRate, Window};
 
@@ -76,6 +77,11 @@ impl Command {
             other => other.bytes().len() + 4,
         }
     }
+
+    /// Time that this command and its longest reply occupy a line at this baud rate.
+    pub(crate) fn wire_time(&self, baud_rate: BaudRate) -> Duration {
+        baud_rate.wire_time(self.bytes().len() + 1 + self.reply_len())
+    }
 }
 
 impl fmt::Display for Command {
@@ -115,6 +121,7 @@ impl Deref for CommandBytes {
 }
 
 /// Encodes a `G`.
+#[inline(never)]
 fn distances(window: &Window) -> [u8; 9] {
     let [a, b, c] = digits(window.start().number());
     let [d, e, f] = digits(window.end().number());

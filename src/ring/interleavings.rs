@@ -43,13 +43,13 @@ struct ModelWriter {
     writes: &'static [Write],
     /// Next reader to wake. `None` between two writes.
     entry: Option<usize>,
-    /// Wakers that it has taken and not called yet.
-    wakers: Vec<Waker>,
+    /// Waker that it has taken and not called yet.
+    waker: Option<Waker>,
 }
 
 impl ModelWriter {
     fn step(&mut self, ring: &Ring) {
-        if let Some(waker) = self.wakers.pop() {
+        if let Some(waker) = self.waker.take() {
             return waker.wake();
         }
         let mut inner = ring.lock();
@@ -66,12 +66,12 @@ impl ModelWriter {
             }
             (None, None) => return,
         };
-        self.wakers = inner.take_wakers(&mut entry).into_iter().flatten().collect();
-        self.entry = (entry < inner.readers.len()).then_some(entry);
+        self.waker = inner.take_waker(&mut entry);
+        self.entry = self.waker.is_some().then_some(entry);
     }
 
     fn is_done(&self) -> bool {
-        self.writes.is_empty() && self.entry.is_none() && self.wakers.is_empty()
+        self.writes.is_empty() && self.entry.is_none() && self.waker.is_none()
     }
 }
 
@@ -192,7 +192,7 @@ impl Model {
         changes: [(usize, Change); 3],
     ) -> Self {
         let ring = Ring::new();
-        let writers = writes.map(|writes| ModelWriter { writes, entry: None, wakers: Vec::new() });
+        let writers = writes.map(|writes| ModelWriter { writes, entry: None, waker: None });
         let readers =
             changes.map(|(depth, change)| ModelReader::new(ring.subscribe(depth), change));
         let mut model = Self { ring, writers, readers };
@@ -237,8 +237,8 @@ impl Model {
             entries.collect::<Vec<_>>(),
         );
         let writers = self.writers.each_ref().map(|writer| {
-            let wakers: Vec<_> = writer.wakers.iter().map(whose).collect();
-            (writer.writes.len(), writer.entry, wakers)
+            let waker = writer.waker.as_ref().map(whose);
+            (writer.writes.len(), writer.entry, waker)
         });
         let readers = self.readers.each_ref().map(|reader| {
             let places = [&reader.cursor, &reader.original]

@@ -15,9 +15,6 @@ use tokio::time::Instant;
 
 use crate::{Error, Scan};
 
-/// Number of wakers taken under one lock. More waiting readers take further locks.
-const WAKERS: usize = 4;
-
 /// Newest scans of a schedule, and its latest error.
 ///
 /// Errors are kept beside the scans, so that no scan overwrites them.
@@ -96,9 +93,9 @@ impl Ring {
     }
 
     /// Adds a scan, and numbers it. Marks it, and returns true, if its values equal the values of
-    /// the one before it.
-    pub(crate) fn push(&self, scan: Scan) -> bool {
-        self.change(|inner| inner.push(scan))
+    /// the one before it. Also returns the number of scans that readers have missed.
+    pub(crate) fn push(&self, scan: Scan) -> (bool, u64) {
+        self.change(|inner| (inner.push(scan), inner.missed))
     }
 
     /// Newest scan.
@@ -133,16 +130,12 @@ impl Ring {
     fn change<T>(&self, change: impl FnOnce(&mut Inner) -> T) -> T {
         let (mut inner, mut entry) = (self.lock(), 0);
         let outcome = change(&mut inner);
-        loop {
-            let wakers = inner.take_wakers(&mut entry);
-            let is_last = entry == inner.readers.len();
+        while let Some(waker) = inner.take_waker(&mut entry) {
             drop(inner);
-            wakers.into_iter().flatten().for_each(Waker::wake);
-            if is_last {
-                return outcome;
-            }
+            waker.wake();
             inner = self.lock();
         }
+        outcome
     }
 
     fn lock(&self) -> MutexGuard<'_, Inner> {
@@ -166,23 +159,19 @@ impl Inner {
         repeats
     }
 
-    /// Takes the wakers of up to [`WAKERS`] waiting readers from `entry` on, and advances
-    /// `entry` past those readers.
-    fn take_wakers(&mut self, entry: &mut usize) -> [Option<Waker>; WAKERS] {
-        let mut wakers = [const { None }; WAKERS];
-        let mut room = wakers.iter_mut();
-        for reader in self.readers.iter_mut().skip(*entry) {
+    /// Takes the waker of the first waiting reader from `entry` on, and advances `entry` past that
+    /// reader.
+    fn take_waker(&mut self, entry: &mut usize) -> Option<Waker> {
+        while let Some(reader) = self.readers.get_mut(*entry) {
+            *entry += 1;
             if matches!(reader.state, ReaderState::Waiting(_)) {
-                let Some(place) = room.next() else { break };
-                if let ReaderState::Waiting(waker) =
-                    std::mem::replace(&mut reader.state, ReaderState::Busy)
-                {
-                    *place = Some(waker);
+                match std::mem::replace(&mut reader.state, ReaderState::Busy) {
+                    ReaderState::Waiting(waker) => return Some(waker),
+                    ReaderState::Gone | ReaderState::Busy => {}
                 }
             }
-            *entry += 1;
         }
-        wakers
+        None
     }
 
     fn report(&mut self, error: Error) {

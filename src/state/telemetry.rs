@@ -2,7 +2,7 @@
 //! the driver and read by its handles.
 
 use std::ops::{Deref, DerefMut};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, SystemTime};
 
@@ -29,6 +29,7 @@ pub(crate) struct Telemetry {
     link_log: Mutex<LinkLog>,
     /// Number of handles that wait for the driver to close.
     closing: AtomicUsize,
+    polls: AtomicU64,
 }
 
 /// Reply to `V`: parsed, and as received.
@@ -65,6 +66,7 @@ impl Telemetry {
             schedules: Mutex::default(),
             link_log: Mutex::default(),
             closing: AtomicUsize::new(0),
+            polls: AtomicU64::new(0),
         }
     }
 
@@ -196,6 +198,7 @@ impl Telemetry {
     /// Copies the counters, with the schedules that have a stream.
     pub(crate) fn snapshot(&self) -> Stats {
         let mut stats = self.stats().stats.clone();
+        stats.polls = self.polls.load(Ordering::Relaxed);
         // The streams may all be gone before the driver notices.
         let is_read = |ring: &Weak<Ring>| ring.upgrade().is_some_and(|ring| ring.readers() > 0);
         let schedules = lock(&self.schedules);
@@ -212,6 +215,11 @@ impl Telemetry {
         let mut noted = lock(&self.schedules);
         noted.clear();
         noted.extend(schedules);
+    }
+
+    /// Counts a poll, without a lock.
+    pub(crate) fn count_poll(&self) {
+        self.polls.fetch_add(1, Ordering::Relaxed);
     }
 
     /// Announces that the driver is closing, until the guard is dropped.
@@ -310,6 +318,7 @@ impl Drop for Closing<'_> {
     }
 }
 
+#[inline(never)]
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     // Counters and plain values: always consistent.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)

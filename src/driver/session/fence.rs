@@ -6,8 +6,6 @@
 
 use std::time::Duration;
 
-use tracing::Instrument;
-
 use super::super::failure::{ExchangeError, LinkError};
 use super::super::transport::Transport;
 use super::Session;
@@ -50,9 +48,8 @@ impl Session {
         let command = Command::Distances(self.unique_requests.fence());
         self.is_settled = false;
         self.telemetry.stats().fences += 1;
-        let span = tracing::trace_span!("fence", %command);
         let mut malformed = None;
-        let answer = self.answer_to_fence(&command, latency, &mut malformed).instrument(span).await;
+        let answer = self.answer_to_fence(&command, latency, &mut malformed).await;
         let answer = match answer {
             Err(timeout @ ExchangeError::Command(ErrorKind::Timeout { .. })) => {
                 let explained = explain_silence(&self.transport, &command);
@@ -66,9 +63,10 @@ impl Session {
                 self.unique_requests.clear();
             }
             Err(ExchangeError::Command(
-                ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
+                error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
             )) => {
                 self.telemetry.stats().fence_timeouts += 1;
+                tracing::trace!(%error, "no answer to a fence");
             }
             Err(_) => {}
         }
@@ -83,17 +81,17 @@ impl Session {
         latency: Duration,
         malformed: &mut Option<ExchangeError>,
     ) -> Result<Status, ExchangeError> {
-        let deadline = self.transport.send(command, latency).await?;
+        self.transport.send(command, latency).await?;
         let sent = self.transport.sent().to_vec();
         loop {
-            let received = self.transport.next_frame(deadline).await?;
-            let (frame, timing) = (received.frame(), received.timing);
+            let received = self.transport.next_frame().await?;
+            let frame = received.frame();
             if let FoundFrame::Reply(bytes) = frame {
                 self.observers.pass(RawReply {
                     command: None,
                     bytes,
-                    received_at: timing.received,
-                    stamp: timing.stamp,
+                    received_at: received.timing.received,
+                    stamp: received.timing.stamp,
                 });
             }
             let error = match judge(command, frame) {
@@ -102,7 +100,7 @@ impl Session {
                 }
                 Ok(status) => {
                     drop(received);
-                    self.check_speed(command, status, timing);
+                    self.check_speed(command, status);
                     return Ok(status);
                 }
                 Err(ReplyError::Scip2 { status }) => {

@@ -18,7 +18,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tracing::Instrument;
 
 pub(crate) use self::unique_requests::UniqueRequests;
 use super::failure::ExchangeError;
@@ -41,7 +40,6 @@ pub(crate) struct Polled {
     /// Index of the window's first value. Successive polls ask for extra values before or
     /// after the window.
     pub(crate) first: usize,
-    pub(crate) timing: Timing,
 }
 
 /// Which other replies may still be on their way with the echo of a command.
@@ -110,34 +108,52 @@ impl Session {
     /// Drops pending input. Bytes without a command cast doubt on the link.
     pub(crate) async fn discard_pending(&mut self) -> Result<(), ExchangeError> {
         let dropped = self.transport.discard_pending().await?;
-        if dropped > 0 {
-            self.is_settled = false;
-            self.telemetry.stats().bytes_skipped += dropped;
-        }
+        self.record_dropped(dropped);
         Ok(())
+    }
+
+    /// Drops pending input if that needs no waiting. Returns true if there is no doubt about the link
+    /// then.
+    fn is_quiet(&mut self) -> Result<bool, ExchangeError> {
+        match self.transport.try_discard_pending() {
+            Some(dropped) => {
+                self.record_dropped(dropped?);
+                Ok(self.is_settled)
+            }
+            None => Ok(false),
+        }
+    }
+
+    fn record_dropped(&mut self, bytes: u64) {
+        if bytes > 0 {
+            self.is_settled = false;
+            self.telemetry.stats().bytes_skipped += bytes;
+        }
     }
 
     /// Drops pending input, and sends a fence if there is doubt about the link.
     async fn settle(&mut self) -> Result<(), ExchangeError> {
         self.discard_pending().await?;
-        if self.is_settled { Ok(()) } else { self.fence().await.map(drop) }
+        if self.is_settled { Ok(()) } else { Box::pin(self.fence()).await.map(drop) }
     }
 
     /// Polls `window`.
     pub(crate) async fn poll(&mut self, window: Window) -> Result<Polled, ExchangeError> {
         let on_behalf = |error: ExchangeError| error.on_behalf_of(Command::Distances(window));
         // First, so that the fence's `clear` cannot forget this poll.
-        self.settle().await.map_err(on_behalf)?;
+        if !self.is_quiet()? {
+            self.settle().await.map_err(on_behalf)?;
+        }
         let mut widened = self.unique_requests.widen(window);
         if widened.repeats && self.may_be_copied() {
             // A copy of the latest reply would match this poll.
-            self.fence().await.map_err(on_behalf)?;
+            Box::pin(self.fence()).await.map_err(on_behalf)?;
             widened = self.unique_requests.widen(window);
         }
-        self.telemetry.stats().polls += 1;
+        self.telemetry.count_poll();
         let echo = if widened.repeats { EchoKind::Repeated } else { EchoKind::Unique };
-        let (reply, timing) = self.exchange(Command::Distances(widened.asked), echo).await?;
-        Ok(Polled { values: reply.into_values(), first: widened.first, timing })
+        let reply = self.exchange(Command::Distances(widened.asked), echo).await?;
+        Ok(Polled { values: reply.into_values(), first: widened.first })
     }
 
     /// Returns when [`poll`](Self::poll) of this window needs no fence to rule out a copy of the
@@ -162,31 +178,26 @@ impl Session {
 
     /// Reads the version of the sensor. Asks once more if there was no answer.
     pub(crate) async fn version(&mut self) -> Result<VersionReply, ExchangeError> {
-        let (reply, Timing { received, stamp, .. }) = self.command_twice(Command::Version).await?;
+        let reply = self.command_twice(Command::Version).await?;
+        let Timing { received, stamp, .. } = *self.transport.timing();
         let version = Version::from_reply(&reply);
         let frame = reply.version_frame().into();
         Ok(VersionReply { version, frame, received_at: received, stamp })
     }
 
-    /// Sends `command`, and returns its reply and its times.
+    /// Sends `command`, and returns its reply.
     ///
     /// # Errors
     ///
     /// Any status but success is [`ErrorKind::Refused`].
-    pub(crate) async fn command(
-        &mut self,
-        command: Command,
-    ) -> Result<(Reply, Timing), ExchangeError> {
+    pub(crate) async fn command(&mut self, command: Command) -> Result<Reply, ExchangeError> {
         self.settle().await.map_err(|error| error.on_behalf_of(command))?;
         self.exchange(command, EchoKind::Common).await
     }
 
     /// Like [`command`](Self::command), but sends the command once more if there was no
     /// answer. Only for commands that may be sent twice.
-    pub(crate) async fn command_twice(
-        &mut self,
-        command: Command,
-    ) -> Result<(Reply, Timing), ExchangeError> {
+    pub(crate) async fn command_twice(&mut self, command: Command) -> Result<Reply, ExchangeError> {
         match self.command(command).await {
             Err(ExchangeError::Command(
                 ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. },
@@ -198,59 +209,65 @@ impl Session {
     /// Sends `command` on a settled link, and judges the next frame: it is the answer, or
     /// the command has failed. Waiting for a better frame would cost the whole deadline
     /// each time a reply is damaged.
-    async fn exchange(
-        &mut self,
-        command: Command,
-        echo: EchoKind,
-    ) -> Result<(Reply, Timing), ExchangeError> {
+    async fn exchange(&mut self, command: Command, echo: EchoKind) -> Result<Reply, ExchangeError> {
         self.is_settled = false;
         let latency = self.transport.latency(&command);
         let baud_rate = self.believed_baud_rate();
-        let span = tracing::trace_span!("exchange", %command);
-        let received = match self.transport.ask(&command, latency).instrument(span.clone()).await {
+        let received = match self.transport.ask(&command, latency).await {
             Ok(received) => received,
-            Err(failure) => {
-                if let ExchangeError::Command(error) = &failure {
-                    self.telemetry.stats().timeouts += 1;
-                    tracing::trace!(parent: &span, %error, "no answer");
-                }
-                return Err(failure);
-            }
+            Err(failure) => return Err(record_silence(&self.telemetry, failure)),
         };
-        let (timing, wire_len) = (received.timing, received.wire_len());
-        let error = match judge(&command, echo, received, baud_rate, &self.observers) {
+        let wire_len = received.wire_len();
+        match judge(&command, echo, received, baud_rate, &self.observers) {
             Ok(reply) => {
                 self.is_settled = true;
-                if reply.status().is_ok_for(&command) {
-                    if echo == EchoKind::Unique {
-                        self.check_speed(&command, reply.status(), timing);
-                    }
-                    return Ok((reply, timing));
+                if !reply.status().is_ok_for(&command) {
+                    return Err(self.record_refusal(command, reply.status()));
                 }
-                self.telemetry.stats().refused += 1;
-                ErrorKind::Refused { command, status: reply.status() }
-            }
-            Err(error) => {
-                let mut stats = self.telemetry.stats();
-                stats.malformed.count(&error);
-                if !is_echoed(&error) {
-                    stats.bytes_skipped += wire_len;
+                if echo == EchoKind::Unique {
+                    self.check_speed(&command, reply.status());
                 }
-                failure(command, error)
+                Ok(reply)
             }
-        };
-        tracing::trace!(parent: &span, %error, "no answer");
-        Err(ExchangeError::Command(error))
+            Err(error) => Err(self.record_malformed(command, error, wire_len)),
+        }
     }
 
-    /// Checks whether the reply arrived faster than its bytes and the bytes of its `command`
+    #[cold]
+    fn record_refusal(&mut self, command: Command, status: Status) -> ExchangeError {
+        self.telemetry.stats().refused += 1;
+        let error = ErrorKind::Refused { command, status };
+        tracing::trace!(%error, "no answer");
+        ExchangeError::Command(error)
+    }
+
+    #[cold]
+    fn record_malformed(
+        &mut self,
+        command: Command,
+        error: ReplyError,
+        wire_len: u64,
+    ) -> ExchangeError {
+        let mut stats = self.telemetry.stats();
+        stats.malformed.count(&error);
+        if !is_echoed(&error) {
+            stats.bytes_skipped += wire_len;
+        }
+        drop(stats);
+        let error = failure(command, error);
+        tracing::trace!(%error, "no answer");
+        ExchangeError::Command(error)
+    }
+
+    /// Checks whether the latest reply arrived faster than its bytes and the bytes of its `command`
     /// can: then the port's baud rate is wrong. The command's echo must be unique, so that the
     /// reply cannot be an older one.
-    fn check_speed(&mut self, command: &Command, status: Status, timing: Timing) {
+    fn check_speed(&mut self, command: &Command, status: Status) {
+        let Some(baud_rate) = self.believed_baud_rate() else { return };
         let echo = command.bytes().len() + 1;
         let bytes = echo + if status.is_ok() { command.reply_len() } else { echo + 3 };
-        let took = timing.received.saturating_duration_since(timing.requested);
-        if self.believed_baud_rate().is_some_and(|baud_rate| took < baud_rate.wire_time(bytes)) {
+        let Timing { requested, received, .. } = *self.transport.timing();
+        if received.saturating_duration_since(requested) < baud_rate.wire_time(bytes) {
             self.is_outrun = true;
             self.telemetry.stats().baud_rate_outrun = true;
             tracing::debug!("replies come faster than the baud rate can carry");
@@ -292,6 +309,15 @@ fn judge(
     outcome
 }
 
+#[cold]
+fn record_silence(telemetry: &Telemetry, failure: ExchangeError) -> ExchangeError {
+    if let ExchangeError::Command(error) = &failure {
+        telemetry.stats().timeouts += 1;
+        tracing::trace!(%error, "no answer");
+    }
+    failure
+}
+
 /// Converts the error of a reply into the error of its command.
 fn failure(command: Command, error: ReplyError) -> ErrorKind {
     match error {
@@ -313,8 +339,6 @@ fn is_echoed(error: &ReplyError) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use std::time::SystemTime;
-
     use tokio::time::advance;
 
     use super::super::transport::scripted_port::ScriptedPort;
@@ -345,9 +369,8 @@ mod tests {
                 let mut session = session(b"");
                 let requested = Instant::now();
                 let received = requested + Duration::from_nanos(wire) - early;
-                let (stamp, is_replayed) = (SystemTime::UNIX_EPOCH, false);
-                let timing = Timing { requested, began: received, received, stamp, is_replayed };
-                session.check_speed(&command, status, timing);
+                session.transport.set_times(requested, received);
+                session.check_speed(&command, status);
                 assert_eq!(session.is_outrun, is_outrun, "{command}");
                 assert_eq!(session.telemetry.stats().baud_rate_outrun, is_outrun);
                 assert_eq!(session.believed_baud_rate().is_none(), is_outrun);

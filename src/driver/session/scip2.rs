@@ -13,9 +13,9 @@ impl Session {
     pub(crate) async fn scip2_model(&mut self) -> Option<Text> {
         // `VV` of SCIP 2 is `V` twice.
         let latency = self.transport.latency(&Command::Version);
-        let deadline = self.transport.send_after(b"V", &Command::Version, latency).await.ok()?;
+        self.transport.send_after(b"V", &Command::Version, latency).await.ok()?;
         loop {
-            let received = self.transport.next_frame(deadline).await.ok()?;
+            let received = self.transport.next_frame().await.ok()?;
             if let FoundFrame::Reply(frame) = received.frame()
                 && let Some(model) = model(frame)
             {

@@ -57,16 +57,22 @@ impl UniqueRequests {
     }
 
     fn choose(&self, window: Window) -> (Window, usize) {
-        let age = |asked: &Window| {
-            let place = self.recent.iter().position(|recent| recent.as_ref() == Some(asked));
-            place.unwrap_or(self.recent.len())
-        };
+        let (mut chosen, mut greatest_age) = ((window, 0), 0);
         // Of several equally old choices the last one wins, which has no points in front.
-        (0..=self.recent.len() as u16)
-            .rev()
-            .filter_map(|points| window.widened(points))
-            .max_by_key(|(asked, _)| age(asked))
-            .unwrap_or((window, 0))
+        for points in (0..=Window::MAX_EXTRA_POINTS).rev() {
+            let Some(choice) = window.widened(points) else { continue };
+            let age = self.age(choice.0);
+            if age >= greatest_age {
+                (chosen, greatest_age) = (choice, age);
+            }
+        }
+        chosen
+    }
+
+    /// Number of `G`s since the latest one for this window.
+    fn age(&self, asked: Window) -> usize {
+        let place = self.recent.iter().position(|recent| *recent == Some(asked));
+        place.unwrap_or(self.recent.len())
     }
 
     /// Chooses the single step to request as a fence. No other `G` asked for it alone, so
@@ -90,10 +96,8 @@ impl UniqueRequests {
     }
 
     fn record(&mut self, window: Window) {
-        self.recent.rotate_right(1);
-        if let Some(newest) = self.recent.first_mut() {
-            *newest = Some(window);
-        }
+        let [newest, second, _] = self.recent;
+        self.recent = [Some(window), newest, second];
         let step = window.start().number();
         if window.steps() == 1
             && let Some(word) = self.single.get_mut(usize::from(step / 64))

@@ -1,15 +1,15 @@
 //! The link outside of an exchange: its baud rate, how it began and ended, and the bytes that
 //! arrive while it is idle.
 
-use std::future::poll_fn;
 use std::io;
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
 use tokio::time::Instant;
 
 use super::super::failure::{ExchangeError, LinkError};
-use super::Transport;
 use super::pause::Pauses;
+use super::{Timing, Transport, promptly};
 use crate::port::PortHints;
 use crate::protocol::Command;
 use crate::{BaudRate, ErrorKind};
@@ -20,7 +20,7 @@ impl Transport {
     }
 
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
-        self.port.0.baud_rate()
+        self.port.baud_rate()
     }
 
     /// Sets this side's baud rate, and drops the bytes received at another one.
@@ -28,7 +28,7 @@ impl Transport {
         self.interrupted = true;
         self.clear_input();
         self.pauses = Pauses::default();
-        let outcome = self.port.0.set_baud_rate(baud_rate);
+        let outcome = self.port.set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
@@ -75,16 +75,26 @@ impl Transport {
     }
 
     /// Waits for bytes while no command is outstanding. They are [pending](Self::pending) then.
-    /// Cancel-safe.
-    pub(crate) async fn idle(&mut self) -> Result<(), ExchangeError> {
-        match poll_fn(|cx| self.poll_read(cx)).await {
+    pub(crate) fn poll_idle(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), ExchangeError>> {
+        Poll::Ready(match ready!(promptly(cx, |cx| self.poll_read(cx))) {
             Ok(0) => Err(self.lost(None)),
             Ok(_) => Ok(()),
             Err(error) => Err(self.lost(Some(error))),
-        }
+        })
+    }
+
+    /// Times of the latest command and its reply.
+    pub(crate) fn timing(&self) -> &Timing {
+        &self.timing
+    }
+
+    #[cfg(test)]
+    pub(crate) fn set_times(&mut self, requested: Instant, received: Instant) {
+        (self.timing.requested, self.timing.received) = (requested, received);
     }
 
     /// Outcome of an exchange on a failed port. `error` is `None` at the end of the stream.
+    #[cold]
     pub(super) fn lost(&mut self, error: Option<io::Error>) -> ExchangeError {
         let is_over = self.port.hints().is_some_and(PortHints::is_over);
         match (is_over, error) {

@@ -13,20 +13,20 @@ mod tests;
 use std::future::{Future, poll_fn};
 use std::io;
 use std::pin::{Pin, pin};
-use std::task::{Context, Poll, Waker, ready};
+use std::task::{Context, Poll, ready};
 use std::time::{Duration, SystemTime};
 
 use bytes::{Buf, BufMut, BytesMut};
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::task::coop::{consume_budget, unconstrained};
+use tokio::io::{AsyncReadExt, AsyncWrite};
+use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
 use self::pause::Pauses;
 use super::failure::ExchangeError;
+use crate::ErrorKind;
 use crate::codec::{FoundFrame, ScipCodec, TERMINATOR};
 use crate::port::{Port, PortHints};
 use crate::protocol::Command;
-use crate::{BaudRate, ErrorKind};
 
 /// After this many frames for one command, the link counts as flooded.
 const MAX_FRAMES: usize = 64;
@@ -51,7 +51,7 @@ const SCRATCH_BYTES: usize = 512;
 /// proves that they did. Flushing a serial port would block the thread until the port is
 /// drained.
 pub(crate) struct Transport {
-    port: PromptPort,
+    port: Box<dyn Port>,
     codec: ScipCodec,
     /// Received bytes. Frames are judged in place: a copy of one would be a second allocation a
     /// scan.
@@ -65,8 +65,17 @@ pub(crate) struct Transport {
     frames: usize,
     /// When the latest frame arrived.
     latest_at: Option<Instant>,
-    /// Latest command, as it was written.
+    /// Latest command, as it is written, and the number of bytes written.
     output: BytesMut,
+    written: usize,
+    /// Times of the latest command and its reply.
+    timing: Timing,
+    /// True once a byte of that reply has arrived.
+    has_begun: bool,
+    /// End of the exchange.
+    deadline: Deadline,
+    /// End of the pause, if there is one now.
+    paused_until: Option<Instant>,
     deadline_timer: Timer,
     /// Ends pauses. Separate from the deadline timer, which can then stay registered.
     pause_timer: Timer,
@@ -84,10 +93,9 @@ pub(crate) struct Transport {
 /// Absolute deadline of an exchange: the wire time of the command and its reply at the
 /// port's baud rate, and a latency.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Deadline {
+struct Deadline {
     command: Command,
-    requested: Instant,
-    after: Duration,
+    at: Instant,
 }
 
 /// Times of a command and its reply.
@@ -109,13 +117,14 @@ pub(crate) struct Timing {
 pub(crate) struct ReceivedFrame<'a> {
     input: &'a mut BytesMut,
     frame: FoundFrame,
-    pub(crate) timing: Timing,
+    pub(crate) timing: &'a Timing,
 }
 
 impl Transport {
     pub(crate) fn new(port: Box<dyn Port>, latency: Option<Duration>) -> Self {
+        let (now, stamp) = (Instant::now(), SystemTime::now());
         Self {
-            port: PromptPort(port),
+            port,
             codec: ScipCodec::default(),
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
             received: 0,
@@ -124,6 +133,11 @@ impl Transport {
             frames: 0,
             latest_at: None,
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
+            written: 0,
+            timing: Timing { requested: now, began: now, received: now, stamp, is_replayed: false },
+            has_begun: false,
+            deadline: Deadline { command: Command::Version, at: now },
+            paused_until: None,
             deadline_timer: Timer::default(),
             pause_timer: Timer::default(),
             retry_timer: Timer::default(),
@@ -138,25 +152,30 @@ impl Transport {
     /// Drops the bytes received since the last reply, because they are older than the next
     /// command. Returns their number.
     pub(crate) async fn discard_pending(&mut self) -> Result<u64, ExchangeError> {
-        let before = self.received - self.input.len() as u64;
-        let is_open = match self.drop_bytes(PromptPort::try_read) {
-            Some(is_open) => is_open,
-            None => {
-                // While this task yields, the runtime polls the system for new input.
-                tokio::task::yield_now().await;
-                let dropped = poll_fn(|cx| {
-                    Poll::Ready(self.drop_bytes(|port, bytes| port.read_if_ready(cx, bytes)))
-                });
-                dropped.await.unwrap_or(Ok(true))
-            }
-        };
-        if !is_open.map_err(|error| self.lost(Some(error)))? {
-            return Err(self.lost(None));
+        if let Some(outcome) = self.try_discard_pending() {
+            return outcome;
         }
-        self.clear_input();
-        // Without this, replies would use up the buffer and need two reads.
-        self.input.reserve(READ_BUFFER_BYTES);
-        Ok(self.received - before)
+        // While this task yields, the runtime polls the system for new input.
+        tokio::task::yield_now().await;
+        let dropped = poll_fn(|cx| {
+            Poll::Ready(self.drop_bytes(|port, mut bytes| {
+                let tried = port.hints().and_then(|hints| hints.try_read(bytes));
+                tried.or_else(|| match poll_read(port, cx, &mut bytes) {
+                    Poll::Ready(outcome) => Some(outcome),
+                    Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
+                })
+            }))
+        });
+        unconstrained(dropped).await.unwrap_or(Ok(0))
+    }
+
+    /// Does the same without waiting. Returns `None` if the port cannot be read so, or may only seem
+    /// to have no bytes.
+    pub(crate) fn try_discard_pending(&mut self) -> Option<Result<u64, ExchangeError>> {
+        match self.drop_bytes(|port, bytes| port.hints()?.try_read(bytes)) {
+            Some(Ok(0)) if !has_budget_remaining() => None,
+            outcome => outcome,
+        }
     }
 
     /// Sends `command` and returns the first frame: [`send`](Self::send) followed by
@@ -166,12 +185,21 @@ impl Transport {
         command: &Command,
         latency: Duration,
     ) -> Result<ReceivedFrame<'_>, ExchangeError> {
-        let deadline = self.send(command, latency).await?;
-        self.next_frame(deadline).await
+        consume_budget().await;
+        self.begin_exchange(command, latency);
+        self.begin_frame()?;
+        let frame = poll_fn(|cx| {
+            promptly(cx, |cx| {
+                ready!(self.poll_write(cx))?;
+                self.poll_frame(cx)
+            })
+        })
+        .await?;
+        Ok(self.end_frame(frame))
     }
 
-    /// Writes `command`, after an LF if the sensor may hold part of another one. Returns the
-    /// deadline of the reply, which may take `latency` to begin.
+    /// Writes `command`, after an LF if the sensor may hold part of another one. Its reply may take
+    /// `latency` to begin.
     ///
     /// # Errors
     ///
@@ -180,7 +208,7 @@ impl Transport {
         &mut self,
         command: &Command,
         latency: Duration,
-    ) -> Result<Deadline, ExchangeError> {
+    ) -> Result<(), ExchangeError> {
         self.send_after(b"", command, latency).await
     }
 
@@ -190,23 +218,14 @@ impl Transport {
         bytes: &[u8],
         command: &Command,
         latency: Duration,
-    ) -> Result<Deadline, ExchangeError> {
-        // The calls on the port take none: if its replies are ready at once, the driver would
-        // never let other tasks run.
+    ) -> Result<(), ExchangeError> {
         consume_budget().await;
-        self.frames = 0;
-        self.received_before = self.received;
-        self.output.clear();
-        self.output.put_slice(if self.interrupted { b"\n" } else { b"" });
+        self.begin_exchange(command, latency);
+        let line = self.output.len() - command.bytes().len() - 1;
+        let line = self.output.split_off(line);
         self.output.put_slice(bytes);
-        self.codec.write(command, &mut self.output);
-        // Stays set if this future is dropped half way.
-        self.interrupted = true;
-        let deadline = Deadline::new(*command, self.baud_rate(), latency);
-        let mut written = 0;
-        self.until(deadline, |transport, cx| transport.poll_write(cx, &mut written)).await?;
-        self.interrupted = false;
-        Ok(deadline)
+        self.output.put_slice(&line);
+        poll_fn(|cx| promptly(cx, |cx| self.poll_write(cx))).await
     }
 
     /// Receives the next frame after a command; no other function receives frames. A frame
@@ -215,90 +234,131 @@ impl Transport {
     /// # Errors
     ///
     /// [`Timeout`](crate::ErrorKind::Timeout) at the deadline.
-    pub(crate) async fn next_frame(
-        &mut self,
-        deadline: Deadline,
-    ) -> Result<ReceivedFrame<'_>, ExchangeError> {
+    pub(crate) async fn next_frame(&mut self) -> Result<ReceivedFrame<'_>, ExchangeError> {
+        self.begin_frame()?;
+        let frame = poll_fn(|cx| promptly(cx, |cx| self.poll_frame(cx))).await?;
+        Ok(self.end_frame(frame))
+    }
+
+    /// Call it after `consume_budget`. The calls on the port take none: if its replies are ready at
+    /// once, the driver would never let other tasks run.
+    fn begin_exchange(&mut self, command: &Command, latency: Duration) {
+        self.frames = 0;
+        self.received_before = self.received;
+        self.output.clear();
+        if self.interrupted {
+            self.output.put_u8(b'\n');
+        }
+        self.codec.write(command, &mut self.output);
+        // Stays set if the future is dropped half way.
+        self.interrupted = true;
+        self.written = 0;
+        let wire =
+            self.baud_rate().map_or(Duration::ZERO, |baud_rate| command.wire_time(baud_rate));
+        self.timing.requested = Instant::now();
+        self.deadline =
+            Deadline { command: *command, at: self.timing.requested + (wire + latency) };
+    }
+
+    fn begin_frame(&mut self) -> Result<(), ExchangeError> {
         if self.frames == MAX_FRAMES {
             return Err(self.lost(Some(flood())));
         }
         self.frames += 1;
         self.pauses.begin_reply();
-        let mut first_byte = None;
-        let frame = loop {
-            let step = self.until(deadline, |transport, cx| {
-                transport.poll_frame(cx, deadline, &mut first_byte)
-            });
-            match step.await? {
-                FrameStep::Frame(frame) => break frame,
-                FrameStep::Pause(until) => poll_fn(|cx| self.pause_timer.poll(cx, until)).await,
-                FrameStep::End => return Err(self.lost(None)),
-            }
-        };
-        let received = Instant::now();
-        self.latest_at = Some(received);
-        self.pauses.end_reply(received, frame.wire_len());
-        let Arrival { at: began, stamp, is_replayed } =
-            first_byte.unwrap_or_else(|| Arrival::now(&mut self.port));
-        let timing = Timing { requested: deadline.requested, began, received, stamp, is_replayed };
-        Ok(ReceivedFrame { input: &mut self.input, frame, timing })
+        (self.has_begun, self.paused_until) = (false, None);
+        Ok(())
     }
 
-    /// Writes the output from `written` on.
-    fn poll_write(&mut self, cx: &mut Context<'_>, written: &mut usize) -> Poll<io::Result<()>> {
-        while let Some(rest @ [_, ..]) = self.output.get(*written..) {
-            let outcome = self.port.poll_write(cx, rest);
-            match ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))? {
-                0 => return Poll::Ready(Err(io::ErrorKind::WriteZero.into())),
-                more => *written += more,
+    fn end_frame(&mut self, frame: FoundFrame) -> ReceivedFrame<'_> {
+        if !self.has_begun {
+            self.begin_reply();
+        }
+        let received = Instant::now();
+        self.timing.received = received;
+        self.latest_at = Some(received);
+        self.pauses.end_reply(received, frame.wire_len());
+        ReceivedFrame { input: &mut self.input, frame, timing: &self.timing }
+    }
+
+    /// Writes the rest of the command.
+    fn poll_write(&mut self, cx: &mut Context<'_>) -> Poll<Result<(), ExchangeError>> {
+        while let Some(rest @ [_, ..]) = self.output.get(self.written..) {
+            let outcome = Pin::new(&mut self.port).poll_write(cx, rest);
+            match again_if_interrupted(outcome, &mut self.retry_timer, cx) {
+                Poll::Ready(Ok(more @ 1..)) => self.written += more,
+                Poll::Ready(Ok(0)) => {
+                    return Poll::Ready(Err(self.lost(Some(io::ErrorKind::WriteZero.into()))));
+                }
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)))),
+                Poll::Pending => return self.poll_deadline(cx),
             }
         }
+        self.interrupted = false;
         Poll::Ready(Ok(()))
     }
 
-    /// Reads until a frame is at the front of the input, or until a pause is worthwhile. Stores
-    /// when its first byte arrived.
-    fn poll_frame(
-        &mut self,
-        cx: &mut Context<'_>,
-        deadline: Deadline,
-        first_byte: &mut Option<Arrival>,
-    ) -> Poll<io::Result<FrameStep>> {
+    /// Reads until a frame is at the front of the input, or the deadline has passed. Pauses when
+    /// that is worthwhile.
+    fn poll_frame(&mut self, cx: &mut Context<'_>) -> Poll<Result<FoundFrame, ExchangeError>> {
         loop {
+            if let Some(until) = self.paused_until {
+                ready!(self.pause_timer.poll(cx, until));
+                self.paused_until = None;
+            }
             if !self.input.is_empty()
                 && let Some(frame) = self.codec.find(&mut self.input)
             {
-                return Poll::Ready(Ok(FrameStep::Frame(frame)));
+                return Poll::Ready(Ok(frame));
             }
-            match self.poll_read(cx)? {
-                Poll::Ready(0) => return Poll::Ready(Ok(FrameStep::End)),
-                Poll::Ready(read) => {
+            match self.poll_read(cx) {
+                Poll::Ready(Ok(0)) => return Poll::Ready(Err(self.lost(None))),
+                Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)))),
+                Poll::Ready(Ok(read)) => {
                     let fresh = self.input.len().saturating_sub(read);
-                    let mut fresh = self.input.iter().skip(fresh);
                     // The codec skips the NULs that a line leaves in front of a reply when it
                     // changes its speed or breaks.
-                    if first_byte.is_none() && fresh.any(|byte| *byte != 0) {
-                        *first_byte = Some(Arrival::now(&mut self.port));
+                    if !self.has_begun && self.input.iter().skip(fresh).any(|byte| *byte != 0) {
+                        self.begin_reply();
                     }
+                    continue;
                 }
-                Poll::Pending => break,
+                Poll::Pending => {}
             }
-        }
-        let pause = self
-            .codec
-            .missing(&self.input)
-            .and_then(|missing| self.pauses.next(self.input.len(), missing, deadline.at()));
-        match pause {
-            Some(until) if self.port.hints().is_some_and(PortHints::suspend_wakeups) => {
-                Poll::Ready(Ok(FrameStep::Pause(until)))
+            let missing = self.codec.missing(&self.input);
+            let pause = missing
+                .and_then(|missing| self.pauses.next(self.input.len(), missing, self.deadline.at));
+            if pause.is_none() || !self.port.hints().is_some_and(PortHints::suspend_wakeups) {
+                return self.poll_deadline(cx);
             }
-            _ => Poll::Pending,
+            self.paused_until = pause;
         }
+    }
+
+    /// Records that a reply begins now.
+    fn begin_reply(&mut self) {
+        self.has_begun = true;
+        self.timing.began = Instant::now();
+        let recorded = self.port.hints().and_then(|hints| hints.wall_clock());
+        self.timing.stamp = recorded.unwrap_or_else(SystemTime::now);
+        self.timing.is_replayed = recorded.is_some();
+    }
+
+    /// Fails at the deadline. Polled last, so that work succeeds if it is done at its deadline.
+    fn poll_deadline<T>(&mut self, cx: &mut Context<'_>) -> Poll<Result<T, ExchangeError>> {
+        ready!(self.deadline_timer.poll(cx, self.deadline.at));
+        Poll::Ready(Err(self.missed_deadline()))
+    }
+
+    #[cold]
+    fn missed_deadline(&self) -> ExchangeError {
+        let Deadline { command, at } = self.deadline;
+        ExchangeError::Command(ErrorKind::Timeout { command, after: at - self.timing.requested })
     }
 
     /// Reads more bytes into the input, and returns their number.
     fn poll_read(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
-        let outcome = self.port.poll_read(cx, &mut self.input);
+        let outcome = poll_read(&mut self.port, cx, &mut self.input);
         let read = ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))?;
         let before = self.input.len().saturating_sub(read);
         let fresh = self.input.get(before..).unwrap_or_default();
@@ -306,57 +366,44 @@ impl Transport {
         Poll::Ready(self.check_flood().map(|()| read))
     }
 
-    /// Drops the bytes that `read` returns until it would block. Repeats an interrupted
-    /// read. Returns whether the stream is still open, or `None` as soon as `read` returns
-    /// `None`.
+    /// Drops the input, and the bytes that `read` returns until it would block. Repeats an
+    /// interrupted read. Returns the number of bytes, or `None` as soon as `read` returns `None`.
     fn drop_bytes(
         &mut self,
-        mut read: impl FnMut(&mut PromptPort, &mut [u8]) -> Option<io::Result<usize>>,
-    ) -> Option<io::Result<bool>> {
+        mut read: impl FnMut(&mut Box<dyn Port>, &mut [u8]) -> Option<io::Result<usize>>,
+    ) -> Option<Result<u64, ExchangeError>> {
+        let before = self.received - self.input.len() as u64;
         let mut scratch = [0; SCRATCH_BYTES];
         let mut interrupted = 0;
         loop {
             match read(&mut self.port, &mut scratch)? {
-                Ok(0) => return Some(Ok(false)),
+                Ok(0) => return Some(Err(self.lost(None))),
                 Ok(read) => {
                     let fresh = scratch.get(..read).unwrap_or_default();
                     count(fresh, &mut self.received, &mut self.first_bytes);
                     if let Err(flood) = self.check_flood() {
-                        return Some(Err(flood));
+                        return Some(Err(self.lost(Some(flood))));
                     }
                 }
-                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Some(Ok(true)),
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => break,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {
                     interrupted += 1;
                     if interrupted == MAX_INTERRUPTED {
-                        return Some(Ok(true));
+                        break;
                     }
                 }
-                Err(error) => return Some(Err(error)),
+                Err(error) => return Some(Err(self.lost(Some(error)))),
             }
         }
+        self.clear_input();
+        // Without this, replies would use up the buffer and need two reads.
+        self.input.reserve(READ_BUFFER_BYTES);
+        Some(Ok(self.received - before))
     }
 
     /// Fails if too many bytes have arrived since the latest command.
     fn check_flood(&self) -> io::Result<()> {
         if self.received - self.received_before > FLOOD_BYTES { Err(flood()) } else { Ok(()) }
-    }
-
-    /// Awaits `work` until the deadline. Polls `work` first, so that it succeeds if it is done
-    /// at its deadline.
-    async fn until<T>(
-        &mut self,
-        deadline: Deadline,
-        mut work: impl FnMut(&mut Self, &mut Context<'_>) -> Poll<io::Result<T>>,
-    ) -> Result<T, ExchangeError> {
-        poll_fn(|cx| {
-            if let Poll::Ready(outcome) = work(self, cx) {
-                return Poll::Ready(outcome.map_err(|error| self.lost(Some(error))));
-            }
-            ready!(self.deadline_timer.poll(cx, deadline.at()));
-            Poll::Ready(Err(ExchangeError::Command(deadline.error())))
-        })
-        .await
     }
 
     fn clear_input(&mut self) {
@@ -370,23 +417,6 @@ impl Drop for Transport {
         if let Some(hints) = self.port.hints() {
             hints.discard_output();
         }
-    }
-}
-
-impl Deadline {
-    fn new(command: Command, baud_rate: Option<BaudRate>, latency: Duration) -> Self {
-        let bytes = command.bytes().len() + 1 + command.reply_len();
-        let wire = baud_rate.map_or(Duration::ZERO, |rate| rate.wire_time(bytes));
-        Self { command, requested: Instant::now(), after: wire + latency }
-    }
-
-    fn at(&self) -> Instant {
-        self.requested + self.after
-    }
-
-    /// Error of an exchange that has reached its deadline.
-    fn error(&self) -> ErrorKind {
-        ErrorKind::Timeout { command: self.command, after: self.after }
     }
 }
 
@@ -420,24 +450,6 @@ impl Drop for ReceivedFrame<'_> {
     }
 }
 
-/// Arrival of a byte, by both clocks.
-#[derive(Debug, Clone, Copy)]
-struct Arrival {
-    at: Instant,
-    stamp: SystemTime,
-    /// True if the wall clock is a recording's.
-    is_replayed: bool,
-}
-
-impl Arrival {
-    fn now(port: &mut PromptPort) -> Self {
-        let at = Instant::now();
-        let recorded = port.hints().and_then(|hints| hints.wall_clock());
-        let stamp = recorded.unwrap_or_else(SystemTime::now);
-        Self { at, stamp, is_replayed: recorded.is_some() }
-    }
-}
-
 /// Counts received bytes, and keeps the `first` two.
 fn count(fresh: &[u8], received: &mut u64, first: &mut [u8; 2]) {
     let unset = first.iter_mut().skip((*received).min(2) as usize);
@@ -446,6 +458,7 @@ fn count(fresh: &[u8], received: &mut u64, first: &mut [u8; 2]) {
 }
 
 /// Error for a line that sends far more than any sensor does.
+#[cold]
 fn flood() -> io::Error {
     io::Error::new(
         io::ErrorKind::InvalidData,
@@ -453,74 +466,51 @@ fn flood() -> io::Error {
     )
 }
 
-/// Port whose calls have no part in tokio's budget. Without budget, a port that takes part returns
+/// Polls `work`, also without tokio's budget: once it is used up, a port that takes part returns
 /// `Pending` or `WouldBlock` even if it has bytes. The driver would take a flood for a quiet line,
 /// and a reply that is there for a missed deadline.
-struct PromptPort(Box<dyn Port>);
-
-impl PromptPort {
-    fn poll_read(
-        &mut self,
-        cx: &mut Context<'_>,
-        buffer: &mut impl BufMut,
-    ) -> Poll<io::Result<usize>> {
-        pin!(unconstrained(self.0.read_buf(buffer))).poll(cx)
+fn promptly<T>(cx: &mut Context<'_>, mut work: impl FnMut(&mut Context<'_>) -> Poll<T>) -> Poll<T> {
+    let outcome = work(cx);
+    if outcome.is_ready() || has_budget_remaining() {
+        return outcome;
     }
-
-    fn poll_write(&mut self, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        pin!(unconstrained(self.0.write(bytes))).poll(cx)
-    }
-
-    /// Reads the bytes that the port has, or returns `None` if it has no bytes.
-    fn read_if_ready(
-        &mut self,
-        cx: &mut Context<'_>,
-        mut bytes: &mut [u8],
-    ) -> Option<io::Result<usize>> {
-        match self.poll_read(cx, &mut bytes) {
-            Poll::Ready(outcome) => Some(outcome),
-            Poll::Pending => None,
-        }
-    }
-
-    /// Reads without waiting, or returns `None` if the port cannot.
-    fn try_read(&mut self, bytes: &mut [u8]) -> Option<io::Result<usize>> {
-        let hints = self.0.hints()?;
-        let read = pin!(unconstrained(poll_fn(|_| Poll::Ready(hints.try_read(bytes)))));
-        match read.poll(&mut Context::from_waker(Waker::noop())) {
-            Poll::Ready(outcome) => outcome,
-            Poll::Pending => None,
-        }
-    }
-
-    fn hints(&mut self) -> Option<&mut dyn PortHints> {
-        self.0.hints()
-    }
+    without_budget(cx, &mut work)
 }
 
-/// Step towards a frame.
-enum FrameStep {
-    Frame(FoundFrame),
-    /// The reply cannot be complete before this time.
-    Pause(Instant),
-    /// End of the stream.
-    End,
+#[cold]
+fn without_budget<T>(
+    cx: &mut Context<'_>,
+    work: &mut dyn FnMut(&mut Context<'_>) -> Poll<T>,
+) -> Poll<T> {
+    pin!(unconstrained(poll_fn(work))).poll(cx)
+}
+
+/// Reads bytes, or returns `Pending` if the port has none.
+fn poll_read(
+    port: &mut Box<dyn Port>,
+    cx: &mut Context<'_>,
+    buffer: &mut impl BufMut,
+) -> Poll<io::Result<usize>> {
+    pin!(port.read_buf(buffer)).poll(cx)
 }
 
 /// Timer that is kept from one exchange to the next. With a new timer each time, tokio
 /// wakes its I/O driver by a system call, even from its own thread. Moving a timer to a
 /// later time costs next to nothing.
 #[derive(Debug, Default)]
-struct Timer(Option<Pin<Box<Sleep>>>);
+pub(crate) struct Timer(Option<Pin<Box<Sleep>>>);
 
 impl Timer {
-    /// Waits until `at`, even if the task has used up its budget.
-    fn poll(&mut self, cx: &mut Context<'_>, at: Instant) -> Poll<()> {
+    pub(crate) async fn wait(&mut self, at: Instant) {
+        poll_fn(|cx| self.poll(cx, at)).await;
+    }
+
+    pub(crate) fn poll(&mut self, cx: &mut Context<'_>, at: Instant) -> Poll<()> {
         let timer = self.0.get_or_insert_with(|| Box::pin(sleep_until(at)));
         if timer.deadline() != at {
             timer.as_mut().reset(at);
         }
-        pin!(unconstrained(timer.as_mut())).poll(cx)
+        timer.as_mut().poll(cx)
     }
 }
 

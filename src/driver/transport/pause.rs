@@ -25,9 +25,9 @@ const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
 /// window, so that consecutive polls differ.
 const SAME_LENGTH: usize = 8;
-/// Part of the time of a scan that was complete before its pause ended, as which it counts: how
-/// much faster it was is unknown.
-const OVERSHOT: f64 = 0.5;
+/// A scan that was complete before its pause ended counts as this many times as fast: how much
+/// faster it was is unknown.
+const OVERSHOT: u64 = 2;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
@@ -50,8 +50,8 @@ pub(super) struct Pauses {
 struct Transfers {
     /// Length of the first, including the terminator.
     length: usize,
-    /// Shortest time per byte, in seconds: of the recent scans, and of the scans before them.
-    shortest: [Option<f64>; 2],
+    /// Shortest time per byte, in picoseconds: of the recent scans, and of the scans before them.
+    shortest: [Option<u64>; 2],
     /// Number of scans in the first of these.
     measured: u32,
 }
@@ -59,8 +59,8 @@ struct Transfers {
 /// How late timers are.
 #[derive(Debug, Default)]
 struct Lateness {
-    /// Of the last five pauses, newest first.
-    latest: [Duration; 5],
+    /// Of the last three pauses, newest first, in microseconds.
+    latest: [u64; 3],
     /// Number of scans since the last pause.
     unpaused: u32,
 }
@@ -122,13 +122,22 @@ impl Pauses {
         if wire_len != current.length as u64 {
             return;
         }
-        let known = self.transfers.iter().position(|transfers| transfers.is_for(current.length));
-        let mut transfers = match known {
-            Some(at) => self.transfers.remove(at),
-            None => Transfers { length: current.length, ..Transfers::default() },
-        };
+        if !self.transfers.first().is_some_and(|transfers| transfers.is_for(current.length)) {
+            self.bring_to_front(current.length);
+        }
         let time = received.saturating_duration_since(current.since);
-        transfers.record(time, current.missing, current.paused_until.is_none());
+        if let Some(transfers) = self.transfers.first_mut() {
+            transfers.record(time, current.missing, current.paused_until.is_none());
+        }
+    }
+
+    #[cold]
+    fn bring_to_front(&mut self, length: usize) {
+        let known = self.transfers.iter().position(|transfers| transfers.is_for(length));
+        let transfers = match known {
+            Some(at) => self.transfers.remove(at),
+            None => Transfers { length, ..Transfers::default() },
+        };
         self.transfers.truncate(LENGTHS - 1);
         self.transfers.insert(0, transfers);
     }
@@ -145,8 +154,8 @@ impl Transfers {
         if before.is_none() && self.measured < MEASURED_FIRST {
             return None;
         }
-        let shortest = lately.into_iter().chain(before).reduce(f64::min)?;
-        Some(Duration::from_secs_f64(shortest * bytes as f64))
+        let shortest = lately.unwrap_or(u64::MAX).min(before.unwrap_or(u64::MAX));
+        Some(Duration::from_nanos(shortest.saturating_mul(bytes as u64) / 1000))
     }
 
     /// Records the time that `bytes` bytes took to arrive, which is exact only if the driver was
@@ -155,8 +164,8 @@ impl Transfers {
         if !is_seen && self.shortest_time(bytes).is_none_or(|shortest| time >= shortest) {
             return;
         }
-        let part = if is_seen { 1.0 } else { OVERSHOT };
-        let time = part * time.as_secs_f64() / bytes as f64;
+        let times = if is_seen { 1 } else { OVERSHOT };
+        let time = (time.as_nanos() as u64).saturating_mul(1000) / (bytes as u64 * times);
         let [lately, before] = &mut self.shortest;
         if self.measured >= MEASURED_LATELY {
             *before = lately.take();
@@ -175,8 +184,8 @@ impl Lateness {
         // A little earlier still: a pause that ends exactly with the scan would hide how late
         // either was.
         let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
-        let [first, second, third, fourth, _] = self.latest;
-        self.latest = [late, first, second, third, fourth];
+        let [first, second, _] = self.latest;
+        self.latest = [late.as_micros() as u64, first, second];
         self.unpaused = 0;
     }
 
@@ -191,10 +200,8 @@ impl Lateness {
 
     /// Median, so that one late timer changes nothing.
     fn median(&self) -> Duration {
-        let mut sorted = self.latest;
-        sorted.sort_unstable();
-        let [_, _, median, _, _] = sorted;
-        median
+        let [first, second, third] = self.latest;
+        Duration::from_micros(first.max(second).min(first.min(second).max(third)))
     }
 }
 

@@ -4,14 +4,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::io::AsyncWriteExt;
-use tokio::task::coop::has_budget_remaining;
 use tokio::time::{sleep, timeout};
 
 use super::super::failure::LinkError;
 use super::scripted_port::ScriptedPort;
 use super::*;
-use crate::Window;
 use crate::port::StreamPort;
+use crate::{BaudRate, Window};
 
 const LATENCY: Duration = Duration::from_millis(100);
 
@@ -81,7 +80,7 @@ async fn o15_a_port_that_is_interrupted_for_ever_blocks_nobody() {
 async fn o15_a_port_that_refuses_to_read_while_idle_is_asked_200_times_a_second() {
     let (mut transport, reads) = refusing(io::ErrorKind::WouldBlock, false);
     let second = Duration::from_secs(1);
-    assert!(timeout(second, transport.idle()).await.is_err());
+    assert!(timeout(second, poll_fn(|cx| transport.poll_idle(cx))).await.is_err());
     assert!((195..=201).contains(&reads.load(Ordering::Relaxed)), "{reads:?}");
 }
 
@@ -135,12 +134,12 @@ async fn an_empty_budget_is_no_quiet_line() {
 async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_late() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
-    let deadline = transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
+    transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
     far.write_all(b"L0\n0\n\n").await.unwrap();
     use_up_budget().await;
-    let received = transport.next_frame(deadline).await;
+    let received = transport.next_frame().await;
     assert_eq!(received.unwrap().frame(), FoundFrame::Reply(&b"L0\n0"[..]));
-    let outcome = transport.next_frame(deadline).await;
+    let outcome = transport.next_frame().await;
     assert!(matches!(outcome, Err(ExchangeError::Command(ErrorKind::Timeout { .. }))));
 }
 
@@ -166,9 +165,9 @@ async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_
 #[tokio::test(start_paused = true)]
 async fn two_replies_in_one_read_are_two_frames() {
     let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
-    let deadline = transport.send(&Command::LaserOff, LATENCY).await.unwrap();
+    transport.send(&Command::LaserOff, LATENCY).await.unwrap();
     for reply in [&b"L1\n0"[..], b"L0\n0"] {
-        assert_eq!(transport.next_frame(deadline).await.unwrap().frame(), FoundFrame::Reply(reply));
+        assert_eq!(transport.next_frame().await.unwrap().frame(), FoundFrame::Reply(reply));
     }
 }
 
