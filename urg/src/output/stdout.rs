@@ -99,6 +99,24 @@ mod room {
     /// Writes as much as fits without blocking. `rest` keeps the remainder.
     pub(super) fn fill(rest: &mut &[u8]) -> io::Result<()> {
         let stdout = io::stdout();
+        #[cfg(any(target_os = "linux", target_os = "android"))]
+        loop {
+            use rustix::io::{ReadWriteFlags, pwritev2};
+
+            // One call. An offset of -1 stands for none, which a pipe does not have.
+            let whole = [io::IoSlice::new(rest)];
+            match pwritev2(&stdout, &whole, u64::MAX, ReadWriteFlags::NOWAIT) {
+                Ok(written) => {
+                    *rest = rest.get(written..).unwrap_or_default();
+                    return Ok(());
+                }
+                Err(Errno::INTR) => {}
+                Err(Errno::AGAIN) => return Ok(()),
+                // An older system, or a device that may block.
+                Err(Errno::OPNOTSUPP | Errno::NOSYS) => break,
+                Err(error) => return Err(error.into()),
+            }
+        }
         while !rest.is_empty() {
             let mut fds = [PollFd::new(&stdout, PollFlags::OUT)];
             let now = Timespec { tv_sec: 0, tv_nsec: 0 };
