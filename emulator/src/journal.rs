@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use tokio::time::Instant;
 
 use super::scip::{ArrivedCommand, HostCommand};
+use super::world::WorldTime;
 
 /// Kind of a command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +46,10 @@ pub struct SentScan {
     pub requested_at: Instant,
     /// End of the revolution that measured its distances.
     pub revolution_end: Instant,
+    /// The same, and the times of its rays, counted from power-up. With them,
+    /// [`Path::pose`](crate::Path::pose) and [`Walk::position`](crate::Walk::position) tell what
+    /// the scan shows.
+    pub time: WorldTime,
 }
 
 /// Counters since the emulated sensor was built.

@@ -78,7 +78,7 @@ pub use self::scip::{EmptyCommand, Firmware, Mode, RepeatedLaser};
 #[cfg(all(unix, feature = "pty"))]
 pub use self::serve::Pty;
 pub use self::timing::Pace;
-pub use self::world::{Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};
+pub use self::world::{Fixed, Path, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};
 
 #[cfg(doctest)]
 #[doc = include_str!("../README.md")]

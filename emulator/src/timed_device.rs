@@ -261,8 +261,9 @@ impl TimedDevice {
 
     fn world_time(&self, at: Instant) -> WorldTime {
         let revolution = self.motor.finished(at).saturating_sub(1);
-        let at = self.motor.end(revolution + 1).duration_since(self.powered_at);
-        WorldTime { revolution, request: self.journal.counts.scans, at }
+        let (begin, end) = (self.motor.end(revolution), self.motor.end(revolution + 1));
+        let (at, period) = (end.duration_since(self.powered_at), end.duration_since(begin));
+        WorldTime { revolution, request: self.journal.counts.scans, at, period }
     }
 
     fn handle_event(&mut self, at: Instant) {
@@ -359,7 +360,7 @@ impl TimedDevice {
         };
         if effect == Effect::Scan {
             let revolution_end = self.powered_at + time.at;
-            self.journal.record_scan(SentScan { requested_at: command.at, revolution_end });
+            self.journal.record_scan(SentScan { requested_at: command.at, revolution_end, time });
         }
         (reply, effect)
     }

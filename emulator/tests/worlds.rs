@@ -2,7 +2,10 @@
 
 use std::time::Duration;
 
-use urg_emulator::{Emulator, Fixed, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime};
+use tokio_scip::scan::Pose;
+use urg_emulator::{
+    Emulator, Fixed, Path, Room, STEPS, Scene, Sparse, Values, Walk, World, WorldTime,
+};
 
 use super::ask;
 
@@ -197,7 +200,8 @@ fn a_disc_goes_back_and_forth() {
     let turns: Vec<usize> = (1..44)
         .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
         .collect();
-    assert_eq!(ahead.iter().max(), Some(&1800));
+    // The front is measured half a revolution before its end, and 50 mm before the turn.
+    assert_eq!(ahead.iter().max(), Some(&1750));
     assert!(turns.windows(2).all(|pair| pair[1] - pair[0] == 10), "{turns:?}");
 }
 
@@ -232,4 +236,42 @@ async fn sensors_with_the_same_seed_send_the_same_bytes() {
         received.push(all);
     }
     assert!(received[0] == received[1] && received[0] != received[2]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_ray_of_a_moving_sensor_is_measured_at_its_time() {
+    // At 1 m/s towards a wall, turned to the left.
+    let pose = |x| Pose { x, y: 0.3, heading: 0.2 };
+    let path = Path::new([(Duration::ZERO, pose(0.0)), (Duration::from_secs(2), pose(2.0))]);
+    let wall = Scene::new(0).without_noise().wall((3.0, -5.0), (3.0, 5.0));
+    let emulator = Emulator::builder().world(wall.sensor_on(path.clone())).build();
+    let mut link = emulator.link();
+    let (mut values, mut last) = (Vec::new(), None);
+    for _ in 0..30 {
+        for step in [200_u16, 384, 500] {
+            let reply = ask(&mut link, &format!("G{step:03}{step:03}01")).await;
+            let time = emulator.sent_scans().last().unwrap().time;
+            let pose = path.pose(time.at_step(step.into()));
+            let angle = (f64::from(step) - 384.0) * std::f64::consts::TAU / 1024.0 + pose.heading;
+            let distance = (3.0 - pose.x) / angle.cos() * 1000.0;
+            let [.., high, low, b'\n', b'\n'] = reply.as_bytes() else { panic!("{reply:?}") };
+            let value = f64::from(u16::from(high - b'0') << 6 | u16::from(low - b'0'));
+            if distance < 4000.0 {
+                assert!((value - distance).abs() <= 1.0, "{value} {distance}");
+                values.push(value);
+            }
+            assert_eq!(time.period, Duration::from_millis(100));
+            last = Some(pose);
+        }
+    }
+    assert!(values.len() > 50 && last == Some(Pose { x: 2.0, y: 0.3, heading: 0.2 }), "{last:?}");
+}
+
+#[test]
+fn a_walker_is_where_its_walk_says() {
+    let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).speed(0.5).starting_at(Duration::from_secs(1));
+    assert_eq!(walk.position(Duration::from_millis(999)), None);
+    assert_eq!(walk.position(Duration::from_secs(2)), Some((1.0, -0.5)));
+    assert_eq!(walk.position(Duration::from_secs(5)), Some((1.0, 1.0)));
+    assert_eq!(walk.position(Duration::from_millis(5001)), None);
 }

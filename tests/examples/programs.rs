@@ -9,6 +9,8 @@ pub(super) mod count_people;
 pub(super) mod graceful_shutdown;
 #[path = "../../examples/merged.rs"]
 pub(super) mod merged;
+#[path = "../../examples/odometry.rs"]
+pub(super) mod odometry;
 #[cfg(unix)]
 #[path = "../../examples/own_transport.rs"]
 pub(super) mod own_transport;

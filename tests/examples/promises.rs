@@ -7,7 +7,8 @@ use std::time::Duration;
 use tokio::sync::{Notify, mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, sleep, timeout};
-use tokio_scip::{Sensor, State};
+use tokio_scip::scan::Pose;
+use tokio_scip::{Rate, Sensor, State, Window};
 use urg_emulator::{
     Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, Walk, World, WorldTime,
 };
@@ -18,7 +19,7 @@ use super::programs::merged::{self, Mounted};
 #[cfg(unix)]
 use super::programs::own_transport;
 use super::programs::safety_stop::{self, Fields, Motion, TERMS, Terms};
-use super::programs::{count_people, graceful_shutdown};
+use super::programs::{count_people, graceful_shutdown, odometry};
 
 /// A room in which an obstacle appears: the smallest that must be seen, at the limit of the
 /// clearance, 20 degrees to the left.
@@ -321,6 +322,30 @@ async fn a_point_ahead_of_a_sensor_that_looks_back_is_behind_the_vehicle() {
     let stale = merged::merge(&sensors, &mut cloud);
     assert!(stale[0].starts_with("rear: ") && stale[0].contains("no port"), "{stale:?}");
     assert!(cloud.is_empty());
+}
+
+#[tokio::test(start_paused = true)]
+async fn odometry_is_within_5_cm_over_2_m() {
+    limit();
+    for seed in 0..2 {
+        let emulator = odometry::emulated::sensor(seed);
+        let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
+        let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
+        let mut odometry = odometry::Odometry::default();
+        let (mut way, mut last) = (0.0, Pose::default());
+        let mut worst: (f64, f64) = (0.0, 0.0);
+        for _ in 0..65 {
+            let pose = odometry.add(&scans.next().await.unwrap().unwrap());
+            let truth = odometry::emulated::truth(&emulator).unwrap();
+            way += (truth.x - last.x).hypot(truth.y - last.y);
+            last = truth;
+            let error = truth.inverse() * pose;
+            worst = (worst.0.max(error.x.hypot(error.y)), worst.1.max(error.heading.abs()));
+        }
+        println!("{seed}: at most {:.3} m and {:.2}° off", worst.0, worst.1.to_degrees());
+        assert!(way > 2.0, "{way}");
+        assert!(worst.0 < 0.05 && worst.1 < 1f64.to_radians(), "{seed}: {worst:?}");
+    }
 }
 
 #[tokio::test(start_paused = true)]

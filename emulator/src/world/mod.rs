@@ -4,6 +4,7 @@
 //! `scene` and `room` are made of shapes (`surface`, `walk`), whose echoes `sweep`
 //! turns into values. `sparse` removes distances of any world.
 
+mod path;
 mod room;
 mod scene;
 mod sparse;
@@ -14,6 +15,7 @@ mod walk;
 use std::fmt;
 use std::time::Duration;
 
+pub use self::path::Path;
 pub use self::room::Room;
 pub use self::scene::Scene;
 pub use self::sparse::Sparse;
@@ -42,6 +44,17 @@ pub struct WorldTime {
     pub request: u64,
     /// Time from power-up to the end of that revolution.
     pub at: Duration,
+    /// Duration of that revolution.
+    pub period: Duration,
+}
+
+impl WorldTime {
+    /// Time from power-up until the ray of a step was measured: a revolution ends at the rear,
+    /// step 896.
+    pub fn at_step(&self, step: usize) -> Duration {
+        let until_end = 896_usize.saturating_sub(step) as u32;
+        self.at.saturating_sub(self.period * until_end / 1024)
+    }
 }
 
 /// Surroundings of an emulated sensor.

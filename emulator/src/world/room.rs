@@ -139,7 +139,7 @@ impl World for Room {
         let things = self.furniture.iter().chain(&legs);
         let things: Vec<_> = things.map(|thing| thing.seen_from(self.at)).collect();
         let (cosine, sine) = self.heading;
-        sweep(Noise::Seeded(self.seed), time, values, |(x, y)| {
+        sweep(Noise::Seeded(self.seed), time, values, |_, (x, y)| {
             let direction = (x * cosine - y * sine, y * cosine + x * sine);
             nearest(&things, direction, self.wall(direction))
         });

@@ -1,6 +1,9 @@
 //! [`Scene`]: surroundings put together from walls, discs and people, for tests of a
 //! service.
 
+use std::time::Duration;
+
+use super::path::Path;
 use super::surface::{Echo, Surface, nearest};
 use super::sweep::{Noise, sweep};
 use super::walk::Walk;
@@ -11,8 +14,9 @@ const REFLECTS: f64 = 0.7;
 
 /// Surroundings made of walls, discs and people, some of which move.
 ///
-/// Positions are in metres in the sensor's frame, x forward and y left. A direction without a
-/// surface has error code 0. As with a real sensor, each distance is off by some millimetres,
+/// Positions are in metres in the sensor's frame, x forward and y left, or in the frame of its
+/// [path](Self::sensor_on). Each ray shows them at its own time. A direction without a surface has
+/// error code 0. As with a real sensor, each distance is off by some millimetres,
 /// and some points are missing, drawn from the seed. Call
 /// [`without_noise`](Self::without_noise) to make distances exact.
 ///
@@ -30,6 +34,7 @@ pub struct Scene {
     noise: Noise,
     surfaces: Vec<Surface>,
     moving: Vec<Moving>,
+    sensor: Option<Path>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -38,16 +43,37 @@ enum Moving {
     Person(Walk),
 }
 
+impl Moving {
+    fn surfaces(&self, time: Duration) -> impl Iterator<Item = Surface> + use<> {
+        let (disc, legs) = match self {
+            Self::Disc { radius, walk } => {
+                (walk.at(time).map(|at| Surface::disc(at.position, *radius, REFLECTS)), None)
+            }
+            Self::Person(walk) => (None, walk.at(time).map(|at| at.legs())),
+        };
+        disc.into_iter().chain(legs.into_iter().flatten())
+    }
+}
+
 impl Scene {
     /// Creates a scene without surfaces. The seed determines the noise.
     pub fn new(seed: u64) -> Self {
-        Self { noise: Noise::Seeded(seed), surfaces: Vec::new(), moving: Vec::new() }
+        Self { noise: Noise::Seeded(seed), surfaces: Vec::new(), moving: Vec::new(), sensor: None }
     }
 
     /// Makes distances exact, rounded to a millimetre, and measures every point in range.
     #[must_use]
     pub fn without_noise(mut self) -> Self {
         self.noise = Noise::None;
+        self
+    }
+
+    /// Moves the sensor on a path, whose [poses](Path::pose) are the truth for a map or an
+    /// odometry. The sine of an angle differs between machines in its last digit, so values may
+    /// differ by a millimetre.
+    #[must_use]
+    pub fn sensor_on(mut self, path: Path) -> Self {
+        self.sensor = Some(path);
         self
     }
 
@@ -93,18 +119,22 @@ impl Scene {
 
 impl World for Scene {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
-        let mut surfaces = self.surfaces.clone();
-        for moving in &self.moving {
-            match moving {
-                Moving::Disc { radius, walk } => surfaces.extend(
-                    walk.at(time.at).map(|at| Surface::disc(at.position, *radius, REFLECTS)),
-                ),
-                Moving::Person(walk) => {
-                    surfaces.extend(walk.at(time.at).iter().flat_map(|at| at.legs()));
+        sweep(self.noise, time, values, |step, direction| {
+            let at = time.at_step(step);
+            let moving = self.moving.iter().flat_map(|moving| moving.surfaces(at));
+            let surfaces = self.surfaces.iter().copied().chain(moving);
+            match &self.sensor {
+                None => nearest(surfaces, direction, Echo::NONE),
+                Some(path) => {
+                    let pose = path.pose(at);
+                    let ((x, y), (sine, cosine)) = (direction, pose.heading.sin_cos());
+                    let direction = (x * cosine - y * sine, y * cosine + x * sine);
+                    let place = millimetres((pose.x, pose.y));
+                    let seen = surfaces.map(|surface| surface.seen_from(place));
+                    nearest(seen, direction, Echo::NONE)
                 }
             }
-        }
-        sweep(self.noise, time, values, |direction| nearest(&surfaces, direction, Echo::NONE));
+        });
     }
 }
 

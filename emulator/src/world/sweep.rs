@@ -20,19 +20,19 @@ pub(super) enum Noise {
     None,
 }
 
-/// Measures the echo of each step and fills in its value.
+/// Measures the echo of each step, in its direction, and fills in its value.
 pub(super) fn sweep(
     noise: Noise,
     time: WorldTime,
     values: &mut Values,
-    echo: impl Fn(Vector) -> Echo,
+    echo: impl Fn(usize, Vector) -> Echo,
 ) {
     // Step 0 is at the right rear, -135 degrees.
     let half = 0.5_f64.sqrt();
     let mut direction = (-half, -half);
     for (step, value) in values.iter_mut().enumerate() {
         if WINDOW.contains(&step) {
-            let echo = echo(direction);
+            let echo = echo(step, direction);
             *value = match noise {
                 Noise::None => range_value(echo.distance.round()),
                 Noise::Seeded(seed) => {

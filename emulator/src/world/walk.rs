@@ -67,6 +67,12 @@ impl Walk {
         Duration::try_from_secs_f64(seconds).unwrap_or(Duration::MAX)
     }
 
+    /// Position at `time` after power-up, in metres, or `None` before the start and after the end.
+    /// The legs of a person are beside it, up to 0.3 m away.
+    pub fn position(&self, time: Duration) -> Option<(f64, f64)> {
+        self.at(time).map(|Stride { position: (x, y), .. }| (x / 1000.0, y / 1000.0))
+    }
+
     /// Point of the walk at `time` after power-up, or `None` before its start and after
     /// its end.
     pub(super) fn at(&self, time: Duration) -> Option<Stride> {
