@@ -201,7 +201,7 @@ fn a_disc_goes_back_and_forth() {
         .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
         .collect();
     // The front is measured half a revolution before its end, and 50 mm before the turn.
-    assert_eq!(ahead.iter().max(), Some(&1750));
+    assert!(ahead.iter().max().unwrap().abs_diff(1750) <= 1, "{ahead:?}");
     assert!(turns.windows(2).all(|pair| pair[1] - pair[0] == 10), "{turns:?}");
 }
 

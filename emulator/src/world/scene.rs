@@ -7,7 +7,10 @@ use super::path::Path;
 use super::surface::{Echo, Surface, nearest};
 use super::sweep::{Noise, sweep};
 use super::walk::Walk;
-use super::{Values, World, WorldTime};
+use super::{STEPS, Values, World, WorldTime};
+
+/// For so many steps, 1.6 ms, what moves stands still: a person moves by a millimetre.
+const STILL: usize = 16;
 
 /// Fraction of the light that surfaces of a scene reflect.
 const REFLECTS: f64 = 0.7;
@@ -119,14 +122,18 @@ impl Scene {
 
 impl World for Scene {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
+        let moving = |step| {
+            let at = time.at_step(step + STILL / 2);
+            self.moving.iter().flat_map(move |moving| moving.surfaces(at)).collect::<Vec<_>>()
+        };
+        let moving: Vec<_> = (0..STEPS).step_by(STILL).map(moving).collect();
         sweep(self.noise, time, values, |step, direction| {
-            let at = time.at_step(step);
-            let moving = self.moving.iter().flat_map(|moving| moving.surfaces(at));
-            let surfaces = self.surfaces.iter().copied().chain(moving);
+            let moving = moving.get(step / STILL).into_iter().flatten();
+            let surfaces = self.surfaces.iter().chain(moving);
             match &self.sensor {
                 None => nearest(surfaces, direction, Echo::NONE),
                 Some(path) => {
-                    let pose = path.pose(at);
+                    let pose = path.pose(time.at_step(step));
                     let ((x, y), (sine, cosine)) = (direction, pose.heading.sin_cos());
                     let direction = (x * cosine - y * sine, y * cosine + x * sine);
                     let place = millimetres((pose.x, pose.y));
