@@ -25,18 +25,31 @@ const PAUSE: Duration = Duration::from_secs(600);
 /// Lines printed lately, without what differs each time. Outlives the reopening of DDS.
 static SAID: Mutex<BTreeMap<String, Instant>> = Mutex::new(BTreeMap::new());
 
+/// Number of checks after which sending is judged: 5 s.
+const SOME_CHECKS: u32 = 10;
+
+/// What Cyclone's lines say about sending.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Sending {
+    Works,
+    /// Some packets cannot be sent.
+    Fails,
+    /// For some seconds announcements cannot be sent that could be sent before.
+    Stopped,
+}
+
 /// Receiver of Cyclone's lines.
 pub(super) struct Log {
     unsent: Unsent,
-    unsent_multicast: Unsent,
+    unsent_announcements: Unsent,
     last: Arc<Mutex<Option<String>>>,
     capture: Capture,
 }
 
 impl Log {
     pub(super) fn start() -> io::Result<Self> {
-        let (unsent, unsent_multicast) = (Unsent::default(), Unsent::default());
-        let (any, multicast) = (Arc::clone(&unsent.lines), Arc::clone(&unsent_multicast.lines));
+        let (unsent, unsent_announcements) = (Unsent::default(), Unsent::default());
+        let (any, multicast) = (Arc::clone(&unsent.lines), Arc::clone(&unsent_announcements.lines));
         let last = Arc::<Mutex<_>>::default();
         let latest = Arc::clone(&last);
         let capture = Capture::start(move |line| {
@@ -53,13 +66,19 @@ impl Log {
             }
             *latest.lock() = Some(text.to_owned());
         })?;
-        Ok(Self { unsent, unsent_multicast, last, capture })
+        Ok(Self { unsent, unsent_announcements, last, capture })
     }
 
-    /// Counts the checks for which Cyclone could not send some packets, and those for which it
-    /// could not send announcements. Call it at regular intervals.
-    pub(super) fn failing_checks(&mut self) -> (u32, u32) {
-        (self.unsent.check(), self.unsent_multicast.check())
+    /// Checks the lines since the last check. Call it at regular intervals.
+    pub(super) fn check(&mut self) -> Sending {
+        let (unsent, announcements) = (&mut self.unsent, &mut self.unsent_announcements);
+        unsent.check();
+        announcements.check();
+        match (unsent.checks, announcements.checks) {
+            (_, SOME_CHECKS..) if announcements.has_worked => Sending::Stopped,
+            (0, _) => Sending::Works,
+            _ => Sending::Fails,
+        }
     }
 
     /// Waits for all lines. Returns the last one that was not about an unsent packet.
@@ -76,16 +95,23 @@ struct Unsent {
     seen: u64,
     /// Checks without a line before sending works again.
     left: u32,
+    /// Checks since sending began to fail.
     checks: u32,
+    /// Checks since it began to work.
+    working_checks: u32,
+    /// Whether it ever worked for some time.
+    has_worked: bool,
 }
 
 impl Unsent {
-    fn check(&mut self) -> u32 {
+    fn check(&mut self) {
         let lines = self.lines.load(Ordering::Relaxed);
         let is_new = std::mem::replace(&mut self.seen, lines) != lines;
         self.left = if is_new { FAILING_CHECKS } else { self.left.saturating_sub(1) };
-        self.checks = if self.left > 0 { self.checks + 1 } else { 0 };
-        self.checks
+        let is_failing = self.left > 0;
+        self.checks = if is_failing { self.checks + 1 } else { 0 };
+        self.working_checks = if is_failing { 0 } else { self.working_checks + 1 };
+        self.has_worked |= self.working_checks >= SOME_CHECKS;
     }
 }
 
@@ -146,8 +172,16 @@ mod tests {
     #[test]
     fn sending_fails_until_there_was_no_line_for_some_checks() {
         let mut unsent = Unsent::default();
-        assert_eq!(unsent.check(), 0);
-        unsent.lines.fetch_add(1, Ordering::Relaxed);
-        assert_eq!([(); 7].map(|()| unsent.check()), [1, 2, 3, 4, 5, 6, 0]);
+        let mut check = |lines| {
+            unsent.lines.fetch_add(lines, Ordering::Relaxed);
+            unsent.check();
+            (unsent.checks, unsent.has_worked)
+        };
+        assert_eq!(check(1), (1, false));
+        let checks = [(); 6].map(|()| check(0).0);
+        assert_eq!(checks, [2, 3, 4, 5, 6, 0]);
+        let worked = [(); 10].map(|()| check(0).1);
+        assert_eq!(worked.iter().filter(|worked| **worked).count(), 2);
+        assert_eq!(check(1), (1, true));
     }
 }

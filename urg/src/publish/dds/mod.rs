@@ -30,7 +30,7 @@ use std::time::{Duration, Instant};
 use parking_lot::Mutex;
 
 use self::backoff::Backoff;
-use self::log::Log;
+use self::log::{Log, Sending};
 use self::neighbours::{Heard, Neighbours};
 use self::network::Network;
 use self::pulse::Pulse;
@@ -45,17 +45,9 @@ use crate::output::notice::notice;
 /// Time that a new participant has to announce itself.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Checks between two discovery messages. A reader that forgot this participant has to find it
-/// again within 5 s.
-const CHECKS_PER_INFO: u32 = 8;
-
 /// Checks with a changed network before the participant is reopened. An address may disappear for
 /// a moment when its lease is renewed.
 const MAX_CHANGED_CHECKS: u32 = 2;
-
-/// Checks without a sent announcement, on interfaces that are up, before the participant is
-/// reopened: 5 s.
-const MAX_DEAF_CHECKS: u32 = 10;
 
 /// What one participant leaves to the next.
 #[derive(Default)]
@@ -78,7 +70,6 @@ pub(super) struct Dds {
     backoff: Arc<Mutex<Backoff>>,
     /// Why the participant is to be reopened as soon as `backoff` allows it.
     outdated: Option<String>,
-    checks: u32,
     changed_checks: u32,
     silent_checks: u32,
 }
@@ -150,7 +141,6 @@ impl Engine for Dds {
             network,
             backoff: Arc::clone(&memory.backoff),
             outdated: None,
-            checks: 0,
             changed_checks: 0,
             silent_checks: 0,
         };
@@ -164,10 +154,6 @@ impl Engine for Dds {
 
     fn check(&mut self) -> Result<Option<String>, Reopen> {
         let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
-        self.checks += 1;
-        if self.checks.is_multiple_of(CHECKS_PER_INFO) {
-            self.announce(&self.settings.nodes);
-        }
         if self.thread.is_finished() {
             return dead("the thread of DDS has ended");
         }
@@ -190,22 +176,22 @@ impl Engine for Dds {
         if self.changed_checks >= MAX_CHANGED_CHECKS {
             return Err(Reopen::Outdated("the network interfaces have changed".to_owned()));
         }
-        let (failing_checks, deaf_checks) = self.log.failing_checks();
+        let sending = self.log.check();
         let deaf = || {
-            let is_deaf = deaf_checks >= MAX_DEAF_CHECKS && network.is_up();
+            let is_deaf = sending == Sending::Stopped && network.is_up();
             is_deaf.then(|| "DDS cannot send, but its network interfaces are up".to_owned())
         };
-        self.outdated = self.outdated.take().or(self.neighbours.returned()).or_else(deaf);
-        if let Some(why) = &self.outdated
+        self.outdated = self.outdated.take().or(self.neighbours.returned());
+        if let Some(why) = self.outdated.clone().or_else(deaf)
             && self.backoff.lock().allows(Instant::now())
         {
-            return Err(Reopen::Outdated(why.clone()));
+            return Err(Reopen::Outdated(why));
         }
         // Readers on this machine still get scans: DDS has no central server.
         Ok(if self.network.is_absent() && self.settings.discovery.is_beyond_this_machine() {
             let text = "this machine is in no network: until it is, only readers on it get scans";
             Some(text.to_owned())
-        } else if failing_checks > 0 {
+        } else if sending != Sending::Works {
             let text = "DDS cannot send on some network: readers there get no scans until it can";
             Some(text.to_owned())
         } else {
