@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use std::ffi::OsString;
 
 use saphyr::{ScalarStyle, YamlLoader, YamlOwned};
-use saphyr_parser::Parser;
+use saphyr_parser::{Event, Parser, SpannedEventReceiver};
 
 use super::names::NodeNames;
 use crate::failure::Failure;
@@ -13,6 +13,9 @@ use crate::output::notice::notice;
 
 const BEGIN: &str = "--ros-args";
 const END: &str = "--";
+
+/// Maximum depth of YAML, which is walked by recursion.
+const MAX_DEPTH: u32 = 50;
 
 /// Replaces all arguments between `--ros-args` and `--` with options of `urg publish` that come
 /// last, because the last one applies. `nodes` parses a command line for the names of its nodes;
@@ -228,13 +231,24 @@ fn assignment<'a>(
 
 /// Loads the first document, with each scalar as it was written.
 fn load(text: &str) -> Result<YamlOwned, String> {
+    let invalid = |error| format!("invalid YAML: {error}");
     let mut loader = YamlLoader::<YamlOwned>::default();
     loader.early_parse(false);
-    Parser::new_from_str(text)
-        .load(&mut loader, true)
-        .map_err(|error| format!("invalid YAML: {error}"))?;
+    let mut depth = 0;
+    for event in Parser::new_from_str(text) {
+        let (event, span) = event.map_err(|error| invalid(error.to_string()))?;
+        match event {
+            Event::MappingStart(..) | Event::SequenceStart(..) => depth += 1,
+            Event::MappingEnd | Event::SequenceEnd => depth -= 1,
+            _ => {}
+        }
+        if depth > MAX_DEPTH {
+            return Err(invalid(format!("expected at most {MAX_DEPTH} levels")));
+        }
+        loader.on_event(event, span);
+    }
     if let Some(error) = loader.error() {
-        return Err(format!("invalid YAML: {error}"));
+        return Err(invalid(error.to_string()));
     }
     loader.into_documents().into_iter().next().ok_or_else(|| "it is empty".to_owned())
 }
@@ -368,7 +382,9 @@ mod tests {
             "/robot/front \"--tf=base,0,0,0,0\"",
         ];
         assert_eq!(found, expected);
-        for wrong in ["", "a", "a: b", "a: {ros__parameters: 1}", "[a]: {}", "a: [", "a: {}\na: {}"]
+        let deep: String = (0..3_000).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
+        for wrong in
+            [&*deep, "", "a", "a: b", "a: {ros__parameters: 1}", "[a]: {}", "a: [", "a: {}\na: {}"]
         {
             let outcome = load(wrong).and_then(|yaml| collect("", &yaml, &mut Vec::new()));
             assert!(outcome.is_err(), "{wrong}");

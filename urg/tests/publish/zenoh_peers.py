@@ -105,13 +105,13 @@ def the_graph(session):
         parts = sorted(token.split("/")[3:] for token in tokens)
         assert parts[:3] == [
             ["0", "0", "NN", "%", "%robot%front", "urg_node"],
-            ["0", "1", "MP", "%", "%robot%front", "urg_node", "%front%scan", *SCAN.split("/"), "2::,5:,:,:,,"],
+            ["0", "1", "MP", "%", "%robot%front", "urg_node", "%robot%front%scan", *SCAN.split("/"), "2::,5:,:,:,,"],
             ["0", "2", "MP", "%", "%robot%front", "urg_node", "%diagnostics",
              "diagnostic_msgs::msg::dds_::DiagnosticArray_",
              "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e", "::,10:,:,:,,"],
         ], parts
         said = urg.stop()
-        started = "urg: scans are published on 2 topics, /front/scan to /rear/scan; Ctrl-C stops\n"
+        started = "urg: scans are published on 2 topics, /robot/front/scan to /robot/rear/scan; Ctrl-C stops\n"
         assert said == started, f"a clean end is silent: {said}"
     wait("the graph is clean", lambda: not tokens)
     subscriber.undeclare()

@@ -87,13 +87,4 @@ mod tests {
         let hex: String = gid(token).iter().map(|byte| format!("{byte:02x}")).collect();
         assert_eq!(hex, "7fdd3c7864607827008077793c63c525");
     }
-
-    #[test]
-    fn metadata_has_the_form_of_rmw_zenoh() {
-        let time = SystemTime::UNIX_EPOCH + std::time::Duration::from_nanos(258);
-        let bytes = attachment(1, time, [7; 16]);
-        assert_eq!(bytes.len(), 33);
-        assert_eq!(bytes[..17], [1, 0, 0, 0, 0, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0, 0, 16]);
-        assert_eq!(bytes[17..], [7; 16]);
-    }
 }
