@@ -194,6 +194,20 @@ def zenoh_with_another_address():
     ok(f"a zenoh client continues with another address: 20 scans after {took:.1f} s")
 
 
+def dds_says_which_interfaces_it_uses():
+    near = Namespace()
+    for number in range(5):
+        near.link(f"f{number}", f"10.9.{number}.1")
+        ip(f"link set f{number} up")
+    with Urg("publish", "emulated", enter=near.enter) as urg:
+        urg.wait_for("DDS uses only ")
+        used, other = re.search("uses only (.*), and not (.*): choose", urg.said).groups()
+        addresses = {*used.split(", "), other}
+        assert addresses == {f"10.9.{number}.1" for number in range(5)}, urg.said
+    near.process.kill()
+    ok("DDS says which four of five interfaces it uses")
+
+
 def two_publishers_of_one_name(far):
     reader = Lines(ROS_READER, namespace=far)
     with Urg("publish", "emulated", "--interface", "10.1.0.1") as first:
@@ -262,6 +276,7 @@ dds_uses_one_interface(far)
 zenoh_uses_one_address(far)
 an_address_that_is_not_there_yet(far)
 zenoh_with_another_address()
+dds_says_which_interfaces_it_uses()
 two_publishers_of_one_name(far)
 a_zenoh_reader_that_hangs(far)
 router.kill()
