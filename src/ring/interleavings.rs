@@ -1,9 +1,9 @@
 //! Every interleaving of two writers and three readers at a ring, without a bound.
 //!
-//! One lock protects everything they share. So whatever a thread does under the lock is one
-//! step, and so is the call of a waker. A step that takes the lock twice fails the test,
-//! because others could run in between. One thread makes all steps in every order. States
-//! reached before are not explored again, but their orders are counted.
+//! One lock protects everything they share, and a `Notify` wakes the readers. So whatever a
+//! thread does under the lock is one step, and so is each call of the `Notify`. A step that takes
+//! the lock twice fails the test, because others could run in between. One thread makes all steps
+//! in every order. States reached before are not explored again, but their orders are counted.
 
 use std::cell::Cell;
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::{Context, Poll, Wake, Waker};
 
 use super::tests::scan;
-use super::{Cursor, ReaderState, Ring};
+use super::{Cursor, Ring};
 use crate::{Error, ErrorKind};
 
 thread_local! {
@@ -41,37 +41,27 @@ enum Write {
 #[derive(Debug)]
 struct ModelWriter {
     writes: &'static [Write],
-    /// Next reader to wake. `None` between two writes.
-    entry: Option<usize>,
-    /// Waker that it has taken and not called yet.
-    waker: Option<Waker>,
+    /// True if it has changed the ring, and wakes the readers next.
+    has_news: bool,
 }
 
 impl ModelWriter {
     fn step(&mut self, ring: &Ring) {
-        if let Some(waker) = self.waker.take() {
-            return waker.wake();
+        if std::mem::take(&mut self.has_news) {
+            return ring.changed.notify_waiters();
         }
+        let Some((write, rest)) = self.writes.split_first() else { return };
+        (self.writes, self.has_news) = (rest, true);
         let mut inner = ring.lock();
-        let mut entry = match (self.entry, self.writes.split_first()) {
-            (Some(entry), _) => entry,
-            (None, Some((write, rest))) => {
-                self.writes = rest;
-                match *write {
-                    Write::Push => _ = inner.push(scan()),
-                    Write::Report => inner.report(ErrorKind::LaserOff.into()),
-                    Write::End => inner.end(Some(cause())),
-                }
-                0
-            }
-            (None, None) => return,
-        };
-        self.waker = inner.take_waker(&mut entry);
-        self.entry = self.waker.is_some().then_some(entry);
+        match *write {
+            Write::Push => _ = inner.push(scan()),
+            Write::Report => inner.report(ErrorKind::LaserOff.into()),
+            Write::End => inner.end(Some(cause())),
+        }
     }
 
     fn is_done(&self) -> bool {
-        self.writes.is_empty() && self.entry.is_none() && self.waker.is_none()
+        self.writes.is_empty() && !self.has_news
     }
 }
 
@@ -86,16 +76,23 @@ enum Change {
     Renew(usize),
     /// Is dropped after reading this number of items.
     Leave(usize),
-    /// It moves to another task after its first poll.
+    /// It moves to another task when it has first waited.
     Move,
     /// Is moving: the other task polls it without a wake-up.
     Moving,
 }
 
-#[derive(Debug, Default)]
-struct Woken(AtomicBool);
+/// True while its task runs, or was woken.
+#[derive(Debug)]
+struct TaskWaker(AtomicBool);
 
-impl Wake for Woken {
+impl TaskWaker {
+    fn running() -> Arc<Self> {
+        Arc::new(Self(AtomicBool::new(true)))
+    }
+}
+
+impl Wake for TaskWaker {
     fn wake(self: Arc<Self>) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -110,8 +107,12 @@ struct ModelReader {
     change: Change,
     /// True if it may be dropped before the end, or subscribe after the end.
     may_miss_cause: bool,
+    /// True if it found nothing in the ring, and waits for a change next.
+    is_waiting: bool,
+    /// Number of wake-ups of the ring before its cursor began to wait for one.
+    wakeups: usize,
     /// True if its task runs, or was woken.
-    woken: Arc<Woken>,
+    woken: Arc<TaskWaker>,
     scans: Vec<u64>,
     errors: Vec<String>,
 }
@@ -123,37 +124,29 @@ impl ModelReader {
             original: None,
             change,
             may_miss_cause: matches!(change, Change::Leave(_) | Change::Renew(_)),
-            woken: Arc::new(Woken(AtomicBool::new(true))),
+            is_waiting: false,
+            wakeups: 0,
+            woken: TaskWaker::running(),
             scans: Vec::new(),
             errors: Vec::new(),
         }
     }
 
-    fn waker(&self) -> Waker {
-        Waker::from(Arc::clone(&self.woken))
-    }
-
-    fn step(&mut self) {
+    /// Takes a step, after this number of wake-ups of the ring.
+    fn step(&mut self, wakeups: usize) {
         let items = self.scans.len() + self.errors.len();
         match self.change {
             _ if self.original.is_some() => self.original = None,
+            _ if self.is_waiting => self.wait(wakeups),
             Change::Leave(after) if after == items => self.cursor = None,
-            Change::Clone(after) if after == items => self.go_on_with(Cursor::clone),
-            Change::Renew(after) if after == items => self.go_on_with(Cursor::resubscribe),
-            Change::Moving => {
-                self.change = Change::None;
-                self.woken = Arc::new(Woken(AtomicBool::new(true)));
-            }
-            Change::Move => {
-                self.change = Change::Moving;
-                self.poll();
-            }
-            _ => self.poll(),
+            Change::Clone(after) if after == items => self.replace(Cursor::clone, wakeups),
+            Change::Renew(after) if after == items => self.replace(Cursor::resubscribe, wakeups),
+            _ => self.take(),
         }
     }
 
-    fn go_on_with(&mut self, another: impl FnOnce(&Cursor) -> Cursor) {
-        self.change = Change::None;
+    fn replace(&mut self, another: impl FnOnce(&Cursor) -> Cursor, wakeups: usize) {
+        (self.change, self.wakeups) = (Change::None, wakeups);
         let next = self.cursor.as_ref().map(another);
         self.original = std::mem::replace(&mut self.cursor, next);
     }
@@ -164,23 +157,36 @@ impl ModelReader {
             || self.cursor.is_some() && (is_woken || matches!(self.change, Change::Moving))
     }
 
-    fn poll(&mut self) {
-        let waker = self.waker();
+    fn take(&mut self) {
+        match self.cursor.as_mut().map(Cursor::take) {
+            Some(Poll::Pending) => self.is_waiting = true,
+            Some(Poll::Ready(Some(Ok(scan)))) => self.scans.push(scan.sequence()),
+            Some(Poll::Ready(Some(Err(error)))) => self.errors.push(error.to_string()),
+            Some(Poll::Ready(None)) | None => self.original = self.cursor.take(),
+        }
+    }
+
+    fn wait(&mut self, wakeups: usize) {
+        match self.change {
+            Change::Move => self.change = Change::Moving,
+            Change::Moving => (self.change, self.woken) = (Change::None, TaskWaker::running()),
+            _ => {}
+        }
+        let waker = Waker::from(Arc::clone(&self.woken));
         let Some(cursor) = &mut self.cursor else { return };
         self.woken.0.store(false, Ordering::Relaxed);
-        match cursor.poll_next(&mut Context::from_waker(&waker)) {
-            Poll::Pending => return,
-            Poll::Ready(Some(Ok(scan))) => self.scans.push(scan.sequence()),
-            Poll::Ready(Some(Err(error))) => self.errors.push(error.to_string()),
-            Poll::Ready(None) => self.original = self.cursor.take(),
+        if cursor.poll_change(&mut Context::from_waker(&waker)).is_ready() {
+            (self.is_waiting, self.wakeups) = (false, wakeups);
+            self.woken.0.store(true, Ordering::Relaxed);
         }
-        self.woken.0.store(true, Ordering::Relaxed);
     }
 }
 
 /// All writers and readers after some steps.
 struct Model {
     ring: Arc<Ring>,
+    /// Number of times that a writer has woken the readers.
+    wakeups: usize,
     writers: [ModelWriter; 2],
     readers: [ModelReader; 3],
 }
@@ -192,10 +198,10 @@ impl Model {
         changes: [(usize, Change); 3],
     ) -> Self {
         let ring = Ring::new();
-        let writers = writes.map(|writes| ModelWriter { writes, entry: None, waker: None });
+        let writers = writes.map(|writes| ModelWriter { writes, has_news: false });
         let readers =
             changes.map(|(depth, change)| ModelReader::new(ring.subscribe(depth), change));
-        let mut model = Self { ring, writers, readers };
+        let mut model = Self { ring, wakeups: 0, writers, readers };
         steps.iter().for_each(|step| model.step(*step));
         model
     }
@@ -212,39 +218,30 @@ impl Model {
         LOCKS.set(0);
         let reader = number.checked_sub(self.writers.len());
         if let Some(writer) = self.writers.get_mut(number) {
+            self.wakeups += usize::from(writer.has_news);
             writer.step(&self.ring);
         } else if let Some(reader) = reader.and_then(|number| self.readers.get_mut(number)) {
-            reader.step();
+            reader.step(self.wakeups);
         }
         assert!(LOCKS.get() <= 1, "a step of {number} took the lock {} times", LOCKS.get());
     }
 
     /// Everything that determines the next steps, and what was read.
     fn state(&self) -> String {
-        let whose =
-            |waker: &Waker| self.readers.iter().position(|reader| waker.will_wake(&reader.waker()));
         let inner = self.ring.lock();
-        let entries = inner.readers.iter().map(|reader| match &reader.state {
-            ReaderState::Gone => "gone".to_owned(),
-            ReaderState::Busy => format!("{} busy", reader.depth),
-            ReaderState::Waiting(waker) => format!("{} {:?}", reader.depth, whose(waker)),
-        });
-        let (ended, next, missed) = (inner.ended, inner.next, inner.missed);
-        let scans = inner.scans.iter().map(crate::Scan::sequence);
+        let scans: Vec<_> = inner.scans.iter().map(crate::Scan::sequence).collect();
+        let error = inner.error.as_ref().map(Error::to_string);
         let shared = (
-            (ended, next, missed, inner.depth, scans.collect::<Vec<_>>()),
-            (inner.error.as_ref().map(Error::to_string), inner.error_at, inner.errors),
-            entries.collect::<Vec<_>>(),
+            (inner.ended, inner.next, inner.missed, &inner.depths, scans),
+            (error, inner.error_at, inner.errors),
         );
-        let writers = self.writers.each_ref().map(|writer| {
-            let waker = writer.waker.as_ref().map(whose);
-            (writer.writes.len(), writer.entry, waker)
-        });
+        let writers = self.writers.each_ref().map(|writer| (writer.writes.len(), writer.has_news));
         let readers = self.readers.each_ref().map(|reader| {
             let places = [&reader.cursor, &reader.original]
                 .map(|cursor| cursor.as_ref().map(|cursor| cursor.place));
             let is_woken = reader.woken.0.load(Ordering::Relaxed);
-            (places, reader.change, is_woken, &reader.scans, &reader.errors)
+            let waits = (reader.is_waiting, reader.wakeups == self.wakeups, is_woken);
+            (places, reader.change, waits, &reader.scans, &reader.errors)
         });
         format!("{shared:?}{writers:?}{readers:?}")
     }

@@ -7,9 +7,13 @@ mod interleavings;
 mod tests;
 
 use std::collections::VecDeque;
+use std::future::Future;
+use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll, Waker, ready};
+use std::task::{Context, Poll, ready};
 
+use tokio::sync::Notify;
+use tokio::sync::futures::OwnedNotified;
 use tokio::task::coop;
 use tokio::time::Instant;
 
@@ -21,13 +25,13 @@ use crate::{Error, Scan};
 #[derive(Debug)]
 pub(crate) struct Ring {
     inner: Mutex<Inner>,
+    /// Wakes the readers after each change.
+    changed: Arc<Notify>,
 }
 
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Inner {
     scans: VecDeque<Scan>,
-    /// Depth of the deepest reader.
-    depth: usize,
     /// Number of scans so far, which is the number of the next one.
     next: u64,
     error: Option<Error>,
@@ -37,40 +41,16 @@ struct Inner {
     errors: u64,
     /// Set once the driver has ended: no more scans follow.
     ended: bool,
-    readers: Vec<Reader>,
+    /// Depth of each reader, in any order.
+    depths: Vec<usize>,
     missed: u64,
-}
-
-/// Entry for a reader.
-#[derive(Debug)]
-struct Reader {
-    depth: usize,
-    state: ReaderState,
-}
-
-#[derive(Debug)]
-enum ReaderState {
-    /// Free entry, whose reader was dropped.
-    Gone,
-    Busy,
-    Waiting(Waker),
 }
 
 impl Ring {
     pub(crate) fn new() -> Arc<Self> {
-        let inner = Inner {
-            // Room for the depth of most readers.
-            scans: VecDeque::with_capacity(1),
-            depth: 1,
-            next: 0,
-            error: None,
-            error_at: 0,
-            errors: 0,
-            ended: false,
-            readers: Vec::new(),
-            missed: 0,
-        };
-        Arc::new(Self { inner: Mutex::new(inner) })
+        // Room for the depth of most readers.
+        let inner = Inner { scans: VecDeque::with_capacity(1), ..Inner::default() };
+        Arc::new(Self { inner: Mutex::new(inner), changed: Arc::default() })
     }
 
     /// Subscribes a reader to the scans from now on. It can fall `depth` scans behind
@@ -78,29 +58,17 @@ impl Ring {
     /// with that error.
     pub(crate) fn subscribe(self: &Arc<Self>, depth: usize) -> Cursor {
         let depth = depth.max(1);
-        let mut inner = self.lock();
+        let inner = self.lock();
         let is_news = inner.error.is_some() && inner.error_at == inner.next;
-        let place = Place {
-            entry: inner.enter(depth),
-            depth,
-            next: inner.next,
-            errors: inner.errors - u64::from(is_news),
-            missed: 0,
-            finished: false,
-        };
-        drop(inner);
-        Cursor { ring: Arc::clone(self), place }
+        let errors = inner.errors - u64::from(is_news);
+        let place = Place { depth, next: inner.next, errors, missed: 0, finished: false };
+        Cursor::enter(self, inner, place)
     }
 
     /// Adds a scan, and numbers it. Marks it, and returns true, if its values equal the values of
     /// the one before it. Also returns the number of scans that readers have missed.
     pub(crate) fn push(&self, scan: Scan) -> (bool, u64) {
         self.change(|inner| (inner.push(scan), inner.missed))
-    }
-
-    /// Newest scan.
-    pub(crate) fn latest(&self) -> Option<Scan> {
-        self.lock().scans.back().cloned()
     }
 
     /// Replaces the latest error. Each reader gets it after the present scans and before
@@ -116,8 +84,7 @@ impl Ring {
 
     /// Number of readers.
     pub(crate) fn readers(&self) -> usize {
-        let inner = self.lock();
-        inner.readers.iter().filter(|reader| !matches!(reader.state, ReaderState::Gone)).count()
+        self.lock().depths.len()
     }
 
     /// Number of scans that readers missed.
@@ -125,16 +92,9 @@ impl Ring {
         self.lock().missed
     }
 
-    /// Changes the ring, and wakes all readers after releasing the lock: a waker may run any
-    /// code.
     fn change<T>(&self, change: impl FnOnce(&mut Inner) -> T) -> T {
-        let (mut inner, mut entry) = (self.lock(), 0);
-        let outcome = change(&mut inner);
-        while let Some(waker) = inner.take_waker(&mut entry) {
-            drop(inner);
-            waker.wake();
-            inner = self.lock();
-        }
+        let outcome = change(&mut self.lock());
+        self.changed.notify_waiters();
         outcome
     }
 
@@ -147,31 +107,21 @@ impl Ring {
 }
 
 impl Inner {
+    /// Depth of the deepest reader.
+    fn depth(&self) -> usize {
+        self.depths.iter().copied().max().unwrap_or(1)
+    }
+
     fn push(&mut self, mut scan: Scan) -> bool {
         let repeats = self.scans.back().is_some_and(|latest| scan.values() == latest.values());
         scan.meta.repeat = repeats;
         scan.meta.sequence = self.next;
-        while self.scans.len() >= self.depth {
+        while self.scans.len() >= self.depth() {
             self.scans.pop_front();
         }
         self.scans.push_back(scan);
         self.next += 1;
         repeats
-    }
-
-    /// Takes the waker of the first waiting reader from `entry` on, and advances `entry` past that
-    /// reader.
-    fn take_waker(&mut self, entry: &mut usize) -> Option<Waker> {
-        while let Some(reader) = self.readers.get_mut(*entry) {
-            *entry += 1;
-            if matches!(reader.state, ReaderState::Waiting(_)) {
-                match std::mem::replace(&mut reader.state, ReaderState::Busy) {
-                    ReaderState::Waiting(waker) => return Some(waker),
-                    ReaderState::Gone | ReaderState::Busy => {}
-                }
-            }
-        }
-        None
     }
 
     fn report(&mut self, error: Error) {
@@ -189,32 +139,13 @@ impl Inner {
         }
     }
 
-    fn enter(&mut self, depth: usize) -> usize {
-        self.depth = self.depth.max(depth);
-        let reader = Reader { depth, state: ReaderState::Busy };
-        let free = self.readers.iter().position(|one| matches!(one.state, ReaderState::Gone));
-        match free.and_then(|entry| Some((entry, self.readers.get_mut(entry)?))) {
-            Some((entry, place)) => {
-                *place = reader;
-                entry
-            }
-            None => {
-                self.readers.push(reader);
-                self.readers.len() - 1
-            }
+    /// Removes a reader of this depth, and the scans that only it wanted.
+    fn leave(&mut self, depth: usize) {
+        if let Some(entry) = self.depths.iter().position(|one| *one == depth) {
+            self.depths.swap_remove(entry);
         }
-    }
-
-    /// Frees an entry, and the scans that only its reader wanted. Returns values to drop
-    /// after releasing the lock.
-    fn leave(&mut self, entry: usize) -> Option<ReaderState> {
-        let reader = self.readers.get_mut(entry)?;
-        let state = std::mem::replace(&mut reader.state, ReaderState::Gone);
-        let present = self.readers.iter().filter(|one| !matches!(one.state, ReaderState::Gone));
-        self.depth = present.map(|one| one.depth).max().unwrap_or(1);
-        let surplus = self.scans.len().saturating_sub(self.depth);
+        let surplus = self.scans.len().saturating_sub(self.depth());
         self.scans.drain(..surplus);
-        Some(state)
     }
 }
 
@@ -222,14 +153,14 @@ impl Inner {
 #[derive(Debug)]
 pub(crate) struct Cursor {
     ring: Arc<Ring>,
+    /// Completes at the next change. Created before the ring is read, so that it misses none.
+    change: Pin<Box<OwnedNotified>>,
     place: Place,
 }
 
 /// Position of a reader in the sequence of scans.
 #[derive(Debug, Clone, Copy)]
 struct Place {
-    /// Its entry in `Inner::readers`.
-    entry: usize,
     depth: usize,
     next: u64,
     errors: u64,
@@ -238,6 +169,14 @@ struct Place {
 }
 
 impl Cursor {
+    /// Registers a reader at this place.
+    fn enter(ring: &Arc<Ring>, mut inner: MutexGuard<'_, Inner>, place: Place) -> Self {
+        inner.depths.push(place.depth);
+        drop(inner);
+        let change = Box::pin(Arc::clone(&ring.changed).notified_owned());
+        Self { ring: Arc::clone(ring), change, place }
+    }
+
     /// Returns the next error or scan, or `None` after the end. Takes part in tokio's
     /// cooperative scheduling: a task that always finds a scan yields now and then.
     pub(crate) fn poll_next(&mut self, cx: &mut Context<'_>) -> Poll<Option<Result<Scan, Error>>> {
@@ -245,25 +184,28 @@ impl Cursor {
             return Poll::Ready(None);
         }
         let coop = ready!(coop::poll_proceed(cx));
-        let mut inner = self.ring.lock();
-        if let Poll::Ready(item) = self.place.take(&mut inner) {
-            coop.made_progress();
-            return Poll::Ready(item);
+        loop {
+            if let Poll::Ready(item) = self.take() {
+                coop.made_progress();
+                return Poll::Ready(item);
+            }
+            ready!(self.poll_change(cx));
         }
-        let before = match inner.readers.get_mut(self.place.entry).map(|reader| &mut reader.state) {
-            Some(ReaderState::Waiting(waker)) if waker.will_wake(cx.waker()) => None,
-            Some(state) => Some(std::mem::replace(state, ReaderState::Waiting(cx.waker().clone()))),
-            None => None,
-        };
-        // After releasing the lock, because dropping a waker may run any code.
-        drop(inner);
-        drop(before);
-        Poll::Pending
+    }
+
+    fn take(&mut self) -> Poll<Option<Result<Scan, Error>>> {
+        self.place.take(&mut self.ring.lock())
+    }
+
+    fn poll_change(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+        ready!(self.change.as_mut().poll(cx));
+        self.change.set(Arc::clone(&self.ring.changed).notified_owned());
+        Poll::Ready(())
     }
 
     /// Newest scan, read or not.
     pub(crate) fn latest(&self) -> Option<Scan> {
-        self.ring.latest()
+        self.ring.lock().scans.back().cloned()
     }
 
     /// When the newest scan was received, and the latest error since.
@@ -292,9 +234,6 @@ impl Cursor {
 impl Place {
     /// Takes the next error, scan or end, if one is ready.
     fn take(&mut self, inner: &mut Inner) -> Poll<Option<Result<Scan, Error>>> {
-        if self.finished {
-            return Poll::Ready(None);
-        }
         let kept = inner.scans.len();
         let oldest = inner.next - kept.min(self.depth) as u64;
         // Errors keep their place: a scan from before a lost link, delivered after the
@@ -325,15 +264,12 @@ impl Place {
 
 impl Clone for Cursor {
     fn clone(&self) -> Self {
-        let entry = self.ring.lock().enter(self.place.depth);
-        Self { ring: Arc::clone(&self.ring), place: Place { entry, ..self.place } }
+        Self::enter(&self.ring, self.ring.lock(), self.place)
     }
 }
 
 impl Drop for Cursor {
     fn drop(&mut self) {
-        let before = self.ring.lock().leave(self.place.entry);
-        // After releasing the lock, because dropping a waker may run any code.
-        drop(before);
+        self.ring.lock().leave(self.place.depth);
     }
 }

@@ -1,207 +1,162 @@
-//! Order, depth, ends and wake-ups of a ring, as one thread sees them.
+//! Random histories of a ring, compared with readers that each have a queue of their own.
+
+use std::collections::VecDeque;
+use std::future::poll_fn;
 
 use futures::FutureExt;
-use std::future::poll_fn;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::task::{Context, Wake, Waker};
+use proptest::prelude::*;
 
-use super::*;
-use crate::{ErrorKind, Window};
+use super::{Cursor, Ring};
+use crate::{Error, ErrorKind, Scan, Window};
 
 pub(super) fn scan() -> Scan {
-    Scan::builder(Window::single(384), [1000]).build().unwrap()
+    scan_with(1000)
 }
 
-fn push(ring: &Ring, scans: usize) {
-    for _ in 0..scans {
-        ring.push(scan());
-    }
+fn scan_with(value: u16) -> Scan {
+    Scan::builder(Window::single(384), [value]).build().unwrap()
 }
 
-/// Returns the next item if it is ready.
-fn next_if_ready(cursor: &mut Cursor) -> Option<Result<Scan, Error>> {
-    poll_fn(|cx| cursor.poll_next(cx)).now_or_never().flatten()
-}
+/// What a reader gets: the number of a scan and whether it repeats the one before, or an error.
+type Item = Result<(u64, bool), String>;
 
 /// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
-fn take(cursor: &mut Cursor) -> Option<Option<Result<u64, String>>> {
+fn take(cursor: &mut Cursor) -> Option<Option<Item>> {
     let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
-    Some(item.map(|item| item.map(|scan| scan.sequence()).map_err(|error| error.to_string())))
+    let number = |scan: Scan| (scan.sequence(), scan.is_repeat());
+    Some(item.map(|item| item.map(number).map_err(|error| error.to_string())))
 }
 
-#[test]
-fn a_slow_reader_gets_the_newest_and_knows_what_it_missed() {
-    let ring = Ring::new();
-    let mut reader = ring.subscribe(2);
-    push(&ring, 5);
-    assert_eq!(take(&mut reader), Some(Some(Ok(3))));
-    assert_eq!(take(&mut reader), Some(Some(Ok(4))));
-    assert_eq!(take(&mut reader), None);
-    assert_eq!((reader.missed(), ring.missed()), (3, 3));
+fn error(kind: usize) -> Error {
+    [ErrorKind::LaserOff, ErrorKind::Loopback, ErrorKind::Closed]
+        .into_iter()
+        .nth(kind)
+        .unwrap()
+        .into()
 }
 
-#[test]
-fn an_error_comes_before_the_next_scan_and_is_pushed_out_by_none() {
-    let ring = Ring::new();
-    let mut reader = ring.subscribe(1);
-    ring.report(ErrorKind::LaserOff.into());
-    push(&ring, 5);
-    assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
-    assert_eq!(take(&mut reader), Some(Some(Ok(4))));
-    assert_eq!(take(&mut reader), None);
+#[derive(Debug, Clone)]
+enum Step {
+    Push(u16),
+    Report(usize),
+    End(Option<usize>),
+    Subscribe(usize),
+    Read(usize),
+    Clone(usize),
+    Resubscribe(usize),
+    Drop(usize),
 }
 
-#[test]
-fn an_error_comes_behind_the_scans_from_before_it() {
-    let ring = Ring::new();
-    let (mut reader, mut slow) = (ring.subscribe(2), ring.subscribe(2));
-    push(&ring, 3);
-    ring.report(ErrorKind::LaserOff.into());
-    assert_eq!(take(&mut reader), Some(Some(Ok(1))));
-    assert_eq!(take(&mut reader), Some(Some(Ok(2))));
-    assert_eq!(take(&mut reader), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
-    assert_eq!(take(&mut reader), None);
-    ring.push(scan());
-    assert_eq!(take(&mut reader), Some(Some(Ok(3))));
-    // One of the two kept scans is from before the error.
-    assert_eq!(take(&mut slow), Some(Some(Ok(2))));
-    assert_eq!(take(&mut slow), Some(Some(Err(ErrorKind::LaserOff.to_string()))));
-    assert_eq!(take(&mut slow), Some(Some(Ok(3))));
-    assert_eq!((take(&mut slow), slow.missed()), (None, 2));
+fn step() -> impl Strategy<Value = Step> {
+    prop_oneof![
+        8 => (0_u16..2).prop_map(Step::Push),
+        2 => (0_usize..3).prop_map(Step::Report),
+        1 => prop::option::of(0_usize..3).prop_map(Step::End),
+        2 => (0_usize..5).prop_map(Step::Subscribe),
+        8 => (0_usize..4).prop_map(Step::Read),
+        1 => (0_usize..4).prop_map(Step::Clone),
+        1 => (0_usize..4).prop_map(Step::Resubscribe),
+        1 => (0_usize..4).prop_map(Step::Drop),
+    ]
 }
 
-#[test]
-fn the_end_comes_after_what_is_left_and_its_cause() {
-    let ring = Ring::new();
-    let (mut reader, mut other) = (ring.subscribe(1), ring.subscribe(1));
-    ring.push(scan());
-    ring.end(Some(ErrorKind::Loopback.into()));
-    ring.end(Some(ErrorKind::Closed.into()));
-    for reader in [&mut reader, &mut other] {
-        assert_eq!(take(reader), Some(Some(Ok(0))));
-        assert_eq!(take(reader), Some(Some(Err(ErrorKind::Loopback.to_string()))));
-        assert!(!reader.is_finished());
-        assert_eq!(take(reader), Some(None));
-        assert_eq!(take(reader), Some(None));
-        assert!(reader.is_finished());
-    }
+/// What a reader has yet to read.
+#[derive(Debug, Clone)]
+struct Queue {
+    depth: usize,
+    items: VecDeque<Item>,
+    missed: u64,
 }
 
-#[test]
-fn a_reader_that_comes_late_begins_with_an_error_only_if_no_scan_has_come_since() {
-    let ring = Ring::new();
-    ring.report(ErrorKind::Loopback.into());
-    let (mut during, kept) = (ring.subscribe(1), ring.subscribe(1));
-    assert_eq!(take(&mut during), Some(Some(Err(ErrorKind::Loopback.to_string()))));
-    assert_eq!(take(&mut during), None);
-    push(&ring, 5);
-    let mut after = kept.resubscribe();
-    assert_eq!(take(&mut after), None);
-    ring.push(scan());
-    assert_eq!(take(&mut after), Some(Some(Ok(5))));
-    // Nor does it count earlier scans as missed. `during` never read them.
-    assert_eq!((after.missed(), kept.missed(), ring.missed()), (0, 0, 0));
-    assert_eq!(take(&mut kept.clone()), Some(Some(Err(ErrorKind::Loopback.to_string()))));
-}
-
-#[test]
-fn a_reader_that_comes_late_begins_with_the_latest_of_two_errors() {
-    let ring = Ring::new();
-    ring.report(ErrorKind::LaserOff.into());
-    let mut reader = ring.subscribe(1);
-    ring.report(ErrorKind::Loopback.into());
-    let latest = ErrorKind::Loopback.to_string();
-    assert_eq!((take(&mut reader), take(&mut reader)), (Some(Some(Err(latest))), None));
-}
-
-#[test]
-fn each_reader_has_a_depth_of_its_own() {
-    let ring = Ring::new();
-    let (mut newest, mut all) = (ring.subscribe(1), ring.subscribe(4));
-    push(&ring, 6);
-    assert_eq!((take(&mut newest), take(&mut newest)), (Some(Some(Ok(5))), None));
-    for sequence in 2..6 {
-        assert_eq!(take(&mut all), Some(Some(Ok(sequence))));
-    }
-    assert_eq!((take(&mut all), newest.missed(), all.missed()), (None, 5, 2));
-    // Once the deepest reader is gone, the ring drops the scans that only it could read.
-    drop(all);
-    assert_eq!(ring.lock().scans.len(), 1);
-    push(&ring, 3);
-    assert_eq!(ring.lock().scans.len(), 1);
-    assert_eq!(take(&mut newest), Some(Some(Ok(8))));
-}
-
-#[test]
-fn the_newest_scan_is_there_without_reading_it_and_without_waiting() {
-    let ring = Ring::new();
-    let mut reader = ring.subscribe(2);
-    assert!(reader.latest().is_none() && next_if_ready(&mut reader).is_none());
-    push(&ring, 3);
-    assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
-    let mut next = || next_if_ready(&mut reader).and_then(Result::ok).map(|scan| scan.sequence());
-    assert_eq!([next(), next(), next()], [Some(1), Some(2), None]);
-    assert_eq!(reader.latest().map(|scan| scan.sequence()), Some(2));
-    ring.report(ErrorKind::LaserOff.into());
-    let error = next_if_ready(&mut reader).unwrap().unwrap_err();
-    assert!(matches!(error.kind(), ErrorKind::LaserOff));
-    ring.end(None);
-    assert!(next_if_ready(&mut reader).is_none() && reader.is_finished());
-}
-
-#[test]
-fn freshness_is_the_time_of_the_newest_scan_and_the_error_since() {
-    let ring = Ring::new();
-    let reader = ring.subscribe(1);
-    let error = || reader.freshness().1.map(|error| error.to_string());
-    ring.report(ErrorKind::LaserOff.into());
-    assert_eq!((reader.freshness().0, error()), (None, Some(ErrorKind::LaserOff.to_string())));
-    let scan = scan();
-    ring.push(scan.clone());
-    assert_eq!((reader.freshness().0, error()), (Some(scan.received_at()), None));
-    ring.report(ErrorKind::Loopback.into());
-    assert_eq!(error(), Some(ErrorKind::Loopback.to_string()));
-}
-
-#[test]
-fn a_clone_goes_on_from_the_same_place_and_a_new_reader_from_now() {
-    let ring = Ring::new();
-    let mut reader = ring.subscribe(8);
-    ring.push(scan());
-    ring.push(scan());
-    assert_eq!(take(&mut reader), Some(Some(Ok(0))));
-    let (mut clone, mut late) = (reader.clone(), ring.subscribe(8));
-    assert_eq!(take(&mut late), None);
-    for reader in [&mut reader, &mut clone] {
-        assert_eq!(take(reader), Some(Some(Ok(1))));
-    }
-    assert_eq!(ring.readers(), 3);
-    drop((reader, late));
-    assert_eq!(ring.readers(), 1);
-    drop(clone);
-    assert_eq!(ring.readers(), 0);
-}
-
-#[test]
-fn a_reader_that_moves_to_another_task_is_woken_there_and_not_where_it_was() {
-    #[derive(Default)]
-    struct WokenFlag(AtomicBool);
-
-    impl Wake for WokenFlag {
-        fn wake(self: Arc<Self>) {
-            self.0.store(true, Relaxed);
+impl Queue {
+    fn push(&mut self, item: Item) {
+        self.items.push_back(item);
+        let scans = self.items.iter().filter(|item| item.is_ok()).count();
+        if scans > self.depth {
+            let oldest = self.items.iter().position(Result::is_ok).unwrap();
+            self.items.remove(oldest);
+            self.missed += 1;
         }
     }
 
-    let ring = Ring::new();
-    let mut reader = ring.subscribe(1);
-    let [former, latter] = [(); 2].map(|()| Arc::new(WokenFlag::default()));
-    for task in [&former, &latter] {
-        let waker = Waker::from(Arc::clone(task));
-        assert!(reader.poll_next(&mut Context::from_waker(&waker)).is_pending());
+    fn report(&mut self, error: &str) {
+        self.items.retain(Result::is_ok);
+        self.items.push_back(Err(error.to_owned()));
     }
-    ring.push(scan());
-    assert_eq!([former, latter].map(|task| task.0.load(Relaxed)), [false, true]);
+}
+
+proptest! {
+    #[test]
+    fn each_reader_gets_its_newest_scans_and_the_latest_error(
+        steps in prop::collection::vec(step(), 1..80),
+    ) {
+        let ring = Ring::new();
+        let mut readers: Vec<(Cursor, Queue)> = Vec::new();
+        let (mut scans, mut latest, mut news) = (0, None, None::<String>);
+        let (mut has_ended, mut all_missed) = (false, 0);
+        for step in steps {
+            match step {
+                // The driver neither pushes nor reports after the end.
+                Step::Push(_) | Step::Report(_) if has_ended => {}
+                Step::Push(value) => {
+                    let (repeats, missed) = ring.push(scan_with(value));
+                    prop_assert_eq!((repeats, missed), (latest == Some(value), all_missed));
+                    readers.iter_mut().for_each(|(_, queue)| queue.push(Ok((scans, repeats))));
+                    (scans, latest, news) = (scans + 1, Some(value), None);
+                }
+                Step::Report(kind) => {
+                    ring.report(error(kind));
+                    news = Some(error(kind).to_string());
+                    readers.iter_mut().for_each(|(_, queue)| queue.report(&error(kind).to_string()));
+                }
+                Step::End(kind) => {
+                    ring.end(kind.map(error));
+                    if let Some(text) = kind.map(|kind| error(kind).to_string()).filter(|_| !has_ended) {
+                        readers.iter_mut().for_each(|(_, queue)| queue.report(&text));
+                        news = Some(text);
+                    }
+                    has_ended = true;
+                }
+                Step::Subscribe(depth) => {
+                    let items = news.clone().map(Err).into_iter().collect();
+                    let queue = Queue { depth: depth.max(1), items, missed: 0 };
+                    readers.push((ring.subscribe(depth), queue));
+                }
+                Step::Read(n) => {
+                    let Some((cursor, queue)) = readers.get_mut(n) else { continue };
+                    let (before, is_error) = (cursor.missed(), matches!(queue.items.front(), Some(Err(_))));
+                    let expected = queue.items.pop_front().map(Some);
+                    prop_assert_eq!(take(cursor), expected.clone().or(has_ended.then_some(None)));
+                    prop_assert_eq!(cursor.is_finished(), has_ended && expected.is_none());
+                    prop_assert!(is_error || cursor.missed() == queue.missed);
+                    all_missed += cursor.missed() - before;
+                }
+                Step::Clone(n) => {
+                    let Some((cursor, queue)) = readers.get(n) else { continue };
+                    readers.push((cursor.clone(), queue.clone()));
+                }
+                Step::Resubscribe(n) => {
+                    let Some((cursor, queue)) = readers.get(n) else { continue };
+                    let items = news.clone().map(Err).into_iter().collect();
+                    let queue = Queue { items, missed: 0, ..*queue };
+                    readers.push((cursor.resubscribe(), queue));
+                }
+                Step::Drop(n) if n < readers.len() => drop(readers.remove(n)),
+                Step::Drop(_) => {}
+            }
+            prop_assert_eq!((ring.readers(), ring.missed()), (readers.len(), all_missed));
+            // Deep readers that are gone leave no scans behind.
+            let depth = readers.iter().map(|(_, queue)| queue.depth).max().unwrap_or(1);
+            prop_assert!(ring.lock().scans.len() <= depth);
+            for (cursor, _) in &readers {
+                let newest = cursor.latest().map(|scan| scan.values()[0]);
+                prop_assert_eq!(newest, latest);
+                let (received_at, error) = cursor.freshness();
+                prop_assert_eq!(received_at.is_some(), latest.is_some());
+                prop_assert_eq!(error.map(|error| error.to_string()), news.clone());
+            }
+        }
+    }
 }
 
 #[tokio::test]
