@@ -39,7 +39,7 @@ fn main() {
     simulated("5 Hz, an hour", turning(), Rate::hz(5.0), HOUR, 0);
     simulated("1 Hz, 6 hours", turning(), Rate::hz(1.0), 6 * HOUR, 0);
     for baud_rate in [BaudRate::B115200, BaudRate::B19200] {
-        let name = format!("RS-232 at {} baud, an hour", baud_rate.bits_per_second());
+        let name = format!("RS-232 at {} baud, an hour", u32::from(baud_rate));
         simulated(&name, turning().baud_rate(baud_rate), Rate::UNLIMITED, HOUR, 0);
     }
     let drifting = turning().drift(0.001);

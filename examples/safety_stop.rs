@@ -27,7 +27,7 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep_until};
-use tokio_scip::scan::{CountsAs, Sector, Zone};
+use tokio_scip::scan::{CountsAs, Zone};
 use tokio_scip::{Rate, Scan, ScanStream, Sensor, SensorBuilder};
 
 /// Terms of the minimum distance `S = K x T + C` of ISO 13855.
@@ -99,7 +99,7 @@ pub(crate) struct Fields {
 impl Fields {
     pub(crate) fn new() -> Result<Self, Box<dyn std::error::Error>> {
         let field = |metres| -> Result<Zone, Box<dyn std::error::Error>> {
-            let zone = Zone::sector(Sector::degrees(-SIDE, SIDE)?, 0.0..=metres)?;
+            let zone = Zone::sector(-SIDE..=SIDE, 0.0..=metres)?;
             Ok(zone.smallest_obstacle(WIDTH)?.beyond_range(CountsAs::Free))
         };
         let reach = TERMS.distance();

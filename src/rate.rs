@@ -29,6 +29,7 @@ const MAX_DECIMALS: usize = 20;
 /// assert_eq!(Rate::from(Duration::from_millis(100)), Rate::hz(10.0));
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Deserialize), serde(try_from = "TextOrNumber"))]
 pub struct Rate(Option<Duration>);
 
 impl Rate {
@@ -136,43 +137,24 @@ impl serde::Serialize for Rate {
     }
 }
 
+/// Rate as data: `10`, `0.5`, `"10 Hz"` or `"max"`.
 #[cfg(feature = "serde")]
-impl<'de> serde::Deserialize<'de> for Rate {
-    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        if deserializer.is_human_readable() {
-            deserializer.deserialize_any(TextOrNumber)
-        } else {
-            deserializer.deserialize_str(TextOrNumber)
-        }
-    }
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+enum TextOrNumber {
+    Number(f64),
+    Text(String),
 }
 
-/// Reads `10`, `0.5`, `"10 Hz"` and `"max"`.
 #[cfg(feature = "serde")]
-struct TextOrNumber;
+impl TryFrom<TextOrNumber> for Rate {
+    type Error = RateError;
 
-#[cfg(feature = "serde")]
-impl serde::de::Visitor<'_> for TextOrNumber {
-    type Value = Rate;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a number of scans a second, or max")
-    }
-
-    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Rate, E> {
-        text.parse().map_err(E::custom)
-    }
-
-    fn visit_f64<E: serde::de::Error>(self, hz: f64) -> Result<Rate, E> {
-        Rate::try_from(hz).map_err(E::custom)
-    }
-
-    fn visit_u64<E: serde::de::Error>(self, hz: u64) -> Result<Rate, E> {
-        self.visit_f64(hz as f64)
-    }
-
-    fn visit_i64<E: serde::de::Error>(self, hz: i64) -> Result<Rate, E> {
-        self.visit_f64(hz as f64)
+    fn try_from(data: TextOrNumber) -> Result<Self, RateError> {
+        match data {
+            TextOrNumber::Number(hz) => hz.try_into(),
+            TextOrNumber::Text(text) => text.parse(),
+        }
     }
 }
 

@@ -7,7 +7,7 @@
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
-use tokio_scip::scan::{CountsAs, Sector, Zone, ZoneState};
+use tokio_scip::scan::{CountsAs, Zone, ZoneState};
 use tokio_scip::{Scan, Window};
 
 use crate::common::random::Random;
@@ -56,11 +56,9 @@ impl Area {
 
     fn zone(&self) -> Option<Zone> {
         match self {
-            Self::Sector { from, to, near, far } => Zone::sector(
-                Sector::degrees(from.to_degrees(), to.to_degrees()).unwrap(),
-                *near..=*far,
-            )
-            .ok(),
+            Self::Sector { from, to, near, far } => {
+                Zone::sector(from.to_degrees()..=to.to_degrees(), *near..=*far).ok()
+            }
             Self::Polygon(corners) => Zone::polygon(corners.iter().copied()).ok(),
         }
     }

@@ -38,7 +38,7 @@ impl HostBaudRate {
     pub(super) fn bits_per_second(&self) -> Option<u32> {
         match self {
             Self::FollowsSensor => None,
-            Self::Set(baud_rate) | Self::Fixed(baud_rate) => Some(baud_rate.bits_per_second()),
+            Self::Set(baud_rate) | Self::Fixed(baud_rate) => Some((*baud_rate).into()),
             Self::Probed(probe) => probe(),
         }
     }
@@ -188,7 +188,7 @@ impl Port for Link {
                     // The bytes so far arrived at the old baud rate.
                     let before = plugged.host;
                     plugged.sensor.advance(Instant::now(), before);
-                    plugged.host = Some(baud_rate.bits_per_second());
+                    plugged.host = Some(baud_rate.into());
                 }
                 drop(plugged);
                 self.baud_rate = HostBaudRate::Set(baud_rate);

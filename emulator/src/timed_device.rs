@@ -213,7 +213,7 @@ impl TimedDevice {
 
     /// Sensor's baud rate in bits per second, or `None` on USB.
     fn baud_rate(&self) -> Option<u32> {
-        self.device.baud_rate.map(BaudRate::bits_per_second)
+        self.device.baud_rate.map(u32::from)
     }
 
     fn next_action(&self) -> Option<(Instant, NextAction)> {

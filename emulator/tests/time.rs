@@ -16,7 +16,7 @@ const MS: Duration = Duration::from_millis(1);
 
 /// Time that bytes take at a baud rate: ten bits each.
 fn wire_time(baud_rate: BaudRate, bytes: u32) -> Duration {
-    Duration::from_secs(10) * bytes / baud_rate.bits_per_second()
+    Duration::from_secs(10) * bytes / u32::from(baud_rate)
 }
 
 /// A sensor on USB, which serves one command a revolution.

@@ -151,28 +151,18 @@ impl ErrorKind {
     }
 
     pub(crate) fn is_transient(&self) -> bool {
-        match self {
+        matches!(
+            self,
             Self::NoSuchPort { .. }
-            | Self::NoSuchSensor { .. }
-            | Self::Busy { .. }
-            | Self::Open { .. }
-            | Self::NoAnswer { .. }
-            | Self::Disconnected { .. }
-            | Self::Timeout { .. }
-            | Self::Malformed { .. }
-            | Self::NotConfirmed { .. } => true,
-            Self::InvalidEndpoint { .. }
-            | Self::NotASerialPort { .. }
-            | Self::PermissionDenied { .. }
-            | Self::Loopback
-            | Self::WrongProtocol { .. }
-            | Self::AnotherSensor { .. }
-            | Self::Refused { .. }
-            | Self::LaserOff
-            | Self::Panicked { .. }
-            | Self::UnsupportedBaudRate { .. }
-            | Self::Closed => false,
-        }
+                | Self::NoSuchSensor { .. }
+                | Self::Busy { .. }
+                | Self::Open { .. }
+                | Self::NoAnswer { .. }
+                | Self::Disconnected { .. }
+                | Self::Timeout { .. }
+                | Self::Malformed { .. }
+                | Self::NotConfirmed { .. }
+        )
     }
 }
 

@@ -128,39 +128,6 @@ impl From<ErrorKind> for Error {
     }
 }
 
-/// Converts to an I/O error of the nearest kind, with this one inside, so that a function
-/// that returns `io::Result` can use `?`.
-impl From<Error> for io::Error {
-    fn from(error: Error) -> Self {
-        let kind = match error.kind() {
-            ErrorKind::InvalidEndpoint { .. } => io::ErrorKind::InvalidInput,
-            ErrorKind::NoSuchPort { .. } | ErrorKind::NoSuchSensor { .. } => {
-                io::ErrorKind::NotFound
-            }
-            ErrorKind::PermissionDenied { .. } => io::ErrorKind::PermissionDenied,
-            ErrorKind::Busy { .. } => io::ErrorKind::ResourceBusy,
-            ErrorKind::Open { source, .. } => source.kind(),
-            ErrorKind::NoAnswer { .. } | ErrorKind::Timeout { .. } => io::ErrorKind::TimedOut,
-            ErrorKind::Disconnected { source: Some(source) } => source.kind(),
-            ErrorKind::Disconnected { source: None } | ErrorKind::Closed => {
-                io::ErrorKind::NotConnected
-            }
-            ErrorKind::Malformed { .. } | ErrorKind::WrongProtocol { .. } => {
-                io::ErrorKind::InvalidData
-            }
-            ErrorKind::UnsupportedBaudRate { .. } => io::ErrorKind::Unsupported,
-            ErrorKind::NotASerialPort { .. }
-            | ErrorKind::Loopback
-            | ErrorKind::AnotherSensor { .. }
-            | ErrorKind::Refused { .. }
-            | ErrorKind::LaserOff
-            | ErrorKind::Panicked { .. }
-            | ErrorKind::NotConfirmed { .. } => io::ErrorKind::Other,
-        };
-        Self::new(kind, error)
-    }
-}
-
 impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
@@ -172,8 +139,8 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::BaudRate;
     use crate::protocol::{Command, MalformedError, Status};
+    use crate::{BaudRate, Window};
 
     #[test]
     fn errors_of_a_link_name_the_sensor() {
@@ -203,6 +170,22 @@ mod tests {
     }
 
     #[test]
+    fn a_known_status_is_explained() {
+        let refused = |command, status| {
+            ErrorKind::Refused { command, status: Status::new(status) }.to_string()
+        };
+        for (command, status, meaning) in [
+            (Command::Distances(Window::FULL), b'6', "'6': the laser is off"),
+            (Command::Version, b'6', "'6'"),
+            (Command::LaserOff, b'2', "'2': the laser is already in that state"),
+            (Command::BaudRate(BaudRate::B115200), b'3', "or is on USB"),
+            (Command::Version, b'E', "does not know the command"),
+        ] {
+            assert!(refused(command, status).ends_with(meaning), "{command}");
+        }
+    }
+
+    #[test]
     fn debug_writes_the_sentence_and_alternate_debug_the_fields() {
         let lost = ErrorKind::disconnected(Some(io::Error::other("device removed")));
         let error = Error::new(lost, Some(&"left".into()));
@@ -212,18 +195,5 @@ mod tests {
             assert!(fields.contains(part), "{fields}");
         }
         assert!(size_of::<Result<(), Error>>() <= size_of::<usize>());
-    }
-
-    #[test]
-    fn an_io_error_keeps_the_kind_and_the_error() {
-        let refused = io::Error::from(io::ErrorKind::ConnectionRefused);
-        let error = io::Error::from(Error::open("tcp://bridge:1", refused));
-        assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
-        let inner = error.into_inner().and_then(|inner| inner.downcast::<Error>().ok());
-        assert!(matches!(inner.unwrap().kind(), ErrorKind::Open { .. }));
-        let io_kind = |kind: ErrorKind| io::Error::from(Error::from(kind)).kind();
-        let missing = ErrorKind::NoSuchPort { port: "/dev/ttyACM0".to_owned() };
-        assert_eq!(io_kind(missing), io::ErrorKind::NotFound);
-        assert_eq!(io_kind(ErrorKind::Closed), io::ErrorKind::NotConnected);
     }
 }

@@ -31,7 +31,7 @@ impl BaudRate {
         [Self::B19200, Self::B57600, Self::B115200, Self::B250000, Self::B500000, Self::B750000];
 
     /// Number of bits per second.
-    pub const fn bits_per_second(self) -> u32 {
+    pub(crate) const fn bits_per_second(self) -> u32 {
         match self {
             Self::B19200 => 19_200,
             Self::B57600 => 57_600,

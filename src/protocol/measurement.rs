@@ -9,8 +9,7 @@ const SATURATED: u16 = 4095;
 ///
 /// As data (feature `serde`): `{"distance":1234}`, `{"error":6}`, `"saturated"`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(rename_all = "snake_case"))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum Measurement {
     /// A distance in millimetres, 20..=4094 (C-42-3320-A p. 7).
     Distance(u16),
@@ -63,8 +62,7 @@ impl Measurement {
 /// Why a distance is missing: a value in 0..=19 (C-42-3320-A p. 7). As data (feature
 /// `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
-#[cfg_attr(feature = "serde", serde(into = "u8", try_from = "u8"))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize), serde(into = "u8"))]
 pub struct ErrorCode(u8);
 
 impl ErrorCode {
@@ -99,19 +97,4 @@ impl From<ErrorCode> for u8 {
     fn from(code: ErrorCode) -> Self {
         code.0
     }
-}
-
-impl TryFrom<u8> for ErrorCode {
-    type Error = ErrorCodeError;
-
-    fn try_from(number: u8) -> Result<Self, ErrorCodeError> {
-        if number <= 19 { Ok(Self(number)) } else { Err(ErrorCodeError { found: number }) }
-    }
-}
-
-/// Error for a number that is not an error code.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("invalid error code {found}: expected 0 to 19")]
-pub struct ErrorCodeError {
-    found: u8,
 }

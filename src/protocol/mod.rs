@@ -32,7 +32,6 @@ pub use baud::BaudRate;
 pub use baud::BaudRateError;
 pub use command::Command;
 pub use malformed::{MalformedError, ReplyError};
-pub use measurement::ErrorCodeError;
 #[doc(no_inline)]
 pub use measurement::{ErrorCode, Measurement};
 pub use reply::Reply;

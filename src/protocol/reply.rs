@@ -137,13 +137,31 @@ fn decode_into(data: &[u8], values: &mut [u16]) -> bool {
     let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
         return false;
     };
-    let (mut decoder, mut ends) = (Decoder::default(), 0);
-    for ([line @ .., end], values) in lines.iter().zip(whole.as_chunks_mut().0) {
-        decoder.line(line, values);
+    let (mut seen, mut ends) = ([0; BLOCK / 2], 0);
+    for ([line @ .., end], values) in lines.iter().zip(whole.as_chunks_mut::<{ BLOCK / 2 }>().0) {
         ends |= end ^ b'\n';
+        for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(&mut seen) {
+            *seen |= decode_pair(*pair, value);
+        }
     }
-    decoder.last_line(last, rest);
-    right_length && ends == 0 && decoder.saw_only_characters()
+    let mut seen = seen.iter().fold(0, |all, pair| all | pair);
+    for (pair, value) in last.as_chunks().0.iter().zip(rest) {
+        seen |= decode_pair(*pair, value);
+    }
+    right_length && ends == 0 && seen.to_le_bytes().iter().all(|&byte| byte < 64)
+}
+
+/// Decodes a value of two characters, upper six bits first (p. 5). Returns both as numbers: below 64
+/// each, unless they are no [characters](is_character), which decode to an arbitrary 12-bit value.
+///
+/// Subtracts from both at once, as one little-endian number. A borrow from the upper byte does no
+/// harm: only characters give results below 64 in both bytes. No branch depends on a value, so that
+/// the compiler can use vector instructions.
+#[inline(always)]
+const fn decode_pair(pair: [u8; 2], value: &mut u16) -> u16 {
+    let sixes = u16::from_le_bytes(pair).wrapping_sub(FIRST_PAIR);
+    *value = (sixes << 6 | sixes >> 8) & 0x0fff;
+    sixes
 }
 
 /// Fails at the first place where the data differs from the shape of `expected`
@@ -167,47 +185,4 @@ fn find_fault(data: &[u8], expected: usize) -> Result<(), MalformedError> {
 /// Returns true for the 64 characters that carry 6 bits: `0` to `o`.
 const fn is_character(byte: u8) -> bool {
     byte.wrapping_sub(FIRST_CHARACTER) < 64
-}
-
-/// Decodes values of two characters each, upper six bits first (p. 5), and checks all
-/// bytes at the end. Bytes that are not [characters](is_character) decode to an arbitrary
-/// 12-bit value.
-///
-/// No branch depends on a value, so that the compiler can use vector instructions.
-#[derive(Debug, Default)]
-struct Decoder {
-    /// Decoded pairs of each column, combined by OR.
-    seen: [u16; 32],
-}
-
-impl Decoder {
-    /// Decodes a full line.
-    fn line(&mut self, line: &[u8; 64], values: &mut [u16; 32]) {
-        // Copied to a local, which stays in registers.
-        let mut seen = self.seen;
-        decode_line(line, values, &mut seen);
-        self.seen = seen;
-    }
-
-    /// Decodes a line of at most 64 bytes.
-    fn last_line(&mut self, line: &[u8], values: &mut [u16]) {
-        decode_line(line, values, &mut self.seen);
-    }
-
-    /// Checks that all bytes were characters.
-    fn saw_only_characters(&self) -> bool {
-        let seen = self.seen.iter().fold(0, |all, pair| all | pair);
-        seen.to_le_bytes().iter().all(|&byte| byte < 64)
-    }
-}
-
-/// Subtracts from both bytes of a pair at once, as one little-endian number. A borrow
-/// from the upper byte does no harm: only characters give results below 64 in both bytes.
-#[inline(always)]
-fn decode_line(line: &[u8], values: &mut [u16], seen: &mut [u16; 32]) {
-    for ((pair, value), seen) in line.as_chunks().0.iter().zip(values).zip(seen) {
-        let sixes = u16::from_le_bytes(*pair).wrapping_sub(FIRST_PAIR);
-        *seen |= sixes;
-        *value = (sixes << 6 | sixes >> 8) & 0x0fff;
-    }
 }

@@ -32,7 +32,7 @@ impl Status {
 
     /// Meaning of this status in answer to `command`, as drivers of real sensors know it.
     /// The protocol text defines only `0`.
-    pub const fn meaning(self, command: &Command) -> Option<&'static str> {
+    pub(crate) const fn meaning(self, command: &Command) -> Option<&'static str> {
         match (self.0, command) {
             (b'0', _) => Some("success"),
             (b'2', Command::LaserOn | Command::LaserOff) => {

@@ -9,10 +9,9 @@ use super::{Reply, Text};
 /// kept.
 ///
 /// As data (feature `serde`) it has its fields by name, and a
-/// [range](std::ops::RangeInclusive) as `start` and `end`. You can read it back; a missing
-/// field is empty.
+/// [range](std::ops::RangeInclusive) as `start` and `end`.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Version {
     /// `VEND:`, such as `Hokuyo Automatic Co.,Ltd.`.
@@ -66,7 +65,7 @@ impl Version {
 
 /// Abilities of a sensor, from the bracket of its firmware line. Each part may be missing.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 #[non_exhaustive]
 pub struct Specification {
     /// `20-4095[mm]`: measurable distances in millimetres.

@@ -337,12 +337,6 @@ mod tests {
         Window::new(start..=end).unwrap().with_cluster_count(cluster_count).unwrap()
     }
 
-    #[test]
-    fn a_single_step_is_a_window_of_one_point() {
-        assert_eq!(Window::single(5), window(5, 5, 1));
-        assert_eq!(Window::single(u16::MAX), window(768, 768, 1));
-    }
-
     /// First and last step of every point.
     fn points(window: Window) -> Vec<(u16, u16)> {
         let (end, cluster) = (window.end().number(), u16::from(window.cluster_count()));

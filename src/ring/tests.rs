@@ -18,10 +18,10 @@ fn scan_with(value: u16) -> Scan {
 }
 
 /// What a reader gets: the number of a scan and whether it repeats the one before, or an error.
-type Item = Result<(u64, bool), String>;
+type RingItem = Result<(u64, bool), String>;
 
 /// Takes the ready item: `Some(None)` at the end, and `None` if nothing is ready.
-fn take(cursor: &mut Cursor) -> Option<Option<Item>> {
+fn take(cursor: &mut Cursor) -> Option<Option<RingItem>> {
     let item = poll_fn(|cx| cursor.poll_next(cx)).now_or_never()?;
     let number = |scan: Scan| (scan.sequence(), scan.is_repeat());
     Some(item.map(|item| item.map(number).map_err(|error| error.to_string())))
@@ -36,7 +36,7 @@ fn error(kind: usize) -> Error {
 }
 
 #[derive(Debug, Clone)]
-enum Step {
+enum RingStep {
     Push(u16),
     Report(usize),
     End(Option<usize>),
@@ -47,16 +47,16 @@ enum Step {
     Drop(usize),
 }
 
-fn step() -> impl Strategy<Value = Step> {
+fn step() -> impl Strategy<Value = RingStep> {
     prop_oneof![
-        8 => (0_u16..2).prop_map(Step::Push),
-        2 => (0_usize..3).prop_map(Step::Report),
-        1 => prop::option::of(0_usize..3).prop_map(Step::End),
-        2 => (0_usize..5).prop_map(Step::Subscribe),
-        8 => (0_usize..4).prop_map(Step::Read),
-        1 => (0_usize..4).prop_map(Step::Clone),
-        1 => (0_usize..4).prop_map(Step::Resubscribe),
-        1 => (0_usize..4).prop_map(Step::Drop),
+        8 => (0_u16..2).prop_map(RingStep::Push),
+        2 => (0_usize..3).prop_map(RingStep::Report),
+        1 => prop::option::of(0_usize..3).prop_map(RingStep::End),
+        2 => (0_usize..5).prop_map(RingStep::Subscribe),
+        8 => (0_usize..4).prop_map(RingStep::Read),
+        1 => (0_usize..4).prop_map(RingStep::Clone),
+        1 => (0_usize..4).prop_map(RingStep::Resubscribe),
+        1 => (0_usize..4).prop_map(RingStep::Drop),
     ]
 }
 
@@ -64,12 +64,12 @@ fn step() -> impl Strategy<Value = Step> {
 #[derive(Debug, Clone)]
 struct Queue {
     depth: usize,
-    items: VecDeque<Item>,
+    items: VecDeque<RingItem>,
     missed: u64,
 }
 
 impl Queue {
-    fn push(&mut self, item: Item) {
+    fn push(&mut self, item: RingItem) {
         self.items.push_back(item);
         let scans = self.items.iter().filter(|item| item.is_ok()).count();
         if scans > self.depth {
@@ -97,19 +97,19 @@ proptest! {
         for step in steps {
             match step {
                 // The driver neither pushes nor reports after the end.
-                Step::Push(_) | Step::Report(_) if has_ended => {}
-                Step::Push(value) => {
+                RingStep::Push(_) | RingStep::Report(_) if has_ended => {}
+                RingStep::Push(value) => {
                     let (repeats, missed) = ring.push(scan_with(value));
                     prop_assert_eq!((repeats, missed), (latest == Some(value), all_missed));
                     readers.iter_mut().for_each(|(_, queue)| queue.push(Ok((scans, repeats))));
                     (scans, latest, news) = (scans + 1, Some(value), None);
                 }
-                Step::Report(kind) => {
+                RingStep::Report(kind) => {
                     ring.report(error(kind));
                     news = Some(error(kind).to_string());
                     readers.iter_mut().for_each(|(_, queue)| queue.report(&error(kind).to_string()));
                 }
-                Step::End(kind) => {
+                RingStep::End(kind) => {
                     ring.end(kind.map(error));
                     if let Some(text) = kind.map(|kind| error(kind).to_string()).filter(|_| !has_ended) {
                         readers.iter_mut().for_each(|(_, queue)| queue.report(&text));
@@ -117,12 +117,12 @@ proptest! {
                     }
                     has_ended = true;
                 }
-                Step::Subscribe(depth) => {
+                RingStep::Subscribe(depth) => {
                     let items = news.clone().map(Err).into_iter().collect();
                     let queue = Queue { depth: depth.max(1), items, missed: 0 };
                     readers.push((ring.subscribe(depth), queue));
                 }
-                Step::Read(n) => {
+                RingStep::Read(n) => {
                     let Some((cursor, queue)) = readers.get_mut(n) else { continue };
                     let (before, is_error) = (cursor.missed(), matches!(queue.items.front(), Some(Err(_))));
                     let expected = queue.items.pop_front().map(Some);
@@ -131,18 +131,18 @@ proptest! {
                     prop_assert!(is_error || cursor.missed() == queue.missed);
                     all_missed += cursor.missed() - before;
                 }
-                Step::Clone(n) => {
+                RingStep::Clone(n) => {
                     let Some((cursor, queue)) = readers.get(n) else { continue };
                     readers.push((cursor.clone(), queue.clone()));
                 }
-                Step::Resubscribe(n) => {
+                RingStep::Resubscribe(n) => {
                     let Some((cursor, queue)) = readers.get(n) else { continue };
                     let items = news.clone().map(Err).into_iter().collect();
                     let queue = Queue { items, missed: 0, ..*queue };
                     readers.push((cursor.resubscribe(), queue));
                 }
-                Step::Drop(n) if n < readers.len() => drop(readers.remove(n)),
-                Step::Drop(_) => {}
+                RingStep::Drop(n) if n < readers.len() => drop(readers.remove(n)),
+                RingStep::Drop(_) => {}
             }
             prop_assert_eq!((ring.readers(), ring.missed()), (readers.len(), all_missed));
             // Deep readers that are gone leave no scans behind.

@@ -11,7 +11,7 @@ use crate::protocol::Window;
 /// Largest 12-bit value.
 const MAX_VALUE: u16 = 4095;
 /// Revolution at 600 rpm.
-pub(super) const REVOLUTION: Duration = Duration::from_millis(100);
+const REVOLUTION: Duration = Duration::from_millis(100);
 
 impl Scan {
     /// Makes a scan of `window` from your values, one for each point, as if it had just
@@ -44,11 +44,11 @@ impl Scan {
 pub struct ScanBuilder {
     window: Window,
     values: Arc<[u16]>,
-    pub(super) meta: ScanMeta,
+    meta: ScanMeta,
 }
 
 impl ScanBuilder {
-    pub(super) fn new(window: Window, values: Arc<[u16]>) -> Self {
+    fn new(window: Window, values: Arc<[u16]>) -> Self {
         let now = Instant::now();
         let meta = ScanMeta {
             sequence: 0,

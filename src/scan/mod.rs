@@ -23,7 +23,6 @@ mod pose;
 mod ray;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod scan;
-mod sector;
 mod times;
 mod zone;
 
@@ -35,6 +34,5 @@ pub use self::ray::Ray;
 #[doc(no_inline)]
 pub use self::scan::Scan;
 pub(crate) use self::scan::ScanMeta;
-pub use self::sector::{Sector, SectorError};
 pub use self::times::StampQuality;
 pub use self::zone::{CountsAs, Zone, ZoneError, ZoneState};

@@ -39,7 +39,7 @@ impl Ray {
 /// Point in the sensor's frame, or after [`Pose::transform_scan`](super::Pose::transform_scan)
 /// in another one.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Point {
     /// Metres ahead of the frame's origin, which is the sensor.
     pub x: f32,
@@ -97,26 +97,25 @@ impl Scan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scan::tests::{scan, window};
+    use super::super::scan::tests::{scan, scan_of, window};
     use super::*;
     use crate::Window;
 
     #[test]
     fn points_are_ahead_of_the_sensor_and_to_its_left() {
-        let mut scan = scan(window(384, 640, 1));
-        scan.values = std::iter::repeat_n(1000, 257).collect();
-        let points: Vec<Point> = scan.points().collect();
+        let scan = |value| scan_of(window(384, 640, 1), std::iter::repeat_n(value, 257));
+        let ahead = scan(1000);
+        let points: Vec<Point> = ahead.points().collect();
         let (front, left) = (points[0], points[256]);
         assert_eq!((front.x, front.y), (1.0, 0.0));
         assert!(left.x.abs() < 1e-6 && (left.y - 1.0).abs() < 1e-6);
-        scan.values = std::iter::repeat_n(7, 257).collect();
-        assert_eq!(scan.points().count(), 0);
+        assert_eq!(scan(7).points().count(), 0);
     }
 
     #[test]
     fn each_value_has_a_ray_and_each_distance_the_point_of_its_ray() {
-        let mut scan = scan(Window::DETECTION);
-        scan.values = (0..682).map(|n| if n % 3 == 0 { n % 20 } else { 1000 + n }).collect();
+        let value = |n: u16| if n.is_multiple_of(3) { n % 20 } else { 1000 + n };
+        let scan = scan_of(Window::DETECTION, (0..682).map(value));
         let rays: Vec<Ray> = scan.rays().collect();
         assert_eq!(scan.rays().len(), 682);
         for (n, (ray, angle)) in rays.iter().zip(scan.angles()).enumerate() {
@@ -146,13 +145,11 @@ mod tests {
 
     #[test]
     fn the_nearest_point_is_no_error_code() {
-        let mut scan = scan(window(128, 640, 1));
+        let scan = |values: [u16; 513]| scan_of(window(128, 640, 1), values.into_iter());
         let mut values = [3000; 513];
         (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
-        scan.values = values.into();
         // The first of two.
-        assert_eq!(scan.nearest().unwrap().step.number(), 228);
-        scan.values = [0; 513].into();
-        assert_eq!(scan.nearest(), None);
+        assert_eq!(scan(values).nearest().unwrap().step.number(), 228);
+        assert_eq!(scan([0; 513]).nearest(), None);
     }
 }

@@ -28,15 +28,13 @@ use crate::protocol::{Measurement, Window};
 /// with microseconds), `first_ray` (likewise), `stamp_quality`, `lateness` (seconds, or
 /// null), `start`, `end`, `cluster`, `angle_min`, `angle_increment` (radians), `scan_time`
 /// (seconds), `repeat`, `reconnects`, the raw `values`, and `ranges` in metres, null where
-/// there is no distance. To read a scan back you need `start`, `end` and `values`; the rest
-/// may be missing. Reading ignores `ranges`, `first_ray`, `stamp_quality` and the increment,
-/// and sets both instants to the time of reading.
+/// there is no distance.
 #[derive(Clone)]
 pub struct Scan {
     pub(super) window: Window,
-    pub(super) values: Arc<[u16]>,
+    values: Arc<[u16]>,
     /// Index of the first value in `values`: the driver may have asked for more.
-    pub(super) first: usize,
+    first: usize,
     pub(crate) meta: ScanMeta,
 }
 
@@ -71,7 +69,7 @@ impl Scan {
     /// Number of points, at least 1; the same as [`Window::points`].
     #[expect(clippy::len_without_is_empty, reason = "a scan is never empty")]
     pub fn len(&self) -> usize {
-        self.values().len()
+        self.window.points()
     }
 
     /// 12-bit values as the sensor sent them, 0..=4095, in the order of their steps: below
@@ -152,22 +150,13 @@ impl Eq for Scan {}
 pub(super) mod tests {
     use super::*;
 
+    /// Each value equals its index, plus 20.
     pub(in crate::scan) fn scan(window: Window) -> Scan {
-        let now = Instant::now();
-        let meta = ScanMeta {
-            sequence: 0,
-            requested_at: now,
-            first_byte_at: now,
-            received_at: now,
-            stamp: SystemTime::now(),
-            lateness: None,
-            repeat: false,
-            scan_time: Duration::from_millis(100),
-            reconnects: 0,
-        };
-        // Each value equals its index.
-        let values = (0..window.points() as u16).map(|n| 20 + n).collect();
-        Scan::new(window, values, 0, meta)
+        scan_of(window, (0..window.points() as u16).map(|n| 20 + n))
+    }
+
+    pub(in crate::scan) fn scan_of(window: Window, values: impl Iterator<Item = u16>) -> Scan {
+        Scan::builder(window, values.collect::<Vec<_>>()).build().unwrap()
     }
 
     pub(in crate::scan) fn window(from: u16, to: u16, cluster_count: u8) -> Window {
@@ -176,7 +165,7 @@ pub(super) mod tests {
 
     #[test]
     fn scans_are_equal_if_what_they_hold_is() {
-        let (a, b) = (scan(Window::DETECTION), scan(Window::DETECTION));
+        let a = scan(Window::DETECTION);
         let with = |meta: ScanMeta| Scan { meta, ..a.clone() };
         let later = a.received_at() + Duration::from_secs(1);
         let instants =
@@ -188,9 +177,8 @@ pub(super) mod tests {
         assert_ne!(a, with(ScanMeta { repeat: true, ..a.meta }));
         assert_ne!(a, with(ScanMeta { stamp: SystemTime::UNIX_EPOCH, ..a.meta }));
         assert_ne!(a, with(ScanMeta { scan_time: Duration::ZERO, ..a.meta }));
-        let mut other = Scan { meta: a.meta, ..b };
-        assert_eq!(a, other);
-        other.values = std::iter::repeat_n(0, 682).collect();
-        assert_ne!(a, other);
+        let other = |value| scan_of(a.window, a.values().iter().map(|one| one + value));
+        assert_eq!(a, Scan { meta: a.meta, ..other(0) });
+        assert_ne!(a, Scan { meta: a.meta, ..other(1) });
     }
 }

@@ -2,7 +2,7 @@
 //! the driver and read by its handles.
 
 use std::ops::{Deref, DerefMut};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::{Duration, SystemTime};
 
@@ -27,8 +27,8 @@ pub(crate) struct Telemetry {
     schedules: Mutex<Vec<(ScheduleStats, Weak<Ring>)>>,
     version: Mutex<Option<VersionReply>>,
     link_log: Mutex<LinkLog>,
-    /// Number of handles that wait for the driver to close.
-    closing: AtomicUsize,
+    /// Shared with each handle that waits for the driver to close.
+    closing: Arc<()>,
     polls: AtomicU64,
 }
 
@@ -65,7 +65,7 @@ impl Telemetry {
             version: Mutex::default(),
             schedules: Mutex::default(),
             link_log: Mutex::default(),
-            closing: AtomicUsize::new(0),
+            closing: Arc::default(),
             polls: AtomicU64::new(0),
         }
     }
@@ -152,10 +152,7 @@ impl Telemetry {
     /// Records a changed baud rate.
     pub(crate) fn set_baud_rate(&self, now: Option<BaudRate>) {
         self.state.send_if_modified(|state| match state {
-            State::Connected { baud_rate, .. } if *baud_rate != now => {
-                *baud_rate = now;
-                true
-            }
+            State::Connected { baud_rate, .. } => std::mem::replace(baud_rate, now) != now,
             _ => false,
         });
     }
@@ -163,10 +160,7 @@ impl Telemetry {
     /// Records whether scans are polled. Wakes watchers only on a change.
     pub(crate) fn set_streaming(&self, now: bool) {
         self.state.send_if_modified(|state| match state {
-            State::Connected { streaming, .. } if *streaming != now => {
-                *streaming = now;
-                true
-            }
+            State::Connected { streaming, .. } => std::mem::replace(streaming, now) != now,
             _ => false,
         });
     }
@@ -223,14 +217,13 @@ impl Telemetry {
     }
 
     /// Announces that the driver is closing, until the guard is dropped.
-    pub(crate) fn closing(&self) -> Closing<'_> {
-        self.closing.fetch_add(1, Ordering::Relaxed);
-        Closing(&self.closing)
+    pub(crate) fn closing(&self) -> Arc<()> {
+        Arc::clone(&self.closing)
     }
 
     /// Returns true while the driver is closing. A silent sensor then gets no second try.
     pub(crate) fn is_closing(&self) -> bool {
-        self.closing.load(Ordering::Relaxed) > 0
+        Arc::strong_count(&self.closing) > 1
     }
 
     /// Records whether the laser is switched off by request.
@@ -306,15 +299,6 @@ impl Deref for Counters {
 impl DerefMut for Counters {
     fn deref_mut(&mut self) -> &mut Stats {
         &mut self.stats
-    }
-}
-
-/// Handle that waits for the driver to close.
-pub(crate) struct Closing<'a>(&'a AtomicUsize);
-
-impl Drop for Closing<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 use std::fmt;
 
-use super::{MalformedCounts, ScheduleStats, Stats};
+use super::{ScheduleStats, Stats};
 
 /// Figure of [`Stats::metrics`]. Its name and labels are the same as in `/metrics` of `urg serve`,
 /// and follow the conventions of Prometheus: base units, and `_total` at the end of counters.
@@ -20,8 +20,6 @@ pub struct Metric {
     pub kind: MetricKind,
     /// Description: one line without a backslash.
     pub help: &'static str,
-    /// Unit: `seconds`, `bytes` or `hertz`. `None` for plain numbers.
-    pub unit: Option<&'static str>,
     /// Names and values of labels, such as `cause` and `timeout`, without quotes, backslashes and
     /// line feeds.
     pub labels: Vec<(&'static str, Cow<'static, str>)>,
@@ -83,7 +81,7 @@ impl Stats {
             repeats,
             timeouts,
             refused,
-            malformed: MalformedCounts { echo, status, length, character, overlong },
+            malformed,
             fences,
             fence_timeouts,
             disconnects,
@@ -96,117 +94,82 @@ impl Stats {
             motor,
             schedules,
         } = self;
-        let mut all = Figures::default();
-        all.count("urg_polls_total", "Polls sent to the sensor", *polls);
-        all.count("urg_scans_total", "Scans received from the sensor", *scans);
-        all.count("urg_repeats_total", "Scans equal to the one before", *repeats);
-        let causes =
-            [("timeout", *timeouts), ("malformed", self.malformed.total()), ("refused", *refused)];
-        let help = "Commands without a good reply, by cause";
-        all.count_each("urg_poll_failures_total", help, "cause", causes);
-        let faults = [
-            ("echo", *echo),
-            ("status", *status),
-            ("length", *length),
-            ("character", *character),
-            ("overlong", *overlong),
+        let count =
+            |name, help, value: u64| Metric::new(name, MetricKind::Counter, help, value as f64);
+        let gauge = |name, help, value| Metric::new(name, MetricKind::Gauge, help, value);
+        let mut all = vec![
+            count("urg_polls_total", "Polls sent to the sensor", *polls),
+            count("urg_scans_total", "Scans received from the sensor", *scans),
+            count("urg_repeats_total", "Scans equal to the one before", *repeats),
         ];
-        all.count_each("urg_malformed_total", "Malformed replies, by fault", "fault", faults);
-        all.count("urg_fences_total", "Fences sent", *fences);
-        all.count("urg_fence_timeouts_total", "Fences without an answer", *fence_timeouts);
-        all.count("urg_disconnects_total", "Losses of the link", *disconnects);
-        all.count("urg_reconnects_total", "Returns of the link", *reconnects);
-        all.count("urg_missed_total", "Scans that slow consumers missed", *missed);
-        all.count("urg_polls_skipped_total", "Polls that were not sent in time", *polls_skipped);
-        all.count("urg_skipped_bytes_total", "Bytes that were in no reply", *bytes_skipped);
-        all.unit("bytes");
-        let help = "1 if replies came faster than the baud rate of the port carries, else 0";
-        all.gauge("urg_baud_rate_outrun", help, u8::from(*baud_rate_outrun).into());
+        let failed = malformed.total();
+        for (cause, value) in [("timeout", *timeouts), ("malformed", failed), ("refused", *refused)]
+        {
+            let help = "Commands without a good reply, by cause";
+            all.push(count("urg_poll_failures_total", help, value).label("cause", cause));
+        }
+        for (fault, value) in [
+            ("echo", malformed.echo),
+            ("status", malformed.status),
+            ("length", malformed.length),
+            ("character", malformed.character),
+            ("overlong", malformed.overlong),
+        ] {
+            let help = "Malformed replies, by fault";
+            all.push(count("urg_malformed_total", help, value).label("fault", fault));
+        }
+        let outrun = "1 if replies came faster than the baud rate of the port carries, else 0";
+        all.extend([
+            count("urg_fences_total", "Fences sent", *fences),
+            count("urg_fence_timeouts_total", "Fences without an answer", *fence_timeouts),
+            count("urg_disconnects_total", "Losses of the link", *disconnects),
+            count("urg_reconnects_total", "Returns of the link", *reconnects),
+            count("urg_missed_total", "Scans that slow consumers missed", *missed),
+            count("urg_polls_skipped_total", "Polls that were not sent in time", *polls_skipped),
+            count("urg_skipped_bytes_total", "Bytes that were in no reply", *bytes_skipped),
+            gauge("urg_baud_rate_outrun", outrun, u8::from(*baud_rate_outrun).into()),
+        ]);
         if latency.count > 0 {
-            let (name, help) = ("urg_reply_latency_seconds", "Time from a poll to its whole reply");
+            let summary = |suffix, value| {
+                let help = "Time from a poll to its whole reply";
+                let kind = MetricKind::Summary;
+                Metric { suffix, ..Metric::new("urg_reply_latency_seconds", kind, help, value) }
+            };
             for (label, q) in [("0.5", 0.5), ("0.9", 0.9), ("0.99", 0.99), ("1", 1.0)] {
-                all.summary(name, "", help, latency.quantile(q).as_secs_f64());
-                all.unit("seconds").label("quantile", label);
+                let metric = summary("", latency.quantile(q).as_secs_f64());
+                all.push(metric.label("quantile", label));
             }
-            all.summary(name, "_sum", help, latency.total.as_secs_f64());
-            all.unit("seconds");
-            all.summary(name, "_count", help, latency.count as f64);
+            all.push(summary("_sum", latency.total.as_secs_f64()));
+            all.push(summary("_count", latency.count as f64));
         }
         if let Some(motor) = motor {
-            if let Some(revolution) = motor.revolution {
-                let help = "Measured time of a revolution of the motor";
-                all.gauge("urg_motor_revolution_seconds", help, revolution.as_secs_f64());
-                all.unit("seconds");
-            }
+            let help = "Measured time of a revolution of the motor";
+            let revolution = motor.revolution.map(|revolution| revolution.as_secs_f64());
+            all.extend(revolution.map(|it| gauge("urg_motor_revolution_seconds", help, it)));
             let help = "Mean time from the end of a revolution to the arrival of its scan";
-            all.gauge("urg_motor_lateness_seconds", help, motor.lateness.as_secs_f64());
-            all.unit("seconds");
+            all.push(gauge("urg_motor_lateness_seconds", help, motor.lateness.as_secs_f64()));
             let help = "Jumps of the motor's phase since the link was found";
-            all.gauge("urg_motor_jumps", help, motor.jumps as f64);
+            all.push(gauge("urg_motor_jumps", help, motor.jumps as f64));
         }
         for ScheduleStats { window, rate, reached, .. } in schedules {
-            if let Some(reached) = reached {
-                all.gauge("urg_scan_rate_hertz", "Scans a second over some seconds", *reached);
-                all.unit("hertz").label("window", window.to_string());
-                all.label("rate", rate.to_string());
-            }
+            let help = "Scans a second over some seconds";
+            let metric = reached.map(|reached| gauge("urg_scan_rate_hertz", help, reached));
+            all.extend(metric.map(|metric| {
+                metric.label("window", window.to_string()).label("rate", rate.to_string())
+            }));
         }
-        all.0.into_iter()
+        all.into_iter()
     }
 }
 
-/// Figures so far.
-#[derive(Default)]
-struct Figures(Vec<Metric>);
-
-impl Figures {
-    fn push(&mut self, name: &'static str, kind: MetricKind, help: &'static str, value: f64) {
-        let (suffix, labels) = ("", Vec::new());
-        self.0.push(Metric { name, suffix, kind, help, unit: None, labels, value });
+impl Metric {
+    fn new(name: &'static str, kind: MetricKind, help: &'static str, value: f64) -> Self {
+        Self { name, suffix: "", kind, help, labels: Vec::new(), value }
     }
 
-    fn count(&mut self, name: &'static str, help: &'static str, value: u64) {
-        self.push(name, MetricKind::Counter, help, value as f64);
-    }
-
-    fn count_each<const N: usize>(
-        &mut self,
-        name: &'static str,
-        help: &'static str,
-        label: &'static str,
-        values: [(&'static str, u64); N],
-    ) {
-        for (which, value) in values {
-            self.count(name, help, value);
-            self.label(label, which);
-        }
-    }
-
-    fn gauge(&mut self, name: &'static str, help: &'static str, value: f64) {
-        self.push(name, MetricKind::Gauge, help, value);
-    }
-
-    fn summary(
-        &mut self,
-        name: &'static str,
-        suffix: &'static str,
-        help: &'static str,
-        value: f64,
-    ) {
-        self.push(name, MetricKind::Summary, help, value);
-        self.0.last_mut().into_iter().for_each(|metric| metric.suffix = suffix);
-    }
-
-    /// Sets the unit of the latest figure.
-    fn unit(&mut self, unit: &'static str) -> &mut Self {
-        self.0.last_mut().into_iter().for_each(|metric| metric.unit = Some(unit));
+    fn label(mut self, name: &'static str, value: impl Into<Cow<'static, str>>) -> Self {
+        self.labels.push((name, value.into()));
         self
-    }
-
-    /// Adds a label to the latest figure.
-    fn label(&mut self, name: &'static str, value: impl Into<Cow<'static, str>>) {
-        let value = value.into();
-        self.0.last_mut().into_iter().for_each(|metric| metric.labels.push((name, value.clone())));
     }
 }
 
@@ -216,6 +179,7 @@ mod tests {
     use std::collections::{BTreeMap, BTreeSet};
     use std::time::Duration;
 
+    use super::super::MalformedCounts;
     use super::*;
     use crate::{Rate, Window};
 
@@ -259,7 +223,7 @@ mod tests {
         stats.schedules = vec![schedule(Some(0.0))];
         let rate = stats.metrics().find(|metric| metric.name == "urg_scan_rate_hertz").unwrap();
         let labels = vec![("window", "steps 0..=768".into()), ("rate", "10 Hz".into())];
-        assert_eq!((rate.value, rate.unit, rate.labels), (0.0, Some("hertz"), labels));
+        assert_eq!((rate.value, rate.labels), (0.0, labels));
     }
 
     #[test]
@@ -271,7 +235,6 @@ mod tests {
             if let Some(first) = seen.iter().find(|first| first.name == metric.name) {
                 assert_eq!(seen.last().unwrap().name, metric.name);
                 assert_eq!((first.kind, first.help), (metric.kind, metric.help));
-                assert!(first.unit == metric.unit || metric.suffix == "_count", "{metric:?}");
             }
             // Prometheus reserves both ends and the label for a summary.
             let is_total = metric.name.ends_with("_total");

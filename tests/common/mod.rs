@@ -33,7 +33,7 @@ pub(crate) fn reply_len(window: Window) -> usize {
 
 /// Time that bytes take at a baud rate: ten bits each.
 pub(crate) fn wire_time(baud_rate: BaudRate, bytes: usize) -> Duration {
-    Duration::from_secs(10 * bytes as u64) / baud_rate.bits_per_second()
+    Duration::from_secs(10 * bytes as u64) / u32::from(baud_rate)
 }
 
 /// The value at `step`: one of three digits, base 4000, of the request's number. The

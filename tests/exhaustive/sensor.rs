@@ -44,7 +44,7 @@ impl ModelSensor {
             }
             [b'S', ..] => {
                 let bits = digits(&line[1..7]);
-                let baud_rate = BaudRate::ALL.into_iter().find(|one| one.bits_per_second() == bits);
+                let baud_rate = BaudRate::ALL.into_iter().find(|one| u32::from(*one) == bits);
                 if self.baud_rate.is_some() {
                     self.next_baud_rate =
                         baud_rate.map(|baud_rate| (Instant::now() + REVOLUTION, baud_rate));

@@ -45,46 +45,6 @@ async fn a_scan_is_a_line_of_ndjson_with_null_for_what_is_not_finite() {
 }
 
 #[test]
-fn a_scan_that_was_written_is_read_back_as_the_same() {
-    let window =
-        |from, to, cluster| Window::new(from..=to).unwrap().with_cluster_count(cluster).unwrap();
-    let scan = |window: Window| {
-        let values: Vec<u16> = (0..window.points() as u16).map(|n| n % 4096).collect();
-        let stamp = UNIX_EPOCH + Duration::from_micros(1_795_000_000_123_457);
-        let scan = Scan::builder(window, values).sequence(41).stamp(stamp).repeat(true);
-        scan.scan_time(Duration::from_millis(99)).build().unwrap()
-    };
-    let grouped = scan(window(10, 20, 4));
-    for scan in [scan(Window::FULL), scan(window(18, 20, 4)), grouped] {
-        let line = serde_json::to_string(&scan).unwrap();
-        let read: Scan = serde_json::from_str(&line).unwrap();
-        assert_eq!(read, scan);
-        assert_eq!(serde_json::to_string(&read).unwrap(), line);
-    }
-}
-
-#[test]
-fn a_scan_is_deserialized_from_few_fields_and_never_an_invalid_one() {
-    let read = |value: Value| serde_json::from_value::<Scan>(value);
-    let scan = read(json!({"start": 384, "end": 385, "values": [1234, 0]})).unwrap();
-    assert_eq!((scan.values(), scan.sequence()), (&[1234, 0][..], 0));
-    assert_eq!(scan.scan_time(), std::time::Duration::from_millis(100));
-    assert_eq!(scan.stamp(), UNIX_EPOCH);
-    for bad in [
-        json!({"start": 384, "end": 385, "values": [1234]}),
-        json!({"start": 384, "end": 385, "values": [1234, 4096]}),
-        json!({"start": 385, "end": 384, "values": [1234, 0]}),
-        json!({"start": 384, "end": 385, "cluster": 0, "values": [1234, 0]}),
-        json!({"start": 384, "end": 385, "scan_time": -1, "values": [1234, 0]}),
-        json!({"start": 384, "end": 385, "lateness": -1, "values": [1234, 0]}),
-        json!({"start": 384, "end": 385, "stamp": 1e300, "values": [1234, 0]}),
-        json!({"start": 384, "end": 385}),
-    ] {
-        assert!(read(bad.clone()).is_err(), "{bad}");
-    }
-}
-
-#[test]
 fn a_rate_and_an_endpoint_are_serialized_as_their_text() {
     for rate in [Rate::hz(10.0), Rate::hz(1.0 / 3.0), Rate::UNLIMITED] {
         let data = serde_json::to_value(rate).unwrap();
@@ -131,15 +91,11 @@ async fn measurements_version_and_stats_are_data() {
     let all: Vec<Measurement> = scan().await.measurements().collect();
     let data = serde_json::to_value(&all).unwrap();
     assert_eq!(data, json!([{"distance": 1234}, {"error": 0}, {"error": 7}, "saturated"]));
-    assert_eq!(serde_json::from_value::<Vec<Measurement>>(data).unwrap(), all);
 
     let (sensor, _) = sensor().await;
     let version = serde_json::to_value(sensor.version().await.unwrap()).unwrap();
     assert_eq!(version["serial_number"], "H0713090");
     assert_eq!(version["specification"]["motor_speed"], 600);
-    let text = serde_json::to_string(&version).unwrap();
-    let read: tokio_scip::Version = serde_json::from_str(&text).unwrap();
-    assert_eq!(read, sensor.version().await.unwrap());
 
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     scans.next().await.unwrap().unwrap();

@@ -25,7 +25,7 @@ async fn rate(window: Window, speed: BaudRate) -> f64 {
 /// Returns the seconds that a `G` and its reply take on the line.
 fn exchange(window: Window, speed: BaudRate) -> f64 {
     let bytes = "G04472501\n".len() + reply_len(window);
-    bytes as f64 * 10.0 / f64::from(speed.bits_per_second())
+    bytes as f64 * 10.0 / f64::from(u32::from(speed))
 }
 
 #[tokio::test(start_paused = true)]
@@ -34,7 +34,7 @@ async fn at_least_99_percent_of_what_the_line_can_carry_is_reached() {
         for window in [Window::DETECTION, Window::FULL] {
             // Where polls cannot differ, a fence precedes each poll.
             let fence = if window == Window::FULL { "G38438401\n".len() + 16 } else { 0 };
-            let fence = fence as f64 * 10.0 / f64::from(speed.bits_per_second());
+            let fence = fence as f64 * 10.0 / f64::from(u32::from(speed));
             let exact = exchange(window, speed) + fence;
             // The timer's resolution of 1 ms matters only on fast lines.
             let carried =

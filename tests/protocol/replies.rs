@@ -283,25 +283,6 @@ fn w05_a_one_step_reply_without_the_lf_after_its_status_is_not_taken_for_scip_2(
 }
 
 #[test]
-fn statuses_mean_what_drivers_of_real_sensors_know() {
-    let distances = Command::Distances(Window::FULL);
-    let speed = Command::BaudRate(BaudRate::B115200);
-    let meaning = |status: u8, command: &Command| self::status(status).meaning(command);
-    assert_eq!(meaning(b'6', &distances), Some("the laser is off"));
-    assert_eq!(meaning(b'6', &Command::Version), None);
-    assert_eq!(meaning(b'2', &Command::LaserOff), Some("the laser is already in that state"));
-    assert_eq!(
-        meaning(b'3', &speed),
-        Some("the sensor is already at that baud rate, or is on USB")
-    );
-    assert_eq!(meaning(b'E', &Command::Version), Some("the sensor does not know the command"));
-    assert_eq!(meaning(b'0', &distances), Some("success"));
-    assert_eq!(meaning(b'9', &distances), None);
-    assert_eq!(status(b'6').to_string(), "'6'");
-    assert_eq!(status(b'!').to_string(), "'!'");
-}
-
-#[test]
 fn the_encoder_of_these_tests_is_that_of_the_text() {
     assert_eq!(super::encoder::characters(1234), [0x43, 0x42]);
     assert_eq!(super::encoder::characters(0), *b"00");

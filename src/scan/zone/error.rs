@@ -12,6 +12,16 @@ pub enum ZoneError {
         /// Larger distance in metres.
         far: f64,
     },
+    /// A sector is reversed, has an angle that is not a number, or leaves the sensor's view.
+    #[error(
+        "invalid sector from {from} to {to} degrees: expected -135 to 135, the smaller one first"
+    )]
+    Sector {
+        /// Smaller angle in degrees.
+        from: f64,
+        /// Larger angle in degrees.
+        to: f64,
+    },
     /// A coordinate is not a number, or beyond 1,000 m.
     #[error("invalid vertex {index} at {x}, {y}: expected -1000 to 1000 m")]
     Vertex {

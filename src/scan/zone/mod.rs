@@ -12,10 +12,10 @@ use std::ops::RangeInclusive;
 pub use self::error::ZoneError;
 use self::polygon::Polygon;
 pub use self::state::ZoneState;
-use super::{Ray, Scan, Sector};
+use super::{Ray, Scan};
 use crate::protocol::{Measurement, Window, angle};
 
-/// Tolerance at the edges in metres: points of scans are rounded to `f32`.
+/// Tolerance at the edges in metres and radians: points and angles of scans are rounded to `f32`.
 const TOLERANCE: f64 = 1e-6;
 /// The sensor measures nothing nearer (C-42-3320-A p. 7).
 const RANGE_MIN: f64 = 0.020;
@@ -25,6 +25,8 @@ const RANGE_MAX: f64 = 4.094;
 const REAR: i32 = -128;
 /// Steps in a full revolution of the motor (p. 7).
 const STEPS: i32 = 1024;
+/// Angle of the first and last step from the front in degrees (p. 7).
+const VIEW_DEGREES: f64 = 135.0;
 /// Steps that the sensor measures (p. 6).
 const VIEW: RangeInclusive<i32> = 0..=768;
 
@@ -32,11 +34,11 @@ const VIEW: RangeInclusive<i32> = 0..=768;
 /// to be clear.
 ///
 /// ```
-/// use tokio_scip::scan::{CountsAs, Sector, ZoneState, Zone};
+/// use tokio_scip::scan::{CountsAs, Zone, ZoneState};
 /// use tokio_scip::Scan;
 ///
 /// // 60 degrees ahead, up to 0.6 m. An obstacle 0.1 m wide must be seen.
-/// let zone = Zone::sector(Sector::degrees(-30.0, 30.0)?, 0.0..=0.6)?
+/// let zone = Zone::sector(-30.0..=30.0, 0.0..=0.6)?
 ///     .smallest_obstacle(0.1)?
 ///     .beyond_range(CountsAs::Free);
 ///
@@ -95,8 +97,13 @@ pub struct Zone {
 
 #[derive(Debug, Clone, PartialEq)]
 enum ZoneShape {
-    /// Directions, and the ranges in metres.
-    Sector(Sector, f64, f64),
+    /// Directions in radians, and ranges in metres.
+    Sector {
+        from: f64,
+        to: f64,
+        near: f64,
+        far: f64,
+    },
     Polygon(Polygon),
 }
 
@@ -113,18 +120,26 @@ pub enum CountsAs {
 }
 
 impl Zone {
-    /// Creates the zone of all points in a sector that are `range` metres from the sensor.
+    /// Creates the zone of all points in an interval of degrees, counter-clockwise from the front,
+    /// that are `range` metres from the sensor. Both edges are inside.
     ///
     /// # Errors
     ///
-    /// [`ZoneError`] unless the range has two finite numbers, 0 or more, the smaller one first,
-    /// and for a zone that no scan can show clear.
-    pub fn sector(sector: Sector, range: RangeInclusive<f64>) -> Result<Self, ZoneError> {
-        let (near, far) = range.into_inner();
+    /// [`ZoneError`] unless the degrees are in -135..=135, the range is 0 or more, and both have
+    /// the smaller number first; and for a zone that no scan can show clear.
+    pub fn sector(
+        degrees: RangeInclusive<f64>,
+        range: RangeInclusive<f64>,
+    ) -> Result<Self, ZoneError> {
+        let ((from, to), (near, far)) = (degrees.into_inner(), range.into_inner());
+        if !(-VIEW_DEGREES <= from && from <= to && to <= VIEW_DEGREES) {
+            return Err(ZoneError::Sector { from, to });
+        }
         if !(0.0 <= near && near < far && far.is_finite()) {
             return Err(ZoneError::Range { near, far });
         }
-        Self::new(ZoneShape::Sector(sector, near, far))
+        let (from, to) = (from.to_radians(), to.to_radians());
+        Self::new(ZoneShape::Sector { from, to, near, far })
     }
 
     /// Creates the zone inside a polygon. `vertices` are x and y in metres, clockwise or
@@ -173,7 +188,7 @@ impl Zone {
     /// 3 mm at 0.6 m or 25 mm at 4 m, and for one that is not a finite number.
     pub fn smallest_obstacle(self, width: f64) -> Result<Self, ZoneError> {
         let reach = match &self.shape {
-            ZoneShape::Sector(_, _, far) => *far,
+            ZoneShape::Sector { far, .. } => *far,
             ZoneShape::Polygon(polygon) => polygon.reach(),
         };
         let step = TAU / f64::from(STEPS);
@@ -275,9 +290,8 @@ impl Zone {
 impl ZoneShape {
     fn contains(&self, x: f64, y: f64) -> bool {
         match self {
-            Self::Sector(sector, near, far) => {
-                let ranges = near - TOLERANCE..=far + TOLERANCE;
-                ranges.contains(&x.hypot(y)) && sector.contains(y.atan2(x))
+            Self::Sector { from, to, near, far } => {
+                is_between(*near, x.hypot(y), *far) && is_between(*from, y.atan2(x), *to)
             }
             Self::Polygon(polygon) => polygon.contains((x, y), TOLERANCE),
         }
@@ -287,7 +301,7 @@ impl ZoneShape {
     /// there.
     fn far(&self, angle: f64) -> Option<f64> {
         let far = match self {
-            Self::Sector(sector, _, far) => sector.contains(angle).then_some(*far),
+            Self::Sector { from, to, far, .. } => is_between(*from, angle, *to).then_some(*far),
             Self::Polygon(polygon) => polygon.far(angle),
         };
         far.filter(|far| *far > RANGE_MIN)
@@ -317,6 +331,11 @@ impl ZoneShape {
         }
         crossing.and_then(|steps| Window::new(steps).ok()).ok_or(ZoneError::BetweenRays)
     }
+}
+
+/// Returns true if a number is between two others, or nearly.
+fn is_between(least: f64, number: f64, most: f64) -> bool {
+    (least - TOLERANCE..=most + TOLERANCE).contains(&number)
 }
 
 /// Consecutive unknown rays.

@@ -54,8 +54,15 @@ pub(super) fn page() -> Response {
     response
 }
 
+fn error_code(value: u16) -> Option<ErrorCode> {
+    match Measurement::from_value(value) {
+        Measurement::Error(code) => Some(code),
+        _ => None,
+    }
+}
+
 fn codes() -> Value {
-    let codes = (0..=19).filter_map(|number| ErrorCode::try_from(number).ok()).map(|code| {
+    let codes = (0..=19).filter_map(error_code).map(|code| {
         let kind = MissingKind::from_measurement(Measurement::Error(code)).map(MissingKind::name);
         json!({ "kind": kind, "meaning": code.meaning() })
     });
