@@ -388,7 +388,7 @@ def wire():
         values = values.split(":")[1].split()
         return int(values[0]) + int(values[8]), int(values[1]) + int(values[9])
 
-    windows = {"44..725": (10, []), "0..768": (10, ["--start", 0, "--end", 768]),
+    windows = {"44..725": (10, []), "0..768": (10, ["--window", "full"]),
                "cluster 4": (10, ["--cluster", 4]), "44..725 at 1 Hz": (1, ["--rate", 1])}
     for engine, qos in (("zenoh", "reliable"), ("dds", "reliable"), ("dds", "sensor")):
         if engine not in ENGINES:

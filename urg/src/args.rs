@@ -32,43 +32,33 @@ pub(crate) struct LinkArgs {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Window")]
 pub(crate) struct WindowArgs {
-    /// Steps to measure: detection (44..725), full (0..768), or START..END, both
-    /// included [default: detection, or as recorded]
+    /// Steps to measure: detection (44..725), full (0..768), or FIRST..LAST [default:
+    /// detection, or as recorded]; step 0 is -135 degrees (right), 384 the front
     #[arg(long, value_name = "WINDOW", value_parser = named_window,
-        conflicts_with_all = ["start", "end", "from", "to"])]
+        conflicts_with_all = ["from", "to"])]
     window: Option<Window>,
-    /// First step, 0 to 768: 0 is -135 degrees (right), 384 the front [default: 44, or as recorded]
-    #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
-    start: Option<u16>,
-    /// Last step, 0 to 768: 768 is +135 degrees (left) [default: 725, or as recorded]
-    #[arg(long, value_name = "STEP", value_parser = clap::value_parser!(u16).range(0..=768))]
-    end: Option<u16>,
     /// Steps per point, 1 to 99; the sensor sends the smallest value of each
     /// cluster, so an error code hides any distance [default: 1, or as recorded]
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u8).range(1..=99))]
     cluster: Option<u8>,
-    /// First direction, -135deg (right) to 135deg (left), instead of --start
-    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true,
-        conflicts_with_all = ["start", "end"])]
+    /// First direction, -135deg (right) to 135deg (left), instead of --window
+    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true)]
     from: Option<f64>,
-    /// Last direction, as for --from, instead of --end
-    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true,
-        conflicts_with_all = ["start", "end"])]
+    /// Last direction, as for --from
+    #[arg(long, value_name = "DEGREES", value_parser = degrees, allow_hyphen_values = true)]
     to: Option<f64>,
 }
 
 impl WindowArgs {
     /// Computes the requested window. `default` provides what the options leave out.
     pub(crate) fn window(&self, default: Window) -> Result<Window, Failure> {
-        let window = if let Some(window) = self.window {
-            Ok(window)
-        } else if self.from.is_some() || self.to.is_some() {
-            let from = self.from.unwrap_or_else(|| default.start().degrees().into());
-            let to = self.to.unwrap_or_else(|| default.end().degrees().into());
-            Window::degrees(from..=to)
-        } else {
-            let start = self.start.unwrap_or(default.start().number());
-            Window::new(start..=self.end.unwrap_or(default.end().number()))
+        let window = match (self.window, self.from, self.to) {
+            (Some(window), ..) => Ok(window),
+            (None, None, None) => Window::new(default.start().number()..=default.end().number()),
+            (None, from, to) => {
+                let from = from.unwrap_or_else(|| default.start().degrees().into());
+                Window::degrees(from..=to.unwrap_or_else(|| default.end().degrees().into()))
+            }
         };
         window
             .and_then(|window| {
@@ -189,10 +179,8 @@ mod tests {
 
     #[test]
     fn a_window_has_a_name_or_two_steps() {
-        assert_eq!(named_window("detection"), Ok(Window::DETECTION));
-        assert_eq!(named_window("full"), Ok(Window::FULL));
-        for text in ["100..200", "100..=200"] {
-            assert_eq!(named_window(text), Ok(Window::new(100..=200).unwrap()), "{text}");
+        for text in ["44..725", "44..=725", "detection"] {
+            assert_eq!(named_window(text), Ok(Window::DETECTION), "{text}");
         }
         for text in ["", "half", "..", "1..", "200..100", "0..769", "-1..5"] {
             assert!(named_window(text).is_err(), "{text}");
@@ -200,17 +188,16 @@ mod tests {
     }
 
     #[test]
-    fn an_address_to_listen_on_has_a_port_number_which_alone_is_of_this_machine() {
+    fn a_port_number_alone_listens_on_this_machine() {
         for (text, address) in [
             ("4001", "127.0.0.1:4001"),
             (":4001", "127.0.0.1:4001"),
-            ("0.0.0.0:4001", "0.0.0.0:4001"),
             ("[::]:4001", "[::]:4001"),
             ("robot.local:0", "robot.local:0"),
         ] {
             assert_eq!(listen_address(text).as_deref(), Ok(address), "{text}");
         }
-        for text in ["", ":", "1.2.3.4", "localhost", "localhost:", "[::1]", "0.0.0.0:65536"] {
+        for text in ["", "1.2.3.4", "localhost:", "[::1]", "0.0.0.0:65536"] {
             assert!(listen_address(text).is_err(), "{text}");
         }
     }

@@ -97,8 +97,8 @@ fn a_stream_of_twenty_scans_is_twenty_lines_of_ndjson_without_a_gap() {
 #[test]
 fn the_window_can_be_given_in_steps_or_degrees() {
     for (options, window) in [
-        ("--start 0 --end 768", (0, 768, 1)),
-        ("--start 100 --end 110 --cluster 4", (100, 110, 4)),
+        ("--window full", (0, 768, 1)),
+        ("--window 100..110 --cluster 4", (100, 110, 4)),
         ("--from -90deg --to 90deg", (128, 640, 1)),
         ("--from -12.5deg --to 0", (349, 384, 1)),
         ("--from -45 --to=-44", (256, 258, 1)),
@@ -146,7 +146,7 @@ fn a_scan_can_be_a_table_json_or_csv() {
     assert!(table.contains("SOKUIKI Sensor URG-04LX H0713090: steps 44..=725"), "{table}");
     assert!(table.contains("nearest"), "{table}");
     // Outside the detection window a sensor has only error code 19.
-    let outside = run("scan emulated --start 0 --end 9", 0).stdout;
+    let outside = run("scan emulated --window 0..9", 0).stdout;
     assert!(outside.contains("- error code 19: Non-Measurable Distance"), "{outside}");
     assert!(outside.contains("0 of 10 points have a distance"), "{outside}");
     assert!(outside.contains("10 x error code 19"), "{outside}");

@@ -97,7 +97,7 @@ fn a_picture_is_well_formed_and_names_sensor_time_rings_angles_and_codes() {
 #[test]
 fn each_distance_is_a_point_where_it_was_measured() {
     // The same seed makes the same room.
-    let svg = run("scan emulated --format svg --start 0 --end 768 --cluster 3", 0).stdout;
+    let svg = run("scan emulated --format svg --window full --cluster 3", 0).stdout;
     let elements = elements(&svg);
     let circles: Vec<_> = elements
         .iter()
@@ -132,9 +132,7 @@ fn each_distance_is_a_point_where_it_was_measured() {
 
 #[test]
 fn every_window_makes_a_picture() {
-    for window in
-        ["--start 384 --end 384", "--from 60 --to 100", "--start 0 --end 43", "--cluster 99"]
-    {
+    for window in ["--window 384..384", "--from 60 --to 100", "--window 0..43", "--cluster 99"] {
         let svg = run(&format!("scan emulated --format svg {window}"), 0).stdout;
         elements(&svg);
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{window}");

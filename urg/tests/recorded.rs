@@ -115,7 +115,7 @@ async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_t
         assert!(!pace.is_empty() || began.elapsed().as_secs_f64() > 0.85);
     }
     // A smaller window, and only a part of the recording.
-    let output = run(&format!("stream {} --start 150 --count 3 --rate max", file.path()), 0);
+    let output = run(&format!("stream {} --window 150..200 --count 3 --rate max", file.path()), 0);
     assert_eq!(output.stderr, "");
     let part: Vec<_> = scans(&output.stdout).iter().map(values).collect();
     assert_eq!(part, recorded[..3].iter().map(|all| all[25..].to_vec()).collect::<Vec<_>>());

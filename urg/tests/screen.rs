@@ -93,7 +93,7 @@ async fn keys_work_and_the_terminal_is_restored_when_the_user_quits() {
     let mut terminal = Terminal::start("view emulated").await;
     terminal.until_each(&["URG-04LX", "quit"]).await;
     terminal.user.write_all(b"?").await.unwrap();
-    terminal.until(&["widen"]).await;
+    terminal.until(&["detection"]).await;
     terminal.user.write_all(b"q").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 }
@@ -184,7 +184,7 @@ async fn pasted_text_is_no_keys() {
     terminal.user.write_all(pasted.as_bytes()).await.unwrap();
     terminal.user.write_all(b"?").await.unwrap();
     // An even number of `?` would have closed the help again, and `q` the program.
-    terminal.until(&["widen"]).await;
+    terminal.until(&["detection"]).await;
     terminal.user.write_all(b"\x03").await.unwrap();
     assert_eq!(terminal.end().await, Some(0));
 }
@@ -275,8 +275,6 @@ async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
     terminal.until_each(&["URG-04LX", "playing", "END", "at the end"]).await;
     terminal.user.write_all(b",").await.unwrap();
     terminal.until(&["PAUSED", "paused"]).await;
-    terminal.user.write_all(b"l").await.unwrap();
-    terminal.until(&["recording"]).await;
     terminal.user.write_all(b" ").await.unwrap();
     terminal.until(&["playing"]).await;
     terminal.user.write_all(b"q").await.unwrap();

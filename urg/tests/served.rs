@@ -170,21 +170,10 @@ fn text_from_a_sensor_cannot_control_the_terminal() {
 }
 
 #[test]
-fn a_hard_room_and_the_status_of_a_repeated_laser_command_are_options() {
+fn a_hard_room_has_more_error_codes() {
     let arguments = "--tcp 0 --room hard --firmware text";
     let sensor = Emulated::start(&format!("{arguments} {FAST}"));
     let scan = scans(&run(&format!("scan {} --format json", sensor.port), 0).stdout).remove(0);
     let missing = values(&scan).iter().filter(|&&value| value < 20).count();
     assert!((300..=450).contains(&missing), "{missing} of 682");
-
-    // Clients of the time stop at a `2`, so that it is there on request only.
-    for (option, answer) in [("", b"L1\n0\n\n"), ("--repeated-laser 2", b"L1\n2\n\n")] {
-        let sensor = Emulated::start(&format!("--tcp 0 {option}"));
-        let address = sensor.port.strip_prefix("tcp://").unwrap();
-        let mut link = std::net::TcpStream::connect(address).unwrap();
-        std::io::Write::write_all(&mut link, b"L1\n").unwrap();
-        let mut reply = [0; 6];
-        std::io::Read::read_exact(&mut link, &mut reply).unwrap();
-        assert_eq!(&reply, answer, "{option}");
-    }
 }

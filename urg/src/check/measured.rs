@@ -117,19 +117,19 @@ impl Measured {
     }
 
     fn rate(&self) -> Finding {
-        const NAME: &str = "rate";
-        let (Some(first), Some(last)) = (self.scans.first(), self.scans.last()) else {
-            return Finding::failed(NAME, "no scan came");
+        let Some(jitter) = Jitter::from_times(self.scans.iter().map(|seen| seen.received_at))
+        else {
+            return Finding::weak("rate", "only one scan came: test for longer");
         };
-        let time = last.received_at.saturating_duration_since(first.received_at).as_secs_f64();
-        if time <= 0.0 {
-            return Finding::weak(NAME, "only one scan came: test for longer");
-        }
-        let reached = (self.scans.len() - 1) as f64 / time;
-        let asked = self.asked;
-        let text = format!("{reached:.1} scans a second of {asked:.1}, {}", self.jitter());
+        let (reached, asked) = (1.0 / jitter.mean, self.asked);
+        let [min, max, deviation] =
+            [jitter.min, jitter.max, jitter.deviation].map(|seconds| seconds * 1000.0);
+        let text = format!(
+            "{reached:.1} scans a second of {asked:.1}, one every {min:.0} to {max:.0} ms, \
+             standard deviation {deviation:.1} ms"
+        );
         if self.rate.is_reached_by(reached) {
-            return Finding::ok(NAME, text);
+            return Finding::ok("rate", text);
         }
         let carried = self
             .baud_rate
@@ -149,17 +149,7 @@ impl Measured {
             _ if self.lost() > 0 => format!("{} polls brought no scan", self.lost()),
             _ => "some revolutions of the motor brought no scan".to_owned(),
         };
-        Finding::new(NAME, verdict, format!("{text}: {cause}"))
-    }
-
-    fn jitter(&self) -> String {
-        let Some(jitter) = Jitter::from_times(self.scans.iter().map(|seen| seen.received_at))
-        else {
-            return "one scan".to_owned();
-        };
-        let [min, max, deviation] =
-            [jitter.min, jitter.max, jitter.deviation].map(|seconds| seconds * 1000.0);
-        format!("one every {min:.0} to {max:.0} ms, standard deviation {deviation:.1} ms")
+        Finding::new("rate", verdict, format!("{text}: {cause}"))
     }
 
     fn latency(&self) -> Finding {
@@ -179,50 +169,42 @@ impl Measured {
     }
 
     fn motor(&self) -> Finding {
-        const NAME: &str = "motor";
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
-            let text = "not known yet: `--duration 1m` measures it";
-            return Finding::ok(NAME, text);
+            return Finding::ok("motor", "not known yet: `--duration 1m` measures it");
         };
-        let mut text = match motor.revolution {
-            Some(revolution) => format!("{:.2} rpm", 60.0 / revolution.as_secs_f64()),
-            None => "speed not known yet".to_owned(),
-        };
+        let speed = motor.revolution.map_or_else(
+            || "speed not known yet".to_owned(),
+            |revolution| format!("{:.2} rpm", 60.0 / revolution.as_secs_f64()),
+        );
         let milliseconds = |time: Duration| time.as_secs_f64() * 1000.0;
         let mean = milliseconds(lateness.iter().sum::<Duration>()) / lateness.len() as f64;
         let most = milliseconds(lateness.iter().max().copied().unwrap_or_default());
-        // Writing to a `String` is infallible.
-        let _ = write!(text, "; scans arrive {mean:.1} ms late, {most:.1} ms at most");
+        let text = format!("{speed}; scans arrive {mean:.1} ms late, {most:.1} ms at most");
         if motor.jumps > 0 {
-            let _ = write!(text, "; it jumped {} times: check the power", motor.jumps);
-            return Finding::weak(NAME, text);
+            let jumps = motor.jumps;
+            Finding::weak("motor", format!("{text}; it jumped {jumps} times: check the power"))
+        } else if mean > MAX_LATENESS_MS {
+            Finding::weak("motor", format!("{text}: this computer is busy, or its USB is"))
+        } else {
+            Finding::ok("motor", text)
         }
-        if mean > MAX_LATENESS_MS {
-            text.push_str(": this computer is busy, or its USB is");
-            return Finding::weak(NAME, text);
-        }
-        Finding::ok(NAME, text)
     }
 
     fn sight(&self) -> Finding {
-        const NAME: &str = "sight";
         let points = self.scans.iter().map(|seen| seen.points).max().unwrap_or_default();
         let distances = self.scans.iter().map(|seen| seen.distances).sum::<usize>();
         let distances = distances / self.scans.len().max(1);
         let text = format!("{distances} of {points} points have a distance");
         let repeats = self.count(|stats| stats.repeats) as usize;
-        if distances == 0 {
-            Finding::weak(
-                NAME,
-                format!("{text}: is the sensor covered, or everything farther away than 4 m?"),
-            )
-        } else if self.scans.len() > 5 && repeats + 1 >= self.scans.len() {
-            let text = format!("{text}, and all scans are equal: does the sensor measure at all?");
-            Finding::weak(NAME, text)
-        } else {
-            Finding::ok(NAME, text)
-        }
+        let doubt = match distances {
+            0 => ": is the sensor covered, or everything farther away than 4 m?",
+            _ if self.scans.len() > 5 && repeats + 1 >= self.scans.len() => {
+                ", and all scans are equal: does the sensor measure at all?"
+            }
+            _ => return Finding::ok("sight", text),
+        };
+        Finding::weak("sight", text + doubt)
     }
 }
 

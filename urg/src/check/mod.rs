@@ -12,7 +12,7 @@ use crate::args::{LinkArgs, duration};
 use crate::delivery::Delivery;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::stdout::Output;
+use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
 use crate::recording::span::TopicArgs;
@@ -54,7 +54,7 @@ impl Check {
     async fn check(&self) -> Result<(), Failure> {
         let mut port = self.port.required().await?;
         port.choose_topic(&self.topic)?;
-        let mut report = CheckReport { output: Output::new(), steps: Vec::new() };
+        let mut report = CheckReport(Vec::new());
         if let Some(recorded) = port.recorded() {
             if self.duration.is_some() || self.link.baud.is_some() {
                 let text = format!("--duration and --baud are for a sensor: {port} is a recording");
@@ -85,21 +85,18 @@ impl Check {
 }
 
 /// Findings, written one by one as the steps finish.
-struct CheckReport {
-    output: Output,
-    steps: Vec<Finding>,
-}
+struct CheckReport(Vec<Finding>);
 
 impl CheckReport {
     async fn add(&mut self, step: Finding) -> Result<(), Failure> {
-        self.output.write(&format!("{step}\n")).await?;
-        self.steps.push(step);
+        print(format!("{step}\n")).await?;
+        self.0.push(step);
         Ok(())
     }
 
-    async fn end(mut self, port: &str) -> Result<(), Failure> {
+    async fn end(self, port: &str) -> Result<(), Failure> {
         let of = |verdict| {
-            let steps = self.steps.iter().filter(|step| step.verdict == verdict);
+            let steps = self.0.iter().filter(|step| step.verdict == verdict);
             steps.map(|step| step.name).collect::<Vec<_>>().join(", ")
         };
         let (failed, weak) = (of(Verdict::Failed), of(Verdict::Weak));
@@ -108,6 +105,6 @@ impl CheckReport {
             ("", weak) => format!("it works; weak: {weak}"),
             (failed, _) => return Err(Failure::Failed(format!("{port} has FAILED: {failed}"))),
         };
-        self.output.write(&format!("\n{line}\n")).await
+        print(format!("\n{line}\n")).await
     }
 }

@@ -9,7 +9,7 @@ use tokio::net::TcpListener;
 use tokio_scip::BaudRate;
 #[cfg(unix)]
 use urg_emulator::Pty;
-use urg_emulator::{Emulator, Faults, Firmware, RepeatedLaser, Room};
+use urg_emulator::{Emulator, Faults, Firmware, Room};
 
 use crate::args::{duration, listen_address};
 use crate::failure::Failure;
@@ -41,12 +41,10 @@ pub(crate) struct Emulate {
     #[arg(long, value_name = "ADDR", value_parser = listen_address)]
     #[cfg_attr(unix, arg(conflicts_with = "link"))]
     tcp: Option<String>,
-    /// Emulate RS-232 at this baud rate; a real sensor has 19200 after power-up
+    /// Emulate RS-232 at this baud rate instead of USB; a real sensor has 19200 after
+    /// power-up
     #[arg(long, value_name = "RATE")]
     baud: Option<BaudRate>,
-    /// Emulate USB, which has no baud rate; the default without --baud
-    #[arg(long, conflicts_with = "baud")]
-    usb: bool,
     /// Firmware dialect of the sensor
     #[arg(long, value_enum, default_value_t = FirmwareDialect::V3)]
     firmware: FirmwareDialect,
@@ -59,10 +57,6 @@ pub(crate) struct Emulate {
     /// Room around the sensor
     #[arg(long, value_enum, default_value_t = RoomKind::Easy)]
     room: RoomKind,
-    /// Status of the reply to `L` when the laser is already in the requested state: 0, or 2
-    /// (refused); real sensors differ
-    #[arg(long, value_name = "STATUS", value_parser = ["0", "2"], default_value = "0")]
-    repeated_laser: String,
     /// Seed of the room and of faults
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
     seed: u64,
@@ -108,10 +102,6 @@ impl Emulate {
                 FirmwareDialect::V3 => Firmware::V3,
             })
             .serial_number(&self.serial_number)
-            .repeated_laser(match self.repeated_laser.as_str() {
-                "2" => RepeatedLaser::Status2,
-                _ => RepeatedLaser::Status0,
-            })
             .revolution(self.revolution)
             .seed(self.seed)
             .faults(self.faults.clone().unwrap_or_default());

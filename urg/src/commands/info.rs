@@ -80,7 +80,7 @@ impl Info {
                 json_line(&info)?
             }
         };
-        print(&output).await
+        print(output).await
     }
 }
 

@@ -1,7 +1,5 @@
 //! `urg laser`: switches the laser.
 
-use std::str::FromStr;
-
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
 use crate::failure::Failure;
@@ -19,27 +17,17 @@ pub(crate) struct Laser {
     #[command(flatten)]
     port: PortArg,
     /// New state of the laser
-    #[arg(value_name = "on|off")]
-    switch: Switch,
+    #[arg(value_name = "on|off", value_parser = is_on, action = clap::ArgAction::Set)]
+    is_on: bool,
     #[command(flatten)]
     link: LinkArgs,
 }
 
-#[derive(Debug, Clone, Copy)]
-enum Switch {
-    On,
-    Off,
-}
-
-impl FromStr for Switch {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "on" => Ok(Self::On),
-            "off" => Ok(Self::Off),
-            _ => Err("expected on or off, after PORT: `urg laser PORT off`".to_owned()),
-        }
+fn is_on(text: &str) -> Result<bool, &'static str> {
+    match text {
+        "on" => Ok(true),
+        "off" => Ok(false),
+        _ => Err("expected on or off, after PORT: `urg laser PORT off`"),
     }
 }
 
@@ -48,9 +36,9 @@ impl Laser {
         let port = self.port.required().await?;
         port.require_sensor()?;
         let sensor = open(&port, &self.link, Delivery::Newest).await?;
-        let (switched, state) = match self.switch {
-            Switch::On => (sensor.laser_on().await, "on"),
-            Switch::Off => (sensor.laser_off().await, "off"),
+        let (switched, state) = match self.is_on {
+            true => (sensor.laser_on().await, "on"),
+            false => (sensor.laser_off().await, "off"),
         };
         switched.map_err(|error| Failure::at(&port, &error))?;
         notice(format_args!("{port}: the laser is {state}"));

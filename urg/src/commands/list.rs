@@ -37,12 +37,12 @@ impl List {
     pub(crate) async fn run(self) -> Result<(), Failure> {
         let ports = port::list().await.map_err(|error| Failure::Failed(chain(&error)))?;
         if matches!(self.format, ListFormat::Json) {
-            return print(&json_line(&ports)?).await;
+            return print(json_line(&ports)?).await;
         }
         if ports.is_empty() {
             notice("this machine has no serial port: plug a sensor in, or try `urg info emulated`");
         }
-        print(&text(&ports)).await
+        print(text(&ports)).await
     }
 }
 

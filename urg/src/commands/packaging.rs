@@ -23,7 +23,7 @@ impl Completions {
     pub(crate) async fn run(self, mut program: clap::Command) -> Result<(), Failure> {
         let mut script = Vec::new();
         clap_complete::generate(self.shell, &mut program, "urg", &mut script);
-        print(&String::from_utf8_lossy(&script)).await
+        print(String::from_utf8_lossy(&script)).await
     }
 }
 
@@ -53,6 +53,6 @@ impl Manual {
         let mut page = Vec::new();
         let title = about.get_display_name().unwrap_or("urg").to_owned();
         Man::new(about).title(title.to_uppercase()).render(&mut page).map_err(failed)?;
-        print(&String::from_utf8_lossy(&page)).await
+        print(String::from_utf8_lossy(&page)).await
     }
 }

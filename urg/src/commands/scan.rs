@@ -68,7 +68,7 @@ impl ScanOnce {
             ScanFormat::CsvXy => csv(&scan, Columns::Cartesian),
             ScanFormat::Svg => svg::svg(&scan, &sensor.version().await.map_err(at_port)?),
         };
-        print(&text).await
+        print(text).await
     }
 }
 

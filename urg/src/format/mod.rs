@@ -24,12 +24,6 @@ pub(crate) fn counted(count: u64, noun: &str) -> String {
 
 /// Serializes `data` as one line of JSON, which ends in LF.
 pub(crate) fn json_line(data: &impl Serialize) -> Result<String, Failure> {
-    let mut line = json_text(data)?;
-    line.push('\n');
-    Ok(line)
-}
-
-/// Serializes `data` as JSON without a line break.
-pub(crate) fn json_text(data: &impl Serialize) -> Result<String, Failure> {
-    serde_json::to_string(data).map_err(|error| Failure::new("cannot write JSON", &error))
+    let line = serde_json::to_string(data);
+    line.map(|line| line + "\n").map_err(|error| Failure::new("cannot write JSON", &error))
 }

@@ -33,34 +33,29 @@ pub(crate) fn line(scan: &Scan, rate: Option<f64>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use tokio_scip::{Sensor, Window};
-    use urg_emulator::{Emulator, Values, WorldTime};
+    use tokio_scip::Window;
 
     use super::*;
 
-    async fn summary(value: u16) -> String {
-        let world = move |_: WorldTime, values: &mut Values| {
-            values.fill(value);
-            if value != 7 {
-                values[384] = 412;
-            }
-        };
-        let emulator = Emulator::builder().world(world).build();
-        let sensor = Sensor::builder().connect(emulator).await.unwrap();
-        let scan = sensor.scan(Window::DETECTION).await.unwrap();
+    fn summary(value: u16) -> String {
+        let mut values = vec![value; Window::DETECTION.steps()];
+        if value != 7 {
+            values[340] = 412;
+        }
+        let scan = Scan::builder(Window::DETECTION, values).build().unwrap();
         line(&scan, (value != 7).then_some(10.0))
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn a_scan_is_one_line_of_80_columns() {
+    #[test]
+    fn a_scan_is_one_line_of_80_columns() {
         assert_eq!(
-            summary(0).await,
+            summary(0),
             "    0  10.0 Hz    1/682 points  nearest 0.412 m    0°  far 681 weak   0 none   0\n"
         );
         assert_eq!(
-            summary(7).await,
+            summary(7),
             "    0     - Hz    0/682 points  nearest -              far   0 weak   0 none 682\n"
         );
-        assert!(summary(4000).await.trim_end().chars().count() <= 80);
+        assert!(summary(4000).trim_end().chars().count() <= 80);
     }
 }

@@ -123,7 +123,8 @@ impl Paper {
         for (class, y, text) in
             [("title", 8.0, who), ("what", 14.0, &what), ("small", 18.5, &firmware)]
         {
-            writeln!(out, r#"<text class="{class}" x="5" y="{y}">{}</text>"#, xml(&clip(text)))?;
+            let text: String = text.chars().take(MAX_TEXT_CHARS).collect();
+            writeln!(out, r#"<text class="{class}" x="5" y="{y}">{}</text>"#, xml(&text))?;
         }
         Ok(())
     }
@@ -292,13 +293,6 @@ fn label(
 
 fn place_name(point: Point) -> String {
     format!("{:.3} m at {:.1}°", point.range, point.angle.to_degrees())
-}
-
-fn clip(text: &str) -> String {
-    match text.char_indices().nth(MAX_TEXT_CHARS) {
-        Some((end, _)) => format!("{}…", text.get(..end).unwrap_or_default()),
-        None => text.to_owned(),
-    }
 }
 
 /// Escapes text for XML. Drops control characters, which XML does not allow.

@@ -2,16 +2,11 @@
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use humantime::{format_rfc3339_millis, format_rfc3339_seconds};
+use humantime::format_rfc3339_seconds;
 
 /// Formats a time as `2026-01-31 23:59:59 UTC`.
 pub(crate) fn utc(time: SystemTime) -> String {
     format_rfc3339_seconds(within_calendar(time)).to_string().replace('T', " ").replace('Z', " UTC")
-}
-
-/// Formats a time as `2026-01-31T235959.123Z`, which any file system accepts in a name.
-pub(crate) fn file_name(time: SystemTime) -> String {
-    format_rfc3339_millis(within_calendar(time)).to_string().replace(':', "")
 }
 
 /// Formats seconds as `1:02:03`, or as `2:03` below an hour.
@@ -40,7 +35,6 @@ mod tests {
     fn a_time_is_written_to_the_second_in_utc() {
         let time = SystemTime::UNIX_EPOCH + Duration::from_millis(1_709_210_096_999);
         assert_eq!(utc(time), "2024-02-29 12:34:56 UTC");
-        assert_eq!(file_name(time), "2024-02-29T123456.999Z");
     }
 
     #[test]

@@ -212,33 +212,24 @@ mod tests {
     }
 
     #[test]
-    fn steps_pause_and_stop_at_both_ends() {
-        let now = Instant::now();
-        let mut deck = deck(false, now);
-        deck.apply(PlaybackCommand::Step(1), now);
-        assert!(deck.status().paused && deck.status().scan == 1);
-        deck.apply(PlaybackCommand::Step(-5), now);
-        assert_eq!(deck.status().scan, 0);
-        deck.apply(PlaybackCommand::Step(isize::MAX), now);
-        assert_eq!(deck.status().scan, 10);
-        deck.apply(PlaybackCommand::Step(isize::MIN), now);
-        assert_eq!(deck.status().scan, 0);
-    }
-
-    #[test]
-    fn a_seek_goes_to_any_time_and_no_farther_than_the_ends() {
+    fn steps_and_seeks_go_no_farther_than_the_ends() {
+        use PlaybackCommand::{Scan, Seek, SeekBy, Step};
         let now = Instant::now();
         let mut deck = deck(false, now);
         for (command, scan) in [
-            (PlaybackCommand::Seek(0.75), 7),
-            (PlaybackCommand::SeekBy(-0.5), 2),
-            (PlaybackCommand::SeekBy(-99.0), 0),
-            (PlaybackCommand::Seek(1e300), 10),
-            (PlaybackCommand::Scan(3), 3),
-            (PlaybackCommand::Scan(usize::MAX), 10),
+            (Seek(0.75), 7),
+            (SeekBy(-0.5), 2),
+            (SeekBy(-99.0), 0),
+            (Seek(1e300), 10),
+            (Scan(3), 3),
+            (Scan(usize::MAX), 10),
+            (Step(-1), 9),
+            (Step(isize::MAX), 10),
+            (Step(isize::MIN), 0),
         ] {
             deck.apply(command, now);
             assert_eq!(deck.status().scan, scan, "{command:?}");
+            assert_eq!(deck.status().paused, matches!(command, Step(_)));
         }
     }
 
@@ -267,15 +258,13 @@ mod tests {
     }
 
     #[test]
-    fn a_recording_of_one_scan_is_shown() {
+    fn a_recording_of_one_scan_does_not_spin() {
         let now = Instant::now();
         for is_looping in [false, true] {
             let mut deck = Deck::new(Arc::new([Duration::ZERO]), 1.0, is_looping, now);
-            deck.apply(PlaybackCommand::Step(1), now);
             deck.apply(PlaybackCommand::Play, now);
             deck.advance(after(now, 500));
             assert_eq!(deck.status().scan, 0);
-            // The caller must not spin.
             assert!(deck.due().is_none_or(|due| due > after(now, 550)));
         }
     }

@@ -1,11 +1,5 @@
 //! Playback of a recording for human viewers: pause, step, seek, speed and loop.
 //!
-//! - `deck` decides when to show each scan, without a clock or a file.
-//! - `player` runs the deck in a task.
-//! - `command` defines the commands of users.
-//! - `window` shows a scan in another window than the recorded one.
-//! - `settings` defines the options.
-//!
 //! Commands that need every scan, such as `stream` and `record`, replay the sensor instead
 //! (`recording::recorded`).
 

@@ -1,7 +1,6 @@
 //! Poses of sensors in the common frame, as the command line and the page write them: X,Y,YAW
 //! in metres and degrees.
 
-use serde::{Serialize, Serializer};
 use tokio_scip::scan::Pose;
 
 /// Maximum distance from the origin along each axis, in metres.
@@ -34,18 +33,6 @@ pub(crate) fn yaw(pose: Pose) -> f64 {
     (pose.heading.to_degrees() * 1e9).round() / 1e9
 }
 
-/// Writes a pose as `x`, `y` and `yaw`.
-pub(crate) fn serialize<S: Serializer>(pose: &Pose, serializer: S) -> Result<S::Ok, S::Error> {
-    #[derive(Serialize)]
-    #[serde(rename = "Pose")]
-    struct Written {
-        x: f64,
-        y: f64,
-        yaw: f64,
-    }
-    Written { x: pose.x, y: pose.y, yaw: yaw(*pose) }.serialize(serializer)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -56,11 +43,5 @@ mod tests {
             let degrees = f64::from(tenths) / 10.0;
             assert_eq!(yaw(parse(&format!("1,2,{degrees}")).unwrap()), degrees);
         }
-        let mut json = serde_json::Serializer::new(Vec::new());
-        serialize(&parse("-0.2, 0.5,30").unwrap(), &mut json).unwrap();
-        assert_eq!(
-            String::from_utf8(json.into_inner()).unwrap(),
-            r#"{"x":-0.2,"y":0.5,"yaw":30.0}"#
-        );
     }
 }

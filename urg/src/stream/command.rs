@@ -6,6 +6,7 @@ use clap::ValueEnum;
 
 use super::feed::{Feed, Update};
 use super::follow::follow;
+use super::jitter::RecentTimes;
 use super::rate_watch::schedule;
 use super::reporter::Reporter;
 use crate::args::{LinkArgs, PaceArgs, WindowArgs};
@@ -14,7 +15,7 @@ use crate::failure::Failure;
 use crate::format::csv::{self, Columns};
 use crate::format::summary;
 use crate::interrupt::Interrupt;
-use crate::output::stdout::Output;
+use crate::output::stdout::print;
 use crate::port::name::PortArg;
 use crate::port::open::open;
 use crate::recording::span::{RangeArgs, TopicArgs};
@@ -114,32 +115,20 @@ impl Stream {
         let (sensor, mut feed) = interrupt.unless(opening).await?;
         let mut reporter = Reporter::new(port, sensor).with_rate(window, rate);
         let format = self.format.unwrap_or_else(StreamFormat::default_for_stdout);
-        let mut output = Output::new();
         if let Some(columns) = format.columns() {
-            output.write(columns.header()).await?;
+            print(columns.header()).await?;
         }
-        let mut first = None;
+        let mut times = RecentTimes::default();
         let write = async |update: Update| {
             reporter.report(&update);
             match (format.columns(), &update) {
-                (None, _) if format == StreamFormat::Ndjson => {
-                    output.write(&update.line(None)?).await
-                }
-                (Some(columns), Update::Scan(scan)) => {
-                    output.write(&csv::rows(scan, columns)).await
-                }
+                (None, _) if format == StreamFormat::Ndjson => print(update.line(None)?).await,
+                (Some(columns), Update::Scan(scan)) => print(csv::rows(scan, columns)).await,
                 (None, Update::Scan(scan)) => {
                     let stats = reporter.sensor.stats();
+                    times.push(scan.received_at());
                     let rate = schedule(&stats, window).and_then(|schedule| schedule.reached);
-                    let (number, at) = (scan.sequence(), scan.received_at());
-                    let (first, began) = *first.get_or_insert((number, at));
-                    // Until the driver knows it.
-                    let rate = rate.or_else(|| {
-                        let seconds = at.saturating_duration_since(began).as_secs_f64();
-                        Some(number.saturating_sub(first) as f64 / seconds)
-                            .filter(|rate| rate.is_normal())
-                    });
-                    output.write(&summary::line(scan, rate)).await
+                    print(summary::line(scan, rate.or_else(|| times.rate()))).await
                 }
                 // Events are on standard error too.
                 _ => Ok(()),

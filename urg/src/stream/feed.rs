@@ -1,15 +1,14 @@
 //! Merges the scans of a stream and the events between them into one sequence.
 
 use std::collections::VecDeque;
-use std::pin::pin;
-use std::task::{Context, Poll, Waker};
 
+use futures_util::FutureExt;
 use serde::Serialize;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Window};
 use urg_recording::{Event, Events};
 
 use crate::failure::Failure;
-use crate::format::{json_line, json_text};
+use crate::format::json_line;
 use crate::port::name::PortName;
 
 /// Scan, or event between two scans.
@@ -36,22 +35,15 @@ pub(crate) struct NamedLine<'a, T> {
 
 impl Update {
     pub(crate) fn line(&self, sensor: Option<&str>) -> Result<String, Failure> {
+        let position = None;
         match self {
-            Self::Scan(scan) => json_line(&NamedLine { sensor, position: None, data: scan }),
-            Self::Error(error) => event_line(sensor, &Event::from(error)),
-            Self::Event(event) => event_line(sensor, event),
+            Self::Scan(data) => json_line(&NamedLine { sensor, position, data }),
+            Self::Error(error) => {
+                json_line(&NamedLine { sensor, position, data: Event::from(error) })
+            }
+            Self::Event(data) => json_line(&NamedLine { sensor, position, data }),
         }
     }
-}
-
-/// Formats `event` as a line of NDJSON. `sensor` becomes its first member.
-fn event_line(sensor: Option<&str>, event: &Event) -> Result<String, Failure> {
-    let event = event.to_string();
-    let Some((sensor, members)) = sensor.zip(event.strip_prefix('{')) else {
-        return Ok(event + "\n");
-    };
-    let sensor = json_text(&sensor)?;
-    Ok(format!("{{\"sensor\":{sensor},{members}\n"))
 }
 
 /// Stream of updates. A clone continues at the same scan without additional polls.
@@ -88,11 +80,7 @@ impl Feed {
 
     /// Returns the next update if it is there already.
     pub(crate) fn ready(&mut self) -> Option<Update> {
-        let mut next = pin!(self.next());
-        match next.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
-            Poll::Ready(update) => update,
-            Poll::Pending => None,
-        }
+        self.next().now_or_never().flatten()
     }
 
     /// Waits for the next update, until the stream ends. Cancel-safe.

@@ -6,9 +6,10 @@ use std::time::Duration;
 use serde::Serialize;
 use tokio::time::Instant;
 
-/// Spread of the intervals between scans, in seconds.
+/// Mean and spread of the intervals between scans, in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(crate) struct Jitter {
+    pub(crate) mean: f64,
     pub(crate) min: f64,
     pub(crate) max: f64,
     pub(crate) deviation: f64,
@@ -26,6 +27,7 @@ impl Jitter {
         let mean = intervals.clone().sum::<f64>() / count as f64;
         let square = intervals.clone().map(|one| (one - mean).powi(2)).sum::<f64>();
         Some(Self {
+            mean,
             min: intervals.clone().fold(f64::INFINITY, f64::min),
             max: intervals.fold(0.0, f64::max),
             deviation: (square / count as f64).sqrt(),
@@ -34,7 +36,7 @@ impl Jitter {
 }
 
 /// Arrival times of the latest scans.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct RecentTimes(VecDeque<Instant>);
 
 impl RecentTimes {
@@ -56,6 +58,11 @@ impl RecentTimes {
     pub(crate) fn jitter(&self) -> Option<Jitter> {
         Jitter::from_times(self.0.iter().copied())
     }
+
+    /// Scans a second, for the time until the driver has measured the rate.
+    pub(crate) fn rate(&self) -> Option<f64> {
+        self.jitter().map(|jitter| 1.0 / jitter.mean).filter(|rate| rate.is_finite())
+    }
 }
 
 #[cfg(test)]
@@ -73,19 +80,17 @@ mod tests {
     }
 
     #[test]
-    fn the_spread_is_that_of_the_latest_ten_seconds() {
+    fn only_the_latest_ten_seconds_count() {
         let begin = Instant::now();
         let mut times = RecentTimes::default();
         assert_eq!(times.jitter(), None);
         for millis in [0, 5_000, 5_090, 5_200, 15_080] {
             times.push(begin + Duration::from_millis(millis));
         }
-        // At the last scan, the first two are more than ten seconds old.
         let jitter = times.jitter().unwrap();
         assert!((jitter.min - 0.11).abs() < 1e-9 && (jitter.max - 9.88).abs() < 1e-9);
-        assert!((jitter.deviation - (9.88 - 0.11) / 2.0).abs() < 1e-9, "{jitter:?}");
+        assert!((times.rate().unwrap() - 2.0 / 9.99).abs() < 1e-9);
         times.clear();
-        times.push(begin + Duration::from_secs(16));
-        assert_eq!(times.jitter(), None);
+        assert_eq!(times.rate(), None);
     }
 }

@@ -151,18 +151,24 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_good_stream_has_no_notice() {
-        assert_eq!(notices(Emulator::builder().usb().build(), 10.0).await, [""; 0]);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_slow_line_is_reported_with_what_helps() {
-        let slow = Emulator::builder().baud_rate(BaudRate::B19200).build();
-        assert_eq!(
-            notices(slow, 10.0).await,
-            ["1.2 scans a second, where 10 Hz was asked for: a scan of steps 44..=725 takes \
-             733 ms at 19200 baud. What helps: fewer steps, --cluster 9, --baud 250000"]
-        );
+    async fn each_cause_is_reported_once_with_what_helps() {
+        let usb = || Emulator::builder().usb();
+        assert_eq!(notices(usb().build(), 10.0).await, [""; 0]);
+        let slow_line = Emulator::builder().baud_rate(BaudRate::B19200);
+        let lossy = usb().faults(Faults::none().rate(0.1, Fault::Lost).seed(1));
+        for (emulator, rate, expected) in [
+            (
+                slow_line,
+                10.0,
+                "1.2 scans a second, where 10 Hz was asked for: a scan of steps 44..=725 takes \
+                 733 ms at 19200 baud. What helps: fewer steps, --cluster 9, --baud 250000",
+            ),
+            (usb(), 12.0, "the sensor answers no faster"),
+            (lossy, 10.0, "unanswered in time"),
+        ] {
+            let notices = notices(emulator.build(), rate).await;
+            assert!(notices.len() == 1 && notices[0].contains(expected), "{notices:?}");
+        }
     }
 
     #[test]
@@ -176,20 +182,6 @@ mod tests {
         // SCIP 1.1 has no baud rate for 1000 scans per second.
         let text = watch(true).slow_line(Rate::hz(1000.0), BaudRate::B19200);
         assert!(text.ends_with("What helps: fewer steps"), "{text}");
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_slow_motor_is_reported_as_such() {
-        let notices = notices(Emulator::builder().usb().build(), 12.0).await;
-        assert_eq!(notices.len(), 1, "{notices:?}");
-        assert!(notices[0].contains("the sensor answers no faster"), "{notices:?}");
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn losses_are_reported_as_losses() {
-        let lossy = Emulator::builder().usb().faults(Faults::none().rate(0.1, Fault::Lost).seed(1));
-        let notices = notices(lossy.build(), 10.0).await;
-        assert!(notices.len() == 1 && notices[0].contains("unanswered in time"), "{notices:?}");
     }
 
     #[test]

@@ -22,19 +22,12 @@ pub(super) struct Chart {
     pub(super) y: [f64; 2],
 }
 
-/// Cells to leave free on each side of a chart.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Margin {
-    pub(super) columns: f64,
-    pub(super) rows: f64,
-}
-
 impl Chart {
-    /// Fits `extent`, in metres, into `area`.
-    pub(super) fn new(area: Rect, extent: Extent, margin: Margin) -> Self {
+    /// Fits `extent`, in metres, into `area`, and leaves a margin of so many columns and rows free.
+    pub(super) fn new(area: Rect, extent: Extent, margin: (f64, f64)) -> Self {
         let (columns, rows) = (f64::from(area.width), f64::from(area.height));
-        let across = (columns - 2.0 * margin.columns).max(1.0) * ACROSS;
-        let down = (rows - 2.0 * margin.rows).max(1.0) * DOWN;
+        let across = (columns - 2.0 * margin.0).max(1.0) * ACROSS;
+        let down = (rows - 2.0 * margin.1).max(1.0) * DOWN;
         let dot =
             ((extent.left + extent.right) / across).max((extent.ahead + extent.behind) / down);
         let middle = |low: f64, high: f64, dots: f64| {

@@ -57,12 +57,10 @@ impl View {
             _ = interrupt.requested() => Ok(StreamEnd::Interrupted),
         };
         screen.restore().await;
-        let outcome = match outcome {
+        match outcome {
             Ok(StreamEnd::ByItself) => viewer.end(),
             outcome => outcome.map(drop),
-        };
-        viewer.finish().await;
-        outcome
+        }
     }
 
     async fn open(&self, sources: Vec<PictureSource>) -> Result<Viewer, Failure> {

@@ -6,6 +6,7 @@ use ratatui::layout::{Alignment, Constraint, Layout, Rect};
 use ratatui::style::{Modifier, Style};
 use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
+use tokio_scip::State;
 
 use super::help::Subject;
 use super::layer::Layer;
@@ -13,6 +14,7 @@ use super::model::Model;
 use super::palette::Palette;
 use super::symbols::sign;
 use super::{help, panel, radar, several};
+use crate::stream::health;
 
 /// Minimum width and height. A smaller terminal only shows a message.
 const MIN_SIZE: (u16, u16) = (30, 10);
@@ -67,32 +69,19 @@ fn title_line(model: &Model) -> String {
     }
 }
 
-/// Draws the most urgent message. A long message covers part of the plot.
+/// Draws the latest message, or trouble, or the main figures. A long message covers part of the plot.
 fn message(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
-    let is_narrow = area.width < WITH_PANEL;
-    // On a narrow screen, the line of all sensors already shows the trouble.
-    let trouble = trouble(model).filter(|_| !(is_narrow && model.has_several()));
-    let (text, style) = if let Some(trouble) = trouble {
-        (trouble, palette.bad().add_modifier(Modifier::BOLD))
-    } else if let Some(message) = model.message() {
+    let (text, style) = if let Some(message) = model.message() {
         (message.to_owned(), palette.poor())
+    } else if let Some(trouble) = trouble(model) {
+        (trouble, palette.bad().add_modifier(Modifier::BOLD))
     } else if let Some(status) = model.playback {
         frame.render_widget(Line::raw(panel::progress(status, area.width)), area);
         return;
-    } else if model.has_several() {
-        if is_narrow {
-            frame.render_widget(several::brief(model, palette, area.width), area);
-        }
-        return;
+    } else if let Some(layer) = model.selected().filter(|_| area.width < WITH_PANEL) {
+        (panel::brief(layer), Style::new())
     } else {
-        let Some(layer) = model.selected() else { return };
-        if !layer.laser {
-            ("the laser is off: no scans until l switches it on".to_owned(), palette.poor())
-        } else if is_narrow {
-            (panel::brief(layer), Style::new())
-        } else {
-            return;
-        }
+        return;
     };
     let lines = textwrap::wrap(&text, usize::from(area.width.saturating_sub(2)));
     let lines: Vec<_> = lines.iter().map(|line| Line::raw(format!(" {line}"))).collect();
@@ -109,7 +98,13 @@ fn trouble(model: &Model) -> Option<String> {
         return None;
     }
     let of = |layer: &Layer| {
-        let trouble = panel::trouble(&layer.state)?;
+        let trouble = health::trouble(&layer.state)?
+            + match &layer.state {
+                State::Disconnected { .. } => "; continues when the sensor is back",
+                // The other sensors keep the program running.
+                State::Closed { error: Some(_) } => "; with --wait urg waits for it",
+                _ => "",
+            };
         Some(match model.has_several() {
             true => format!("{}: {trouble}", layer.label()),
             false => trouble,

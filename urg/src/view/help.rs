@@ -10,34 +10,25 @@ use super::palette::Palette;
 use super::symbols::mark;
 use crate::plot::missing::MissingKind;
 
-/// Keys in the bottom line. A narrow screen keeps the first and the last.
-const SENSOR_KEYS: [(&str, &str); 7] = [
-    ("?", "help"),
-    ("+ -", "zoom"),
-    ("space", "pause"),
-    ("w", "window"),
-    ("l", "laser"),
-    ("s", "save"),
-    ("q", "quit"),
+/// Key, its word in the bottom line (empty: in the help only), and its meaning.
+type Key = (&'static str, &'static str, &'static str);
+
+const PICTURE: &[Key] = &[("+ -", "zoom", "zoom in and out; 0 shows all")];
+const PAUSE: &[Key] = &[("space", "pause", "pause; the sensor keeps measuring")];
+const SELECTION: &[Key] = &[("Tab", "select", "select another sensor, as do 1 to 9")];
+const WINDOW: &[Key] = &[
+    ("w", "window", "next window: detection, ±90°, ±45°, full"),
+    ("c", "", "steps per point: 1, 2, 4, 8"),
 ];
-const SEVERAL_KEYS: [(&str, &str); 7] = [
-    ("?", "help"),
-    ("Tab", "select"),
-    ("+ -", "zoom"),
-    ("space", "pause"),
-    ("w", "window"),
-    ("l", "laser"),
-    ("q", "quit"),
+const RECORDING: &[Key] = &[
+    ("space", "pause", "pause and play; at the end play again"),
+    ("← →", "seek", "5 s back and on, with Shift a minute"),
+    (", .", "step", "one scan back and on"),
+    ("Home End", "", "the first and the last scan"),
+    ("[ ]", "speed", "half and twice the speed; o loops, or not"),
 ];
-const PLAYBACK_KEYS: [(&str, &str); 7] = [
-    ("?", "help"),
-    ("space", "pause"),
-    ("← →", "seek"),
-    (", .", "step"),
-    ("[ ]", "speed"),
-    ("+ -", "zoom"),
-    ("q", "quit"),
-];
+const HELP: Key = ("?", "help", "");
+const QUIT: Key = ("q", "quit", "quit, as does Ctrl-C");
 
 /// Column where the meaning of a key begins.
 const INDENT: usize = BLANKS.len();
@@ -45,52 +36,6 @@ const INDENT: usize = BLANKS.len();
 const BLANKS: &str = "         ";
 
 pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
-
-const PICTURE: &str = "\
-+ -      zoom in and out; 0 shows all
-t        show the last ten scans behind this one
-";
-
-const QUIT: &str = "\
-q        quit, as does Ctrl-C
-";
-
-const PAUSE: &str = "\
-space    pause; the sensor keeps measuring
-";
-
-const SENSOR: &str = "\
-← →      turn the window by 15°
-l        switch the laser off and on; it stays so
-";
-
-const SELECTION: &str = "\
-Tab 1-9  select another sensor
-";
-
-const RECORDING: &str = "\
-space    pause and play; at the end play again
-← →      5 s back and on, with Shift a minute
-, .      one scan back and on
-Home End the first and the last scan
-[ ]      half and twice the speed; o loops, or not
-";
-
-const WINDOW: &str = "\
-w        next window: detection, ±90°, ±45°, full
-↑ ↓      widen and narrow it by 15° on each side
-c        steps per point: 1, 2, 4, 8
-s        save the scan as SVG, here
-";
-
-const COLOURS: &str = "\
-Points are coloured by distance; ○ is the nearest.
-";
-
-const OWN_COLOURS: &str = "\
-Points have their sensor's colour, or its number;
-○ is the selected sensor's nearest.
-";
 
 /// Subject of the picture, which decides what the keys do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,20 +55,37 @@ impl Subject {
     }
 }
 
-/// Builds the help: the keys, grouped by what they act on, and the marks at the rim.
-pub(super) fn text(subject: Subject) -> String {
-    let mut text = match subject {
-        Subject::Sensor => {
-            format!("The picture:\n{PICTURE}{PAUSE}{QUIT}The sensor:\n{WINDOW}{SENSOR}{COLOURS}")
-        }
-        Subject::Several => format!(
-            "The picture, of all sensors:\n{PICTURE}{PAUSE}{QUIT}\
-             The selected sensor:\n{SELECTION}{WINDOW}{SENSOR}{OWN_COLOURS}"
-        ),
+/// Titles and keys of the help, grouped by what the keys act on.
+fn sections(subject: Subject) -> [(&'static str, Vec<&'static [Key]>); 2] {
+    match subject {
+        Subject::Sensor => [("The picture:", vec![PICTURE, PAUSE]), ("The sensor:", vec![WINDOW])],
+        Subject::Several => [
+            ("The picture, of all sensors:", vec![SELECTION, PICTURE, PAUSE]),
+            ("The selected sensor:", vec![WINDOW]),
+        ],
         Subject::Recording => {
-            format!("The picture:\n{PICTURE}{WINDOW}{QUIT}The recording:\n{RECORDING}{COLOURS}")
+            [("The recording:", vec![RECORDING]), ("The picture:", vec![PICTURE, WINDOW])]
         }
-    };
+    }
+}
+
+/// Builds the help: the keys, the colours, and the marks at the rim.
+pub(super) fn text(subject: Subject) -> String {
+    let line = |(key, _, meaning): &Key| format!("{key:<INDENT$}{meaning}\n");
+    let mut text = String::new();
+    for (title, keys) in sections(subject) {
+        text.extend([title.to_owned(), "\n".to_owned()]);
+        text.extend(keys.into_iter().flatten().map(line));
+    }
+    text.push_str(&line(&QUIT));
+    text.push_str(match subject {
+        Subject::Several => {
+            "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n"
+        }
+        Subject::Sensor | Subject::Recording => {
+            "Points are coloured by distance; ○ is the nearest.\n"
+        }
+    });
     text.push_str("At the rim, directions without a distance:");
     for kind in MissingKind::ALL {
         // Writing to a `String` is infallible.
@@ -144,28 +106,20 @@ pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
     text.lines().flat_map(fold).collect()
 }
 
-/// Fits as many keys as possible into a line of `width` columns.
+/// Fits as many keys as possible into a line of `width` columns. Keeps the first and the last.
 pub(super) fn key_line(width: u16, subject: Subject) -> Line<'static> {
-    let keys = match subject {
-        Subject::Sensor => SENSOR_KEYS,
-        Subject::Several => SEVERAL_KEYS,
-        Subject::Recording => PLAYBACK_KEYS,
-    };
-    let columns = |(key, what): &(&str, &str)| key.chars().count() + what.len() + 5;
-    let [first, .., last] = &keys;
-    let mut left = usize::from(width).saturating_sub(columns(first) + columns(last));
+    let columns = |(key, word, _): &Key| key.chars().count() + word.len() + 5;
+    let mut left = usize::from(width).saturating_sub(columns(&HELP) + columns(&QUIT));
+    let keys = sections(subject).into_iter().flat_map(|(_, keys)| keys).flatten();
+    let keys = keys.filter(|key| {
+        let rest = left.checked_sub(columns(key)).filter(|_| !key.1.is_empty());
+        left = rest.unwrap_or(left);
+        rest.is_some()
+    });
     let mut line = Line::default();
-    for key in &keys {
-        if key != first && key != last {
-            match left.checked_sub(columns(key)) {
-                Some(rest) => left = rest,
-                None => continue,
-            }
-        }
-        let (key, what) = key;
+    for (key, word, _) in [&HELP].into_iter().chain(keys).chain([&QUIT]) {
         line.push_span(Span::styled(format!(" {key} "), Palette::bar()));
-        let gap = if (*key, *what) == *last { "" } else { "  " };
-        line.push_span(Span::styled(format!(" {what}{gap}"), Palette::quiet()));
+        line.push_span(Span::styled(format!(" {word}  "), Palette::quiet()));
     }
     line
 }

@@ -1,17 +1,13 @@
 //! [`Layer`]: one sensor in the picture, with its scans, state and statistics.
 
-use std::collections::VecDeque;
-
 use tokio_scip::scan::Pose;
 use tokio_scip::stats::ScheduleStats;
 use tokio_scip::{Rate, Scan, State, Stats, Version, Window};
 
 use crate::picture::PictureSource;
 use crate::plot::Place;
+use crate::stream::jitter::RecentTimes;
 use crate::stream::rate_watch::schedule;
-
-/// Maximum length of the trail, in scans.
-const MAX_TRAIL_SCANS: usize = 10;
 
 /// Sensor, or playback of a recording, as shown in the picture.
 #[derive(Debug)]
@@ -27,12 +23,9 @@ pub(crate) struct Layer {
     /// Requested window. `scan` may still have the previous window.
     pub(crate) window: Window,
     pub(crate) scan: Option<Scan>,
-    /// Older scans, oldest first.
-    pub(crate) trail: VecDeque<Scan>,
-    /// False after this program has switched the laser off. The sensor does not report it.
-    pub(crate) laser: bool,
     pub(crate) state: State,
     pub(crate) stats: Stats,
+    pub(crate) times: RecentTimes,
 }
 
 impl Layer {
@@ -46,10 +39,9 @@ impl Layer {
             rate,
             window,
             scan: None,
-            trail: VecDeque::new(),
-            laser: true,
             state: State::Closed { error: None },
             stats: Stats::default(),
+            times: RecentTimes::default(),
         }
     }
 
@@ -60,16 +52,9 @@ impl Layer {
         Place::from_point(x, y)
     }
 
-    /// Shows a new scan and moves the previous scan to the trail.
     pub(crate) fn scanned(&mut self, scan: Scan) {
-        // Scans of another window would not fit the picture.
-        self.trail.retain(|older| older.window() == scan.window());
-        if let Some(older) = self.scan.replace(scan) {
-            self.trail.push_back(older);
-        }
-        while self.trail.len() > MAX_TRAIL_SCANS {
-            self.trail.pop_front();
-        }
+        self.times.push(scan.received_at());
+        self.scan = Some(scan);
     }
 
     /// Statistics of the schedule for the requested window.
@@ -77,18 +62,13 @@ impl Layer {
         schedule(&self.stats, self.window)
     }
 
-    /// Measured rate in scans a second; `None` before there are enough scans to average.
+    /// Measured rate in scans a second, from the second scan on.
     pub(crate) fn reached(&self) -> Option<f64> {
-        self.pace().and_then(|pace| pace.reached)
+        self.pace().and_then(|pace| pace.reached).or_else(|| self.times.rate())
     }
 
     pub(crate) fn is_connected(&self) -> bool {
         matches!(self.state, State::Connected { .. })
-    }
-
-    /// Checks whether new scans can arrive: the sensor is connected and its laser is on.
-    pub(crate) fn is_measuring(&self) -> bool {
-        self.is_connected() && self.laser
     }
 
     /// Name of the sensor, or else its port.

@@ -11,7 +11,6 @@ mod model;
 mod palette;
 mod panel;
 mod radar;
-mod save;
 mod screen;
 mod several;
 mod source;
@@ -33,9 +32,7 @@ use self::layer::Layer;
 use self::model::{Action, Model};
 use self::palette::Palette;
 use self::screen::{Screen, StopRequests};
-use self::source::{
-    Arrival, PlayedRecording, PolledSensor, ViewSource, change_of_any, next_of_any,
-};
+use self::source::{Arrival, PlayedRecording, PolledSensor, ViewSource, next_of_any};
 use crate::failure::{Failure, chain};
 use crate::picture::PictureSource;
 use crate::playback::{Player, Shown};
@@ -56,8 +53,8 @@ pub(crate) struct Viewer {
     open_sources: usize,
     /// Sensors that are still opening.
     starts: JoinSet<Started>,
-    /// Pending requests that a key started.
-    jobs: JoinSet<JobOutcome>,
+    /// Pending streams of new windows.
+    switches: JoinSet<Switched>,
     model: Model,
     palette: Palette,
 }
@@ -65,13 +62,8 @@ pub(crate) struct Viewer {
 /// Number of a sensor, and the outcome of opening it.
 type Started = (usize, Result<(Version, ScanStream), Error>);
 
-/// JobOutcome of a request that a key started. The numbers identify sources.
-#[derive(Debug)]
-enum JobOutcome {
-    Watching(usize, Window, Result<ScanStream, Error>),
-    Laser(usize, bool, Result<(), Error>),
-    Saved(Result<String, String>),
-}
+/// Number of a sensor, its new window, and the stream of it.
+type Switched = (usize, Window, Result<ScanStream, Error>);
 
 impl Viewer {
     /// Polls each sensor as soon as it is open, which may be never.
@@ -103,14 +95,13 @@ impl Viewer {
 
     fn new(sources: Vec<ViewSource>, model: Model) -> Self {
         let palette = Palette::from_environment(|name| std::env::var_os(name));
-        let (starts, jobs) = (JoinSet::new(), JoinSet::new());
-        Self { open_sources: sources.len(), sources, starts, jobs, model, palette }
+        let (starts, switches) = (JoinSet::new(), JoinSet::new());
+        Self { open_sources: sources.len(), sources, starts, switches, model, palette }
     }
 
     /// Runs until the user quits or every source has ended.
     pub(crate) async fn run(&mut self, screen: &mut Screen) -> Result<StreamEnd, Failure> {
         let mut keys = EventStream::new();
-        let mut states: Vec<_> = self.sensors().map(|live| live.sensor.watch_state()).collect();
         let mut tick = tokio::time::interval(REFRESH_INTERVAL);
         tick.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let mut next_frame = Instant::now();
@@ -158,13 +149,12 @@ impl Viewer {
                         self.started(started)?;
                     }
                 }
-                Some(done) = self.jobs.join_next() => {
-                    if let Ok(done) = done {
-                        self.done(done);
+                Some(switched) = self.switches.join_next() => {
+                    if let Ok(switched) = switched {
+                        self.switched(switched);
                     }
                 }
                 () = stop.requested() => screen.suspend().await?,
-                () = change_of_any(&mut states), if !states.is_empty() => {}
                 _ = tick.tick() => {}
             }
             if self.open_sources == 0 {
@@ -183,13 +173,6 @@ impl Viewer {
         })
     }
 
-    /// Waits up to [`REFRESH_INTERVAL`] for pending requests, so that no saved picture is
-    /// truncated.
-    pub(crate) async fn finish(mut self) {
-        let done = async { while self.jobs.join_next().await.is_some() {} };
-        let _ = tokio::time::timeout(REFRESH_INTERVAL, done).await;
-    }
-
     /// Copies the sensors' current state and statistics to the model.
     fn refresh(&mut self) {
         self.model.now = Instant::now();
@@ -199,13 +182,6 @@ impl Viewer {
                 layer.stats = live.sensor.stats();
             }
         }
-    }
-
-    fn sensors(&self) -> impl Iterator<Item = &PolledSensor> {
-        self.sources.iter().filter_map(|source| match source {
-            ViewSource::Sensor(live) => Some(&**live),
-            ViewSource::Playback(_) => None,
-        })
     }
 
     fn sensor_mut(&mut self, number: usize) -> Option<(&mut PolledSensor, &mut Layer)> {
@@ -254,59 +230,18 @@ impl Viewer {
         match (action, source) {
             (Some(Action::Watch(window)), ViewSource::Sensor(live)) => {
                 let (sensor, rate) = (live.sensor.clone(), layer.rate);
-                self.jobs.spawn(async move {
-                    JobOutcome::Watching(number, window, sensor.scans(window, rate).await)
-                });
+                self.switches
+                    .spawn(async move { (number, window, sensor.scans(window, rate).await) });
             }
             (Some(Action::Watch(_)), ViewSource::Playback(playback)) => {
                 let Shown { scan, status } = playback.player.shown().borrow().clone();
                 self.model.moved(&scan, status);
             }
-            (Some(Action::Laser(on)), ViewSource::Sensor(live)) => {
-                let sensor = live.sensor.clone();
-                self.jobs.spawn(async move {
-                    let switched =
-                        if on { sensor.laser_on().await } else { sensor.laser_off().await };
-                    JobOutcome::Laser(number, on, switched)
-                });
-            }
-            (Some(Action::Laser(_)), ViewSource::Playback(_)) => {
-                self.show(number, "a recording has no laser to switch");
-            }
             (Some(Action::Playback(command)), ViewSource::Playback(playback)) => {
                 playback.player.send(command);
             }
-            (Some(Action::Save), _) => match (layer.scan.clone(), layer.version.clone()) {
-                (Some(scan), Some(version)) => {
-                    self.jobs
-                        .spawn_blocking(move || JobOutcome::Saved(save::save(&scan, &version)));
-                }
-                _ => self.show(number, "no scan to save yet"),
-            },
             (Some(Action::Playback(_)), ViewSource::Sensor(_))
             | (Some(Action::Quit | Action::Suspend) | None, _) => {}
-        }
-    }
-
-    /// Applies the outcome of a request.
-    fn done(&mut self, done: JobOutcome) {
-        match done {
-            JobOutcome::Watching(number, window, outcome) => self.watching(number, window, outcome),
-            JobOutcome::Laser(number, on, Ok(())) => {
-                if let Some((_, layer)) = self.sensor_mut(number) {
-                    layer.laser = on;
-                }
-                let text =
-                    if on { "the laser is on" } else { "the laser is off: l switches it on" };
-                self.show(number, text);
-            }
-            JobOutcome::Laser(number, _, Err(error)) => {
-                self.show(number, format!("the laser was not switched: {}", chain(&error)));
-            }
-            JobOutcome::Saved(Ok(path)) => {
-                self.show(self.model.selected_number(), format!("saved as {path}"))
-            }
-            JobOutcome::Saved(Err(error)) => self.show(self.model.selected_number(), error),
         }
     }
 
@@ -333,7 +268,7 @@ impl Viewer {
     }
 
     /// Switches a sensor to the stream of its new window.
-    fn watching(&mut self, number: usize, window: Window, outcome: Result<ScanStream, Error>) {
+    fn switched(&mut self, (number, window, outcome): Switched) {
         let Some((live, layer)) = self.sensor_mut(number) else { return };
         // A newer key may have changed the window again.
         if window != layer.window {

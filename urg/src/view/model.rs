@@ -15,17 +15,11 @@ use crate::plot::REACH;
 
 /// Range of the radar at each zoom level, in metres.
 const ZOOMS: [f64; 5] = [REACH, 3.0, 2.0, 1.0, 0.5];
-/// A playback that jumps farther than this, in scans, starts a new trail.
-const MAX_JUMP: u64 = 100;
 /// How long a message stays on the screen.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
 /// Cluster counts that a key steps through.
 const CLUSTERS: [u8; 4] = [1, 2, 4, 8];
-/// Steps that one arrow key turns or widens the window: 15 degrees.
-const ARROW_STEPS: i32 = 43;
-/// Minimum width of a narrowed window, in steps.
-const MIN_STEPS: i32 = 86;
 
 /// Everything that is on the screen.
 #[derive(Debug)]
@@ -38,7 +32,6 @@ pub(crate) struct Model {
     /// First visible line of the help; `None` while the help is closed. A key may move it
     /// past the end, and drawing moves it back.
     pub(crate) help: Option<u16>,
-    pub(crate) shows_trail: bool,
     /// Position in the recording; `None` for sensors.
     pub(crate) playback: Option<PlaybackStatus>,
     /// Current time, for the durations on the screen.
@@ -53,9 +46,7 @@ pub(crate) enum Action {
     Quit,
     Suspend,
     Watch(Window),
-    Laser(bool),
     Playback(PlaybackCommand),
-    Save,
 }
 
 impl Model {
@@ -65,7 +56,6 @@ impl Model {
             selected: 0,
             paused: false,
             help: None,
-            shows_trail: false,
             playback: None,
             now: Instant::now(),
             message: None,
@@ -111,7 +101,6 @@ impl Model {
             KeyCode::Char('q') => return Some(Action::Quit),
             code if self.help.is_some() => self.help = scrolled(self.help, code),
             KeyCode::Char('?' | 'h') | KeyCode::F(1) => self.help = Some(0),
-            KeyCode::Char('t') => self.shows_trail = !self.shows_trail,
             KeyCode::Char('+' | '=') => self.zoom = (self.zoom + 1).min(ZOOMS.len() - 1),
             KeyCode::Char('-' | '_') => self.zoom = self.zoom.saturating_sub(1),
             KeyCode::Char('0') => self.zoom = 0,
@@ -127,14 +116,8 @@ impl Model {
                     self.selected = number;
                 }
             }
-            KeyCode::Char('l') => return self.selected().map(|layer| Action::Laser(!layer.laser)),
-            KeyCode::Char('s') => return Some(Action::Save),
             KeyCode::Char('w') => return self.watch(next_window),
             KeyCode::Char('c') => return self.watch(next_cluster),
-            KeyCode::Left => return self.watch(|now| moved(now, ARROW_STEPS, ARROW_STEPS)),
-            KeyCode::Right => return self.watch(|now| moved(now, -ARROW_STEPS, -ARROW_STEPS)),
-            KeyCode::Up => return self.watch(|now| moved(now, -ARROW_STEPS, ARROW_STEPS)),
-            KeyCode::Down => return self.watch(|now| moved(now, ARROW_STEPS, -ARROW_STEPS)),
             _ => {}
         }
         None
@@ -185,19 +168,7 @@ impl Model {
     pub(crate) fn moved(&mut self, scan: &Scan, status: PlaybackStatus) {
         self.playback = Some(status);
         let Some(layer) = self.layers.get_mut(self.selected) else { return };
-        let scan = seen_through(scan, layer.window);
-        let before = layer.scan.as_ref().map(|before| (before.sequence(), before.window()));
-        if before == Some((scan.sequence(), scan.window())) {
-            return;
-        }
-        // Scans from before a jump do not belong to the trail.
-        let near = scan.sequence().saturating_sub(MAX_JUMP)..scan.sequence();
-        let shown = layer.trail.iter().chain(&layer.scan);
-        if !shown.into_iter().all(|older| near.contains(&older.sequence())) {
-            layer.trail.clear();
-            layer.scan = None;
-        }
-        layer.scanned(scan);
+        layer.scan = Some(seen_through(scan, layer.window));
     }
 
     pub(crate) fn show(&mut self, text: impl Into<String>) {
@@ -216,7 +187,7 @@ impl Model {
 
     /// Checks whether the scan of a layer is current. A playback is always current.
     pub(crate) fn is_live(&self, layer: &Layer) -> bool {
-        self.playback.is_some() || (layer.is_measuring() && !self.paused)
+        self.playback.is_some() || (layer.is_connected() && !self.paused)
     }
 }
 
@@ -243,32 +214,4 @@ fn next_window(window: Window) -> Window {
 fn next_cluster(window: Window) -> Window {
     let next = CLUSTERS.into_iter().find(|count| *count > window.cluster_count()).unwrap_or(1);
     window.with_cluster_count(next).unwrap_or(window)
-}
-
-/// Moves the ends of a window by `start` and `end` steps, within the sensor's field of
-/// view. Equal values turn the window and keep its width.
-fn moved(window: Window, start: i32, end: i32) -> Window {
-    let seen = Window::DETECTION;
-    let (least, most) = (i32::from(seen.start().number()), i32::from(seen.end().number()));
-    let from = i32::from(window.start().number());
-    let to = i32::from(window.end().number());
-    let (from, to) = if start == end {
-        let by = if start > 0 {
-            start.min((most - to).max(0))
-        } else {
-            start.max((least - from).min(0))
-        };
-        (from + by, to + by)
-    } else if end > 0 {
-        ((from + start).max(least.min(from)), (to + end).min(most.max(to)))
-    } else if to - from + 1 + end - start < MIN_STEPS {
-        (from, to)
-    } else {
-        (from + start, to + end)
-    };
-    let steps = u16::try_from(from).ok().zip(u16::try_from(to).ok());
-    steps
-        .and_then(|(from, to)| Window::new(from..=to).ok())
-        .and_then(|moved| moved.with_cluster_count(window.cluster_count()).ok())
-        .unwrap_or(window)
 }

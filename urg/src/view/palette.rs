@@ -27,12 +27,17 @@ impl Palette {
         }
     }
 
+    /// Colour of this index, or the default without colours.
+    fn indexed(self, index: u8) -> Color {
+        match self {
+            Self::Plain => Color::Reset,
+            Self::Coloured => Color::Indexed(index),
+        }
+    }
+
     /// Colours from near to far.
     pub(crate) fn distances(self) -> [Color; DISTANCES.len()] {
-        match self {
-            Self::Plain => [Color::Reset; DISTANCES.len()],
-            Self::Coloured => DISTANCES.map(|one| Color::Indexed(one.indexed)),
-        }
+        DISTANCES.map(|one| self.indexed(one.indexed))
     }
 
     pub(crate) fn distance(self, metres: f64) -> Color {
@@ -42,25 +47,19 @@ impl Palette {
     /// Colour of a sensor among several. `number` counts from 0. Colours repeat if there are
     /// more sensors.
     pub(crate) fn sensor(self, number: usize) -> Color {
-        let colours = match self {
-            Self::Plain => [Color::Reset; SENSORS.len()],
-            Self::Coloured => SENSORS.map(|one| Color::Indexed(one.indexed)),
-        };
+        let colours = SENSORS.map(|one| self.indexed(one.indexed));
         colours.get(number % SENSORS.len()).copied().unwrap_or_default()
     }
 
     pub(crate) fn missing(self, kind: MissingKind) -> Color {
-        match self {
-            Self::Plain => Color::Reset,
-            Self::Coloured => Color::Indexed(kind.colours().indexed),
-        }
+        self.indexed(kind.colours().indexed)
     }
 
     /// For rings, and for scans that are not current.
     pub(crate) fn faint(self) -> Color {
         match self {
             Self::Plain => Color::Reset,
-            _ => Color::DarkGray,
+            Self::Coloured => Color::DarkGray,
         }
     }
 

@@ -13,7 +13,6 @@ use crate::playback::PlaybackStatus;
 use crate::plot::colours::BAND;
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
-use crate::stream::health;
 
 /// Builds the panel of a single sensor, in at most `rows` lines if possible.
 pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'static>> {
@@ -43,7 +42,7 @@ pub(crate) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'sta
 pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Line<'static>> {
     let panel = Panel { layer, palette };
     let title = format!("of {}:", layer.label());
-    let mut lines = vec![Line::styled(title, Palette::quiet()), panel.laser()];
+    let mut lines = vec![Line::styled(title, Palette::quiet())];
     lines.extend(panel.window());
     let mut figures = vec![panel.latency()];
     figures.extend(panel.losses());
@@ -54,7 +53,7 @@ pub(crate) fn details(model: &Model, layer: &Layer, palette: Palette) -> Vec<Lin
 
 /// Dims a line of figures that are not current.
 pub(crate) fn dimmed_if_old(line: Line<'static>, model: &Model, layer: &Layer) -> Line<'static> {
-    if model.playback.is_some() || layer.is_measuring() {
+    if model.playback.is_some() || layer.is_connected() {
         return line;
     }
     let spans = line.spans.into_iter().map(|span| Span::styled(span.content, Palette::quiet()));
@@ -78,11 +77,6 @@ pub(crate) fn nearest(layer: &Layer) -> String {
     let nearest = layer.scan.as_ref().and_then(Scan::nearest);
     let text = |point: Point| format!("{:.3} m at {:.0}°", point.range, point.angle.to_degrees());
     nearest.map_or_else(|| "-".to_owned(), text)
-}
-
-pub(crate) fn nearest_range(layer: &Layer) -> Option<String> {
-    let nearest = layer.scan.as_ref().and_then(Scan::nearest)?;
-    Some(format!("{:.2} m", nearest.range))
 }
 
 struct Panel<'a> {
@@ -110,15 +104,7 @@ impl Panel<'_> {
             State::Connected { baud_rate: None, .. } => "USB".to_owned(),
             _ => "-".to_owned(),
         };
-        vec![self.styled("link", link, style), self.row("line", speed), self.laser()]
-    }
-
-    fn laser(&self) -> Line<'static> {
-        if self.layer.laser {
-            self.row("laser", "on")
-        } else {
-            self.styled("laser", "OFF", self.palette.poor())
-        }
+        vec![self.styled("link", link, style), self.row("line", speed)]
     }
 
     fn playback(&self, status: PlaybackStatus) -> Vec<Line<'static>> {
@@ -168,7 +154,9 @@ impl Panel<'_> {
             Some(asked) => format!("of {} Hz", (asked * 10.0).round() / 10.0),
             None => "Hz (max)".to_owned(),
         };
-        let Some(reached) = pace.reached else { return self.row("rate", format!("- {of}")) };
+        let Some(reached) = self.layer.reached() else {
+            return self.row("rate", format!("- {of}"));
+        };
         let style = match pace.rate.is_reached_by(reached) {
             true => Style::new(),
             false => self.palette.poor(),
@@ -289,20 +277,6 @@ pub(crate) fn rate(layer: &Layer) -> String {
     match layer.reached() {
         Some(rate) => format!("{rate:.1} Hz"),
         None => "- Hz".to_owned(),
-    }
-}
-
-/// Describes trouble with the link, for the message line.
-pub(crate) fn trouble(state: &State) -> Option<String> {
-    match state {
-        State::Disconnected { .. } => {
-            health::trouble(state).map(|why| format!("{why}; continues when the sensor is back"))
-        }
-        // The other sensors keep the program running.
-        State::Closed { error: Some(_) } => {
-            health::trouble(state).map(|why| format!("{why}; with --wait urg waits for it"))
-        }
-        state => health::trouble(state),
     }
 }
 

@@ -2,8 +2,7 @@
 //! without a distance.
 //!
 //! A single sensor without a pose has its sector and the directions around it. Otherwise the
-//! picture is that of the common frame: each sensor's points have its colour, or are its number
-//! without colours. Only the selected sensor shows its edges and missing distances, because
+//! picture is that of the common frame: each sensor's points have its colour. Only the selected sensor shows its edges and missing distances, because
 //! several sectors at once would be unreadable.
 
 use std::collections::BTreeMap;
@@ -15,11 +14,11 @@ use ratatui::widgets::canvas::{Canvas, Context};
 use ratatui::{Frame, buffer::Buffer};
 use tokio_scip::Scan;
 
-use super::chart::{Chart, LabelSpace, Margin};
+use super::chart::{Chart, LabelSpace};
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
-use super::symbols::{GRID, TRAIL, mark, sign};
+use super::symbols::{GRID, mark, sign};
 use crate::plot::missing::MissingKind;
 use crate::plot::{self, Anchor, Extent, Place, Sector, pose};
 
@@ -31,20 +30,11 @@ const ARROWS: [&str; 8] = ["▲", "◤", "◀", "◣", "▼", "◢", "▶", "◥
 pub(crate) fn draw(frame: &mut Frame<'_>, area: Rect, model: &Model, palette: Palette) {
     let Some(selected) = model.selected() else { return };
     let radar = Radar::new(area, model, selected, palette);
-    let (chart, color) = (&radar.chart, palette.faint());
+    let chart = &radar.chart;
     let canvas = Canvas::default().marker(Marker::Braille).x_bounds(chart.x).y_bounds(chart.y);
     frame.render_widget(canvas.paint(|context| radar.points(context)), area);
     let buffer = frame.buffer_mut();
-    if palette == Palette::Plain {
-        for layer in &model.layers {
-            let trail = radar.trail(layer).flat_map(|older| radar.places(layer, older));
-            chart.cells(buffer, trail.map(|(place, _)| place), TRAIL, color);
-        }
-    }
     radar.grid(buffer);
-    if palette == Palette::Plain && model.has_several() {
-        radar.numbers(buffer);
-    }
     radar.marks(buffer);
     radar.labels(buffer);
 }
@@ -67,7 +57,7 @@ impl<'a> Radar<'a> {
     fn new(area: Rect, model: &'a Model, selected: &'a Layer, palette: Palette) -> Self {
         let reach = model.reach();
         let (sector, extent, margin) = if model.is_common_frame() {
-            (ALL_AROUND, extent(model, reach), Margin { columns: 2.0, rows: 1.0 })
+            (ALL_AROUND, extent(model, reach), (2.0, 1.0))
         } else {
             let sector = sector_of(selected);
             let Extent { left, right, ahead, behind } = sector.extent();
@@ -75,7 +65,7 @@ impl<'a> Radar<'a> {
             let [left, right, ahead, behind] = sides;
             // Room for the marks and, on a wide screen, for the labels of the angles.
             let columns = if area.width >= 80 { 8.0 } else { 2.0 };
-            (sector, Extent { left, right, ahead, behind }, Margin { columns, rows: 2.0 })
+            (sector, Extent { left, right, ahead, behind }, (columns, 2.0))
         };
         let farthest = match model.is_common_frame() {
             true => extent.left.max(extent.right).max(extent.ahead).max(extent.behind),
@@ -93,10 +83,6 @@ impl<'a> Radar<'a> {
         others.chain(layers().filter(move |(number, _)| *number == selected))
     }
 
-    fn trail(&self, layer: &'a Layer) -> impl Iterator<Item = &'a Scan> {
-        layer.trail.iter().filter(|_| self.model.shows_trail)
-    }
-
     /// Iterates over the places of a scan's points, and their ranges. The picture of a single
     /// sensor ends at the rim.
     fn places(&self, layer: &Layer, scan: &Scan) -> impl Iterator<Item = (Place, f64)> {
@@ -108,12 +94,6 @@ impl<'a> Radar<'a> {
 
     fn points(&self, context: &mut Context<'_>) {
         for (number, layer) in self.layers() {
-            context.layer();
-            for older in self.trail(layer).filter(|_| self.palette != Palette::Plain) {
-                for (place, _) in self.places(layer, older) {
-                    self.chart.dot(context, place, self.palette.faint());
-                }
-            }
             context.layer();
             for (place, range) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
                 let color = match self.model.is_live(layer) {
@@ -142,16 +122,6 @@ impl<'a> Radar<'a> {
         for edge in [from, to] {
             let along = |n| self.selected.place(f64::from(n) * spacing, edge);
             chart.cells(buffer, (0..=dots).map(along), GRID, color);
-        }
-    }
-
-    fn numbers(&self, buffer: &mut Buffer) {
-        for (number, layer) in self.layers() {
-            for (place, _) in layer.scan.iter().flat_map(|scan| self.places(layer, scan)) {
-                if let Some((column, row)) = self.chart.cell(place) {
-                    buffer.set_string(column, row, sign(number), Style::new());
-                }
-            }
         }
     }
 

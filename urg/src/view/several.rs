@@ -4,7 +4,6 @@
 
 use ratatui::style::{Modifier, Style};
 use ratatui::text::{Line, Span};
-use tokio_scip::State;
 
 use super::layer::Layer;
 use super::model::Model;
@@ -25,7 +24,7 @@ pub(super) fn lines(model: &Model, palette: Palette, rows: u16) -> Vec<Line<'sta
     let with_lines = |most| -> Vec<_> {
         layers().flat_map(|(number, layer)| sensor(number, layer, model, palette, most)).collect()
     };
-    for (most, has_details) in [(3, true), (2, true), (1, true), (2, false)] {
+    for (most, has_details) in [(3, true), (1, true), (2, false)] {
         let mut lines = with_lines(most);
         if has_details {
             lines.extend(details.clone());
@@ -46,7 +45,7 @@ fn sensor(
     palette: Palette,
     most: usize,
 ) -> Vec<Line<'static>> {
-    let (state, style) = state(layer, model, palette);
+    let (state, style) = panel::link(model, layer, palette);
     let name: String = layer.label().chars().take(MAX_NAME_CHARS).collect();
     let name = format!(" {} {name} ", sign(number));
     let first = vec![
@@ -63,63 +62,11 @@ fn sensor(
     lines
 }
 
-/// State of the link, or of a laser that is switched off.
-fn state(layer: &Layer, model: &Model, palette: Palette) -> (String, Style) {
-    if layer.is_connected() && !layer.laser {
-        return ("laser OFF".to_owned(), palette.poor());
-    }
-    panel::link(model, layer, palette)
-}
-
 /// Style of a sensor's name and number, reversed for the selected sensor.
 fn own(number: usize, model: &Model, palette: Palette) -> Style {
     let style = Style::new().fg(palette.sensor(number)).add_modifier(Modifier::BOLD);
     match number == model.selected_number() {
         true => style.add_modifier(Modifier::REVERSED),
         false => style,
-    }
-}
-
-/// Level of detail in the line of a narrow screen, from most to least.
-#[derive(Clone, Copy)]
-enum Brief {
-    NameAndNearest,
-    Nearest,
-    State,
-}
-
-/// Fits all sensors into one line of `width` columns, for a screen without a panel. Drops
-/// the names first, then the nearest points, but never a sensor's trouble.
-pub(super) fn brief(model: &Model, palette: Palette, width: u16) -> Line<'static> {
-    let with = |form| {
-        let mut spans = Vec::new();
-        for (number, layer) in model.layers.iter().enumerate() {
-            let (text, style) = status(layer, model, palette, form);
-            let sign = Span::styled(sign(number), own(number, model, palette));
-            spans.extend([Span::raw(" "), sign, Span::styled(format!(" {text} "), style)]);
-        }
-        Line::from(spans)
-    };
-    let lines = [Brief::NameAndNearest, Brief::Nearest, Brief::State].map(with);
-    let fits = |line: &&Line<'_>| line.width() <= usize::from(width);
-    lines.iter().find(fits).or(lines.last()).cloned().unwrap_or_default()
-}
-
-/// Text and style of one sensor in the line of a narrow screen.
-fn status(layer: &Layer, model: &Model, palette: Palette, form: Brief) -> (String, Style) {
-    let (state, style) = state(layer, model, palette);
-    let is_well = layer.is_measuring();
-    let style = if is_well { Style::new() } else { style };
-    let text = match (&layer.state, form) {
-        (_, Brief::State) if is_well => "ok".to_owned(),
-        _ if is_well => panel::nearest_range(layer).unwrap_or_else(|| "ok".to_owned()),
-        (State::Disconnected { .. }, Brief::State) => "LOST".to_owned(),
-        (State::Disconnected { .. }, _) => state.replace("for ", ""),
-        (State::Connecting { .. }, Brief::State) => "?".to_owned(),
-        _ => state,
-    };
-    match form {
-        Brief::NameAndNearest => (format!("{} {text}", layer.label()), style),
-        Brief::Nearest | Brief::State => (text, style),
     }
 }

@@ -2,7 +2,6 @@
 
 use futures_util::future::select_all;
 use tokio::sync::watch;
-use tokio_scip::state::StateWatch;
 use tokio_scip::{Error, Rate, Scan, ScanStream, Sensor, Version, Window};
 
 use crate::playback::{PlaybackStatus, Player, Shown};
@@ -66,17 +65,6 @@ pub(super) async fn next_of_any(sources: &mut [ViewSource]) -> (usize, Arrival) 
     let (arrival, number, _) =
         select_all(sources.iter_mut().map(|source| Box::pin(source.next()))).await;
     (number, arrival)
-}
-
-/// Waits for a change of any sensor's state. `states` must not be empty. Cancel-safe.
-pub(super) async fn change_of_any(states: &mut [StateWatch]) {
-    let change = async |state: &mut StateWatch| {
-        // The state of a stopped driver no longer changes.
-        if state.changed().await.is_none() {
-            std::future::pending().await
-        }
-    };
-    select_all(states.iter_mut().map(|state| Box::pin(change(state)))).await;
 }
 
 /// Waits until a sensor is open, then starts to poll it.

@@ -4,9 +4,6 @@ use crate::plot::missing::MissingKind;
 
 /// Symbol of the grid. Scans are Braille dots, which look different even without colours.
 pub(super) const GRID: &str = "·";
-/// Symbol of older scans on a terminal without colours.
-pub(super) const TRAIL: &str = ":";
-
 /// Mark at the rim for a direction without a distance.
 pub(super) fn mark(kind: MissingKind) -> &'static str {
     match kind {

@@ -19,6 +19,8 @@ use crate::interrupt::Interrupt;
 /// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
 /// server notices when the client is gone.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(15);
+/// Media type of server-sent events.
+const EVENTS: &str = "text/event-stream";
 
 pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
     let Some(query) = ScansQuery::parse(request.uri().query()) else {
@@ -29,17 +31,18 @@ pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
         let reason = format!("{MAX_STREAMS} clients read scans already: try again later\n");
         return text(StatusCode::SERVICE_UNAVAILABLE, reason);
     };
-    let format = ScansFormat::accepted(request.headers());
+    let has_events = wants_events(request.headers());
     let client = ScansClient {
         interrupt: site.interrupt.clone(),
         lines: stream::select_all(site.sources.iter().map(|source| source.lines(query.with_old))),
         scans_left: query.max,
-        format,
+        has_events,
         _permit: permit,
     };
     let bytes = stream::unfold(client, ScansClient::next);
     let body = StreamBody::new(bytes.map(|bytes| Ok(Frame::data(bytes))));
-    let mut response = response(StatusCode::OK, format.content_type(), body);
+    let mut response =
+        response(StatusCode::OK, if has_events { EVENTS } else { "application/x-ndjson" }, body);
     response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
     response
 }
@@ -65,43 +68,10 @@ impl ScansQuery {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum ScansFormat {
-    Ndjson,
-    Events,
-}
-
-impl ScansFormat {
-    fn accepted(headers: &HeaderMap) -> Self {
-        let events = headers
-            .get_all(header::ACCEPT)
-            .iter()
-            .filter_map(|value| value.to_str().ok())
-            .any(|value| value.contains("text/event-stream"));
-        if events { Self::Events } else { Self::Ndjson }
-    }
-
-    fn content_type(self) -> &'static str {
-        match self {
-            Self::Ndjson => "application/x-ndjson",
-            Self::Events => "text/event-stream",
-        }
-    }
-
-    fn bytes(self, line: &ViewerLine) -> Bytes {
-        match self {
-            Self::Ndjson => line.ndjson(),
-            Self::Events => line.event(),
-        }
-    }
-
-    /// Bytes that a client ignores: a comment, or white space before the next object.
-    fn keepalive(self) -> Bytes {
-        Bytes::from_static(match self {
-            Self::Ndjson => b" ",
-            Self::Events => b":\n\n",
-        })
-    }
+/// Checks whether the client wants server-sent events, and not NDJSON.
+fn wants_events(headers: &HeaderMap) -> bool {
+    let accepted = headers.get_all(header::ACCEPT).iter();
+    accepted.filter_map(|value| value.to_str().ok()).any(|value| value.contains(EVENTS))
 }
 
 /// Client of a stream of scans. A slow client misses scans and gets the newest scan next.
@@ -110,7 +80,7 @@ struct ScansClient {
     /// Lines of all sources, in turn.
     lines: SelectAll<BoxStream<'static, ViewerLine>>,
     scans_left: u64,
-    format: ScansFormat,
+    has_events: bool,
     _permit: OwnedSemaphorePermit,
 }
 
@@ -127,9 +97,12 @@ impl ScansClient {
             line = self.lines.next() => {
                 let line = line?;
                 self.scans_left -= u64::from(line.is_scan);
-                self.format.bytes(&line)
+                if self.has_events { line.event() } else { line.ndjson() }
             }
-            () = tokio::time::sleep(KEEPALIVE_INTERVAL) => self.format.keepalive(),
+            // A comment, or white space before the next object: a client ignores both.
+            () = tokio::time::sleep(KEEPALIVE_INTERVAL) => {
+                Bytes::from_static(if self.has_events { b":\n\n" } else { b" " })
+            }
         };
         Some((bytes, self))
     }

@@ -243,7 +243,7 @@ def a_zenoh_reader_that_hangs(far):
     sensors = [f"s{number}=emulated" for number in range(40)]
     for mode in ("client", "peer"):
         options = ["--engine", "zenoh", "--router", "tcp/10.1.0.2:7447", "--mode", mode]
-        options += ["--interface", "10.1.0.1", "--start", "0", "--end", "768"]
+        options += ["--interface", "10.1.0.1", "--window", "full"]
         with Urg("publish", *sensors, *options) as urg:
             good = Lines(ZENOH_READER, mode, "0", namespace=far)
             hung = Lines(ZENOH_READER, mode, "100", namespace=far)

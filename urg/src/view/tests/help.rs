@@ -12,9 +12,9 @@ async fn help_covers_the_radar_until_a_key_and_that_key_does_nothing_else() {
     }
     let help = screen(&model, 80, 24);
     assert!(help.contains("too little light came back") && help.contains("Ctrl-C"), "{help}");
-    assert_eq!(press(&mut model, KeyCode::Char('l')), None);
+    assert_eq!(press(&mut model, KeyCode::Char('w')), None);
     assert!(!screen(&model, 80, 24).contains("zoom in and out"));
-    assert_eq!(press(&mut model, KeyCode::Char('l')), Some(Action::Laser(false)));
+    assert!(matches!(press(&mut model, KeyCode::Char('w')), Some(Action::Watch(_))));
 }
 
 #[tokio::test(start_paused = true)]
@@ -22,7 +22,7 @@ async fn the_help_scrolls_to_its_end() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let small = screen(&model, 40, 12);
     assert!(small.contains("?  help") && small.contains("q  quit"), "{small}");
-    assert!(!small.contains("l  laser"), "{small}");
+    assert!(!small.contains("w  window"), "{small}");
     press(&mut model, KeyCode::Char('?'));
     assert!(!screen(&model, 40, 12).contains("x none"));
     let drawn = |model: &Model, width, height| {

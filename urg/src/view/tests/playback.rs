@@ -29,7 +29,7 @@ async fn a_playback_shows_its_place_instead_of_a_link() {
     ] {
         assert!(playing.contains(part), "{part:?} is missing in\n{playing}");
     }
-    for part in ["link", "laser", "latency", "lost"] {
+    for part in ["link", "latency", "lost"] {
         assert!(!playing.contains(part), "{part:?} in\n{playing}");
     }
     model.playback = Some(played(123, true));
@@ -66,28 +66,14 @@ async fn the_keys_of_a_playback_move_it_and_those_of_the_picture_stay() {
     for part in ["The picture:", "The recording:", "5 s back and on", "x none"] {
         assert!(help.contains(part), "{part:?} is missing in\n{help}");
     }
-    assert!(!help.contains("laser"), "{help}");
     assert_eq!(press(&mut model, KeyCode::Right), None, "it closes the help");
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_jump_of_the_playback_begins_a_new_trail() {
+async fn a_new_window_redraws_the_same_scan() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     let scan = model.layers[0].scan.clone().unwrap();
-    let at = |sequence| {
-        let builder = tokio_scip::Scan::builder(scan.window(), scan.values().to_vec());
-        builder.sequence(sequence).build().unwrap()
-    };
-    for sequence in 0..5 {
-        model.moved(&at(sequence), played(sequence as usize, false));
-    }
-    assert_eq!(model.layers[0].trail.len(), 4);
-    model.moved(&at(400), played(400, false));
-    assert_eq!(model.layers[0].trail.len(), 0);
-    model.moved(&at(401), played(401, false));
-    assert_eq!(model.layers[0].trail.len(), 1);
-    // A new window redraws the same scan.
     model.layers[0].window = Window::FULL;
-    model.moved(&at(401), played(401, false));
+    model.moved(&scan, played(49, false));
     assert_eq!(model.layers[0].scan.as_ref().map(tokio_scip::Scan::window), Some(Window::FULL));
 }
