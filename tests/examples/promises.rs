@@ -156,7 +156,7 @@ async fn the_vehicle_stops_in_time_with_every_fault() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_the_hard_room_with_lost_replies_no_obstacle_is_missed_and_the_vehicle_drives() {
+async fn no_obstacle_is_missed_in_the_hard_room() {
     let (world, is_blocked) = appearing(Room::hard(1));
     let run = run(world, Faults::none().rate(0.01, Fault::Lost), &is_blocked, 60).await;
     println!("{run:?}");
@@ -189,7 +189,7 @@ async fn waits_for(motion: &mut watch::Receiver<Motion>, wanted: Motion) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_of_three_scans_stop_the_vehicle_and_one_does_not() {
+async fn two_of_three_scans_stop_the_vehicle() {
     for (pattern, stops) in [([3, 6, 9], false), ([3, 5, 9], true), ([3, 4, 9], true)] {
         let is_there = move |revolution| revolution > 50 && pattern.contains(&(revolution % 10));
         let emulator = sensor_with(0.5, is_there);
@@ -301,7 +301,7 @@ async fn a_door_without_its_sensor_has_no_count() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_point_ahead_of_a_sensor_that_looks_back_is_behind_the_vehicle() {
+async fn scans_are_merged_in_the_frame_of_the_vehicle() {
     limit();
     let emulator = Emulator::builder().world(Fixed::filled(1000)).build();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();
@@ -349,7 +349,7 @@ async fn odometry_is_within_5_cm_over_2_m() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_graceful_shutdown_leaves_the_laser_off_and_the_port_free() {
+async fn a_shutdown_frees_the_port_with_the_laser_off() {
     limit();
     let emulator = Emulator::default();
     let sensor = Sensor::builder().connect(emulator.clone()).await.unwrap();

@@ -40,7 +40,7 @@ fn the_sensors_that_are_there_are_merged() {
 }
 
 #[test]
-fn the_safety_stop_begins_with_a_stop_and_drives_in_a_clear_room() {
+fn the_safety_stop_drives_in_a_clear_room() {
     let mut example = Example::run("safety_stop", &["emulated"]);
     assert_eq!(example.line(), "stops within 650ms of an obstacle in 0.60 m");
     assert_eq!(example.line(), "Stop");
@@ -92,7 +92,7 @@ fn fresh_scans_feed_the_watchdog() {
 
 #[cfg(unix)]
 #[test]
-fn ctrl_c_and_sigterm_switch_the_laser_off_and_free_the_port() {
+fn signals_free_the_port_with_the_laser_off() {
     for signal in ["INT", "TERM"] {
         let mut example = Example::run("graceful_shutdown", &["emulated"]);
         example.line_with("scan 2");
