@@ -2,7 +2,8 @@
 //! refuses them, says nothing or restarts. After each pause the sensor is as the last remembered
 //! wish, the state says what is so, and streams deliver or pause accordingly.
 //!
-//! `SCIP_WISHES=6000 cargo test --test it wishes::` takes a minute.
+//! `SCIP_WISHES=6000 cargo test --test it as_wished` takes a minute; `SCIP_WISHES_FIRST=6000` draws
+//! others.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -15,7 +16,7 @@ use urg_emulator::{Emulator, Fault, Faults, Fixed, Link};
 
 use crate::common::builder;
 use crate::common::hooked::{Hooked, Hooks};
-use crate::common::random::Random;
+use crate::common::random::{Random, seeds};
 
 /// Longest delay between two attempts at a laser that stays as it is, with its jitter.
 const RETRY: Duration = Duration::from_secs(34);
@@ -351,13 +352,9 @@ fn paused() -> tokio::runtime::Runtime {
     tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build().unwrap()
 }
 
-fn histories() -> u64 {
-    std::env::var("SCIP_WISHES").map_or(300, |histories| histories.parse().unwrap())
-}
-
 #[test]
 fn a_sensor_is_as_wished_and_described() {
-    for seed in 0..histories() {
+    for seed in seeds("SCIP_WISHES", 300) {
         paused().block_on(async {
             let mut history = History::new(seed).await;
             for _ in 0..12 {
@@ -400,7 +397,7 @@ async fn beside_refused(seed: u64) {
 
 #[test]
 fn a_stream_keeps_its_share_beside_refused_ones() {
-    for seed in 0..histories() / 10 {
+    for seed in seeds("SCIP_WISHES", 30) {
         paused().block_on(beside_refused(seed));
     }
 }

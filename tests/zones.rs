@@ -2,7 +2,8 @@
 //! the promised size, and one without anything in it says clear. The truth is computed from the
 //! walls alone.
 //!
-//! `SCIP_ZONES=1000000 cargo test --release --test it zones:: -- --nocapture` takes a minute.
+//! `SCIP_ZONES=1000000 cargo test --release --test it zones:: -- --nocapture` takes a minute;
+//! `SCIP_ZONES_FIRST=1000000` draws others.
 
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
@@ -10,7 +11,7 @@ use std::ops::RangeInclusive;
 use tokio_scip::scan::{CountsAs, Zone, ZoneState};
 use tokio_scip::{Scan, Window};
 
-use crate::common::random::Random;
+use crate::common::random::{Random, seeds};
 
 type Spot = (f64, f64);
 
@@ -129,9 +130,13 @@ impl Wall {
     }
 }
 
+fn angle(step: u16) -> f64 {
+    (f64::from(step) - 384.0) * TAU / 1024.0
+}
+
 /// What the sensor sends for a step: the nearest wall there, or a code.
 fn value(walls: &[Wall], step: u16, random: &mut Random) -> u16 {
-    let angle = (f64::from(step) - 384.0) * TAU / 1024.0;
+    let angle = angle(step);
     let hits = walls.iter().filter_map(|wall| Some((wall.distance(angle)?, wall.is_weak)));
     match hits.min_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((_, true)) => *random.pick(&WEAK),
@@ -152,7 +157,8 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let random = &mut Random::new(seed);
     let area = Area::draw(random);
     let least = area.reach() * TAU / 1024.0;
-    let width = between(random, least * 1.01..=least + 0.3);
+    let more = if random.once_in(2) { 0.3 } else { 0.2 * least };
+    let width = between(random, least * 1.01..=least * 1.01 + more);
     let mut zone = area.zone()?.smallest_obstacle(width).unwrap();
     let counts_as = if random.once_in(4) { CountsAs::Unknown } else { CountsAs::Free };
     zone = zone.beyond_range(counts_as);
@@ -167,9 +173,19 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let mut has_obstacle = false;
     if !random.once_in(3) {
         let is_weak = random.once_in(4);
+        let edges = [zone.window().start(), zone.window().end()].map(|step| angle(step.number()));
         let wall = (0..20).find_map(|_| {
-            let middle = at(between(random, -2.3..=2.3), between(random, 0.03..=4.0));
+            let range = between(random, 0.03..=4.0);
             let width = width * between(random, 1.0..=1.5);
+            let angle = match random.once_in(2) {
+                true => between(random, -2.3..=2.3),
+                // Close to where the zone begins or ends, which is in the middle of a cluster.
+                false => {
+                    let inwards = width / range * between(random, 0.5..=0.7);
+                    *random.pick(&[edges[0] + inwards, edges[1] - inwards])
+                }
+            };
+            let middle = at(angle, range);
             Some(Wall::facing(middle, width, is_weak)).filter(|wall| wall.is_within(&area))
         });
         has_obstacle = wall.is_some();
@@ -220,9 +236,10 @@ fn is_beyond(wall: &Wall, reach: f64) -> bool {
 
 #[test]
 fn a_clear_zone_has_no_obstacle_and_an_open_one_is_clear() {
-    let seeds = std::env::var("SCIP_ZONES").map_or(4_000, |seeds| seeds.parse().unwrap());
+    let seeds = seeds("SCIP_ZONES", 4_000);
+    let worlds = seeds.end - seeds.start;
     let (mut clear, mut open, mut blocked) = (0_u64, 0_u64, 0_u64);
-    for seed in 0..seeds {
+    for seed in seeds {
         let Some(ZoneCase { state, has_obstacle, is_open }) = case(seed) else { continue };
         assert!(!(state.is_clear() && has_obstacle), "seed {seed}: clear with an obstacle in it");
         assert!(state.is_clear() || !is_open, "seed {seed}: open, but {state}");
@@ -230,7 +247,7 @@ fn a_clear_zone_has_no_obstacle_and_an_open_one_is_clear() {
         open += u64::from(is_open);
         blocked += u64::from(has_obstacle);
     }
-    println!("{seeds} worlds: {blocked} with an obstacle, {clear} clear, {open} of them open");
+    println!("{worlds} worlds: {blocked} with an obstacle, {clear} clear, {open} of them open");
     // The worlds are of all kinds.
-    assert!(blocked > seeds / 5 && clear > seeds / 10 && open > seeds / 20);
+    assert!(blocked > worlds / 5 && clear > worlds / 10 && open > worlds / 20);
 }

@@ -46,6 +46,26 @@ impl From<Abandoned> for Stop {
     }
 }
 
+/// What is served next, one after another.
+#[derive(Debug, Clone, Copy)]
+enum Turn {
+    Request,
+    Wish,
+    Poll,
+}
+
+impl Turn {
+    const ALL: [Self; 3] = [Self::Request, Self::Wish, Self::Poll];
+
+    fn next(self) -> Self {
+        match self {
+            Self::Request => Self::Wish,
+            Self::Wish => Self::Poll,
+            Self::Poll => Self::Request,
+        }
+    }
+}
+
 /// Everything needed to serve, besides the session.
 pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
@@ -78,59 +98,49 @@ impl Service<'_> {
             // The sensor may have restarted while its baud rate was restored.
             wishes.baud_rate = self.baud_rate.filter(|baud_rate| *baud_rate != now);
         }
-        let mut request_served = false;
+        let mut latest = Turn::Poll;
         loop {
-            let outcome = self.serve_next(session, &mut request_served).await;
+            let outcome = self.serve_next(session, &mut latest).await;
             if let Err(stop) = outcome {
                 return stop;
             }
         }
     }
 
-    /// Serves one request, wish or poll, or waits for one. Alternates when both a poll and something
-    /// else are due, so that neither starves the other.
-    async fn serve_next(
-        &mut self,
-        session: &mut Session,
-        request_served: &mut bool,
-    ) -> Result<(), Stop> {
+    /// Serves one request, wish or poll in turn, so that none starves the others, or waits for one.
+    async fn serve_next(&mut self, session: &mut Session, latest: &mut Turn) -> Result<(), Stop> {
         // Only bytes from the sensor show that the link is alive: some requests are answered
         // without it.
         let now = Instant::now();
-        let latest = session.transport.latest_at();
-        let probe = self.probe_interval.zip(latest).map(|(interval, latest)| latest + interval);
+        let heard = session.transport.latest_at();
+        let probe = self.probe_interval.zip(heard).map(|(interval, heard)| heard + interval);
         // Now, while nothing else is due, a fence delays no poll.
         if !session.is_settled() || probe.is_some_and(|due| due <= now) {
             let outcome = Box::pin(self.resynchronise(session)).await;
             ignore_command_errors(outcome)?;
         }
-        let wish = self.queue.wishes.laser;
-        if let Some(on) = wish.filter(|_| self.laser.is_due(wish)) {
-            *request_served = true;
-            let outcome = Box::pin(self.switch_laser(session, on, true)).await;
-            ignore_command_errors(outcome)?;
+        if self.laser.retry_at().is_none() {
+            // A wish that is younger than the session comes before all polls.
+            self.apply_laser(session).await?;
         }
         let polling = !self.schedules.is_empty() && !self.laser.is_off();
         self.publish_streaming(polling);
         let due = self.schedules.next_due().filter(|_| polling);
         let poll_is_due = due.is_some_and(|due| due <= Instant::now());
-        if !(*request_served && poll_is_due) {
-            if let Some(request) = self.queue.pop()? {
-                *request_served = true;
-                Box::pin(self.answer(session, request)).await?;
-                // One of the streams may have been dropped since the last request.
-                self.schedules.drop_unread();
-                self.schedules.publish(self.telemetry);
+        for _ in Turn::ALL {
+            *latest = latest.next();
+            let is_served = match latest {
+                Turn::Request => self.serve_request(session).await?,
+                Turn::Wish => self.apply_wish(session).await?,
+                Turn::Poll if poll_is_due => {
+                    self.poll_due(session).await?;
+                    true
+                }
+                Turn::Poll => false,
+            };
+            if is_served {
                 return Ok(());
             }
-            if let Some(baud_rate) = self.queue.wishes.baud_rate {
-                *request_served = true;
-                return Box::pin(self.apply_baud_rate(session, baud_rate)).await;
-            }
-        }
-        *request_served = false;
-        if poll_is_due {
-            return self.poll_due(session).await;
         }
         let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
         poll_fn(|cx| {
@@ -143,6 +153,34 @@ impl Service<'_> {
             wake.map_or(Poll::Pending, |wake| self.timer.poll(cx, wake).map(Ok))
         })
         .await
+    }
+
+    /// Returns true if there was a request.
+    async fn serve_request(&mut self, session: &mut Session) -> Result<bool, Stop> {
+        let Some(request) = self.queue.pop()? else { return Ok(false) };
+        Box::pin(self.answer(session, request)).await?;
+        // One of the streams may have been dropped since the last request.
+        self.schedules.drop_unread();
+        self.schedules.publish(self.telemetry);
+        Ok(true)
+    }
+
+    /// Returns true if there was a wish to apply.
+    async fn apply_wish(&mut self, session: &mut Session) -> Result<bool, Stop> {
+        if self.apply_laser(session).await? {
+            return Ok(true);
+        }
+        let Some(baud_rate) = self.queue.wishes.baud_rate else { return Ok(false) };
+        Box::pin(self.apply_baud_rate(session, baud_rate)).await?;
+        Ok(true)
+    }
+
+    async fn apply_laser(&mut self, session: &mut Session) -> Result<bool, Stop> {
+        let wish = self.queue.wishes.laser;
+        let Some(on) = wish.filter(|_| self.laser.is_due(wish)) else { return Ok(false) };
+        let outcome = Box::pin(self.switch_laser(session, on, true)).await;
+        ignore_command_errors(outcome)?;
+        Ok(true)
     }
 
     /// Drops pending input and sends a fence. If the sensor answers with a distance although its laser should be

@@ -1,6 +1,15 @@
 //! Random numbers that are equal on every machine.
 
+use std::ops::Range;
 use std::time::Duration;
+
+/// Returns the seeds of a model: the number of them that `name` sets, or `usual`, from the one that
+/// `NAME_FIRST` sets.
+pub(crate) fn seeds(name: &str, usual: u64) -> Range<u64> {
+    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
+    let first = number(&format!("{name}_FIRST")).unwrap_or(0);
+    first..first + number(name).unwrap_or(usual)
+}
 
 /// The splitmix64 generator (Steele, Lea and Flood, 2014).
 pub(crate) struct Random(u64);

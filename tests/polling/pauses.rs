@@ -17,7 +17,7 @@ use tokio_scip::protocol::MalformedError;
 use tokio_scip::{Error, ErrorKind, Rate, ScanStream, Sensor, State, Window};
 
 use crate::common::instant_sensor::reply;
-use crate::common::random::Random;
+use crate::common::random::{Random, seeds};
 use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{ConnectFn, builder, ms};
 
@@ -422,7 +422,7 @@ impl Mix {
         let polled = (0..count as u16).map(|_| {
             let points = pick(&[150.0, 200.0, 330.0, 500.0, 682.0]);
             let most = 0.66 / count / (points * 2.1 / bytes_per_second + held_back);
-            let rate = Rate::hz(pick(&[0.1, 0.3, 1.0]) * most.min(8.0));
+            let rate = Rate::hz(pick(&[0.02, 0.1, 0.3, 1.0]) * most.min(8.0));
             (Window::new(44..=43 + points as u16).unwrap(), rate)
         });
         Self { pieces, polled: polled.collect() }
@@ -462,8 +462,7 @@ impl Mix {
 
 #[tokio::test(start_paused = true)]
 async fn pauses_delay_no_mix_of_windows_on_any_line() {
-    let seeds = std::env::var("SCIP_LINES").map_or(30, |seeds| seeds.parse().unwrap());
-    for seed in 0..seeds {
+    for seed in seeds("SCIP_LINES", 30) {
         let mix = Mix::draw(seed);
         let with = mix.delays(true).await;
         let without = mix.delays(false).await;

@@ -250,17 +250,6 @@ mod tests {
         assert!(pause > REST_TIME - 3 * TIMER_DELAY && pause < REST_TIME, "{pause:?}");
     }
 
-    #[tokio::test(start_paused = true)]
-    async fn the_last_bytes_of_a_reply_are_awaited_without_a_pause() {
-        let mut pauses = Pauses::default();
-        for _ in 0..MEASURED_FIRST {
-            receive(&mut pauses, MIN_BYTES).await;
-        }
-        pauses.begin_reply();
-        assert_eq!(next(&mut pauses, MIN_BYTES - 1), None);
-        assert!(next(&mut pauses, MIN_BYTES).is_some());
-    }
-
     /// Receives a scan whose pauses end late by `late`, piece by piece while the driver is
     /// awake. Returns the delay between its last byte and its receipt.
     async fn delay(pauses: &mut Pauses, late: Duration) -> Duration {
