@@ -161,13 +161,13 @@ pub(super) trait Engine: Sized + Send + 'static {
     fn open(
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
-        memory: &Self::Memory,
+        memory: &mut Self::Memory,
     ) -> OpenedEngine<Self>;
 
     /// Checks from outside whether the engine works. Called at regular intervals. May block for
     /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
     /// happens to the scans.
-    fn check(&mut self) -> Result<Option<String>, Reopen>;
+    fn check(&mut self, memory: &mut Self::Memory) -> Result<Option<String>, Reopen>;
 
     /// Removes the nodes from the ROS graph, and stops the engine. Blocks. The caller drops the
     /// publisher first.

@@ -31,7 +31,11 @@ impl Engine for Foxglove {
     /// They would share a port.
     const MAY_OVERLAP: bool = false;
 
-    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
+    fn open(
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
+        (): &mut (),
+    ) -> OpenedEngine<Self> {
         let failed = |error: FoxgloveError| {
             format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))
         };
@@ -69,7 +73,7 @@ impl Engine for Foxglove {
         Ok((Self { server, address, _context: context }, Arc::new(Channels(channels))))
     }
 
-    fn check(&mut self) -> Result<Option<String>, Reopen> {
+    fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
         // The SDK silently stops listening when the system cannot accept a connection, for
         // example because too many files are open. Starting it again closes them.
         let why = match TcpListener::bind(self.address) {

@@ -149,7 +149,7 @@ impl<E: Engine> Watched<E> {
         loop {
             let opened = match missing_address(self.settings.interface) {
                 Some(why) => Err(Unavailable::Now(why)),
-                None => E::open(&self.settings, &self.topics, &self.memory),
+                None => E::open(&self.settings, &self.topics, &mut self.memory),
             };
             match opened {
                 Ok(opened) => return Ok(Some(opened)),
@@ -169,7 +169,7 @@ impl<E: Engine> Watched<E> {
     fn watch(&mut self, engine: &mut E) -> Result<(), Reopen> {
         let mut checks = 0;
         loop {
-            self.network.report(engine.check()?);
+            self.network.report(engine.check(&mut self.memory)?);
             checks += 1;
             if checks == WORKING_CHECKS {
                 self.restarts = 0;
@@ -291,7 +291,11 @@ mod tests {
         type Memory = ();
         const MAY_OVERLAP: bool = false;
 
-        fn open(settings: &Arc<EngineSettings>, _: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
+        fn open(
+            settings: &Arc<EngineSettings>,
+            _: &Arc<[Topic]>,
+            (): &mut (),
+        ) -> OpenedEngine<Self> {
             if settings.depth == 0 {
                 return Err(Unavailable::Permanently("it can never open".to_owned()));
             }
@@ -300,7 +304,7 @@ mod tests {
             Ok((Self { hangs }, Arc::new(Self { hangs })))
         }
 
-        fn check(&mut self) -> Result<Option<String>, Reopen> {
+        fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
             Err(match self.hangs {
                 true => Reopen::Outdated("the network has changed".to_owned()),
                 false => Reopen::Dead("the engine is dead".to_owned()),

@@ -27,8 +27,6 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use parking_lot::Mutex;
-
 use self::backoff::Backoff;
 use self::log::{Log, Sending};
 use self::neighbours::{Heard, Neighbours};
@@ -52,8 +50,8 @@ const MAX_CHANGED_CHECKS: u32 = 2;
 /// What one participant leaves to the next.
 #[derive(Default)]
 pub(super) struct Memory {
-    heard: Arc<Mutex<Heard>>,
-    backoff: Arc<Mutex<Backoff>>,
+    heard: Heard,
+    backoff: Backoff,
 }
 
 pub(super) struct Dds {
@@ -67,7 +65,6 @@ pub(super) struct Dds {
     static_peers: StaticPeers,
     prefix: Prefix,
     network: Network,
-    backoff: Arc<Mutex<Backoff>>,
     /// Why the participant is to be reopened as soon as `backoff` allows it.
     outdated: Option<String>,
     changed_checks: u32,
@@ -82,13 +79,13 @@ impl Engine for Dds {
     fn open(
         settings: &Arc<EngineSettings>,
         topics: &Arc<[Topic]>,
-        memory: &Memory,
+        memory: &mut Memory,
     ) -> OpenedEngine<Self> {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
         let domain = settings.domain;
-        let neighbours = Neighbours::listen(domain, network.used(), &memory.heard)
+        let neighbours = Neighbours::listen(domain, network.used(), &mut memory.heard)
             .map_err(|error| format!("cannot listen to other participants: {error}"))?;
         let mut peers = settings.discovery.static_peers.clone();
         if network.asks_this_machine(&settings.discovery) {
@@ -139,7 +136,6 @@ impl Engine for Dds {
             static_peers,
             prefix: first.sender,
             network,
-            backoff: Arc::clone(&memory.backoff),
             outdated: None,
             changed_checks: 0,
             silent_checks: 0,
@@ -152,7 +148,7 @@ impl Engine for Dds {
         Ok((dds, queue))
     }
 
-    fn check(&mut self) -> Result<Option<String>, Reopen> {
+    fn check(&mut self, memory: &mut Memory) -> Result<Option<String>, Reopen> {
         let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
         if self.thread.is_finished() {
             return dead("the thread of DDS has ended");
@@ -181,9 +177,9 @@ impl Engine for Dds {
             let is_deaf = sending == Sending::Stopped && network.is_up();
             is_deaf.then(|| "DDS cannot send, but its network interfaces are up".to_owned())
         };
-        self.outdated = self.outdated.take().or(self.neighbours.returned());
+        self.outdated = self.outdated.take().or(self.neighbours.returned(&mut memory.heard));
         if let Some(why) = self.outdated.clone().or_else(deaf)
-            && self.backoff.lock().allows(Instant::now())
+            && memory.backoff.allows(Instant::now())
         {
             return Err(Reopen::Outdated(why));
         }

@@ -8,10 +8,8 @@
 use std::collections::HashMap;
 use std::io;
 use std::net::{Ipv4Addr, UdpSocket};
-use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
-use parking_lot::Mutex;
 use socket2::{Domain, Protocol, SockAddr, Socket, Type};
 
 use super::rtps::{Packet, Prefix, packets};
@@ -42,7 +40,6 @@ pub(super) struct Neighbour {
 
 pub(super) struct Neighbours {
     socket: UdpSocket,
-    heard: Arc<Mutex<Heard>>,
     checked: (Instant, SystemTime),
 }
 
@@ -51,7 +48,7 @@ impl Neighbours {
     pub(super) fn listen(
         domain: u16,
         interfaces: &[Ipv4Addr],
-        heard: &Arc<Mutex<Heard>>,
+        heard: &mut Heard,
     ) -> io::Result<Self> {
         let port = 7400 + 250 * u32::from(domain);
         let port = u16::try_from(port).map_err(io::Error::other)?;
@@ -65,13 +62,13 @@ impl Neighbours {
             let _ = socket.join_multicast_v4(&GROUP, interface);
         }
         let checked = (Instant::now(), SystemTime::now());
-        heard.lock().values_mut().for_each(|neighbour| neighbour.last = checked.0);
-        Ok(Self { socket: socket.into(), heard: Arc::clone(heard), checked })
+        heard.values_mut().for_each(|neighbour| neighbour.last = checked.0);
+        Ok(Self { socket: socket.into(), checked })
     }
 
     /// Checks whether a forgotten participant is back, or this process itself, after it was
     /// stopped or the machine slept. Returns a line for the user. Call it at regular intervals.
-    pub(super) fn returned(&mut self) -> Option<String> {
+    pub(super) fn returned(&mut self, heard: &mut Heard) -> Option<String> {
         let (now, clock) = (Instant::now(), SystemTime::now());
         let (before, clock_before) = std::mem::replace(&mut self.checked, (now, clock));
         // Only the wall clock includes the time that the machine slept.
@@ -81,26 +78,25 @@ impl Neighbours {
             return Some(format!("this program was stopped for {} s", stopped.as_secs()));
         }
         // Takes all of them, also after one that is back.
-        let silences = packets(&self.socket).filter_map(|packet| self.hear(&packet, now));
+        let silences = packets(&self.socket).filter_map(|packet| hear(heard, &packet, now));
         let silence = silences.max()?;
         Some(format!("a reader is back that was silent for {} s", silence.as_secs()))
     }
+}
 
-    /// Remembers an announcement. Returns the silence before it, if the participant had been
-    /// forgotten.
-    fn hear(&self, packet: &Packet, now: Instant) -> Option<Duration> {
-        let mut heard = self.heard.lock();
-        if heard.len() >= MAX_NEIGHBOURS {
-            heard.clear();
-        }
-        let neighbour =
-            heard.entry(packet.sender).or_insert(Neighbour { last: now, lease: DEFAULT_LEASE });
-        let silence = now - std::mem::replace(&mut neighbour.last, now);
-        // Checks may be late.
-        let is_back = silence > neighbour.lease.mul_f64(0.95);
-        neighbour.lease = packet.lease().unwrap_or(neighbour.lease);
-        is_back.then_some(silence)
+/// Remembers an announcement. Returns the silence before it, if the participant had been
+/// forgotten.
+fn hear(heard: &mut Heard, packet: &Packet, now: Instant) -> Option<Duration> {
+    if heard.len() >= MAX_NEIGHBOURS {
+        heard.clear();
     }
+    let neighbour =
+        heard.entry(packet.sender).or_insert(Neighbour { last: now, lease: DEFAULT_LEASE });
+    let silence = now - std::mem::replace(&mut neighbour.last, now);
+    // Checks may be late.
+    let is_back = silence > neighbour.lease.mul_f64(0.95);
+    neighbour.lease = packet.lease().unwrap_or(neighbour.lease);
+    is_back.then_some(silence)
 }
 
 #[cfg(test)]
@@ -114,27 +110,27 @@ mod tests {
 
     #[test]
     fn a_participant_that_was_silent_for_its_lease_is_back() {
-        let neighbours = Neighbours::listen(0, &[], &Arc::default()).unwrap();
-        let start = Instant::now();
-        let after = |seconds| start + Duration::from_secs(seconds);
-        let hear = |number, at| neighbours.hear(&announcement(number), at);
-        assert_eq!(hear(1, start), None, "it is new");
-        assert_eq!(hear(1, after(22)), None);
-        assert_eq!(hear(2, after(33)), None, "another one is new");
-        assert_eq!(hear(1, after(46)), Some(Duration::from_secs(24)));
-        assert_eq!(hear(1, after(49)), None, "once");
+        let (mut heard, start) = (Heard::default(), Instant::now());
+        let mut hear = |number, seconds| {
+            super::hear(&mut heard, &announcement(number), start + Duration::from_secs(seconds))
+        };
+        assert_eq!(hear(1, 0), None, "it is new");
+        assert_eq!(hear(1, 22), None);
+        assert_eq!(hear(2, 33), None, "another one is new");
+        assert_eq!(hear(1, 46), Some(Duration::from_secs(24)));
+        assert_eq!(hear(1, 49), None, "once");
     }
 
     #[test]
     fn a_participant_that_was_last_heard_before_a_reopening_is_back_after_its_lease() {
-        let heard = Arc::default();
-        let before = Neighbours::listen(0, &[], &heard).unwrap();
-        before.hear(&announcement(1), Instant::now());
-        before.hear(&announcement(2), Instant::now());
-        let after = Neighbours::listen(0, &[], &heard).unwrap();
+        let mut heard = Heard::default();
+        for number in [1, 2] {
+            hear(&mut heard, &announcement(number), Instant::now());
+        }
+        Neighbours::listen(0, &[], &mut heard).unwrap();
         let reopened = Instant::now();
-        let hear = |number, seconds| {
-            after.hear(&announcement(number), reopened + Duration::from_secs(seconds))
+        let mut hear = |number, seconds| {
+            super::hear(&mut heard, &announcement(number), reopened + Duration::from_secs(seconds))
         };
         assert_eq!(hear(1, 15), None, "it has a new lease");
         assert!(hear(2, 42).is_some());
@@ -142,13 +138,14 @@ mod tests {
 
     #[test]
     fn a_process_that_was_stopped_is_back_itself() {
-        let mut neighbours = Neighbours::listen(0, &[], &Arc::default()).unwrap();
-        assert_eq!(neighbours.returned(), None);
+        let mut heard = Heard::default();
+        let mut neighbours = Neighbours::listen(0, &[], &mut heard).unwrap();
         let long = OWN_LEASE + Duration::from_secs(1);
+        assert_eq!(neighbours.returned(&mut heard), None);
         neighbours.checked.0 -= long;
-        assert!(neighbours.returned().is_some());
+        assert!(neighbours.returned(&mut heard).is_some());
         neighbours.checked.1 -= long;
-        assert!(neighbours.returned().is_some(), "its machine slept");
-        assert_eq!(neighbours.returned(), None);
+        assert!(neighbours.returned(&mut heard).is_some(), "its machine slept");
+        assert_eq!(neighbours.returned(&mut heard), None);
     }
 }

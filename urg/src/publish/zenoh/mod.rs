@@ -57,7 +57,11 @@ impl Engine for Zenoh {
     /// after 2 s.
     const MAY_OVERLAP: bool = true;
 
-    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>, (): &()) -> OpenedEngine<Self> {
+    fn open(
+        settings: &Arc<EngineSettings>,
+        topics: &Arc<[Topic]>,
+        (): &mut (),
+    ) -> OpenedEngine<Self> {
         let config = config(settings)
             .map_err(|error| Unavailable::Permanently(format!("cannot set up zenoh: {error}")))?;
         let local_address = router::local_address(&settings.router);
@@ -85,7 +89,7 @@ impl Engine for Zenoh {
         Ok((zenoh, queue))
     }
 
-    fn check(&mut self) -> Result<Option<String>, Reopen> {
+    fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
         let consequence = match self.settings.mode {
             Mode::Client => {
                 let answers = router::answers(&self.session);
