@@ -84,7 +84,7 @@ impl Connect for Opens {
 }
 
 /// Wishes that may count. Exactly one of each list does; `None` is no wish.
-struct Wishes {
+struct LastWishes {
     laser: Vec<Option<bool>>,
     baud_rate: Vec<Option<BaudRate>>,
     /// Baud rates that count if the sensor refuses the ones of wishes without a link.
@@ -101,7 +101,7 @@ struct History {
     sensor: Sensor,
     is_plugged_in: bool,
     streams: Vec<ScanStream>,
-    wishes: Wishes,
+    wishes: LastWishes,
     /// When the sensor last began to accept a command that it had refused.
     accepts_since: Option<Instant>,
     steps: Vec<String>,
@@ -133,7 +133,7 @@ impl History {
         };
         let sensor = sensor.connect(opens).await.unwrap();
         let (laser, baud_rate) = (vec![None], vec![baud_rate]);
-        let wishes = Wishes { laser, baud_rate, before: Vec::new(), may_differ: false };
+        let wishes = LastWishes { laser, baud_rate, before: Vec::new(), may_differ: false };
         Self {
             seed,
             random,

@@ -22,9 +22,9 @@ const STAMP_BOUND: f64 = 5e-3;
 const PERIOD_BOUND: f64 = 1e-3;
 
 /// Numbers that only look random (xorshift).
-pub(super) struct Random(pub(super) u64);
+pub(super) struct ModelRandom(pub(super) u64);
 
-impl Random {
+impl ModelRandom {
     pub(super) fn below_one(&mut self) -> f64 {
         self.0 ^= self.0 << 13;
         self.0 ^= self.0 >> 7;
@@ -65,7 +65,7 @@ impl Line {
         all
     }
 
-    fn delay(self, random: &mut Random) -> f64 {
+    fn delay(self, random: &mut ModelRandom) -> f64 {
         match self {
             Self::Usb(_) => 1e-4 * random.below_one(),
             Self::Serial(baud, _) => 100.0 / baud + 1e-4 * random.below_one(),
@@ -74,7 +74,7 @@ impl Line {
     }
 
     /// When the first byte of a reply that begins at `began` reaches the host, and the last one.
-    fn deliver(self, began: f64, phase: f64, random: &mut Random) -> (f64, f64) {
+    fn deliver(self, began: f64, phase: f64, random: &mut ModelRandom) -> (f64, f64) {
         let tick = |at: f64, every: f64| ((at - phase) / every).ceil() * every + phase;
         match self {
             Self::Usb(frame) => (tick(began, frame), tick(began + 5.8e-3, frame)),
@@ -102,15 +102,16 @@ struct Host {
 }
 
 impl Host {
-    fn draw(random: &mut Random, honest: bool) -> Self {
+    fn draw(random: &mut ModelRandom, honest: bool) -> Self {
         let late = if honest { 0.0 } else { random.pick(&[0.0, 0.0, 0.01, 0.2, 1.0]) };
         let lateness = random.pick(&[2e-3, 10e-3, 30e-3]);
         let spells = random.pick(&[(1e9, 0.0), (3.0, 27.0), (0.3, 3.0), (60.0, 60.0)]);
         Self { late, lateness, spells, is_busy: false, changes: 0.0 }
     }
 
-    fn delay(&mut self, at: f64, random: &mut Random) -> f64 {
-        let exponential = |mean: f64, random: &mut Random| -mean * (1.0 - random.below_one()).ln();
+    fn delay(&mut self, at: f64, random: &mut ModelRandom) -> f64 {
+        let exponential =
+            |mean: f64, random: &mut ModelRandom| -mean * (1.0 - random.below_one()).ln();
         if at > self.changes {
             self.is_busy = !self.is_busy;
             let mean = if self.is_busy { self.spells.0 } else { self.spells.1 };
@@ -138,7 +139,7 @@ struct Motor {
 }
 
 impl Motor {
-    fn draw(random: &mut Random, honest: bool) -> (Self, f64) {
+    fn draw(random: &mut ModelRandom, honest: bool) -> (Self, f64) {
         let period = match honest {
             true => 0.099_76,
             false => match random.once_in(2.0) {
@@ -164,7 +165,7 @@ impl Motor {
     }
 
     /// End of the first revolution after `at`.
-    fn next_end(&mut self, at: f64, random: &mut Random) -> f64 {
+    fn next_end(&mut self, at: f64, random: &mut ModelRandom) -> f64 {
         while self.end <= at {
             self.period *= 1.0 + self.drift * self.period;
             self.end += self.period;
@@ -201,7 +202,7 @@ impl Cell {
     }
 
     fn add(&mut self, line: Line, at_once: bool, rate: f64, honest: bool, seed: u64) {
-        let mut random = Random(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
+        let mut random = ModelRandom(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
         let epoch = Instant::now();
         let at = |seconds: f64| epoch + Duration::from_secs_f64(seconds);
         let (mut motor, told) = Motor::draw(&mut random, honest);

@@ -53,7 +53,7 @@ fn off_their_line(times: &[f64]) -> [f64; 3] {
 
 #[test]
 fn times_without_sense_neither_panic_nor_bend_the_period() {
-    let mut random = model::Random(7);
+    let mut random = model::ModelRandom(7);
     let mut clock = proved();
     let mut now = Instant::now();
     for _ in 0..200_000 {
