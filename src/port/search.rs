@@ -323,15 +323,6 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn after_the_sensor_was_found_the_search_starts_over() {
-        let mut search = search(&[("a", "o"), ("b", "o")]);
-        assert_eq!(next(&mut search).await, "a");
-        search.start_over();
-        assert!(!search.has_more());
-        assert_eq!(next(&mut search).await, "a");
-    }
-
-    #[tokio::test(start_paused = true)]
     async fn a_busy_port_is_retried_when_the_others_are_through() {
         let mut search = search(&[("a", "bo"), ("b", "o"), ("c", "b")]);
         let start = Instant::now();

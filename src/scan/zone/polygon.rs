@@ -232,18 +232,6 @@ mod tests {
     }
 
     #[test]
-    fn the_far_end_lies_behind_all_of_the_polygon() {
-        let square = Polygon::new(SQUARE).unwrap();
-        let far = |degrees: f64| square.far(degrees.to_radians());
-        assert_eq!((far(0.0), far(180.0), far(46.0), far(-90.0)), (Some(3.0), None, None, None));
-        assert!((far(30.0).unwrap() - 2.0).abs() < 1e-9);
-        // Two arms, one behind the other, and an edge along the ray.
-        let hook = [(1.0, 0.0), (3.0, 0.0), (3.0, 1.0), (2.5, 1.0), (2.5, 0.2), (1.0, 0.2)];
-        let hook = Polygon::new(hook).unwrap();
-        assert_eq!(hook.far(0.0), Some(3.0));
-    }
-
-    #[test]
     fn vertices_that_make_no_outline_are_refused() {
         let refused = |vertices: &[Coordinates]| Polygon::new(vertices.to_vec()).unwrap_err();
         let few = |found| ZoneError::Vertices { found };
