@@ -8,7 +8,6 @@ use ratatui::text::Line;
 use ratatui::widgets::{Block, Clear, Paragraph};
 use tokio_scip::State;
 
-use super::help::Subject;
 use super::layer::Layer;
 use super::model::Model;
 use super::palette::Palette;
@@ -56,9 +55,8 @@ pub(crate) fn draw(frame: &mut Frame<'_>, model: &Model, palette: Palette) -> Op
         radar::draw(frame, body, model, palette);
     }
     message(frame, news, model, palette);
-    let subject = Subject::from_model(model);
-    frame.render_widget(help::key_line(keys.width, subject), keys);
-    model.help.map(|scroll| draw_help(frame, body, scroll, &help::text(subject)))
+    frame.render_widget(help::key_line(keys.width, model), keys);
+    model.help.map(|scroll| draw_help(frame, body, scroll, &help::text(model)))
 }
 
 fn title_line(model: &Model) -> String {

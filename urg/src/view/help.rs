@@ -37,54 +37,32 @@ const BLANKS: &str = "         ";
 
 pub(super) const TITLE: &str = " Keys: ↑ ↓ scroll, others close ";
 
-/// Subject of the picture, which decides what the keys do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Subject {
-    Sensor,
-    Several,
-    Recording,
-}
-
-impl Subject {
-    pub(super) fn from_model(model: &Model) -> Self {
-        match model.playback {
-            Some(_) => Self::Recording,
-            None if model.has_several() => Self::Several,
-            None => Self::Sensor,
-        }
-    }
-}
-
 /// Titles and keys of the help, grouped by what the keys act on.
-fn sections(subject: Subject) -> [(&'static str, Vec<&'static [Key]>); 2] {
-    match subject {
-        Subject::Sensor => [("The picture:", vec![PICTURE, PAUSE]), ("The sensor:", vec![WINDOW])],
-        Subject::Several => [
+fn sections(model: &Model) -> [(&'static str, Vec<&'static [Key]>); 2] {
+    if model.playback.is_some() {
+        [("The recording:", vec![RECORDING]), ("The picture:", vec![PICTURE, WINDOW])]
+    } else if model.has_several() {
+        [
             ("The picture, of all sensors:", vec![SELECTION, PICTURE, PAUSE]),
             ("The selected sensor:", vec![WINDOW]),
-        ],
-        Subject::Recording => {
-            [("The recording:", vec![RECORDING]), ("The picture:", vec![PICTURE, WINDOW])]
-        }
+        ]
+    } else {
+        [("The picture:", vec![PICTURE, PAUSE]), ("The sensor:", vec![WINDOW])]
     }
 }
 
 /// Builds the help: the keys, the colours, and the marks at the rim.
-pub(super) fn text(subject: Subject) -> String {
+pub(super) fn text(model: &Model) -> String {
     let line = |(key, _, meaning): &Key| format!("{key:<INDENT$}{meaning}\n");
     let mut text = String::new();
-    for (title, keys) in sections(subject) {
+    for (title, keys) in sections(model) {
         text.extend([title.to_owned(), "\n".to_owned()]);
         text.extend(keys.into_iter().flatten().map(line));
     }
     text.push_str(&line(&QUIT));
-    text.push_str(match subject {
-        Subject::Several => {
-            "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n"
-        }
-        Subject::Sensor | Subject::Recording => {
-            "Points are coloured by distance; ○ is the nearest.\n"
-        }
+    text.push_str(match model.has_several() {
+        true => "Points have their sensor's colour;\n○ is the selected sensor's nearest.\n",
+        false => "Points are coloured by distance; ○ is the nearest.\n",
     });
     text.push_str("At the rim, directions without a distance:");
     for kind in MissingKind::ALL {
@@ -107,10 +85,10 @@ pub(super) fn folded(text: &str, width: usize) -> Vec<String> {
 }
 
 /// Fits as many keys as possible into a line of `width` columns. Keeps the first and the last.
-pub(super) fn key_line(width: u16, subject: Subject) -> Line<'static> {
+pub(super) fn key_line(width: u16, model: &Model) -> Line<'static> {
     let columns = |(key, word, _): &Key| key.chars().count() + word.len() + 5;
     let mut left = usize::from(width).saturating_sub(columns(&HELP) + columns(&QUIT));
-    let keys = sections(subject).into_iter().flat_map(|(_, keys)| keys).flatten();
+    let keys = sections(model).into_iter().flat_map(|(_, keys)| keys).flatten();
     let keys = keys.filter(|key| {
         let rest = left.checked_sub(columns(key)).filter(|_| !key.1.is_empty());
         left = rest.unwrap_or(left);
@@ -140,10 +118,7 @@ mod tests {
             "distance.",
         ];
         assert_eq!(folded, expected);
-        for subject in [Subject::Sensor, Subject::Several, Subject::Recording] {
-            let text = self::text(subject);
-            let lines = super::folded(&text, 36);
-            assert!(lines.iter().all(|line| line.chars().count() <= 36), "{lines:?}");
-        }
+        let lines = super::folded(&super::text(&Model::new(Vec::new())), 36);
+        assert!(lines.iter().all(|line| line.chars().count() <= 36), "{lines:?}");
     }
 }
