@@ -26,6 +26,9 @@ use self::foreign::bag;
 use self::own::{Own, nanos, own};
 use crate::common::random::Random;
 
+/// Number of scans from which the window of a stream without a description is known: the driver
+/// widens three polls of four.
+const WINDOW_POLLS: usize = 8;
 /// Number of recordings that the histories choose from: making one takes milliseconds.
 const RECORDINGS: u64 = 48;
 
@@ -45,13 +48,16 @@ struct File {
     has_chunks: bool,
     has_checksums: bool,
     is_complete: bool,
+    /// Stamps of the only stream, if it is the file of one recording.
+    stream: Option<&'static BTreeSet<u64>>,
 }
 
 impl File {
     fn whole(bytes: Vec<u8>) -> Result<Self, String> {
         let must = read(&bytes)?;
         let may = must.clone();
-        Ok(Self { bytes, must, may, has_chunks: true, has_checksums: true, is_complete: true })
+        let (has_chunks, has_checksums, is_complete) = (true, true, true);
+        Ok(Self { bytes, must, may, has_chunks, has_checksums, is_complete, stream: None })
     }
 
     fn is_sorted(&self) -> bool {
@@ -188,6 +194,11 @@ fn written(bytes: Vec<u8>, counts: (u64, u64)) -> Result<File, Wrong> {
     Ok(file)
 }
 
+/// A scan without a reply has the time of its message's header, which is rounded.
+fn is_near(stamp: u64, of: &BTreeSet<u64>) -> bool {
+    of.range(stamp - 2_000..stamp + 2_000).count() > 0
+}
+
 /// Number of histories whose files other readers read.
 const FOR_OTHERS: u64 = 60;
 
@@ -216,8 +227,9 @@ impl History {
         for _ in 0..1 + random.below(3) {
             if random.once_in(2) {
                 let recording = random.pick(recordings());
+                let stream = Some(&recording.delivered).filter(|_| recording.is_alone);
                 for file in &recording.files {
-                    shelf.push(File::whole(file.clone())?);
+                    shelf.push(File { stream, ..File::whole(file.clone())? });
                 }
             } else {
                 let bag = bag(&mut random);
@@ -330,7 +342,7 @@ impl History {
         let there = inside.iter().filter(|message| message.is_laser_scan() && message.is_scan());
         let there = there.count();
         is_so(read == there, || format!("{read} scan messages read of {there} in the part"))?;
-        Ok(part)
+        Ok(File { stream: file.stream, ..part })
     }
 
     fn repair(&mut self, place: usize) -> Result<File, Wrong> {
@@ -343,10 +355,13 @@ impl History {
         is_so(!file.is_complete || !told, || format!("a whole file: {outcome:?}"))?;
         is_so(repaired.must.len() == file.may.len() || told, || "a loss untold".to_owned())?;
         // The library reads as much of the damaged file.
-        let (mut read, mut damaged) = (0, 0);
+        let (mut read, mut damaged, mut stamps) = (0, 0, BTreeSet::new());
         for scan in open(file.input(self.is_on_disk))?.scans() {
             match scan {
-                Ok(_) => read += 1,
+                Ok(scan) => {
+                    stamps.extend(file.stream.map(|_| nanos(scan.stamp())));
+                    read += 1;
+                }
                 Err(RecordingError::Damaged { .. }) => damaged += 1,
                 Err(RecordingError::NoScans { .. }) => {}
                 Err(error) => return Err(error.into()),
@@ -356,7 +371,16 @@ impl History {
         is_so(damaged == outcome.damaged_parts, || {
             format!("{damaged} damaged parts read, {} repaired", outcome.damaged_parts)
         })?;
-        Ok(repaired)
+        // Each scan of a stream is given back that the damage left, as a reply or a message.
+        let left = file.must.iter().filter(|message| message.is_scan());
+        let left = left.map(|message| message.publish_time);
+        let left: BTreeSet<u64> =
+            left.filter(|stamp| file.stream.is_some_and(|stream| stream.contains(stamp))).collect();
+        let hidden = left.iter().filter(|stamp| !is_near(**stamp, &stamps)).count();
+        is_so(hidden == 0 || left.len() < WINDOW_POLLS, || {
+            format!("hidden: {hidden} scans of {}", left.len())
+        })?;
+        Ok(File { stream: file.stream, ..repaired })
     }
 
     /// Cuts a file off, as a kill or a full disk does.
@@ -438,12 +462,9 @@ fn each_recorded_scan_is_given_back_once() {
         let inputs = recording.files.iter().map(|file| Cursor::new(file.clone()));
         cut(inputs, .., &mut joined).unwrap();
         let found = scans(&joined).map_err(|Wrong(text)| text).unwrap();
-        // A scan without a reply has the time of its message's header, which is rounded.
-        let near =
-            |stamp: u64, of: &BTreeSet<u64>| of.range(stamp - 2_000..stamp + 2_000).count() > 0;
         let stamps: BTreeSet<u64> = found.iter().map(|scan| nanos(scan.stamp())).collect();
-        let missing = recording.recorded.iter().filter(|stamp| !near(**stamp, &stamps)).count();
-        let other = stamps.iter().filter(|stamp| !near(**stamp, &recording.delivered)).count();
+        let missing = recording.recorded.iter().filter(|stamp| !is_near(**stamp, &stamps)).count();
+        let other = stamps.iter().filter(|stamp| !is_near(**stamp, &recording.delivered)).count();
         let doubled = found.len() - stamps.len();
         if missing + other + doubled > 0 {
             wrong

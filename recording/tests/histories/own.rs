@@ -18,6 +18,8 @@ pub(super) struct Own {
     pub(super) recorded: BTreeSet<u64>,
     /// Stamps of all scans of that stream.
     pub(super) delivered: BTreeSet<u64>,
+    /// Set if the recording has no other stream.
+    pub(super) is_alone: bool,
 }
 
 pub(super) fn nanos(stamp: SystemTime) -> u64 {
@@ -57,6 +59,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         true => Some(sensor.scans(other, Rate::hz(3.0)).await.unwrap()),
         false => None,
     };
+    let is_alone = others.is_none();
     if observed == 1 {
         recorder.observe(&sensor);
     }
@@ -77,7 +80,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         }
         let item = scans.next().await.unwrap();
         delivered.insert(nanos(item.as_ref().unwrap().stamp()));
-        let item = match random.once_in(10) {
+        let item = match random.once_in(4) {
             // The consumer is a scan behind.
             true => late.replace(item),
             false => Some(item),
@@ -109,7 +112,7 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         false => vec![sink.bytes()],
     };
     std::fs::remove_dir_all(folder).unwrap();
-    Own { files, recorded, delivered }
+    Own { files, recorded, delivered, is_alone }
 }
 
 /// Creates an empty folder, in memory where the system has one for that.
