@@ -141,14 +141,6 @@ pub fn cut<R: Read + Send + 'static>(
 /// # Errors
 ///
 /// The same as for [`cut`].
-///
-/// ```no_run
-/// use std::fs::File;
-///
-/// let copied = urg_recording::repair(File::open("cut.mcap")?, File::create_new("whole.mcap")?)?;
-/// println!("{} damaged parts left out", copied.damaged_parts);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
 pub fn repair(
     input: impl Read + Send + 'static,
     output: impl Write,

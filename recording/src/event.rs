@@ -171,22 +171,6 @@ mod tests {
     }
 
     #[test]
-    fn an_event_is_a_json_object_and_parses_back() {
-        let error = "a \"b\" \\ \n\u{7f}é \\u0041 \\".to_owned();
-        assert_eq!(Event::Reconnected.to_string(), r#"{"event":"reconnected"}"#);
-        assert_eq!(Event::Missed { scans: 3 }.to_string(), r#"{"event":"missed","scans":3}"#);
-        for event in [
-            Event::Disconnected { error: error.clone() },
-            Event::Reconnected,
-            Event::Error { error },
-            Event::Error { error: String::new() },
-            Event::Missed { scans: u64::MAX },
-        ] {
-            assert_eq!(Event::from(event.to_string().as_str()), event);
-        }
-    }
-
-    #[test]
     fn a_text_of_no_known_event_is_kept() {
         for text in [
             "",

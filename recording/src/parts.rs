@@ -197,17 +197,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn parts_are_numbered_before_the_extension() {
-        for (path, second) in [
-            ("/tmp/run.mcap", "/tmp/run_0002.mcap"),
-            ("a.b.mcap", "a.b_0002.mcap"),
-            ("run", "run_0002"),
-        ] {
-            assert_eq!(part_path(Path::new(path), 2), Path::new(second));
-        }
-    }
-
-    #[test]
     fn the_oldest_files_are_removed_and_never_the_open_one() {
         let folder = std::env::temp_dir().join(format!("scip-keep-{}", std::process::id()));
         fs::create_dir_all(&folder).unwrap();

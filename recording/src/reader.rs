@@ -8,7 +8,7 @@ use std::io::Read;
 use std::ops::RangeBounds;
 use std::path::Path;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime};
+use std::time::Duration;
 
 use super::mcap::{Input, Records, kind, parse_metadata};
 use super::messages::Messages;
@@ -55,7 +55,7 @@ pub struct Recording {
     /// Items read in advance.
     ahead: VecDeque<Result<Item, RecordingError>>,
     /// Part to read.
-    range: TimeRange,
+    pub(super) range: TimeRange,
     /// Topic to read instead of `/scan`.
     topic: Option<Arc<str>>,
     /// Other topics with laser scans.
@@ -124,17 +124,6 @@ impl Recording {
     /// first ones, up to the metadata, a reply to `V` and a scan. To do so it reads the file's
     /// index, which takes at most 16 MiB of memory and is proved by a checksum. Any other file is
     /// read from its beginning to its end, because messages may be in any order.
-    ///
-    /// ```no_run
-    /// use std::time::Duration;
-    /// use urg_recording::Recording;
-    ///
-    /// let (from, to) = (Duration::from_secs(90), Duration::from_secs(120));
-    /// for scan in Recording::open("run.mcap")?.range(from..to).scans() {
-    ///     println!("{:?}", scan?.stamp());
-    /// }
-    /// # Ok::<(), urg_recording::RecordingError>(())
-    /// ```
     #[must_use]
     pub fn range(mut self, range: impl RangeBounds<Duration>) -> Self {
         self.range = TimeRange::new(&range);
@@ -180,11 +169,6 @@ impl Recording {
     pub(super) fn no_scans(&self) -> RecordingError {
         let topics = self.other_topics.iter().map(|topic| topic.to_string()).collect();
         RecordingError::NoScans { topics }
-    }
-
-    /// Time from the first scan to a record.
-    pub(super) fn since_first_scan(&self, at: SystemTime) -> Duration {
-        self.range.since_first_scan(at)
     }
 
     /// Reads one record of the file, `Ok(None)` if it is no item of a recording. After an error other

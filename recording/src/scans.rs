@@ -128,7 +128,7 @@ impl RecordedScans {
         }
         let scan = scan.build().ok()?;
         self.sequence = self.sequence.wrapping_add(1);
-        self.position = self.polls.recording.since_first_scan(poll.at);
+        self.position = self.polls.recording.range.since_first_scan(poll.at);
         self.previous = Some(values);
         Some(scan)
     }
