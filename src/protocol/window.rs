@@ -370,23 +370,4 @@ mod tests {
         }
         assert!(refused > 0);
     }
-
-    #[test]
-    fn a_window_with_room_has_four_echoes() {
-        for narrow in [Window::DETECTION, window(0, 765, 1), window(12, 768, 4), window(3, 768, 1)]
-        {
-            let echoes: Vec<Window> =
-                (0..4).filter_map(|added| narrow.widened(added)).map(|(wide, _)| wide).collect();
-            assert_eq!(echoes.len(), 4, "{narrow}");
-            for (index, echo) in echoes.iter().enumerate() {
-                assert!(!echoes.iter().skip(index + 1).any(|other| other == echo), "{narrow}");
-            }
-        }
-        assert_eq!(Window::FULL.widened(1), None);
-        assert_eq!(window(2, 767, 1).widened(3), None);
-        // Steps after the end would fill up the partial last cluster.
-        assert_eq!(window(0, 10, 4).widened(1), None);
-        assert_eq!(window(0, 11, 4).widened(1), Some((window(0, 15, 4), 0)));
-        assert_eq!(window(0, 98, 99).widened(u16::MAX), None);
-    }
 }

@@ -98,15 +98,6 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_that_looks_back_sees_its_front_behind_the_origin() {
-        let rear = Pose { x: -0.2, y: 0.5, heading: PI };
-        assert!(near(rear.transform(0.0, 0.0), (-0.2, 0.5)));
-        assert!(near(rear.transform(2.0, 0.0), (-2.2, 0.5)));
-        // Its left is the other frame's right.
-        assert!(near(rear.transform(0.0, 2.0), (-0.2, -1.5)));
-    }
-
-    #[test]
     fn a_chain_applies_the_inner_pose_first() {
         let (outer, inner) = (
             Pose { x: 1.0, y: 2.0, heading: FRAC_PI_2 },

@@ -97,7 +97,7 @@ impl Scan {
 
 #[cfg(test)]
 mod tests {
-    use super::super::scan::tests::{scan, scan_of, window};
+    use super::super::scan::tests::{scan_of, window};
     use super::*;
     use crate::Window;
 
@@ -130,17 +130,6 @@ mod tests {
             assert_eq!(Some(point), ray.point());
             assert!((point.y.atan2(point.x) - ray.angle).abs() < 1e-5);
         }
-    }
-
-    #[test]
-    fn a_ray_of_a_cluster_has_its_first_step_and_its_middle_direction() {
-        // Groups 10..=13, 14..=17, and the rest 18..=20.
-        let grouped = scan(window(10, 20, 4));
-        let rays: Vec<(u16, f32)> =
-            grouped.rays().map(|ray| (ray.step.number(), ray.angle)).collect();
-        let middle = |step: f64| crate::protocol::angle(step) as f32;
-        // The last one as if it were whole.
-        assert_eq!(rays, [(10, middle(11.5)), (14, middle(15.5)), (18, middle(19.5))]);
     }
 
     #[test]

@@ -170,35 +170,7 @@ mod tests {
         distances.iter().enumerate().map(vertex).collect()
     }
 
-    /// Winding number by the angles that the vertices make around the point.
-    fn is_wound_around(vertices: &[Coordinates], point: Coordinates) -> bool {
-        let direction = |vertex: Coordinates| (vertex.1 - point.1).atan2(vertex.0 - point.0);
-        let turned: f64 = (0..vertices.len())
-            .map(|n| direction(vertices[(n + 1) % vertices.len()]) - direction(vertices[n]))
-            .map(|turn| turn - TAU * (turn / TAU).round())
-            .sum();
-        turned.abs() > 1.0
-    }
-
     proptest! {
-        #[test]
-        fn a_polygon_contains_what_it_is_wound_around(
-            distances in prop::collection::vec(0.1..3.0, 3..12),
-            middle in (-2.0..2.0, -2.0..2.0),
-            points in prop::collection::vec((-5.0..5.0, -5.0..5.0), 50),
-            reversed in any::<bool>(),
-        ) {
-            let mut vertices = star(middle, &distances);
-            if reversed {
-                vertices.reverse();
-            }
-            let polygon = Polygon::new(vertices.clone()).unwrap();
-            for point in points {
-                let inside = is_wound_around(&vertices, point);
-                prop_assert_eq!(polygon.contains(point, 0.0), inside, "{:?}", point);
-            }
-        }
-
         #[test]
         fn nothing_of_a_polygon_is_beyond_its_far_end(
             distances in prop::collection::vec(0.1..3.0, 3..12),
