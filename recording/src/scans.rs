@@ -23,7 +23,8 @@ impl Recording {
     /// recorded ones. Messages have no error codes: a value is 16 for `+Inf` and 19 for `NaN`.
     ///
     /// If the file describes several streams, as after [`cut`](super::cut) has joined recordings,
-    /// the latest metadata before a scan decides which stream it must belong to.
+    /// the latest metadata before a scan decides which stream it must belong to. Up to 256 scans
+    /// before the first metadata must belong to the stream that those describe.
     ///
     /// - `values`, `window` and `stamp` are the recorded ones.
     /// - `sequence` numbers the scans from 0.
