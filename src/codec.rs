@@ -102,9 +102,9 @@ struct ExpectedScan {
 impl ExpectedScan {
     const HEAD: usize = 12;
 
-    fn new(window: &Window) -> Self {
+    fn new(window: &Window, command: &[u8]) -> Self {
         let mut head = *b"         \n0\n";
-        for (byte, echo) in head.iter_mut().zip(&*Command::Distances(*window).bytes()) {
+        for (byte, echo) in head.iter_mut().zip(command) {
             *byte = *echo;
         }
         Self { head, length: window.reply_len() }
@@ -162,7 +162,7 @@ impl ScipCodec {
         buffer.put_slice(&bytes);
         buffer.put_u8(b'\n');
         self.expected = match command {
-            Command::Distances(window) => Some(ExpectedScan::new(window)),
+            Command::Distances(window) => Some(ExpectedScan::new(window, &bytes)),
             _ => None,
         };
     }

@@ -229,7 +229,8 @@ impl MotorClock {
         self.proof.compare(requested, arrived, self.period);
         let Some(latest) = self.latest else { return self.start(arrived) };
         let since = arrived - latest;
-        let turns = (since / self.period).round();
+        // Rounds without a call of libm.
+        let turns = ((since / self.period + 0.5) as i64) as f64;
         let lag = since - turns * self.period;
         let moments = self.moments(since, turns);
         let gate = self.gate(moments);
@@ -313,7 +314,7 @@ impl MotorClock {
     /// Judges a reply that does not fit: it is late unless the phase has changed.
     fn misfit(&mut self, requested: f64, arrived: f64, lag: f64, gate: f64) -> Revolution {
         self.update_share(0.0);
-        let late = lag.rem_euclid(self.period);
+        let late = if lag < 0.0 { lag + self.period } else { lag };
         let end = arrived - late;
         let is_early = lag < 0.0 && lag > -EARLY;
         match () {
@@ -459,11 +460,14 @@ impl Proof {
     fn compare(&mut self, requested: f64, arrived: f64, period: f64) {
         let (before, answered) = std::mem::replace(&mut self.exchange, (requested, arrived));
         self.turns = [self.turns[1], (arrived - answered) / period];
-        let moved = part((requested - before) / period);
         // Polls on a grid may show each second or third revolution: only other ones tell.
         self.is_compared = std::mem::take(&mut self.is_moved);
         let is_told = self.is_compared || !self.skips_revolutions();
-        if self.is_complete || !is_told || moved.abs() * period <= LEAST_MOVE {
+        if self.is_complete || !is_told {
+            return;
+        }
+        let moved = part((requested - before) / period);
+        if moved.abs() * period <= LEAST_MOVE {
             return;
         }
         let followed = part((arrived - answered) / period);

@@ -43,16 +43,25 @@ impl ReplyObservers {
     }
 
     /// Passes `reply` to each observer.
-    pub(crate) fn pass(&self, reply: RawReply<'_>) {
-        // Called without the lock, so that an observer may add and remove others.
-        let list = self.locked().clone();
-        list.iter().for_each(|observer| observer(reply));
+    pub(crate) fn pass<'a>(&self, reply: impl FnOnce() -> RawReply<'a>) {
+        let list = self.locked();
+        if !list.is_empty() {
+            let shared = Arc::clone(&list);
+            // Called without the lock, so that an observer may add and remove others.
+            drop(list);
+            call(&shared, reply());
+        }
     }
 
     fn locked(&self) -> MutexGuard<'_, Observers> {
         // No code that holds the lock can panic.
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+#[cold]
+fn call(list: &[Arc<Observer>], reply: RawReply<'_>) {
+    list.iter().for_each(|observer| observer(reply));
 }
 
 /// Copies the list: what is added to the clone is not added to the original.

@@ -16,8 +16,9 @@ use crate::protocol::{Text, Version};
 use crate::state::{Telemetry, VersionReply};
 use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
-/// One revolution of a URG's motor at 600 rpm.
+/// One revolution of a URG's motor, and the revolutions a minute.
 const REVOLUTION: Duration = Duration::from_millis(100);
+const NOMINAL_SPEED: u16 = 600;
 /// Number of candidates to try before backing off. No machine has as many ports, but a
 /// [`Connect`](crate::port::Connect) may always promise another one.
 const MAX_CANDIDATES: usize = 64;
@@ -256,7 +257,9 @@ impl Opener {
             let is_known = self.identity.as_ref() == Some(number);
             let repeats = before.as_ref().is_some_and(|before| before.serial_number == *number);
             let is_settled = is_known || counts && repeats;
-            let speed_is_certain = self.motor_speed == Some(speed)
+            // A flipped bit in another speed hardly ever makes the nominal one.
+            let speed_is_certain = [self.motor_speed, Some(Some(NOMINAL_SPEED))]
+                .contains(&Some(speed))
                 || before.as_ref().is_some_and(|before| motor_speed(before) == speed);
             if is_settled && speed_is_certain || tries == IDENTITY_TRIES {
                 let serial_is_certain = is_settled && !number.is_empty();

@@ -145,6 +145,26 @@ async fn a_serial_number_is_requested_twice_also_if_it_is_empty_or_another_one_i
     assert_eq!((requests(&nameless), requests(&other)), (2, 2));
 }
 
+/// On USB a sensor answers once a revolution: a fence, `V` and `G`, and `V` once more unless the
+/// serial number is expected.
+#[tokio::test(start_paused = true)]
+async fn the_first_scan_of_an_expected_sensor_comes_after_three_replies() {
+    for (is_expected, limit) in [(true, 370), (false, 470)] {
+        let mut times = Vec::new();
+        for phase in 0..20 {
+            let emulator = truthful().serial_number("H0000001").usb().build();
+            tokio::time::sleep(Duration::from_millis(5 * phase)).await;
+            let begin = Instant::now();
+            let builder = builder();
+            let builder = if is_expected { builder.serial_number("H0000001") } else { builder };
+            builder.connect(emulator).await.unwrap().scan(Window::DETECTION).await.unwrap();
+            times.push(begin.elapsed());
+        }
+        times.sort();
+        assert!(times[10] <= Duration::from_millis(limit), "{times:?}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_scan_has_the_time_of_a_revolution_that_the_version_states() {
     let emulator = |specification: &str| {

@@ -87,7 +87,7 @@ impl Session {
             let received = self.transport.next_frame().await?;
             let frame = received.frame();
             if let FoundFrame::Reply(bytes) = frame {
-                self.observers.pass(RawReply {
+                self.observers.pass(|| RawReply {
                     command: None,
                     bytes,
                     received_at: received.timing.received,

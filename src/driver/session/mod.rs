@@ -289,24 +289,31 @@ fn judge(
         FoundFrame::Overlong { bytes } => return Err(MalformedError::Overlong { bytes }.into()),
     };
     let outcome = Reply::parse(command, bytes);
-    observers.pass(RawReply {
+    observers.pass(|| RawReply {
         command: outcome.as_ref().err().is_none_or(is_echoed).then_some(*command),
         bytes,
         received_at: timing.received,
         stamp: timing.stamp,
     });
-    // The first byte of the reply cannot arrive before the command has left the wire.
     if echo == EchoKind::Repeated
         && outcome.is_ok()
         && let Some(baud_rate) = baud_rate
     {
-        let least = baud_rate.wire_time(command.bytes().len() + 2);
-        let after = timing.began - timing.requested;
-        if after < least {
-            return Err(MalformedError::Early { after, least }.into());
-        }
+        check_beginning(command, timing, baud_rate)?;
     }
     outcome
+}
+
+/// Fails if the reply began before the command had left the wire.
+#[cold]
+fn check_beginning(
+    command: &Command,
+    timing: &Timing,
+    baud_rate: BaudRate,
+) -> Result<(), MalformedError> {
+    let least = baud_rate.wire_time(command.bytes().len() + 2);
+    let after = timing.began - timing.requested;
+    if after < least { Err(MalformedError::Early { after, least }) } else { Ok(()) }
 }
 
 #[cold]
