@@ -47,17 +47,17 @@ impl RecordTotals {
         if lost + skipped + gaps == 0 {
             text.push_str(", none lost");
         }
-        for (count, what) in [
-            (lost, "lost"),
-            (lost_replies, "replies lost"),
-            (failed, "polls without a scan"),
-            (skipped, "polls skipped"),
-            (gaps, if gaps == 1 { "gap" } else { "gaps" }),
-            (disconnects, "disconnects"),
-            (late_syncs, "late syncs"),
+        for (count, one, more) in [
+            (lost, "lost", "lost"),
+            (lost_replies, "reply lost", "replies lost"),
+            (failed, "poll without a scan", "polls without a scan"),
+            (skipped, "poll skipped", "polls skipped"),
+            (gaps, "gap", "gaps"),
+            (disconnects, "disconnect", "disconnects"),
+            (late_syncs, "late sync", "late syncs"),
         ] {
             if count > 0 {
-                let _ = write!(text, ", {count} {what}");
+                let _ = write!(text, ", {count} {}", if count == 1 { one } else { more });
             }
         }
         text
@@ -82,7 +82,7 @@ mod tests {
         assert_eq!(
             bad.after(Duration::from_millis(999)),
             "4 scans in 0:00, 14.0 kB in 2 files, 1 lost, 5 replies lost, 4 polls without a scan, \
-             40 polls skipped, 1 gap, 1 disconnects, 7 late syncs"
+             40 polls skipped, 1 gap, 1 disconnect, 7 late syncs"
         );
     }
 }
