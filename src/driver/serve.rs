@@ -119,9 +119,9 @@ impl Service<'_> {
             let outcome = Box::pin(self.resynchronise(session)).await;
             ignore_command_errors(outcome)?;
         }
-        if self.laser.retry_at().is_none() {
+        if self.laser.retry_at().is_none() && self.laser.is_due(self.queue.wishes.laser) {
             // A wish that is younger than the session comes before all polls.
-            self.apply_laser(session).await?;
+            Box::pin(self.apply_laser(session)).await?;
         }
         let polling = !self.schedules.is_empty() && !self.laser.is_off();
         self.publish_streaming(polling);
@@ -130,13 +130,19 @@ impl Service<'_> {
         for _ in Turn::ALL {
             *latest = latest.next();
             let is_served = match latest {
-                Turn::Request => self.serve_request(session).await?,
-                Turn::Wish => self.apply_wish(session).await?,
+                Turn::Request => match self.queue.pop()? {
+                    Some(request) => {
+                        Box::pin(self.serve_request(session, request)).await?;
+                        true
+                    }
+                    None => false,
+                },
+                Turn::Wish if self.has_wish() => Box::pin(self.apply_wish(session)).await?,
                 Turn::Poll if poll_is_due => {
                     self.poll_due(session).await?;
                     true
                 }
-                Turn::Poll => false,
+                Turn::Wish | Turn::Poll => false,
             };
             if is_served {
                 return Ok(());
@@ -155,14 +161,18 @@ impl Service<'_> {
         .await
     }
 
-    /// Returns true if there was a request.
-    async fn serve_request(&mut self, session: &mut Session) -> Result<bool, Stop> {
-        let Some(request) = self.queue.pop()? else { return Ok(false) };
-        Box::pin(self.answer(session, request)).await?;
+    async fn serve_request(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
+        self.answer(session, request).await?;
         // One of the streams may have been dropped since the last request.
         self.schedules.drop_unread();
         self.schedules.publish(self.telemetry);
-        Ok(true)
+        Ok(())
+    }
+
+    /// Returns true if there is a wish to apply.
+    fn has_wish(&self) -> bool {
+        let wishes = &self.queue.wishes;
+        wishes.baud_rate.is_some() || self.laser.is_due(wishes.laser)
     }
 
     /// Returns true if there was a wish to apply.
