@@ -1,8 +1,8 @@
 //! [`ScipCodec`]: finds where replies end, and writes commands.
 //! [`protocol`](crate::protocol) validates the replies.
 //!
-//! Searching a full scan for its two LFs takes 887 instructions, and everything else about it
-//! 2,134 (`.ci/callgrind`). So the codec remembers the last command: it determines where a
+//! Searching each scan for its two LFs would take a third longer (`benches/README.md`, item 1). So
+//! the codec remembers the last command: it determines where a
 //! successful reply to a `G` ends. Only a reply that does not end there is
 //! searched. Both ways yield the same kind of frame, for the same parser.
 
