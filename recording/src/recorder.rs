@@ -102,7 +102,8 @@ impl Recorder {
     }
 
     /// Records the sensor's version, the window and rate of the stream, and the baud rate, as
-    /// metadata. A replay takes its window and rate from it.
+    /// metadata. A replay takes its window and rate from it. A baud rate that the port ignores,
+    /// as fast replies have shown, is `none`.
     ///
     /// Cancel-safe: a dropped future has written nothing.
     ///
@@ -112,6 +113,7 @@ impl Recorder {
     pub async fn describe(&self, sensor: &Sensor, scans: &ScanStream) -> Result<(), Error> {
         let version = sensor.version().await?;
         let baud_rate = sensor.watch_state().get().baud_rate();
+        let baud_rate = baud_rate.filter(|_| !sensor.stats().baud_rate_outrun);
         let baud_rate = baud_rate.map_or_else(|| "none".to_owned(), |rate| rate.to_string());
         let window = scans.window();
         let mut metadata: BTreeMap<_, _> = [

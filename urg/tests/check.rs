@@ -86,4 +86,9 @@ fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
     let served = Served::start(&sensor.port);
     served.get("/scans?max=3").text();
     assert_eq!(served.state()["baud_rate"], Value::Null);
+    drop(served);
+    let file = Scratch::mcap("outrun-recorded");
+    run(&format!("record {} {} --count 3", sensor.port, file.path()), 0);
+    let recorded = run(&format!("info {}", file.path()), 0).stdout;
+    assert!(!recorded.contains("19200"), "{recorded}");
 }

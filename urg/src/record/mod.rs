@@ -24,7 +24,7 @@ use crate::output::notice::notice;
 use crate::output::stderr;
 use crate::output::stdout::is_closed;
 use crate::port::name::{PortArg, missing_port};
-use crate::port::open::open;
+use crate::port::open::{open, proven_baud_rate};
 use crate::recording::contents::ScanTimes;
 use crate::recording::recorded::Recorded;
 use crate::stream::feed::{Feed, Update};
@@ -132,6 +132,8 @@ impl Record {
                 None => self.builder().write_to(io::stdout()),
             };
             let mut recorder = begun.map_err(|error| failure(&target, &error))?;
+            // The metadata have the baud rate, so before any scan.
+            proven_baud_rate(&sensor).await;
             recorder.observe(&sensor);
             let feed = Feed::open(&port, &sensor, window, rate).await?;
             let described = recorder.describe(&sensor, feed.scans()).await;
