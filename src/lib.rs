@@ -88,8 +88,8 @@
 //! change at any time.
 //!
 //! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
-//! counters, [`Version`] and [`RawReply`]. So are the variants that only the
-//! driver constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a
+//! counters, [`Version`], [`RawReply`], [`scan::Ray`] and [`scan::ZoneState`]. So are the variants
+//! that only the crate constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a
 //! test. [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes,
 //! [`Point`], [`scan::Pose`] and [`scan::CountsAs`] are exhaustive.
 //!

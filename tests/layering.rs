@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// The modules from the top down: each may use those behind it in this list.
-const ORDER: [&str; 13] = [
-    "sensor", "stream", "driver", "state", "ring", "stats", "port", "codec", "event", "scan",
-    "rate", "error", "protocol",
+const ORDER: [&str; 12] = [
+    "sensor", "stream", "driver", "state", "ring", "stats", "port", "codec", "scan", "rate",
+    "error", "protocol",
 ];
 const NOT_IN_PROTOCOL: [&str; 10] =
     ["Instant", "SystemTime", "tokio", "tracing", "futures", "io", "net", "fs", "thread", "log"];
