@@ -45,7 +45,8 @@ fn the_trouble_of_one_sensor_is_that_of_no_other() {
         let line: Value = serde_json::from_str(&scans.line().unwrap()).unwrap();
         fronts += i32::from(line["sensor"] == "front" && line["values"].is_array());
     }
-    let _sensor = Emulated::start(&format!("--link {}", link.path()));
+    // Another program may have its pseudo-terminal by now.
+    let _sensor = Emulated::start(&format!("--force --link {}", link.path()));
     served.health(200);
 }
 

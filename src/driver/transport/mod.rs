@@ -13,7 +13,7 @@ mod tests;
 use std::future::{Future, poll_fn};
 use std::io;
 use std::pin::{Pin, pin};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll, Waker, ready};
 use std::time::{Duration, SystemTime};
 
 use bytes::{Buf, BufMut, BytesMut};
@@ -159,23 +159,20 @@ impl Transport {
         tokio::task::yield_now().await;
         let dropped = poll_fn(|cx| {
             Poll::Ready(self.drop_bytes(|port, mut bytes| {
-                let tried = port.hints().and_then(|hints| hints.try_read(bytes));
-                tried.or_else(|| match poll_read(port, cx, &mut bytes) {
-                    Poll::Ready(outcome) => Some(outcome),
-                    Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
+                try_read(port, bytes).or_else(|| {
+                    match promptly(cx, |cx| poll_read(port, cx, &mut bytes)) {
+                        Poll::Ready(outcome) => Some(outcome),
+                        Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
+                    }
                 })
             }))
         });
-        unconstrained(dropped).await.unwrap_or(Ok(0))
+        dropped.await.unwrap_or(Ok(0))
     }
 
-    /// Does the same without waiting. Returns `None` if the port cannot be read so, or may only seem
-    /// to have no bytes.
+    /// Does the same without waiting. Returns `None` if the port cannot be read so.
     pub(crate) fn try_discard_pending(&mut self) -> Option<Result<u64, ExchangeError>> {
-        match self.drop_bytes(|port, bytes| port.hints()?.try_read(bytes)) {
-            Some(Ok(0)) if !has_budget_remaining() => None,
-            outcome => outcome,
-        }
+        self.drop_bytes(try_read)
     }
 
     /// Sends `command` and returns the first frame: [`send`](Self::send) followed by
@@ -492,6 +489,19 @@ fn poll_read(
     buffer: &mut impl BufMut,
 ) -> Poll<io::Result<usize>> {
     pin!(port.read_buf(buffer)).poll(cx)
+}
+
+/// Reads without waiting, or returns `None` if the port cannot.
+fn try_read(port: &mut Box<dyn Port>, bytes: &mut [u8]) -> Option<io::Result<usize>> {
+    let hints = port.hints()?;
+    let read = promptly(&mut Context::from_waker(Waker::noop()), |_| match hints.try_read(bytes) {
+        Some(Err(error)) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
+        tried => Poll::Ready(tried),
+    });
+    match read {
+        Poll::Ready(tried) => tried,
+        Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
+    }
 }
 
 /// Timer that is kept from one exchange to the next. With a new timer each time, tokio

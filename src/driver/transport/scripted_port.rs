@@ -5,10 +5,10 @@ use std::io::{self, ErrorKind};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, Waker};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::task::coop::has_budget_remaining;
+use tokio::task::coop::poll_proceed;
 
 use crate::BaudRate;
 use crate::port::{Port, PortHints};
@@ -29,8 +29,11 @@ pub(crate) struct ScriptedPort {
 
 impl ScriptedPort {
     fn next(&mut self, buffer: &mut ReadBuf<'_>) -> io::Result<()> {
-        if self.takes_budget && !has_budget_remaining() {
-            return Err(ErrorKind::WouldBlock.into());
+        if self.takes_budget {
+            match poll_proceed(&mut Context::from_waker(Waker::noop())) {
+                Poll::Ready(budget) => budget.made_progress(),
+                Poll::Pending => return Err(ErrorKind::WouldBlock.into()),
+            }
         }
         let next = self.reads.pop_front().unwrap_or_else(|| match &self.refusal {
             Some((kind, reads)) => {

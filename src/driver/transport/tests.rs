@@ -127,6 +127,10 @@ async fn an_empty_budget_is_no_quiet_line() {
         let mut transport = on(port);
         use_up_budget().await;
         assert_eq!(discard(&mut transport).await.unwrap(), 120, "{has_try_read}");
+        // A budget that ends while bytes are dropped: it is of 128 calls.
+        let reads = (0..300).map(|_| Ok(vec![0])).collect();
+        let port = ScriptedPort { reads, has_try_read, takes_budget: true, ..Default::default() };
+        assert_eq!(discard(&mut on(port)).await.unwrap(), 300, "{has_try_read}");
     }
 }
 
