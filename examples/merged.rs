@@ -69,7 +69,9 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     loop {
         ticks.tick().await;
         let stale = merge(&sensors, &mut cloud);
-        let (fresh, reasons) = (sensors.len() - stale.len(), stale.join("; "));
-        println!("{fresh} of {} sensors, {} points {reasons}", sensors.len(), cloud.len());
+        let fresh = sensors.len() - stale.len();
+        print!("{fresh} of {} sensors, {} points", sensors.len(), cloud.len());
+        stale.iter().for_each(|reason| print!("; {reason}"));
+        println!();
     }
 }

@@ -14,9 +14,8 @@ for line in sys.stdin:
         continue
     message = LaserScan()
     message.header.frame_id = "laser"
-    # ROS wants the time of the first ray. The stamp is the time of the reply, which
-    # begins when a revolution ends, at the rear.
-    stamp = scan["stamp"] - (0.5 - scan["angle_min"] / math.tau) * scan["scan_time"]
+    # ROS wants the time of the first ray.
+    stamp = scan["first_ray"]
     message.header.stamp.sec = int(stamp)
     message.header.stamp.nanosec = int(stamp % 1 * 1e9)
     message.angle_min = scan["angle_min"]
