@@ -33,7 +33,7 @@ fn the_sensors_that_are_there_are_merged() {
     let absent = format!("{ABSENT}@0,0,0");
     let ports = ["emulated@0.2,0,0", &absent, "emulated@-0.2,0,180"];
     let line = Example::run("merged", &ports).line_with("2 of 3 sensors, ");
-    let (cloud, waiting) = line.split_once(" points ").unwrap();
+    let (cloud, waiting) = line.split_once(" points; ").unwrap();
     let points: usize = address(cloud).parse().unwrap();
     assert!(points > 1000, "{points}");
     assert!(waiting.starts_with(&format!("{ABSENT}: ")), "{waiting}");
