@@ -491,16 +491,27 @@ fn poll_read(
     pin!(port.read_buf(buffer)).poll(cx)
 }
 
-/// Reads without waiting, or returns `None` if the port cannot.
+/// Reads without waiting, also without tokio's budget. Returns `None` if the port cannot.
 fn try_read(port: &mut Box<dyn Port>, bytes: &mut [u8]) -> Option<io::Result<usize>> {
+    let tried = port.hints()?.try_read(bytes)?;
+    match &tried {
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock && !has_budget_remaining() => {
+            try_read_without_budget(port, bytes)
+        }
+        _ => Some(tried),
+    }
+}
+
+#[cold]
+fn try_read_without_budget(
+    port: &mut Box<dyn Port>,
+    bytes: &mut [u8],
+) -> Option<io::Result<usize>> {
     let hints = port.hints()?;
-    let read = promptly(&mut Context::from_waker(Waker::noop()), |_| match hints.try_read(bytes) {
-        Some(Err(error)) if error.kind() == io::ErrorKind::WouldBlock => Poll::Pending,
-        tried => Poll::Ready(tried),
-    });
-    match read {
+    let mut cx = Context::from_waker(Waker::noop());
+    match without_budget(&mut cx, &mut |_| Poll::Ready(hints.try_read(bytes))) {
         Poll::Ready(tried) => tried,
-        Poll::Pending => Some(Err(io::ErrorKind::WouldBlock.into())),
+        Poll::Pending => None,
     }
 }
 
