@@ -4,7 +4,7 @@
 //! command and reads, blocking, until the reply has ended, and the same loop on tokio and
 //! tokio-serial, with a deadline.
 //!
-//! `cargo bench --bench pieces` prints a table, `-- usb 5 60` that of one pattern, with five
+//! `cargo bench --bench pieces` prints a table, `-- usb 5 60` a table of one pattern, with five
 //! rounds of 60 scans for each poller. strace counts the system calls. With the arguments of one poller (`floor`, `tokio`,
 //! `driver` or `unpaused`), one pattern (the first column) and a number of
 //! scans it runs only these, for `strace` and `.ci/system_calls`.

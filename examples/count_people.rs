@@ -28,7 +28,7 @@ const IN_FRONT: f32 = 0.2;
 const STRIDE: f32 = 0.5;
 /// Fewer points are noise. A leg at 4 m has five.
 const POINTS: usize = 3;
-/// A number counts once so many scans in a row agree.
+/// Number of scans in a row that must agree.
 const AGREE: usize = 3;
 
 /// The empty doorway.

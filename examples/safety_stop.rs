@@ -46,7 +46,7 @@ pub(crate) struct Terms {
     pub(crate) supplement: f64,
 }
 
-/// Of the vehicle of this example: measure those of yours.
+/// Terms of this example's vehicle: measure your own.
 pub(crate) const TERMS: Terms = Terms {
     approach: 0.5,
     revolution: Duration::from_millis(100),

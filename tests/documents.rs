@@ -1,4 +1,4 @@
-//! Checks the documents as somebody reads them on a forge: each begins with a title, each
+//! Checks the documents as a reader sees them as files: each begins with a title, each
 //! reference has a target in its own file, relative links exist, and code names its language.
 //! rustdoc replaces the targets of the guide's links, so `links.md` needs all of them.
 

@@ -55,7 +55,7 @@ async fn a_black_box_has_the_time_before_its_trigger() {
         let slack = Duration::from_millis(4000);
         assert!(dropped.iter().all(|scan| age(scan) > before.saturating_sub(slack)), "{seed}");
         assert!(kept.iter().all(|scan| age(scan) <= before), "{seed}: {before:?}");
-        // The replies are those of the scans: at most one more, of a poll without its scan.
+        // Each scan has its reply, and one more poll may have a reply without a scan.
         let replies = polls(&records);
         assert!((scans..=scans + 1).contains(&replies.len()), "{seed}: {} {scans}", replies.len());
         // Its time begins with its first item, not with the sensor's version.

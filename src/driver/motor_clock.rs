@@ -25,7 +25,7 @@
 //! # Late replies and jumps
 //!
 //! An arrival above the line by more than the gate is late, and changes nothing. But a jump of
-//! the phase also makes misfits. Those of a jump agree, and late replies scatter. So misfits vote:
+//! the phase also makes misfits. Misfits after a jump agree, and late replies scatter. So misfits vote:
 //! [`JUMP`] that agree, beyond those that do not, move the line. The sensor answers when the first
 //! revolution after a request ends. An arrival that no revolution since its request explains is
 //! early, and moves the line at once. Neither changes the period.

@@ -9,7 +9,7 @@ use super::sweep::{Noise, sweep};
 use super::walk::Walk;
 use super::{STEPS, Values, World, WorldTime};
 
-/// For so many steps, 1.6 ms, what moves stands still: a person moves by a millimetre.
+/// Number of steps, 1.6 ms, for which everything stands still: a person moves by a millimetre.
 const STILL: usize = 16;
 
 /// Fraction of the light that surfaces of a scene reflect.

@@ -56,7 +56,7 @@ impl Records {
 
     /// Reads the kind and content of the next record, or returns `None` at the end of the
     /// data. A message is of a channel before it. After the first damage, which may have hit
-    /// definitions, those of the file's index follow. After an error other than
+    /// definitions, the definitions in the file's index follow. After an error other than
     /// [`FileError::Damaged`], no records follow.
     pub(in super::super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, FileError> {
         if let Some((kind, place)) = self.index.as_mut().and_then(FileIndex::next_definition) {

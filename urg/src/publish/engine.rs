@@ -130,7 +130,7 @@ impl EngineSettings {
 /// Why an open engine has to be reopened.
 #[derive(Debug)]
 pub(super) enum Reopen {
-    /// The engine works, but not for everybody, for this reason.
+    /// The engine works, but some readers get no scans, for this reason.
     Outdated(String),
     /// The engine has stopped working, for this reason.
     Dead(String),

@@ -23,7 +23,7 @@ pub(super) struct Chart {
 }
 
 impl Chart {
-    /// Fits `extent`, in metres, into `area`, and leaves a margin of so many columns and rows free.
+    /// Fits `extent`, in metres, into `area`, and leaves `margin` columns and rows free.
     pub(super) fn new(area: Rect, extent: Extent, margin: (f64, f64)) -> Self {
         let (columns, rows) = (f64::from(area.width), f64::from(area.height));
         let across = (columns - 2.0 * margin.0).max(1.0) * ACROSS;

@@ -2,7 +2,7 @@
 //! without a distance.
 //!
 //! A single sensor without a pose has its sector and the directions around it. Otherwise the
-//! picture is that of the common frame: each sensor's points have its colour. Only the selected sensor shows its edges and missing distances, because
+//! picture shows the common frame: each sensor's points have its colour. Only the selected sensor shows its edges and missing distances, because
 //! several sectors at once would be unreadable.
 
 use std::collections::BTreeMap;
