@@ -28,7 +28,6 @@
 //! }
 //! # unreachable!("the stream ended");
 //! # }
-//! # main().unwrap();
 //! ```
 //!
 //! This runs without hardware, on the emulated sensor of the crate `urg-emulator`. The URG-04LX and

@@ -11,6 +11,7 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::port::Connect;
+use tokio_scip::protocol::Command;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, ScanStream, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Fixed, Link};
 
@@ -198,7 +199,7 @@ impl History {
                     self.fail("the baud rate is not as confirmed");
                 }
             }
-            Ok(Err(error)) if matches!(error.kind(), ErrorKind::Disconnected { .. }) => {
+            Ok(Err(error)) if !is_about_baud_rate(&error) => {
                 let before = std::mem::replace(&mut self.wishes.baud_rate, vec![Some(baud_rate)]);
                 self.wishes.before.extend(before);
                 self.doubt_baud_rate();
@@ -345,6 +346,19 @@ impl History {
                 sleep(time).await;
             }
         }
+    }
+}
+
+/// Returns true if the sensor or its port refused a baud rate. Without a link, a request fails
+/// with the reason of the latest attempt to open one, and its wish counts.
+fn is_about_baud_rate(error: &Error) -> bool {
+    match error.kind() {
+        ErrorKind::UnsupportedBaudRate { .. } => true,
+        ErrorKind::Timeout { command, .. }
+        | ErrorKind::Refused { command, .. }
+        | ErrorKind::Malformed { command, .. }
+        | ErrorKind::NotConfirmed { command, .. } => matches!(command, Command::BaudRate(_)),
+        _ => false,
     }
 }
 

@@ -10,6 +10,7 @@ use tokio::time::{Instant, sleep_until};
 
 use crate::protocol::Version;
 use crate::ring::Cursor;
+use crate::state::Telemetry;
 use crate::{BaudRate, ErrorKind, Rate, Scan, Window};
 
 /// Sender for the answer to a request.
@@ -164,9 +165,9 @@ impl RequestQueue {
         Poll::Ready(Ok(()))
     }
 
-    /// While there is no link: returns the next request that needs none. The others wait
-    /// until they expire with `Disconnected`. Cancel-safe.
-    pub(crate) async fn next_unlinked(&mut self) -> Result<Unlinked, Abandoned> {
+    /// While there is no link: returns the next request that needs none. The others wait until
+    /// they expire with the reason why there is no link. Cancel-safe.
+    pub(crate) async fn next_unlinked(&mut self, link: &Telemetry) -> Result<Unlinked, Abandoned> {
         loop {
             if let Some(request) = self.next.take().filter(|request| !request.is_abandoned()) {
                 self.wishes.record(&request);
@@ -180,7 +181,7 @@ impl RequestQueue {
                     request => self.wait(request),
                 }
             }
-            self.expire();
+            self.expire(link);
             let first = self.waiting.front().map(|waiting| waiting.expires);
             tokio::select! {
                 biased;
@@ -200,11 +201,11 @@ impl RequestQueue {
         }
     }
 
-    fn expire(&mut self) {
+    fn expire(&mut self, link: &Telemetry) {
         let now = Instant::now();
         while self.waiting.front().is_some_and(|waiting| waiting.expires <= now) {
             if let Some(waiting) = self.waiting.pop_front() {
-                waiting.request.fail(ErrorKind::disconnected(None));
+                waiting.request.fail(link.link_error());
             }
         }
     }
@@ -238,7 +239,10 @@ mod tests {
         assert!(ready.is_none(), "no request was sent");
         let (responder, _answer) = oneshot::channel();
         assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
-        assert!(queue.next_unlinked().now_or_never().is_none(), "it needs a link");
+        assert!(
+            queue.next_unlinked(&Telemetry::new(None)).now_or_never().is_none(),
+            "it needs a link"
+        );
         assert!(matches!(poll_fn(|cx| queue.poll_ready(cx)).now_or_never(), Some(Ok(()))));
         assert!(matches!(queue.pop(), Ok(Some(Request::Version(_)))));
     }
@@ -251,7 +255,10 @@ mod tests {
         for number in 0..10_000 {
             let (responder, answer) = oneshot::channel();
             assert!(sender.send(Box::new(Request::Version(responder))).await.is_ok());
-            assert!(queue.next_unlinked().now_or_never().is_none(), "it waits for a link");
+            assert!(
+                queue.next_unlinked(&Telemetry::new(None)).now_or_never().is_none(),
+                "it waits for a link"
+            );
             // One in a hundred is kept. The others are abandoned while they wait.
             answers.extend((number % 100 == 0).then_some(answer));
             assert!(queue.waiting.len() < 2 * answers.len() + PURGE_FROM, "{number}");

@@ -255,7 +255,7 @@ impl OfflineQueue {
             tokio::select! {
                 biased;
                 done = &mut work => return Ok(done),
-                request = self.queue.next_unlinked() => match request {
+                request = self.queue.next_unlinked(&self.telemetry) => match request {
                     Ok(Unlinked::Subscribe { window, rate, depth, responder }) => {
                         let stream = self.schedules.subscribe(window, rate, depth, trouble);
                         // Drops the stream if no caller waits for it.

@@ -196,7 +196,12 @@ impl fmt::Display for Sentence<'_> {
                 f,
                 "{port} is in use: stop the program that has it open (`fuser {port}` shows it; ModemManager probes new ports for some seconds)"
             ),
-            ErrorKind::Open { port, .. } => write!(f, "cannot open {port}"),
+            ErrorKind::Open { port, source } => {
+                let is_refused = source.kind() == io::ErrorKind::ConnectionRefused;
+                let remedy =
+                    if is_refused { ": start its server, or correct the address" } else { "" };
+                write!(f, "cannot open {port}{remedy}")
+            }
             ErrorKind::NoSuchSensor { serial_number } => write!(
                 f,
                 "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"

@@ -11,7 +11,7 @@ use crate::RawReply;
 use crate::driver::{self, Config, Driver, IdleProbe};
 use crate::port::{Attached, Connect, Endpoint};
 use crate::protocol::Text;
-use crate::{BaudRate, Error};
+use crate::{BaudRate, Error, State};
 
 /// Longest time that you can set, so that no instant overflows.
 const LONGEST: Duration = Duration::from_secs(24 * 60 * 60);
@@ -71,8 +71,8 @@ impl SensorBuilder {
         self
     }
 
-    /// Sets how long a request waits for a link before it fails with
-    /// [`Disconnected`](crate::ErrorKind::Disconnected). Default: 5 s. At most a day.
+    /// Sets how long a request waits for a link before it fails with the reason why there is none.
+    /// Default: 5 s. At most a day.
     ///
     /// The time starts when the link is lost, or when you make the request if that is later. While
     /// there is a link, a request waits for its turn without a time limit.
@@ -231,8 +231,8 @@ impl SensorBuilder {
     /// yet. The driver [waits for it](Self::wait_for_sensor).
     ///
     /// Streams begin with its first scan. Until then [`freshness`](Sensor::freshness) and
-    /// [`watch_state`](Sensor::watch_state) have the reason, and requests fail after the [request
-    /// timeout](Self::request_timeout). For your own [`Connect`], spawn the driver that
+    /// [`watch_state`](Sensor::watch_state) have the reason, and requests fail with it after the
+    /// [request timeout](Self::request_timeout). For your own [`Connect`], spawn the driver that
     /// [`build`](Self::build) returns.
     ///
     /// ```
@@ -245,7 +245,6 @@ impl SensorBuilder {
     /// assert!(scans.freshness().check(Duration::from_millis(500)).is_err()); // no scan yet
     /// # Ok(())
     /// # }
-    /// # main().unwrap();
     /// ```
     ///
     /// # Errors
@@ -316,7 +315,9 @@ fn spawn((sensor, driver): (Sensor, Driver)) -> Sensor {
     sensor
 }
 
+/// Waits until the sensor has answered for the first time.
 async fn opened(sensor: Sensor) -> Result<Sensor, Error> {
-    sensor.wait_until_open().await?;
+    let is_open = |state: &State| !matches!(state, State::Connecting { .. } | State::Closed { .. });
+    sensor.watch_state().wait_for(is_open).await?;
     Ok(sensor)
 }

@@ -8,7 +8,7 @@ use crate::RawReply;
 use crate::driver::{Client, ReplyObservation, Request};
 use crate::port::Endpoint;
 use crate::protocol::{Command, Version};
-use crate::state::{Freshness, State, StateWatch};
+use crate::state::{Freshness, StateWatch};
 use crate::stats::Stats;
 use crate::stream::StreamBuilder;
 use crate::{BaudRate, Error, Rate, Scan, Window};
@@ -31,10 +31,9 @@ use crate::{BaudRate, Error, Rate, Scan, Window};
 ///
 /// # Errors
 ///
-/// While there is no link, a request waits for one. It fails with
-/// [`Disconnected`](crate::ErrorKind::Disconnected) after the [request
-/// timeout](SensorBuilder::request_timeout); [`watch_state`](Self::watch_state) has the reason. A
-/// command without a complete reply is repeated once if that is harmless, and then fails with
+/// While there is no link, a request waits for one. After the [request
+/// timeout](SensorBuilder::request_timeout) it fails with the reason why there is none, as in
+/// [`watch_state`](Self::watch_state). A command without a complete reply is repeated once if that is harmless, and then fails with
 /// [`Timeout`](crate::ErrorKind::Timeout) or [`Malformed`](crate::ErrorKind::Malformed). A status
 /// other than success is [`Refused`](crate::ErrorKind::Refused). Once the driver has ended, every
 /// call fails with the cause, or [`Closed`](crate::ErrorKind::Closed).
@@ -70,16 +69,6 @@ impl Sensor {
     /// Creates a builder, to change the settings of [`open`](Self::open).
     pub fn builder() -> SensorBuilder {
         SensorBuilder::default()
-    }
-
-    /// Waits until the sensor has answered for the first time.
-    async fn wait_until_open(&self) -> Result<(), Error> {
-        let mut state = self.watch_state();
-        let open = |state: &State| !matches!(state, State::Connecting { .. });
-        match state.wait_for(open).await {
-            Ok(State::Closed { .. }) | Err(_) => Err(self.client.telemetry().cause()),
-            Ok(_) => Ok(()),
-        }
     }
 
     /// Identity of the sensor, as the driver read it when it opened the link (`V`, p. 4 of the
@@ -128,9 +117,9 @@ impl Sensor {
     /// at the new one. Takes about half a second. The driver restores the baud rate whenever it finds
     /// the sensor. A sensor on USB accepts it without effect.
     ///
-    /// Without a link the driver remembers the baud rate, even if the call fails with
-    /// [`Disconnected`](crate::ErrorKind::Disconnected), and changes to it when the sensor comes
-    /// back. After every other error it forgets the baud rate and restores the one before.
+    /// Without a link the driver remembers the baud rate, even if the call fails, and changes to it
+    /// when the sensor comes back. With a link, an error other than
+    /// [`Disconnected`](crate::ErrorKind::Disconnected) restores the baud rate before.
     ///
     /// # Errors
     ///

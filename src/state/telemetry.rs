@@ -250,6 +250,12 @@ impl Telemetry {
         counters.link_error.clone().or_else(laser_off)
     }
 
+    /// Why there is no link. While none of the attempts has failed yet, the sensor is silent.
+    pub(crate) fn link_error(&self) -> ErrorKind {
+        let no_answer = ErrorKind::NoAnswer { baud_rate: None, searched: false, bytes: 0 };
+        self.stats().link_error.as_ref().map_or(no_answer, |error| error.kind().clone())
+    }
+
     pub(crate) fn version(&self) -> Option<Version> {
         self.version_reply().map(|reply| reply.version)
     }

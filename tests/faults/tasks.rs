@@ -194,7 +194,7 @@ async fn a10_sixteen_thousand_requests_without_a_link_take_linear_time() {
         for task in asking {
             assert!(matches!(
                 task.await.unwrap().unwrap_err().kind(),
-                ErrorKind::Disconnected { .. }
+                ErrorKind::NoSuchPort { .. }
             ));
         }
         start.elapsed()

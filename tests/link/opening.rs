@@ -2,6 +2,9 @@
 //! fail.
 
 use std::collections::HashSet;
+use std::future::pending;
+use std::io;
+use std::mem::discriminant;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
@@ -9,9 +12,9 @@ use std::time::Duration;
 use crate::common::faulty_link::FaultyLink;
 use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms, truthful};
-use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::Instant;
-use tokio_scip::port::StreamPort;
+use tokio_scip::port::{Connect, StreamPort};
 use tokio_scip::{BaudRate, Error, ErrorKind, Sensor, SensorBuilder, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Firmware, Mode};
 
@@ -322,7 +325,7 @@ async fn extreme_settings_are_replaced_by_the_nearest_valid_ones() {
     let eager = builder().backoff(none..=none).connect(emulator.clone()).await.unwrap();
     emulator.unplug();
     let error = eager.scan(Window::FULL).await.unwrap_err();
-    assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
+    assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error:?}");
 }
 
 /// A port whose baud rate cannot be changed, behind which nothing answers.
@@ -340,6 +343,62 @@ async fn a_latency_of_zero_does_not_make_the_search_a_busy_loop() {
     assert!(matches!(error.kind(), ErrorKind::NoAnswer { .. }), "{error:?}");
     let written = written.load(Relaxed);
     assert!((10..=1000).contains(&written), "{written} fences in five seconds");
+}
+
+/// A request to a sensor that was never there says why, and what to do.
+#[tokio::test(start_paused = true)]
+async fn a_request_says_why_no_link_exists() {
+    let port = || "it".to_owned();
+    let refused = io::ErrorKind::ConnectionRefused.into();
+    for (error, remedy) in [
+        (ErrorKind::NoSuchPort { port: port() }.into(), "no port it: plug the sensor in"),
+        (ErrorKind::PermissionDenied { port: port(), group: None }.into(), "give the user read"),
+        (ErrorKind::Busy { port: port() }.into(), "stop the program that has it open"),
+        (Error::open(port(), refused), "cannot open it: start its server"),
+    ] {
+        let failure = error.clone();
+        let connect = ConnectFn(move || Err::<StreamPort<DuplexStream>, _>(failure.clone()));
+        check_reason(connect, &error, remedy).await;
+    }
+    let silent = truthful().baud_rate(BaudRate::B19200).build();
+    silent.set_faults(Faults::none().every(Fault::CommandLost));
+    let error = fails(&silent).await;
+    assert!(matches!(error.kind(), ErrorKind::NoAnswer { searched: true, .. }), "{error:?}");
+    check_reason(silent, &error, "check its power and the wiring").await;
+    // While the first attempt lasts, there is no other reason than silence.
+    let (sensor, driver) = builder().request_timeout(ms(1)).build(ConnectNever);
+    let _driver = tokio::spawn(driver);
+    let error = sensor.version().await.unwrap_err();
+    assert!(matches!(error.kind(), ErrorKind::NoAnswer { .. }), "{error:?}");
+}
+
+/// Checks the error of each request while the driver waits for a sensor that is not there.
+async fn check_reason(connect: impl Connect, expected: &Error, remedy: &str) {
+    let (sensor, driver) = builder().name("it").wait_for_sensor(true).build(connect);
+    let _driver = tokio::spawn(driver);
+    let errors = tokio::join!(
+        sensor.version(),
+        sensor.laser_off(),
+        sensor.set_baud_rate(BaudRate::B115200),
+        sensor.scan(Window::FULL),
+    );
+    let errors = [errors.0.err(), errors.1.err(), errors.2.err(), errors.3.err()];
+    for error in errors.map(Option::unwrap) {
+        assert_eq!(discriminant(error.kind()), discriminant(expected.kind()), "{error:?}");
+        assert!(error.to_string().contains(remedy), "{error}");
+        assert_eq!(error.sensor(), Some("it"));
+    }
+}
+
+/// Connects for ever.
+struct ConnectNever;
+
+impl Connect for ConnectNever {
+    type Port = StreamPort<DuplexStream>;
+
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        pending().await
+    }
 }
 
 /// Counts writes, and fails the test instead of blocking it for ever.
