@@ -12,11 +12,9 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-/// Number of scans to read piece by piece, and measure, before the first pause. A single scan
-/// may have been slow.
-const MEASURED_FIRST: u32 = 3;
-/// Number of measured scans that count as recent: at least this many, at most twice as many.
-const MEASURED_LATELY: u32 = 16;
+/// Number of scans whose times count. The second shortest of them decides: a single scan seems
+/// fast if the driver read its first piece late.
+const RECENT: usize = 8;
 /// Smallest number of missing bytes worth measuring. For fewer bytes, the wake-ups at both
 /// ends take most of the time.
 const MIN_BYTES: usize = 256;
@@ -25,9 +23,6 @@ const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
 /// window, so that consecutive polls differ.
 const SAME_LENGTH: usize = 8;
-/// A scan that was complete before its pause ended counts as this many times as fast: how much
-/// faster it was is unknown.
-const OVERSHOT: u64 = 2;
 /// Lateness of a tokio timer on an idle runtime: it counts whole milliseconds, and the
 /// current one has already begun.
 const TIMER_DELAY: Duration = Duration::from_millis(1);
@@ -46,21 +41,22 @@ pub(super) struct Pauses {
 }
 
 /// Times that replies of one length take.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct Transfers {
     /// Length of the first, including the terminator.
     length: usize,
-    /// Shortest time per byte, in picoseconds: of the recent scans, and of the scans before them.
-    shortest: [Option<u64>; 2],
-    /// Number of scans in the first of these.
-    measured: u32,
+    /// Nanoseconds per byte of the scans whose end was seen, newest first.
+    times: [u32; RECENT],
+    /// True if the latest scan was complete earlier than expected, before its pause ended. How
+    /// fast it was is unknown, so the next one is read piece by piece and measured.
+    is_outrun: bool,
 }
 
 /// How late timers are.
 #[derive(Debug, Default)]
 struct Lateness {
-    /// Of the last three pauses, newest first, in microseconds.
-    latest: [u64; 3],
+    /// Of the last three pauses, newest first, in microseconds. The second shortest is the median.
+    latest: [u32; 3],
     /// Number of scans since the last pause.
     unpaused: u32,
 }
@@ -106,7 +102,7 @@ impl Pauses {
         // complete.
         let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
         let end = current.since + transfers.shortest_time(current.missing)?;
-        let margin = TIMER_DELAY + self.lateness.median();
+        let margin = TIMER_DELAY + self.lateness.usual();
         let left = end.min(deadline).saturating_duration_since(now).checked_sub(margin)?;
         // Whole milliseconds, so that the timer is not later than expected.
         let pause = Duration::from_millis(left.as_millis() as u64);
@@ -136,7 +132,7 @@ impl Pauses {
         let known = self.transfers.iter().position(|transfers| transfers.is_for(length));
         let transfers = match known {
             Some(at) => self.transfers.remove(at),
-            None => Transfers { length, ..Transfers::default() },
+            None => Transfers { length, times: [u32::MAX; RECENT], is_outrun: false },
         };
         self.transfers.truncate(LENGTHS - 1);
         self.transfers.insert(0, transfers);
@@ -148,31 +144,23 @@ impl Transfers {
         self.length.abs_diff(length) <= SAME_LENGTH
     }
 
-    /// Shortest time for receiving `bytes` bytes, or `None` before enough were measured.
+    /// Shortest usual time for receiving `bytes` bytes, or `None` if the next scan is to be
+    /// measured.
     fn shortest_time(&self, bytes: usize) -> Option<Duration> {
-        let [lately, before] = self.shortest;
-        if before.is_none() && self.measured < MEASURED_FIRST {
-            return None;
-        }
-        let shortest = lately.unwrap_or(u64::MAX).min(before.unwrap_or(u64::MAX));
-        Some(Duration::from_nanos(shortest.saturating_mul(bytes as u64) / 1000))
+        // Of the first three scans the median: each may have been slow.
+        let is_measured = !matches!(self.times, [_, _, u32::MAX, ..]);
+        (is_measured && !self.is_outrun)
+            .then(|| Duration::from_nanos(u64::from(second_shortest(&self.times)) * bytes as u64))
     }
 
     /// Records the time that `bytes` bytes took to arrive, which is exact only if the driver was
     /// awake when the last one did (`is_seen`).
     fn record(&mut self, time: Duration, bytes: usize, is_seen: bool) {
-        if !is_seen && self.shortest_time(bytes).is_none_or(|shortest| time >= shortest) {
-            return;
+        if is_seen {
+            push(&mut self.times, (time / bytes as u32).as_nanos());
         }
-        let times = if is_seen { 1 } else { OVERSHOT };
-        let time = (time.as_nanos() as u64).saturating_mul(1000) / (bytes as u64 * times);
-        let [lately, before] = &mut self.shortest;
-        if self.measured >= MEASURED_LATELY {
-            *before = lately.take();
-            self.measured = 0;
-        }
-        self.measured += 1;
-        *lately = Some(lately.map_or(time, |shortest| shortest.min(time)));
+        let shortest = self.shortest_time(bytes);
+        self.is_outrun = !is_seen && shortest.is_some_and(|shortest| time < shortest);
     }
 }
 
@@ -184,8 +172,7 @@ impl Lateness {
         // A little earlier still: a pause that ends exactly with the scan would hide how late
         // either was.
         let late = late.map_or(Duration::ZERO, |late| late + TIMER_DELAY / 10);
-        let [first, second, _] = self.latest;
-        self.latest = [late.as_micros() as u64, first, second];
+        push(&mut self.latest, late.as_micros());
         self.unpaused = 0;
     }
 
@@ -198,11 +185,26 @@ impl Lateness {
         }
     }
 
-    /// Median, so that one late timer changes nothing.
-    fn median(&self) -> Duration {
-        let [first, second, third] = self.latest;
-        Duration::from_micros(first.max(second).min(first.min(second).max(third)))
+    fn usual(&self) -> Duration {
+        Duration::from_micros(second_shortest(&self.latest).into())
     }
+}
+
+/// Inserts the newest value in place of the oldest.
+fn push(latest: &mut [u32], value: u128) {
+    latest.rotate_right(1);
+    if let Some(newest) = latest.first_mut() {
+        *newest = u32::try_from(value).unwrap_or(u32::MAX);
+    }
+}
+
+/// Returns the second shortest, so that a single value changes nothing.
+fn second_shortest(latest: &[u32]) -> u32 {
+    let none = (u32::MAX, u32::MAX);
+    let (_, second) = latest
+        .iter()
+        .fold(none, |(first, second), value| (first.min(*value), second.min(first.max(*value))));
+    second
 }
 
 #[cfg(test)]
@@ -219,7 +221,7 @@ mod tests {
     /// Pauses of a link on which enough scans were measured.
     async fn measured() -> Pauses {
         let mut pauses = Pauses::default();
-        for _ in 0..MEASURED_FIRST {
+        for _ in 0..3 {
             receive(&mut pauses, REST).await;
         }
         pauses
@@ -275,7 +277,7 @@ mod tests {
     async fn scans_are_in_time_20_scans_after_a_stall_however_late_timers_are() {
         for late in (0..=100).map(|tenths| Duration::from_micros(100 * tenths)) {
             let mut pauses = Pauses::default();
-            for _ in 0..MEASURED_FIRST {
+            for _ in 0..3 {
                 pauses.begin_reply();
                 assert_eq!(next(&mut pauses, REST), None);
                 // Each is seen 14 ms late.
