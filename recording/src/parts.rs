@@ -117,31 +117,38 @@ impl Parts {
         self.old = paths.filter(|path| path != current).filter_map(old).collect();
     }
 
-    /// Removes the oldest files until the rest and the current file, with its length, are
-    /// within the limits. Never removes the current file.
+    /// Removes the files that are too old, and then the oldest ones until the rest and the current
+    /// file, with its length, are within the limits. Never removes the current file.
     pub(super) fn remove_old(&mut self, current: u64) {
+        let Limits { keep_duration, keep_bytes, .. } = self.limits;
         let now = SystemTime::now();
-        while let Some(oldest) = self.old.first() {
-            let total = self.old.iter().fold(current, |sum, part| sum.saturating_add(part.bytes));
-            let age = now.duration_since(oldest.changed).unwrap_or_default();
-            let is_set = oldest.changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
-            let is_too_old = is_set && self.limits.keep_duration.is_some_and(|keep| age > keep);
-            if !is_too_old && self.limits.keep_bytes.is_none_or(|keep| total <= keep) {
-                return;
-            }
-            let oldest = self.old.remove(0);
-            // Another recorder under the same name writes it.
-            if RecordingFile::is_busy(&oldest.path) {
-                continue;
-            }
-            match fs::remove_file(&oldest.path) {
-                Ok(()) => tracing::info!(path = %oldest.path.display(), "old recording removed"),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                Err(error) => {
-                    let path = oldest.path.display();
-                    tracing::warn!(%path, %error, "an old recording cannot be removed");
-                }
-            }
+        let is_too_old = |part: &OldPart| {
+            let age = now.duration_since(part.changed).unwrap_or_default();
+            let is_set = part.changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
+            is_set && keep_duration.is_some_and(|keep| age > keep)
+        };
+        self.old.extract_if(.., |part| is_too_old(part)).for_each(OldPart::remove);
+        let mut total = self.old.iter().fold(current, |sum, part| sum.saturating_add(part.bytes));
+        let is_too_much = |part: &mut OldPart| {
+            let is_too_much = keep_bytes.is_some_and(|keep| total > keep);
+            total -= if is_too_much { part.bytes } else { 0 };
+            is_too_much
+        };
+        self.old.extract_if(.., is_too_much).for_each(OldPart::remove);
+    }
+}
+
+impl OldPart {
+    /// Removes the file, unless another recorder under the same name writes it.
+    fn remove(self) {
+        let path = self.path.display();
+        if RecordingFile::is_busy(&self.path) {
+            return;
+        }
+        match fs::remove_file(&self.path) {
+            Ok(()) => tracing::info!(%path, "old recording removed"),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => tracing::warn!(%path, %error, "an old recording cannot be removed"),
         }
     }
 }
@@ -190,46 +197,4 @@ fn part_path(path: &Path, number: u32) -> PathBuf {
         name.push(extension);
     }
     path.with_file_name(name)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_oldest_files_are_removed_and_never_the_open_one() {
-        let folder = std::env::temp_dir().join(format!("scip-keep-{}", std::process::id()));
-        fs::create_dir_all(&folder).unwrap();
-        let path = folder.join("run.mcap");
-        let names =
-            ["run.mcap", "run_0002.mcap", "run_0010.mcap", "run_9999.mcap", "run_10000.mcap"];
-        for name in names.iter().chain(&["run_x.mcap", "other_0002.mcap", "run_2.mcap"]) {
-            fs::write(folder.join(name), [0; 100]).unwrap();
-        }
-        assert_eq!(next_path(&path).unwrap(), folder.join("run_10001.mcap"));
-        let current = folder.join("run_10000.mcap");
-        let left = |limits: Limits, length| {
-            Parts::new(limits, Some(path.clone()), &current, |out| out.writer).remove_old(length);
-            names.map(|name| usize::from(folder.join(name).exists())).iter().sum::<usize>()
-        };
-        assert_eq!(left(Limits::default(), u64::MAX), 5);
-        let keep = |keep| Limits { keep_bytes: Some(keep), ..Limits::default() };
-        assert_eq!(left(keep(400), 0), 5);
-        assert_eq!(left(keep(400), 100), 4);
-        assert!(!path.exists(), "the oldest one is there");
-        let hour = Duration::from_secs(3600);
-        let age = Limits { keep_duration: Some(hour), ..Limits::default() };
-        assert_eq!(left(age, 0), 4);
-        let set = |name: &str, time| {
-            fs::File::options().write(true).open(folder.join(name)).unwrap().set_modified(time)
-        };
-        set("run_0002.mcap", SystemTime::now() - 2 * hour).unwrap();
-        assert_eq!(left(age, 0), 3);
-        // Written before the clock was set.
-        set("run_0010.mcap", SystemTime::UNIX_EPOCH + hour).unwrap();
-        assert_eq!(left(age, 0), 3);
-        assert_eq!(left(keep(0), 100), 1);
-        assert!(current.exists() && folder.join("run_2.mcap").exists());
-        fs::remove_dir_all(&folder).unwrap();
-    }
 }

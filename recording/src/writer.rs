@@ -106,6 +106,7 @@ impl Writer {
             part: Part::default(),
             preamble: Preamble::default(),
         };
+        writer.parts.remove_old(writer.mcap.len());
         writer.flush()?;
         Ok(writer)
     }
@@ -155,8 +156,6 @@ impl Writer {
     /// Ends the chunk: all messages so far are in the file and can be read.
     pub(super) fn flush(&mut self) -> io::Result<()> {
         self.chunk_began = None;
-        // First, because the disk may have no room for both.
-        self.parts.remove_old(self.mcap.len());
         self.mcap.flush()
     }
 
@@ -180,7 +179,10 @@ impl Writer {
         let publish_time = nanos(since_1970(times.wall));
         let channel = topic.channel();
         let header = MessageHeader { channel, sequence, log_time, publish_time };
-        self.mcap.message(header, &self.message)
+        self.mcap.message(header, &self.message)?;
+        // Before the chunk is written, because the disk may have no room for both.
+        self.parts.remove_old(self.mcap.len());
+        Ok(())
     }
 
     /// Decides whether the message of this log time starts the next file.
@@ -202,8 +204,6 @@ impl Writer {
         self.mcap = start(self.parts.next()?)?;
         self.part = Part::default();
         self.chunk_began = None;
-        // Not only with each chunk: a file may be full before its first one ends.
-        self.parts.remove_old(self.mcap.len());
         if let Some(metadata) = &self.preamble.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }

@@ -186,6 +186,17 @@ impl Layout {
     }
 }
 
+/// Length of a complete file up to the end of its last chunk: without its index.
+pub(super) fn chunks_end(file: &[u8]) -> usize {
+    let (mut at, mut end) = (MAGIC.len(), 0);
+    while at < file.len() - MAGIC.len() {
+        let (kind, content) = split(&file[at..]);
+        at += 9 + content.len();
+        end = if kind == 0x06 { at } else { end };
+    }
+    end
+}
+
 /// Splits off a record: its kind and content.
 fn split(bytes: &[u8]) -> (u8, &[u8]) {
     let length = u64::from_le_bytes(bytes[1..9].try_into().unwrap()) as usize;

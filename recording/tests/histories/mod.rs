@@ -8,6 +8,7 @@
 
 mod file;
 mod foreign;
+mod keep;
 mod own;
 
 use std::collections::{BTreeMap, BTreeSet};

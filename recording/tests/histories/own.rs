@@ -1,5 +1,5 @@
 //! Recordings as services make them: one stream or two, observed and described in any order, with
-//! a consumer that misses scans, in one file or several.
+//! a consumer that misses scans, in one file or several of which the oldest are removed.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -8,6 +8,7 @@ use std::time::{Duration, SystemTime};
 use tokio_scip::{Rate, Sensor};
 use urg_recording::Recorder;
 
+use super::file::read;
 use crate::common::random::Random;
 use crate::sink::{Sink, sensor, window};
 
@@ -39,7 +40,11 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     let mut recorder = match is_split {
         true => {
             let limit = Duration::from_millis(500 + random.below(2000));
-            Recorder::builder().sync_interval(None).split_duration(limit).create(&path)
+            let builder = Recorder::builder().sync_interval(None).split_duration(limit);
+            match random.once_in(2) {
+                true => builder.keep_bytes(random.below(40_000)).create(&path),
+                false => builder.create(&path),
+            }
         }
         false => Recorder::builder().write_to(sink.clone()),
     }
@@ -112,6 +117,11 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         false => vec![sink.bytes()],
     };
     std::fs::remove_dir_all(folder).unwrap();
+    // The oldest files may be removed.
+    let messages: Vec<_> = files.iter().flat_map(|file| read(file).unwrap()).collect();
+    let stamps = messages.iter().filter(|message| message.is_scan());
+    let first = stamps.map(|message| message.publish_time).min().unwrap_or(u64::MAX);
+    recorded.retain(|stamp| *stamp >= first);
     Own { files, recorded, delivered, is_alone }
 }
 
