@@ -1,6 +1,8 @@
 //! `urg serve` over real sockets: its pages, streams and limits.
 
 use std::collections::HashMap;
+use std::io::Read;
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::Instant;
 
@@ -11,6 +13,7 @@ use urg_emulator::{Emulator, Fault, Faults};
 use super::formats::{check, event, values};
 use super::http::{Client, HttpResponse};
 use super::program::{Emulated, Running, STEP_LIMIT, Scratch, failure};
+use super::slow_clients::is_watched_in_time;
 
 /// A running `urg serve`, and its address.
 pub(super) struct Served {
@@ -360,14 +363,19 @@ fn a_page_for_the_network_warns_and_accepts_the_names_given() {
 }
 
 #[test]
-fn streams_of_scans_leave_places_to_short_requests() {
+fn streams_and_silent_clients_leave_places_to_short_requests() {
     let served = Served::start("emulated");
     let mut streams: Vec<_> = (0..448).map(|_| served.get("/scans")).collect();
     assert!(streams.iter().all(|stream| stream.status == 200));
     let refused = served.get("/scans");
     assert_eq!(refused.status, 503);
     assert_eq!(refused.text(), "448 clients read scans already: try again later\n");
-    served.health(200);
+    // All places are taken, and the first silent client gives way, before its 10 s are over.
+    let mut silent: Vec<_> =
+        (0..64).map(|_| TcpStream::connect(&served.address).unwrap()).collect();
+    is_watched_in_time(&served);
+    silent[0].set_read_timeout(Some(STEP_LIMIT)).unwrap();
+    assert_eq!(silent[0].read(&mut [0]).unwrap(), 0);
     drop(streams.pop());
     // The server notices at the next scan.
     while served.get("/scans?max=1").status == 503 {}

@@ -1,22 +1,23 @@
 //! Connections, with limits on their number and their idle time. A connection serves one
 //! request, because an idle connection would hold its buffers.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 use tokio_io_timeout::TimeoutWriter;
 
 use super::{Site, routes};
 
-/// Maximum number of open connections. Each takes at most 40 KiB. Further connections wait
-/// in the backlog of the operating system.
+/// Maximum number of open connections. Each takes at most 40 KiB. A further connection takes the
+/// place of the oldest one that has not sent its request, or waits for a place.
 pub(super) const MAX_CONNECTIONS: usize = 512;
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// A client that takes no byte of its response for this time is disconnected.
@@ -28,24 +29,27 @@ const ACCEPT_BACKOFF: Duration = Duration::from_millis(100);
 
 /// Serves `site` until the user stops the program, then waits for all connections to end.
 pub(crate) async fn serve(listener: TcpListener, site: Arc<Site>) {
-    let room = Arc::new(Semaphore::new(MAX_CONNECTIONS));
     let mut connections = JoinSet::new();
-    let accept = async || {
-        // Nothing closes the semaphore.
-        let place = Arc::clone(&room).acquire_owned().await;
-        (listener.accept().await, place)
-    };
+    // Connections without a request, oldest first, and those that had one since the last `accept`.
+    let mut silent: VecDeque<(Arc<AtomicBool>, AbortHandle)> = VecDeque::new();
     loop {
         tokio::select! {
             _ = site.interrupt.requested() => break,
-            Some(_) = connections.join_next() => {}
-            (accepted, place) = accept() => match accepted {
+            accepted = listener.accept() => match accepted {
                 Ok((stream, _)) => {
-                    let served = serve_one(stream, Arc::clone(&site));
-                    connections.spawn(async move {
-                        served.await;
-                        drop(place);
+                    silent.retain(|(has_asked, connection)| {
+                        !has_asked.load(Ordering::Relaxed) && !connection.is_finished()
                     });
+                    while connections.try_join_next().is_some() {}
+                    if connections.len() >= MAX_CONNECTIONS {
+                        if let Some((_, oldest)) = silent.pop_front() {
+                            oldest.abort();
+                        }
+                        connections.join_next().await;
+                    }
+                    let has_asked = Arc::default();
+                    let served = serve_one(stream, Arc::clone(&site), Arc::clone(&has_asked));
+                    silent.push_back((has_asked, connections.spawn(served)));
                 }
                 Err(error) => {
                     tracing::warn!(%error, "cannot accept a connection");
@@ -58,14 +62,15 @@ pub(crate) async fn serve(listener: TcpListener, site: Arc<Site>) {
     while connections.join_next().await.is_some() {}
 }
 
-/// Responds to one request and closes the connection.
-async fn serve_one(stream: TcpStream, site: Arc<Site>) {
+/// Responds to one request and closes the connection. Sets `has_asked` when the request comes.
+async fn serve_one(stream: TcpStream, site: Arc<Site>, has_asked: Arc<AtomicBool>) {
     // Send each scan at once, in its own packet. This is optional: ignore an error.
     let _ = stream.set_nodelay(true);
     let mut stream = TimeoutWriter::new(stream);
     stream.set_timeout(Some(STALL_TIMEOUT));
     let interrupt = site.interrupt.clone();
     let service = service_fn(move |request| {
+        has_asked.store(true, Ordering::Relaxed);
         let response = routes::respond(&site, &request);
         async { Ok::<_, Infallible>(response) }
     });
