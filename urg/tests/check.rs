@@ -1,8 +1,12 @@
 //! `urg check`, on good and on faulty sensors.
 
-use serde_json::Value;
+use std::io::Cursor;
 
-use super::program::{Emulated, Running, Scratch, run};
+use serde_json::Value;
+use tokio_scip::Window;
+
+use super::program::{Emulated, Running, Scratch, failure, run};
+use super::recorded::recording;
 use super::web::Served;
 
 /// Returns each step with its verdict.
@@ -91,4 +95,29 @@ fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
     run(&format!("record {} {} --count 3", sensor.port, file.path()), 0);
     let recorded = run(&format!("info {}", file.path()), 0).stdout;
     assert!(!recorded.contains("19200"), "{recorded}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_bag_of_another_program_is_judged_by_its_scans() {
+    let file = Scratch::mcap("check-bag");
+    recording(file.path(), Window::DETECTION, 20).await;
+    let bytes = std::fs::read(file.path()).unwrap();
+    let mut bag =
+        mcap::WriteOptions::new().compression(None).create(Cursor::new(Vec::new())).unwrap();
+    for message in mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap) {
+        let mut channel = (*message.channel).clone();
+        if channel.topic == "/scan" {
+            channel.topic = "/front/scan".to_owned();
+            bag.write(&mcap::Message { channel: channel.into(), ..message }).unwrap();
+        }
+    }
+    bag.finish().unwrap();
+    std::fs::write(file.path(), bag.into_inner().into_inner()).unwrap();
+    let line = failure(&format!("check {}", file.path()));
+    assert!(line.ends_with("choose a topic: /front/scan\n"), "{line}");
+    let check = run(&format!("check {} --topic /front/scan", file.path()), 0).stdout;
+    assert!(check.contains("not recorded, as by other programs: only the scans on /front/scan"));
+    assert!(check.contains("scans    20\n") && check.ends_with("\nall is well\n"), "{check}");
+    // What nobody has counted is not zero.
+    assert!(check.contains("losses   not recorded\n"), "{check}");
 }

@@ -60,7 +60,7 @@ impl Check {
                 let text = format!("--duration and --baud are for a sensor: {port} is a recording");
                 return Err(Failure::Usage(text));
             }
-            for step in steps::recording(recorded.contents().await?) {
+            for step in steps::recording(recorded.contents().await?, recorded.topic()) {
                 report.add(step).await?;
             }
             return report.end(&port.to_string()).await;

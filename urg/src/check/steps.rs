@@ -58,23 +58,27 @@ pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     Finding::ok(NAME, "goes off and on")
 }
 
-/// Judges the contents of a recording.
-pub(crate) fn recording(contents: Contents) -> Vec<Finding> {
+/// Judges the contents of a recording, of which `topic` was read.
+pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
     let finding = |(name, value, text): Row| {
         let is_empty = value.as_array().is_none_or(Vec::is_empty);
         let verdict = match name {
             "scans" if value == 0 => Verdict::Failed,
             "complete" if value != true => Verdict::Failed,
             "gaps" | "clock" if !is_empty => Verdict::Weak,
-            "losses" if value != 0 => Verdict::Weak,
+            "losses" if value.as_u64() > Some(0) => Verdict::Weak,
             _ => Verdict::Ok,
         };
         Finding::new(name, verdict, text)
     };
-    [identity(&contents.version)]
-        .into_iter()
-        .chain(contents.rows.into_iter().map(finding))
-        .collect()
+    let version = match contents.version == Version::default() {
+        true => Finding::ok(
+            "version",
+            format!("not recorded, as by other programs: only the scans on {topic} are judged"),
+        ),
+        false => identity(&contents.version),
+    };
+    [version].into_iter().chain(contents.rows.into_iter().map(finding)).collect()
 }
 
 /// Streams the window for `duration`, at the rate of the motor.

@@ -74,15 +74,14 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let mut rows = vec![
         ("scans", json!(scans), format!("{scans}{asked}")),
         ("gaps", json!(gaps), listed(gaps)),
-        (
-            "losses",
-            json!(losses),
-            if losses == 0 {
-                "none".to_owned()
-            } else {
-                counted(losses, "poll") + " without a scan"
-            },
-        ),
+        match losses {
+            // Another program recorded only the scans.
+            0 if recorded.version() == Version::default() => {
+                ("losses", Value::Null, "not recorded".to_owned())
+            }
+            0 => ("losses", json!(0), "none".to_owned()),
+            _ => ("losses", json!(losses), counted(losses, "poll") + " without a scan"),
+        },
         ("complete", json!(complete), end),
     ];
     if !clock_steps.is_empty() {

@@ -110,6 +110,10 @@ impl Recorded {
         self.topic = Some(topic.to_owned());
     }
 
+    pub(crate) fn topic(&self) -> &str {
+        self.topic.as_deref().unwrap_or("/scan")
+    }
+
     pub(crate) fn window(&self) -> Option<Window> {
         self.window
     }
