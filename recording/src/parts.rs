@@ -176,7 +176,9 @@ fn begun_parts(path: &Path) -> Vec<(u32, PathBuf)> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let entries = fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten().flatten();
     let number = |name: &Path| {
-        let number = name.file_stem()?.to_str()?.rsplit_once('_')?.1.parse().ok()?;
+        // The rest of the name need not be UTF-8.
+        let digits = name.file_stem()?.as_encoded_bytes().rsplit(|byte| *byte == b'_').next()?;
+        let number = std::str::from_utf8(digits).ok()?.parse().ok()?;
         (number > 1 && part_path(path, number).file_name()? == name).then_some(number)
     };
     let further = entries.filter_map(|entry| number(Path::new(&entry.file_name())));

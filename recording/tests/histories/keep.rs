@@ -3,6 +3,7 @@
 //! because a twin of each run has the same files and removes none.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
@@ -112,14 +113,24 @@ async fn record(
     [kept.finish().await.unwrap(), twin.finish().await.unwrap()]
 }
 
-/// Name of a part, as the documentation has it.
-fn part(number: u64) -> String {
-    if number == 1 { "run.mcap".to_owned() } else { format!("run_{number:04}.mcap") }
+/// Name of a recording without its ending: on Linux any bytes.
+fn stem(random: &mut Random) -> OsString {
+    #[cfg(target_os = "linux")]
+    if random.once_in(4) {
+        return std::os::unix::ffi::OsStringExt::from_vec(b"r\xffn".to_vec());
+    }
+    "run".into()
 }
 
-fn names(folder: &Path) -> BTreeSet<String> {
-    let files = fs::read_dir(folder).unwrap();
-    files.map(|file| file.unwrap().file_name().into_string().unwrap()).collect()
+/// Name of a part, as the documentation has it.
+fn part(stem: &OsStr, number: u64) -> OsString {
+    let mut name = stem.to_owned();
+    name.push(if number == 1 { ".mcap".to_owned() } else { format!("_{number:04}.mcap") });
+    name
+}
+
+fn names(folder: &Path) -> BTreeSet<OsString> {
+    fs::read_dir(folder).unwrap().map(|file| file.unwrap().file_name()).collect()
 }
 
 /// Messages of a file. Two recorders have read the wall clock at different times.
@@ -130,6 +141,7 @@ fn messages(file: &[u8]) -> Vec<Message> {
 
 struct KeepHistory {
     random: Random,
+    stem: OsString,
     kept: PathBuf,
     twin: PathBuf,
     old: BTreeMap<u64, Old>,
@@ -148,26 +160,26 @@ impl KeepHistory {
         let progress = runtime.block_on(record(
             &mut self.random,
             [limits.keeping_builder(), limits.builder()],
-            [&self.kept.join("run.mcap"), &self.twin.join("run.mcap")],
+            [&self.kept.join(part(&self.stem, 1)), &self.twin.join("run.mcap")],
         ));
         if progress[0].bytes != progress[1].bytes {
             return Ok(false);
         }
         let first = self.old.last_key_value().map_or(1, |(number, _)| number + 1);
         let parts = (0..progress[1].files)
-            .map(|n| (first + n, fs::read(self.twin.join(part(1 + n))).unwrap()));
+            .map(|n| (first + n, fs::read(self.twin.join(part("run".as_ref(), 1 + n))).unwrap()));
         let parts: BTreeMap<u64, Vec<u8>> = parts.collect();
         fs::remove_dir_all(&self.twin).unwrap();
         let remaining = limits.remaining(&self.old, &parts);
         self.empty.retain(|number| !parts.contains_key(number));
-        let files = remaining.iter().chain(&self.empty).map(|number| part(*number));
-        let expected: BTreeSet<_> = files.chain(OTHERS.map(str::to_owned)).collect();
+        let files = remaining.iter().chain(&self.empty).map(|number| part(&self.stem, *number));
+        let expected: BTreeSet<_> = files.chain(OTHERS.map(OsString::from)).collect();
         let found = names(&self.kept);
         if found != expected {
             return Err(format!("{found:?} remain, and not {expected:?}"));
         }
         for number in &remaining {
-            let file = fs::read(self.kept.join(part(*number))).unwrap();
+            let file = fs::read(self.kept.join(part(&self.stem, *number))).unwrap();
             let is_same = match self.old.get(number) {
                 Some(old) => old.bytes == file,
                 None => messages(&parts[number]) == messages(&file),
@@ -186,7 +198,7 @@ impl KeepHistory {
     /// Lets time pass. The last file may end in a kill, even before its first byte.
     fn grow_old(&mut self, number: u64, is_last: bool) {
         let random = &mut self.random;
-        let path = self.kept.join(part(number));
+        let path = self.kept.join(part(&self.stem, number));
         let file = fs::File::options().write(true).open(&path).unwrap();
         if is_last && random.once_in(3) {
             let length = file.metadata().unwrap().len();
@@ -204,16 +216,17 @@ impl KeepHistory {
 
 fn history(seed: u64) -> Result<bool, String> {
     let all = folder(seed);
-    let (random, kept, twin) = (Random::new(seed), all.join("kept"), all.join("twin"));
+    let (mut random, kept, twin) = (Random::new(seed), all.join("kept"), all.join("twin"));
+    let stem = stem(&mut random);
     fs::create_dir_all(&kept).unwrap();
     for name in OTHERS {
         fs::write(kept.join(name), "precious").unwrap();
     }
     let (old, empty) = (BTreeMap::new(), BTreeSet::new());
-    let mut history = KeepHistory { random, kept, twin, old, empty };
+    let mut history = KeepHistory { random, stem, kept, twin, old, empty };
     if history.random.once_in(4) {
         // Soon the numbers have five digits.
-        fs::write(history.kept.join(part(9_998)), [0; 5_000]).unwrap();
+        fs::write(history.kept.join(part(&history.stem, 9_998)), [0; 5_000]).unwrap();
         history.grow_old(9_998, false);
     }
     let mut outcome = Ok(true);
