@@ -284,38 +284,9 @@ mod tests {
 
     use futures::FutureExt as _;
 
-    use std::collections::BTreeMap;
-
     use super::super::output::Durable;
     use super::super::writer::Times;
     use super::*;
-
-    fn times() -> Times {
-        Times { steady: Instant::now(), wall: SystemTime::now() }
-    }
-
-    #[test]
-    fn an_item_takes_the_bytes_of_its_content_until_it_is_written() {
-        let scan =
-            tokio_scip::Scan::builder(tokio_scip::Window::DETECTION, [0; 682]).build().unwrap();
-        let (command, bytes) = (String::from("V"), Box::from([0; 1000]));
-        for (item, content) in [
-            (WriteItem::Scan(scan), 2 * 682),
-            (WriteItem::Reply { command, bytes, times: times() }, 1000),
-            (WriteItem::Event { json: "x".repeat(50), times: times() }, 50),
-            (WriteItem::Metadata(BTreeMap::new()), 0),
-        ] {
-            let (queue, items) = Queue::new(None, None);
-            queue.push(item);
-            assert_eq!(*queue.waiting.borrow(), Some(128 + content));
-            let parts = Parts::new(Limits::default(), None, Path::new(""), |out| out.writer);
-            let (out, clock) = (Box::new(io::sink()), LogClock::starting_now());
-            let writer = Writer::new(out, parts, clock, "laser".to_owned()).unwrap();
-            let _finished = queue.finish();
-            write_all(writer, &items, &queue).unwrap();
-            assert_eq!(*queue.waiting.borrow(), Some(0));
-        }
-    }
 
     /// Disk that syncs once its sender is dropped.
     struct Hangs(mpsc::Receiver<()>);
@@ -354,8 +325,9 @@ mod tests {
     fn ready_returns_for_items_pushed_while_the_thread_ends() {
         let (queue, _receiver) = Queue::new(None, None);
         let push = || {
+            let times = Times { steady: Instant::now(), wall: SystemTime::now() };
             let json = "x".repeat(LOW_WATER_BYTES);
-            queue.push(WriteItem::Event { json, times: times() });
+            queue.push(WriteItem::Event { json, times });
         };
         push();
         push();

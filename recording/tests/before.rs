@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use tokio::time::Instant;
-use tokio_scip::{Rate, Window};
-use urg_recording::{Entry, Recorder};
+use tokio_scip::protocol::Command;
+use tokio_scip::{Rate, Scan, Window};
+use urg_recording::{Entry, Record, Recorder};
 
 use super::common::limit::limit;
 use super::common::random::Random;
@@ -63,9 +64,32 @@ async fn a_black_box_has_the_time_before_its_trigger() {
         assert!(length <= triggered.elapsed() + before + Duration::from_millis(1), "{seed}");
         // A replay needs the window, and an answer to `V`.
         assert_eq!(sink.open().window(), Some(Window::DETECTION));
+        let is_version = |record: &Record| match &record.entry {
+            Entry::Reply(reply) => reply.command == Some(Command::Version),
+            _ => false,
+        };
+        assert!(records.iter().any(is_version), "{seed}");
         let values = |scan: &tokio_scip::Scan| scan.values().to_vec();
         let replayed: Vec<_> = sink.open().scans().map(|scan| values(&scan.unwrap())).collect();
         let kept: Vec<_> = kept.iter().map(|(_, scan)| values(scan)).collect();
         assert_eq!(replayed, kept, "{seed}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_black_box_holds_at_most_4_mib() {
+    let sink = Sink::new();
+    let before = Duration::MAX;
+    let mut recorder = Recorder::builder().before(before).write_to(sink.clone()).unwrap();
+    for number in 0..5000 {
+        let scan = Scan::builder(Window::DETECTION, [500; 682]).sequence(number).build().unwrap();
+        recorder.record(&Ok(scan)).unwrap();
+    }
+    recorder.trigger();
+    let progress = recorder.finish().await.unwrap();
+    // The newest ones, each with its values of two bytes and 128 bytes besides.
+    let held = (4 << 20) / (2 * 682 + 128);
+    assert_eq!((progress.scans, progress.lost), (held, 0));
+    let numbers: Vec<_> = sink.records().iter().map(|record| record.sequence).collect();
+    assert!(numbers.into_iter().eq(5000 - held as u32..5000));
 }

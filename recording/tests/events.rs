@@ -3,9 +3,8 @@
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
-use tokio_scip::{ErrorKind, Rate, Sensor, Window};
-use urg_recording::Event;
-use urg_recording::{Entry, Recorder, ReplayPace};
+use tokio_scip::{Error, ErrorKind, Rate, Scan, Sensor, Window};
+use urg_recording::{Entry, Event, Events, Recorder, ReplayPace};
 
 use super::sink::{Sink, events, observed, polls, replayed, sensor, values};
 
@@ -143,4 +142,43 @@ async fn two_streams_miss_nothing_of_each_other() {
     }
     recorder.finish().await.unwrap();
     assert_eq!(events(&sink.records()), []);
+}
+
+#[test]
+fn events_stand_before_the_scan_that_follows_them() {
+    let scan = |sequence| {
+        let values = vec![0; Window::DETECTION.points()];
+        Ok(Scan::builder(Window::DETECTION, values).sequence(sequence).build().unwrap())
+    };
+    let lost = || Error::from(ErrorKind::Disconnected { source: None });
+    let closed = || Error::from(ErrorKind::Closed);
+    let mut events = Events::new();
+    let mut of = |item| events.from_item(&item).collect::<Vec<_>>();
+    assert_eq!(of(scan(7)), []); // a stream of which no scan was read misses none
+    assert_eq!(of(scan(8)), []);
+    assert_eq!(of(scan(11)), [Event::Missed { scans: 2 }]);
+    assert_eq!(of(Err(closed())), [Event::from(&closed())]);
+    assert_eq!(of(scan(12)), []);
+    assert_eq!(of(Err(lost())), [Event::Disconnected { error: lost().to_string() }]);
+    assert_eq!(of(Err(closed())), [Event::Error { error: closed().to_string() }]);
+    assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
+    assert_eq!(of(scan(15)), []);
+    // Of another stream, and of the first one again.
+    assert_eq!((of(scan(0)), of(scan(1)), of(scan(16))), (vec![], vec![], vec![]));
+}
+
+#[test]
+fn a_text_of_no_known_event_is_kept() {
+    for text in [
+        "",
+        "{}",
+        r#"{"event":"reconnected"}}"#,
+        r#"{"event":"rebooted"}"#,
+        r#"{"event":"missed","scans":-1}"#,
+        r#"{"event":"missed","scans":1,"since":2}"#,
+        r#"{"event":"error","error":"}"#,
+    ] {
+        assert_eq!(Event::from(text), Event::Unknown { text: text.to_owned() });
+        assert_eq!(Event::from(text).to_string(), text);
+    }
 }

@@ -26,6 +26,7 @@ mod properties;
 mod raw;
 mod repair;
 mod replay;
+mod ros;
 mod scans;
 mod sink;
 mod split;

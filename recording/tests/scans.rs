@@ -124,8 +124,21 @@ fn with_errors() -> Emulator {
 
 #[tokio::test(start_paused = true)]
 async fn a_recording_without_replies_has_the_scans_of_its_messages() {
-    for window in [Window::DETECTION, window(100, 108, 3), window(2, 2, 1)] {
+    let whole = [
+        Window::DETECTION,
+        Window::FULL,
+        window(0, 0, 1),
+        window(768, 768, 1),
+        window(44, 142, 99),
+        window(100, 108, 3),
+    ];
+    // The last point has fewer steps, which no message tells.
+    let uneven = [window(100, 107, 3), window(100, 101, 3)];
+    for window in whole.into_iter().chain(uneven) {
         for is_described in [true, false] {
+            if !is_described && uneven.contains(&window) {
+                continue;
+            }
             let sink = Sink::new();
             let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
             let sensor = Sensor::builder().depth(64).connect(with_errors()).await.unwrap();

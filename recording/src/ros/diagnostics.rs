@@ -79,30 +79,3 @@ pub fn write_diagnostics(out: &mut Vec<u8>, stamp: SystemTime, statuses: &[Diagn
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use super::*;
-
-    #[test]
-    fn a_status_is_a_byte_and_aligned_strings() {
-        let status = DiagnosticStatus {
-            level: DiagnosticLevel::Warn,
-            name: "urg".to_owned(),
-            message: String::new(),
-            hardware_id: "H1".to_owned(),
-            values: vec![("a", "bc".to_owned())],
-        };
-        let mut out = vec![9];
-        // Windows counts time in steps of 100 ns.
-        let stamp = SystemTime::UNIX_EPOCH + Duration::new(2, 0x6400);
-        write_diagnostics(&mut out, stamp, &[status]);
-        let expected: &[u8] =
-            b"\0\x01\0\0\x02\0\0\0\0\x64\0\0\x01\0\0\0\0\0\0\0\x01\0\0\0\x01\0\0\0\
-            \x04\0\0\0urg\0\x01\0\0\0\0\0\0\0\x03\0\0\0H1\0\0\x01\0\0\0\
-            \x02\0\0\0a\0\0\0\x03\0\0\0bc\0";
-        assert_eq!(out, expected);
-    }
-}

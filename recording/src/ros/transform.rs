@@ -62,32 +62,3 @@ pub fn write_transforms(out: &mut Vec<u8>, stamp: SystemTime, transforms: &[Tran
         transform.translation.into_iter().chain(rotation).for_each(|number| cdr.f64(number));
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::f64::consts::PI;
-    use std::time::Duration;
-
-    use super::*;
-
-    #[test]
-    fn a_transform_is_seven_numbers_of_eight_bytes_aligned_behind_its_frames() {
-        let transform = Transform {
-            parent: "base".to_owned(),
-            child: "laser".to_owned(),
-            translation: [0.5, -1.0, 2.0],
-            yaw: PI,
-        };
-        let mut out = vec![9];
-        write_transforms(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 100), &[transform]);
-        let mut expected = b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x64\0\0\0\x05\0\0\0base\0\0\0\0\
-            \x06\0\0\0laser\0\0\0\0\0\0\0"
-            .to_vec();
-        // Alignment counts from the end of the header.
-        assert_eq!((expected.len() - 4) % 8, 0);
-        for number in [0.5, -1.0, 2.0, 0.0, 0.0, 1.0, (PI / 2.0).cos()] {
-            expected.extend_from_slice(&f64::to_le_bytes(number));
-        }
-        assert_eq!(out, expected);
-    }
-}

@@ -1,0 +1,48 @@
+//! Messages of ROS 2, byte by byte.
+
+use std::f64::consts::PI;
+use std::time::{Duration, SystemTime};
+
+use urg_recording::ros::{
+    DiagnosticLevel, DiagnosticStatus, Transform, write_diagnostics, write_transforms,
+};
+
+#[test]
+fn a_transform_is_seven_numbers_of_eight_bytes_aligned_behind_its_frames() {
+    let transform = Transform {
+        parent: "base".to_owned(),
+        child: "laser".to_owned(),
+        translation: [0.5, -1.0, 2.0],
+        yaw: PI,
+    };
+    let mut out = vec![9];
+    write_transforms(&mut out, SystemTime::UNIX_EPOCH + Duration::new(2, 100), &[transform]);
+    let mut expected = b"\0\x01\0\0\x01\0\0\0\x02\0\0\0\x64\0\0\0\x05\0\0\0base\0\0\0\0\
+        \x06\0\0\0laser\0\0\0\0\0\0\0"
+        .to_vec();
+    // Alignment counts from the end of the header.
+    assert_eq!((expected.len() - 4) % 8, 0);
+    for number in [0.5, -1.0, 2.0, 0.0, 0.0, 1.0, (PI / 2.0).cos()] {
+        expected.extend_from_slice(&f64::to_le_bytes(number));
+    }
+    assert_eq!(out, expected);
+}
+
+#[test]
+fn a_status_is_a_byte_and_aligned_strings() {
+    let status = DiagnosticStatus {
+        level: DiagnosticLevel::Warn,
+        name: "urg".to_owned(),
+        message: String::new(),
+        hardware_id: "H1".to_owned(),
+        values: vec![("a", "bc".to_owned())],
+    };
+    let mut out = vec![9];
+    // Windows counts time in steps of 100 ns.
+    let stamp = SystemTime::UNIX_EPOCH + Duration::new(2, 0x6400);
+    write_diagnostics(&mut out, stamp, &[status]);
+    let expected: &[u8] = b"\0\x01\0\0\x02\0\0\0\0\x64\0\0\x01\0\0\0\0\0\0\0\x01\0\0\0\x01\0\0\0\
+        \x04\0\0\0urg\0\x01\0\0\0\0\0\0\0\x03\0\0\0H1\0\0\x01\0\0\0\
+        \x02\0\0\0a\0\0\0\x03\0\0\0bc\0";
+    assert_eq!(out, expected);
+}
