@@ -39,6 +39,12 @@ fn a_wrong_name_is_refused_with_what_was_expected() {
         (["--domain", "-1"], "-1 is not in 0..=232"),
         (["--domain", "233"], "233 is not in 0..=232"),
         (["--tf", "base_link"], "PARENT,X,Y,Z,YAW in metres and degrees"),
+        (["--tf", "a,0,0,0"], "PARENT,X,Y,Z,YAW"),
+        (["--tf", "a,0,0,0,0,0"], "PARENT,X,Y,Z,YAW"),
+        (["--tf", ",0,0,0,0"], "PARENT,X,Y,Z,YAW"),
+        (["--tf", "/a,0,0,0,0"], "PARENT,X,Y,Z,YAW"),
+        (["--tf", "a,NaN,0,0,0"], "PARENT,X,Y,Z,YAW"),
+        (["--tf", "a,0,0,0,361"], "at most 1000 m and 360°"),
         (["--tf", "laser,0,0,0,0"], "the parent `laser` is the frame of the sensor itself"),
         (["--depth", "0"], "0 is not in 1..=1000"),
         (["--interface", "eth0"], "expected the address of an interface"),
@@ -70,6 +76,12 @@ fn a_router_that_can_never_work_is_refused() {
     ] {
         let error = refused(&["--engine", "zenoh", "--router", router]);
         assert!(error.contains("expected tcp/HOST:PORT"), "{router}: {error}");
+    }
+    for router in
+        ["tcp/localhost:7447", "tcp/10.0.0.1:1", "tcp/[::1]:7447", "tcp/a.b-c:7447#iface=eth0"]
+    {
+        let error = refused(&["--engine", "zenoh", "--router", router, "--depth", "0"]);
+        assert!(error.contains("0 is not in 1..=1000"), "{router}: {error}");
     }
 }
 
@@ -104,8 +116,61 @@ fn an_argument_of_ros_is_checked_as_its_option_is() {
         (&["-r", "__node:=a-b"], "invalid name `a-b`"),
         (&["--log-level"], "expected a value after --log-level"),
         (&["--params-file", "p.yaml"], "cannot use --params-file p.yaml: No such file"),
+        // Ignored, and checked is what follows.
+        (&["--log-level", "urg:=debug", "--disable-stdout-logs", "-p", "depth:=0"], "0 is not in"),
+        (
+            &["-p", "use_sim_time:=False", "-r", "/tf:=tf", "-p", "x:=1", "-p", "depth:=0"],
+            "0 is not",
+        ),
+        (&["-p", "/other/urg_node:depth:=0", "-p", "frame_id:=/laser"], "without a leading `/`"),
+        (&["--ros-args", "--", "--depth", "0"], "0 is not in 1..=1000"),
     ] {
         let error = refused(&[&["--ros-args"], arguments].concat());
         assert!(error.contains(expected), "{arguments:?}: {error}");
+    }
+}
+
+#[test]
+fn a_file_without_parameters_of_ros_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("p.yaml");
+    let deep: String = (0..3_000).map(|depth| format!("{}a:\n", " ".repeat(depth))).collect();
+    for (text, expected) in [
+        (&*deep, "at most 50 levels"),
+        ("", "it is empty"),
+        ("a", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
+        ("a: b", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
+        ("a: {ros__parameters: 1}", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
+        ("[a]: {}", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
+        ("a: [", "invalid YAML"),
+        ("a: {}\na: {}", "invalid YAML"),
+        ("/**: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
+        ("/*: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
+        ("urg_node: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
+    ] {
+        std::fs::write(&path, text).unwrap();
+        let error = refused(&["--ros-args", "--params-file", path.to_str().unwrap()]);
+        assert!(error.contains(expected), "{text}: {error}");
+    }
+}
+
+#[test]
+fn an_environment_that_ros_2_does_not_know_is_refused() {
+    let long = "x".repeat(300);
+    for (name, value) in [
+        ("ROS_AUTOMATIC_DISCOVERY_RANGE", "subnet"),
+        ("ROS_STATIC_PEERS", "10.0.0.1 10.0.0.2"),
+        ("ROS_STATIC_PEERS", "<Peer/>"),
+        ("ROS_STATIC_PEERS", "10.0.0.256"),
+        ("ROS_STATIC_PEERS", "::1"),
+        ("ROS_STATIC_PEERS", "10.0.0.1:7400"),
+        ("ROS_STATIC_PEERS", &long),
+        ("ROS_DOMAIN_ID", "233"),
+        ("ROS_DOMAIN_ID", "one"),
+    ] {
+        let output = program("publish emulated").env(name, value).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{name}={value}: {error}");
+        assert!(error.contains(&format!("invalid {name}")), "{name}={value}: {error}");
     }
 }

@@ -10,15 +10,15 @@ use tokio::time::Instant;
 use tokio_scip::Rate;
 use urg_recording::ros::Transform;
 
-use crate::args::{LinkArgs, WindowArgs};
+use crate::args::{LinkArgs, WindowArgs, frame_id};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::notice::notice;
+use crate::plot::pose::{self, FARTHEST};
 use crate::port::name::{PortArg, missing_port};
 use crate::port::named::NamedPort;
 use crate::publish::{
     Discovery, EngineName, EngineSettings, Mode, NameArgs, NodeNames, Qos, RunningEngine, Source,
-    mounting,
 };
 
 /// Default router, as in `rmw_zenoh`.
@@ -309,16 +309,18 @@ fn seconds(text: &str) -> Result<f64, &'static str> {
         .ok_or("expected seconds between -3600 and 3600, such as -0.005")
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_router_has_a_host_and_a_port() {
-        for text in
-            ["tcp/localhost:7447", "tcp/10.0.0.1:1", "tcp/[::1]:7447", "tcp/a.b-c:7447#iface=eth0"]
-        {
-            assert_eq!(router(text), Ok(text.to_owned()));
+/// Parses `--tf`: `PARENT,X,Y,Z,YAW`: metres forward, left and up, and degrees counter-clockwise. The
+/// child, the frame of the sensor, is not known yet.
+fn mounting(text: &str) -> Result<Transform, String> {
+    let (parent, numbers) = text.split_once(',').unwrap_or((text, ""));
+    let is_frame = frame_id(parent).is_ok() && !parent.starts_with('/');
+    match pose::distances_and_angle(numbers).filter(|_| is_frame) {
+        Some((translation, yaw)) => {
+            Ok(Transform { parent: parent.to_owned(), child: String::new(), translation, yaw })
         }
+        None => Err(format!(
+            "expected PARENT,X,Y,Z,YAW in metres and degrees, such as base_link,0.2,0,0.1,90, \
+                     and at most {FARTHEST} m and 360°"
+        )),
     }
 }

@@ -2,7 +2,6 @@
 
 use std::env;
 use std::net::Ipv4Addr;
-use std::str::FromStr;
 
 use crate::failure::Failure;
 
@@ -21,38 +20,17 @@ pub(crate) enum Range {
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Discovery {
     pub(crate) range: Range,
-    /// `ROS_STATIC_PEERS`.
-    pub(crate) static_peers: Vec<StaticPeer>,
+    /// Hosts to announce the participant to: `ROS_STATIC_PEERS`.
+    pub(crate) static_peers: Vec<String>,
 }
 
-/// Host to announce the participant to.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct StaticPeer {
-    /// IPv4 address or name.
-    pub(crate) host: String,
-    /// Port to use instead of the ports of the domain.
-    pub(crate) port: Option<u16>,
-}
-
-impl FromStr for StaticPeer {
-    type Err = ();
-
-    fn from_str(text: &str) -> Result<Self, ()> {
-        let (host, port) = match text.split_once(':') {
-            Some((host, port)) => (host, Some(port.parse::<u16>().map_err(drop)?)),
-            None => (text, None),
-        };
-        let is_name = |text: &str| {
-            let is_label = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
-            // Digits alone are an address with a mistake.
-            text.chars().all(is_label) && text.contains(|c: char| c.is_ascii_alphabetic())
-        };
-        let is_host = host.parse::<Ipv4Addr>().is_ok() || (is_name(host) && host.len() <= 253);
-        if !is_host || port == Some(0) {
-            return Err(());
-        }
-        Ok(Self { host: host.to_owned(), port })
-    }
+/// Checks for the name or IPv4 address of a host.
+fn is_host(text: &str) -> bool {
+    let is_label = |c: char| c.is_ascii_alphanumeric() || ".-_".contains(c);
+    // Digits alone are an address with a mistake.
+    let has_letter = text.contains(|c: char| c.is_ascii_alphabetic());
+    let is_name = has_letter && text.chars().all(is_label) && text.len() <= 253;
+    is_name || text.parse::<Ipv4Addr>().is_ok()
 }
 
 impl Discovery {
@@ -68,15 +46,14 @@ impl Discovery {
 
     fn resolve(variable: impl Fn(&str) -> Option<String>) -> Result<Self, Failure> {
         let peers = variable("ROS_STATIC_PEERS").unwrap_or_default();
-        let peers = peers.split(';').filter(|peer| !peer.is_empty()).map(|peer| {
-            peer.parse().map_err(|()| {
-                Failure::Usage(format!(
-                    "invalid ROS_STATIC_PEERS {peer:?}: expected IPv4 addresses or names of \
-                     machines, such as 192.168.1.10;robot.local"
-                ))
-            })
-        });
-        let static_peers = peers.collect::<Result<Vec<StaticPeer>, _>>()?;
+        let peers = peers.split(';').filter(|peer| !peer.is_empty()).map(str::to_owned);
+        let static_peers: Vec<_> = peers.collect();
+        if let Some(wrong) = static_peers.iter().find(|peer| !is_host(peer)) {
+            return Err(Failure::Usage(format!(
+                "invalid ROS_STATIC_PEERS {wrong:?}: expected IPv4 addresses or names of \
+                 machines, such as 192.168.1.10;robot.local"
+            )));
+        }
         // ROS ignores static peers if the older variable is set.
         if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {
             return Ok(Self { range: Range::Localhost, static_peers: Vec::new() });
@@ -99,54 +76,35 @@ impl Discovery {
 mod tests {
     use super::*;
 
-    fn resolved(range: &str, peers: &str, localhost_only: &str) -> Result<Discovery, Failure> {
-        Discovery::resolve(|name| {
-            Some(match name {
-                "ROS_AUTOMATIC_DISCOVERY_RANGE" => range.to_owned(),
-                "ROS_STATIC_PEERS" => peers.to_owned(),
-                _ => localhost_only.to_owned(),
-            })
-        })
-    }
-
     #[test]
     fn the_environment_is_read_as_ros_2_does() {
-        let expect = |range, peers: &[&str]| Discovery {
-            range,
-            static_peers: peers.iter().map(|peer| peer.parse().unwrap()).collect(),
-        };
-        for (range, peers, only, expected) in [
-            ("", "", "", expect(Range::Subnet, &[])),
-            (
-                "SUBNET",
-                "10.0.0.1;robot.local;",
-                "0",
-                expect(Range::Subnet, &["10.0.0.1", "robot.local"]),
-            ),
-            ("LOCALHOST", "10.0.0.1", "", expect(Range::Localhost, &["10.0.0.1"])),
-            ("OFF", "10.0.0.1", "", expect(Range::Off, &[])),
-            ("SYSTEM_DEFAULT", "10.0.0.1", "", expect(Range::Subnet, &[])),
-            ("SUBNET", "10.0.0.1", "1", expect(Range::Localhost, &[])),
+        let peers = "10.0.0.1;robot.local;";
+        for (range, localhost_only, expected, has_peers) in [
+            ("", "", Range::Subnet, true),
+            ("SUBNET", "0", Range::Subnet, true),
+            ("LOCALHOST", "", Range::Localhost, true),
+            ("OFF", "", Range::Off, false),
+            ("SYSTEM_DEFAULT", "", Range::Subnet, false),
+            ("SUBNET", "1", Range::Localhost, false),
         ] {
-            assert_eq!(resolved(range, peers, only).unwrap(), expected, "{range} {peers} {only}");
-        }
-    }
-
-    #[test]
-    fn what_ros_2_does_not_know_is_a_usage_error() {
-        let long = "x".repeat(300);
-        for (range, peers) in [
-            ("subnet", ""),
-            ("", "10.0.0.1 10.0.0.2"),
-            ("", "<Peer/>"),
-            ("", "10.0.0.256"),
-            ("", "::1"),
-            ("", "10.0.0.1:0"),
-            ("", "10.0.0.1:99999"),
-            ("", &long),
-        ] {
-            let refused = resolved(range, peers, "");
-            assert!(matches!(refused, Err(Failure::Usage(_))), "{range} {peers}: {refused:?}");
+            let found = Discovery::resolve(|name| {
+                let text = match name {
+                    "ROS_AUTOMATIC_DISCOVERY_RANGE" => range,
+                    "ROS_STATIC_PEERS" => peers,
+                    _ => localhost_only,
+                };
+                Some(text.to_owned())
+            });
+            let expected_peers = if has_peers { &["10.0.0.1", "robot.local"][..] } else { &[] };
+            let found = found.unwrap();
+            assert_eq!(
+                (found.range, &*found.static_peers),
+                (
+                    expected,
+                    &expected_peers.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>()[..]
+                ),
+                "{range}"
+            );
         }
     }
 }

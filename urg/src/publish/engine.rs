@@ -132,6 +132,8 @@ impl EngineSettings {
 pub(super) enum Reopen {
     /// The engine works, but some readers get no scans, for this reason.
     Outdated(String),
+    /// The same, but the reason may come back at once: it is not reopened too often.
+    Wanted(String),
     /// The engine has stopped working, for this reason.
     Dead(String),
 }
@@ -150,28 +152,25 @@ impl From<String> for Unavailable {
     }
 }
 
-pub(super) trait Engine: Sized + Send + 'static {
-    /// What an engine leaves to the one that is opened after it.
-    type Memory: Default + Send;
+pub(super) trait Engine: Send {
+    /// Opens the engine. Blocks.
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine
+    where
+        Self: Sized;
 
     /// Whether another engine may be opened while this one hangs in `close`.
-    const MAY_OVERLAP: bool;
-
-    /// Opens the engine. Blocks.
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        memory: &mut Self::Memory,
-    ) -> OpenedEngine<Self>;
+    fn may_overlap(&self) -> bool {
+        false
+    }
 
     /// Checks from outside whether the engine works. Called at regular intervals. May block for
     /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
     /// happens to the scans.
-    fn check(&mut self, memory: &mut Self::Memory) -> Result<Option<String>, Reopen>;
+    fn check(&mut self) -> Result<Option<String>, Reopen>;
 
     /// Removes the nodes from the ROS graph, and stops the engine. Blocks. The caller drops the
     /// publisher first.
-    fn close(self);
+    fn close(self: Box<Self>);
 }
 
 pub(super) trait Publisher: Send + Sync {
@@ -181,9 +180,9 @@ pub(super) trait Publisher: Send + Sync {
 }
 
 /// Engine that was opened, and its publisher.
-pub(super) type Opened<E> = (E, Arc<dyn Publisher>);
+pub(super) type Opened = (Box<dyn Engine>, Arc<dyn Publisher>);
 
-pub(super) type OpenedEngine<E> = Result<Opened<E>, Unavailable>;
+pub(super) type OpenedEngine = Result<Opened, Unavailable>;
 
 /// Publisher of the engine; `None` while it is not open.
 pub(super) type Shared = Arc<RwLock<Option<Arc<dyn Publisher>>>>;
@@ -224,29 +223,5 @@ impl Outlet {
 
     pub(crate) fn counts(&self) -> &Counts {
         &self.counts
-    }
-}
-
-#[cfg(test)]
-impl EngineSettings {
-    /// Creates settings of nodes named `urg` in these namespaces.
-    pub(super) fn with_namespaces(namespaces: &[&str]) -> Self {
-        let node = |namespace: &&str| NodeNames {
-            namespace: (*namespace).to_owned(),
-            node: "urg".to_owned(),
-            ..NodeNames::default()
-        };
-        Self {
-            nodes: namespaces.iter().map(node).collect(),
-            domain: 0,
-            qos: Qos::Reliable,
-            depth: 1,
-            transforms: Vec::new(),
-            interface: None,
-            discovery: Discovery::default(),
-            router: String::new(),
-            mode: Mode::Client,
-            listen: ([127, 0, 0, 1], 0).into(),
-        }
     }
 }

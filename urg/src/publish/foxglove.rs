@@ -27,15 +27,7 @@ pub(super) struct Foxglove {
 }
 
 impl Engine for Foxglove {
-    type Memory = ();
-    /// They would share a port.
-    const MAY_OVERLAP: bool = false;
-
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        (): &mut (),
-    ) -> OpenedEngine<Self> {
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
         let failed = |error: FoxgloveError| {
             format!("cannot serve Foxglove on {}: {}", settings.listen, chain(&error))
         };
@@ -70,10 +62,10 @@ impl Engine for Foxglove {
         let server = server.start_blocking().map_err(failed)?;
         let address = SocketAddr::new(settings.listen.ip(), server.port());
         notice(format_args!("Foxglove and Lichtblick can connect to ws://{address}"));
-        Ok((Self { server, address, _context: context }, Arc::new(Channels(channels))))
+        Ok((Box::new(Self { server, address, _context: context }), Arc::new(Channels(channels))))
     }
 
-    fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
         // The SDK silently stops listening when the system cannot accept a connection, for
         // example because too many files are open. Starting it again closes them.
         let why = match TcpListener::bind(self.address) {
@@ -84,7 +76,7 @@ impl Engine for Foxglove {
         Err(Reopen::Dead(why))
     }
 
-    fn close(self) {
+    fn close(self: Box<Self>) {
         // Closes all connections, without waiting: a client that never starts the WebSocket
         // handshake would block the exit.
         drop(self.server.stop());

@@ -3,16 +3,18 @@
 //!
 //! - `engine` defines the interface of engines. `dds`, `zenoh` and `foxglove` implement it.
 //! - `running` keeps an engine open, and reopens it after errors.
+//! - `backoff` limits how often an engine is reopened.
 //! - `send_queue` buffers messages for slow links, and detects links that are stuck.
 //! - `counts` counts published, dropped and lost scans.
 //! - `source` publishes one sensor, and `diagnostics` describes its condition.
-//! - `names` and `mounting` are nodes, topics, frames and transforms.
+//! - `names` are nodes, topics and frames.
 //! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
 #![cfg_attr(
     not(all(feature = "dds", feature = "zenoh", feature = "foxglove")),
     expect(dead_code, reason = "some settings and counters are for one engine only")
 )]
 
+mod backoff;
 mod counts;
 #[cfg(feature = "dds")]
 mod dds;
@@ -21,7 +23,6 @@ mod discovery;
 mod engine;
 #[cfg(feature = "foxglove")]
 mod foxglove;
-mod mounting;
 mod names;
 pub(crate) mod ros_args;
 mod running;
@@ -33,7 +34,6 @@ mod zenoh;
 
 pub(crate) use self::discovery::Discovery;
 pub(crate) use self::engine::{EngineName, EngineSettings, Mode, Qos};
-pub(crate) use self::mounting::mounting;
 pub(crate) use self::names::{NameArgs, NodeNames};
 pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;

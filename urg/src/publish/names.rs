@@ -131,33 +131,3 @@ fn parts<'a>(inner: &'a str, name: &str) -> Result<Vec<&'a str>, String> {
     }
     inner.split('/').map(token).collect()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn names(sensors: &[&str], namespace: &str, topic: &str) -> Vec<NodeNames> {
-        let sensors: Vec<NamedPort> = sensors.iter().map(|text| text.parse().unwrap()).collect();
-        let [namespace, topic] = [namespace, topic].map(str::to_owned);
-        let (node, frame) = ("urg_node".to_owned(), "laser".to_owned());
-        NameArgs { topic, node, namespace, frame }.resolve(&sensors).unwrap()
-    }
-
-    fn topics(sensors: &[&str], namespace: &str, topic: &str) -> Vec<String> {
-        names(sensors, namespace, topic).into_iter().map(|names| names.topic).collect()
-    }
-
-    #[test]
-    fn topics_follow_the_rules_of_ros() {
-        assert_eq!(topics(&["emulated"], "/", "scan"), ["/scan"]);
-        assert_eq!(topics(&["emulated"], "robot", "scan"), ["/robot/scan"]);
-        assert_eq!(topics(&["emulated"], "/robot", "/scan"), ["/scan"]);
-        assert_eq!(topics(&["emulated"], "/robot", "~/scan"), ["/robot/urg_node/scan"]);
-        let both = ["front=emulated", "rear=tcp://host:1?baud=19200"];
-        assert_eq!(topics(&both, "/", "scan"), ["/front/scan", "/rear/scan"]);
-        assert_eq!(topics(&both, "/a/b", "c/scan"), ["/a/b/front/c/scan", "/a/b/rear/c/scan"]);
-        assert_eq!(topics(&both[..1], "/a", "/scan"), ["/scan"]);
-        let front = names(&["front=emulated"], "/a", "scan").remove(0);
-        assert_eq!((&*front.namespace, &*front.frame), ("/a/front", "front_laser"));
-    }
-}

@@ -6,15 +6,16 @@
 use std::net::{IpAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
 
+use super::backoff::Backoff;
 #[cfg(feature = "dds")]
 use super::dds::Dds;
 use super::engine::{
-    Engine, EngineName, EngineSettings, Opened, Outlet, Publisher, Reopen, Shared, Topic,
-    Unavailable,
+    Engine, EngineName, EngineSettings, Opened, OpenedEngine, Outlet, Publisher, Reopen, Shared,
+    Topic, Unavailable,
 };
 #[cfg(feature = "foxglove")]
 use super::foxglove::Foxglove;
@@ -36,10 +37,12 @@ const WORKING_CHECKS: u32 = 120;
 const MAX_RESTARTS: u32 = 5;
 
 /// Time that an engine has to close.
-const fn close_timeout<E: Engine>() -> Duration {
-    let test = if cfg!(test) { 100 } else { 1 };
-    Duration::from_millis(if E::MAY_OVERLAP { 2_000 } else { 10_000 } / test)
-}
+const CLOSE_TIMEOUT: Duration = Duration::from_millis(if cfg!(test) { 100 } else { 10_000 });
+
+/// The same, if another engine may be opened meanwhile.
+const OVERLAP_TIMEOUT: Duration = Duration::from_secs(2);
+
+type Open = fn(&Arc<EngineSettings>, &Arc<[Topic]>) -> OpenedEngine;
 
 /// Engine on its own thread. Dropping it closes the engine without waiting.
 #[derive(Debug)]
@@ -58,11 +61,11 @@ impl RunningEngine {
     ) -> Result<(Self, Vec<Outlet>), Failure> {
         match engine {
             #[cfg(feature = "dds")]
-            EngineName::Dds => start::<Dds>(settings),
+            EngineName::Dds => start(Dds::open, settings),
             #[cfg(feature = "zenoh")]
-            EngineName::Zenoh => start::<Zenoh>(settings),
+            EngineName::Zenoh => start(Zenoh::open, settings),
             #[cfg(feature = "foxglove")]
-            EngineName::Foxglove => start::<Foxglove>(settings),
+            EngineName::Foxglove => start(Foxglove::open, settings),
             #[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
             other => Err(not_built_in(other)),
         }
@@ -91,21 +94,22 @@ fn not_built_in(engine: EngineName) -> Failure {
     ))
 }
 
-fn start<E: Engine>(settings: EngineSettings) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
+fn start(open: Open, settings: EngineSettings) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
     let topics = settings.topics();
     let shared = Shared::default();
     let scans = topics.iter().filter(|topic| topic.has_scans());
     let outlets = scans.map(|topic| Outlet::new(topic.node, &shared, &topic.counts)).collect();
     let (stop, stopped) = std_mpsc::channel();
     let (fail, failures) = mpsc::channel(1);
-    let mut engine = Watched::<E> {
+    let mut engine = Watched {
+        open,
         network: NetworkNotices::for_nodes(&settings.nodes),
         settings: Arc::new(settings),
         topics: topics.into(),
         shared,
         stop: stopped,
         restarts: 0,
-        memory: E::Memory::default(),
+        backoff: Backoff::default(),
     };
     std::thread::Builder::new()
         .name("engine".to_owned())
@@ -119,25 +123,26 @@ fn start<E: Engine>(settings: EngineSettings) -> Result<(RunningEngine, Vec<Outl
     Ok((RunningEngine { stop, failures }, outlets))
 }
 
-struct Watched<E: Engine> {
+struct Watched {
+    open: Open,
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
     shared: Shared,
     stop: std_mpsc::Receiver<()>,
     network: NetworkNotices,
     restarts: u32,
-    memory: E::Memory,
+    backoff: Backoff,
 }
 
-impl<E: Engine> Watched<E> {
+impl Watched {
     /// Runs the engine until it is stopped. Reopens it after the network has changed or the
     /// engine has died. The error is permanent: reopening did not help.
     fn run(&mut self) -> Result<(), Failure> {
         while let Some((mut engine, publisher)) = self.open()? {
             self.set(Some(publisher));
-            let watched = self.watch(&mut engine);
+            let watched = self.watch(&mut *engine);
             self.set(None);
-            let is_closed = close(engine) || E::MAY_OVERLAP;
+            let is_closed = close(engine);
             let Err(reason) = watched else { break };
             self.count(&reason, is_closed)?;
         }
@@ -145,11 +150,11 @@ impl<E: Engine> Watched<E> {
     }
 
     /// Retries until the engine opens. `None` if it was stopped meanwhile.
-    fn open(&mut self) -> Result<Option<Opened<E>>, Failure> {
+    fn open(&mut self) -> Result<Option<Opened>, Failure> {
         loop {
             let opened = match missing_address(self.settings.interface) {
                 Some(why) => Err(Unavailable::Now(why)),
-                None => E::open(&self.settings, &self.topics, &mut self.memory),
+                None => (self.open)(&self.settings, &self.topics),
             };
             match opened {
                 Ok(opened) => return Ok(Some(opened)),
@@ -166,10 +171,14 @@ impl<E: Engine> Watched<E> {
 
     /// Checks the engine at regular intervals, until the user stops it or it has to be
     /// reopened.
-    fn watch(&mut self, engine: &mut E) -> Result<(), Reopen> {
+    fn watch(&mut self, engine: &mut dyn Engine) -> Result<(), Reopen> {
         let mut checks = 0;
         loop {
-            self.network.report(engine.check(&mut self.memory)?);
+            match engine.check() {
+                Ok(unreachable) => self.network.report(unreachable),
+                Err(Reopen::Wanted(_)) if !self.backoff.allows(Instant::now()) => {}
+                Err(reason) => return Err(reason),
+            }
             checks += 1;
             if checks == WORKING_CHECKS {
                 self.restarts = 0;
@@ -186,7 +195,7 @@ impl<E: Engine> Watched<E> {
     /// Counts and announces that the engine is opened again. An error if the old one hangs,
     /// because two would publish twice, or if it has died too often.
     fn count(&mut self, reason: &Reopen, is_closed: bool) -> Result<(), Failure> {
-        let (Reopen::Outdated(why) | Reopen::Dead(why)) = reason;
+        let (Reopen::Outdated(why) | Reopen::Wanted(why) | Reopen::Dead(why)) = reason;
         if !is_closed {
             return Err(Failure::Failed(format!("{why}, and the engine cannot be closed")));
         }
@@ -213,14 +222,16 @@ impl<E: Engine> Watched<E> {
     }
 }
 
-/// Closes an engine on a separate thread. Returns false if it hangs.
-fn close<E: Engine>(engine: E) -> bool {
+/// Closes an engine on a separate thread. Returns false if it hangs, unless it may.
+fn close(engine: Box<dyn Engine>) -> bool {
+    let may_hang = engine.may_overlap();
+    let timeout = if may_hang { OVERLAP_TIMEOUT } else { CLOSE_TIMEOUT };
     let (end, ended) = std_mpsc::channel();
     let closing = std::thread::Builder::new().name("closing".to_owned()).spawn(move || {
         engine.close();
         let _ = end.send(());
     });
-    closing.is_ok() && ended.recv_timeout(close_timeout::<E>()) != Err(RecvTimeoutError::Timeout)
+    closing.is_ok() && (ended.recv_timeout(timeout) != Err(RecvTimeoutError::Timeout) || may_hang)
 }
 
 /// Checks that an interface has the address of `--interface`, and explains if not.
@@ -272,7 +283,7 @@ impl NetworkNotices {
 mod tests {
     use std::sync::atomic::{AtomicU32, Ordering};
 
-    use super::super::engine::OpenedEngine;
+    use super::super::{Discovery, Mode, Qos};
     use super::*;
 
     /// Engine that dies at once, or that hangs when it is closed.
@@ -288,30 +299,23 @@ mod tests {
     }
 
     impl Engine for Faulty {
-        type Memory = ();
-        const MAY_OVERLAP: bool = false;
-
-        fn open(
-            settings: &Arc<EngineSettings>,
-            _: &Arc<[Topic]>,
-            (): &mut (),
-        ) -> OpenedEngine<Self> {
+        fn open(settings: &Arc<EngineSettings>, _: &Arc<[Topic]>) -> OpenedEngine {
             if settings.depth == 0 {
                 return Err(Unavailable::Permanently("it can never open".to_owned()));
             }
             let hangs = settings.depth == 2;
             OPENED[usize::from(hangs)].fetch_add(1, Ordering::Relaxed);
-            Ok((Self { hangs }, Arc::new(Self { hangs })))
+            Ok((Box::new(Self { hangs }), Arc::new(Self { hangs })))
         }
 
-        fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
+        fn check(&mut self) -> Result<Option<String>, Reopen> {
             Err(match self.hangs {
                 true => Reopen::Outdated("the network has changed".to_owned()),
                 false => Reopen::Dead("the engine is dead".to_owned()),
             })
         }
 
-        fn close(self) {
+        fn close(self: Box<Self>) {
             if self.hangs {
                 loop {
                     std::thread::park();
@@ -321,8 +325,19 @@ mod tests {
     }
 
     fn faulty(depth: usize) -> (RunningEngine, Vec<Outlet>) {
-        let settings = EngineSettings { depth, ..EngineSettings::with_namespaces(&["/"]) };
-        start::<Faulty>(settings).unwrap()
+        let settings = EngineSettings {
+            nodes: vec![NodeNames::default()],
+            domain: 0,
+            qos: Qos::Reliable,
+            depth,
+            transforms: Vec::new(),
+            interface: None,
+            discovery: Discovery::default(),
+            router: String::new(),
+            mode: Mode::Client,
+            listen: ([127, 0, 0, 1], 0).into(),
+        };
+        start(Faulty::open, settings).unwrap()
     }
 
     #[tokio::test]
@@ -362,14 +377,5 @@ mod tests {
             "the network is back: scans are published",
         ];
         assert_eq!(said.into_iter().flatten().collect::<Vec<_>>(), expected);
-    }
-
-    #[test]
-    fn an_address_that_no_interface_has_is_waited_for() {
-        assert_eq!(missing_address(None), None);
-        assert_eq!(missing_address(Some("127.0.0.1".parse().unwrap())), None);
-        // Reserved for documentation (RFC 5737): no interface has this address.
-        let missing = missing_address(Some("192.0.2.1".parse().unwrap())).unwrap();
-        assert!(missing.contains("192.0.2.1") && missing.contains("--interface"), "{missing}");
     }
 }

@@ -186,16 +186,6 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_the_queue_wakes_the_thread_that_waits() {
-        let (queue, _) = queue([1]);
-        std::thread::scope(|scope| {
-            let waiting = scope.spawn(|| queue.pop().is_none());
-            queue.close();
-            assert!(waiting.join().unwrap());
-        });
-    }
-
-    #[test]
     fn a_queue_is_stuck_when_messages_wait_and_none_is_taken() {
         let (queue, _) = queue([100]);
         (0..=MAX_SILENT_CHECKS).for_each(|_| assert!(!queue.is_stuck(), "nothing waits"));

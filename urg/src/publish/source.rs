@@ -140,21 +140,6 @@ mod tests {
         }
     }
 
-    fn source(place: u32, count: u32, epoch: Instant, rate: Rate, shared: &Shared) -> Source {
-        Source {
-            port: "emulated".parse().unwrap(),
-            link: LinkArgs::default(),
-            window: Window::DETECTION,
-            rate,
-            names: NodeNames::default(),
-            time_offset: 0.0,
-            outlet: Outlet::new(place as usize, shared, &Arc::default()),
-            epoch,
-            phase: f64::from(place) / f64::from(count),
-            condition: Mutex::default(),
-        }
-    }
-
     #[tokio::test(start_paused = true)]
     async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {
         const COUNT: u32 = 10;
@@ -163,7 +148,18 @@ mod tests {
         *shared.write() = Some(published.clone());
         let epoch = Instant::now();
         for place in 0..COUNT {
-            let source = source(place, COUNT, epoch, Rate::hz(10.0), &shared);
+            let source = Source {
+                port: "emulated".parse().unwrap(),
+                link: LinkArgs::default(),
+                window: Window::DETECTION,
+                rate: Rate::hz(10.0),
+                names: NodeNames::default(),
+                time_offset: 0.0,
+                outlet: Outlet::new(place as usize, &shared, &Arc::default()),
+                epoch,
+                phase: f64::from(place) / f64::from(COUNT),
+                condition: Mutex::default(),
+            };
             tokio::spawn(async move {
                 tokio::join!(source.publish_scans(), source.publish_diagnostics())
             });
@@ -180,20 +176,6 @@ mod tests {
                 assert!((gap - even).abs() < slack, "{gap} s between two of {COUNT} sensors");
             }
         }
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_sensor_is_due_on_its_grid() {
-        let epoch = Instant::now();
-        let source = source(3, 4, epoch, Rate::hz(10.0), &Shared::default());
-        let due = |after_ms: u64| {
-            let due = source.next_due(epoch + Duration::from_millis(after_ms));
-            (due - epoch).as_millis()
-        };
-        assert_eq!([due(0), due(75), due(76), due(1_000)], [75, 75, 175, 1_075]);
-        let now = epoch + Duration::from_millis(5);
-        let fastest = self::source(3, 4, epoch, Rate::UNLIMITED, &Shared::default());
-        assert_eq!(fastest.next_due(now), now);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Encoder of `rmw_dds_common/msg/ParticipantEntitiesInfo`, which maps writers to ROS nodes.
 //! DDS itself has no nodes.
 
-use super::rtps::Prefix;
+use super::pulse::Prefix;
 use crate::publish::engine::Topic;
 use crate::publish::names::NodeNames;
 

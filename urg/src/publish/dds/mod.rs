@@ -7,34 +7,28 @@
 //! - `discovery_info` tells ROS the writers of each node.
 //! - `network` chooses interfaces, and writes Cyclone's configuration.
 //! - `log` filters Cyclone's messages.
-//! - `backoff` limits how often DDS is reopened.
-//! - `neighbours` detects other participants that return after a pause.
 //! - `pulse` checks from outside whether the participant is alive.
+//! - `trace` detects participants that were forgotten and are back.
 //! - `static_peers` repeats the participant's announcements to hosts beyond multicast.
 
-mod backoff;
 mod discovery_info;
 mod log;
-mod neighbours;
 mod network;
 mod participant;
 mod pulse;
-mod rtps;
 mod static_peers;
+mod trace;
 
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use self::backoff::Backoff;
-use self::log::{Log, Sending};
-use self::neighbours::{Heard, Neighbours};
+use self::log::Log;
 use self::network::Network;
-use self::pulse::Pulse;
-use self::rtps::Prefix;
+use self::pulse::{Prefix, Pulse};
 use self::static_peers::StaticPeers;
-use super::discovery::StaticPeer;
+use self::trace::Trace;
 use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic, Unavailable};
 use super::names::NodeNames;
 use super::send_queue::{MAX_SILENT_CHECKS, SendQueue};
@@ -47,13 +41,6 @@ const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
 /// a moment when its lease is renewed.
 const MAX_CHANGED_CHECKS: u32 = 2;
 
-/// What one participant leaves to the next.
-#[derive(Default)]
-pub(super) struct Memory {
-    heard: Heard,
-    backoff: Backoff,
-}
-
 pub(super) struct Dds {
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
@@ -61,39 +48,30 @@ pub(super) struct Dds {
     thread: JoinHandle<Result<(), Unavailable>>,
     pulse: Pulse,
     log: Log,
-    neighbours: Neighbours,
+    trace: Trace,
     static_peers: StaticPeers,
     prefix: Prefix,
     network: Network,
-    /// Why the participant is to be reopened as soon as `backoff` allows it.
+    /// Why some readers get no scans until the participant is reopened.
     outdated: Option<String>,
     changed_checks: u32,
     silent_checks: u32,
 }
 
 impl Engine for Dds {
-    type Memory = Memory;
-    /// A participant that hangs may still answer readers.
-    const MAY_OVERLAP: bool = false;
-
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        memory: &mut Memory,
-    ) -> OpenedEngine<Self> {
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
+        let mut trace = Trace::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
         let domain = settings.domain;
-        let neighbours = Neighbours::listen(domain, network.used(), &mut memory.heard)
-            .map_err(|error| format!("cannot listen to other participants: {error}"))?;
         let mut peers = settings.discovery.static_peers.clone();
         if network.asks_this_machine(&settings.discovery) {
-            peers.push(StaticPeer { host: "127.0.0.1".to_owned(), port: None });
+            peers.push("127.0.0.1".to_owned());
         }
         let static_peers = StaticPeers::new(&peers, domain, settings.interface)
             .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
-        let config = network.config(&settings.discovery, pulse.address());
+        let config = network.config(&settings.discovery, pulse.address(), trace.path());
         // Of the discovery information, only the last matters.
         let queues = topics.iter().map(Topic::queue).chain([(1, Arc::default())]);
         let queue = Arc::new(SendQueue::new(queues));
@@ -121,6 +99,7 @@ impl Engine for Dds {
                 (why, _) => why,
             });
         };
+        trace.opened();
         if let Some(shortage) = network.shortage() {
             notice(shortage);
         }
@@ -132,7 +111,7 @@ impl Engine for Dds {
             thread,
             pulse,
             log,
-            neighbours,
+            trace,
             static_peers,
             prefix: first.sender,
             network,
@@ -145,10 +124,10 @@ impl Engine for Dds {
             // Cyclone keeps it for late readers.
             queue.publish(transforms, settings.static_transforms());
         }
-        Ok((dds, queue))
+        Ok((Box::new(dds), queue))
     }
 
-    fn check(&mut self, memory: &mut Memory) -> Result<Option<String>, Reopen> {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
         let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
         if self.thread.is_finished() {
             return dead("the thread of DDS has ended");
@@ -167,39 +146,42 @@ impl Engine for Dds {
             return dead("DDS no longer takes scans");
         }
         let network = Network::current(self.settings.interface, &self.settings.discovery);
-        let is_changed = self.network.differs(&network);
+        let is_changed = self.network.addresses != network.addresses;
         self.changed_checks = if is_changed { self.changed_checks + 1 } else { 0 };
         if self.changed_checks >= MAX_CHANGED_CHECKS {
             return Err(Reopen::Outdated("the network interfaces have changed".to_owned()));
         }
-        let sending = self.log.check();
+        let (is_failing, _) = (self.log.packets.check(), self.log.announcements.check());
         let deaf = || {
-            let is_deaf = sending == Sending::Stopped && network.is_up();
+            let is_deaf = self.log.announcements.has_stopped() && network.is_up;
             is_deaf.then(|| "DDS cannot send, but its network interfaces are up".to_owned())
         };
-        self.outdated = self.outdated.take().or(self.neighbours.returned(&mut memory.heard));
-        if let Some(why) = self.outdated.clone().or_else(deaf)
-            && memory.backoff.allows(Instant::now())
-        {
-            return Err(Reopen::Outdated(why));
+        self.outdated = self.outdated.take().or(self.trace.returned());
+        if let Some(why) = self.outdated.clone().or_else(deaf) {
+            return Err(Reopen::Wanted(why));
         }
         // Readers on this machine still get scans: DDS has no central server.
-        Ok(if self.network.is_absent() && self.settings.discovery.is_beyond_this_machine() {
-            let text = "this machine is in no network: until it is, only readers on it get scans";
-            Some(text.to_owned())
-        } else if sending != Sending::Works {
-            let text = "DDS cannot send on some network: readers there get no scans until it can";
-            Some(text.to_owned())
-        } else {
-            self.static_peers.missing().map(|name| {
+        Ok(
+            if self.network.addresses.is_empty() && self.settings.discovery.is_beyond_this_machine()
+            {
+                let text =
+                    "this machine is in no network: until it is, only readers on it get scans";
+                Some(text.to_owned())
+            } else if is_failing {
+                let text =
+                    "DDS cannot send on some network: readers there get no scans until it can";
+                Some(text.to_owned())
+            } else {
+                self.static_peers.missing().map(|name| {
                 format!(
                     "the static peer {name} has no address: until it has one, only others get scans"
                 )
             })
-        })
+            },
+        )
     }
 
-    fn close(self) {
+    fn close(self: Box<Self>) {
         // Removes the nodes immediately; otherwise they stay until the lease expires.
         self.announce(&[]);
         self.queue.close();

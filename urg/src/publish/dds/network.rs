@@ -19,15 +19,15 @@ const MAX_VENDOR: u32 = 32;
 /// Addresses of this machine.
 #[derive(Debug, Clone)]
 pub(super) struct Network {
-    /// All addresses except loopback, with the index of their interface. If they change, the
+    /// All addresses except loopback, if any, with the index of their interface. If they change, the
     /// participant has to be reopened. An interface that is made again has another index.
-    addresses: BTreeSet<(Option<u32>, Ipv4Addr)>,
+    pub(super) addresses: BTreeSet<(Option<u32>, Ipv4Addr)>,
     /// Addresses for DDS, one per interface.
     used: Vec<Ipv4Addr>,
     /// Addresses for which DDS has no room.
     left_out: Vec<Ipv4Addr>,
     /// Whether all used interfaces are up.
-    is_up: bool,
+    pub(super) is_up: bool,
 }
 
 /// Interface as the system describes it.
@@ -76,19 +76,6 @@ impl Network {
         Self { addresses, used, left_out: others.iter().map(|it| it.address).collect(), is_up }
     }
 
-    pub(super) fn used(&self) -> &[Ipv4Addr] {
-        &self.used
-    }
-
-    /// Whether loopback is the only interface.
-    pub(super) fn is_absent(&self) -> bool {
-        self.addresses.is_empty()
-    }
-
-    pub(super) fn is_up(&self) -> bool {
-        self.is_up
-    }
-
     /// Line for the user if there are more interfaces than DDS can use.
     pub(super) fn shortage(&self) -> Option<String> {
         let list = |addresses: &[Ipv4Addr]| {
@@ -114,13 +101,14 @@ impl Network {
         self.used == [Ipv4Addr::LOCALHOST]
     }
 
-    /// Checks whether an address was added or removed since `self`, or its interface made again.
-    pub(super) fn differs(&self, now: &Self) -> bool {
-        self.addresses != now.addresses
-    }
-
-    /// Writes Cyclone's configuration. The participant announces itself to `pulse` as well.
-    pub(super) fn config(&self, discovery: &Discovery, pulse: SocketAddr) -> String {
+    /// Writes Cyclone's configuration. The participant announces itself to `pulse` as well, and
+    /// traces discovery to the file `trace`.
+    pub(super) fn config(
+        &self,
+        discovery: &Discovery,
+        pulse: SocketAddr,
+        trace: Option<String>,
+    ) -> String {
         let is_off = discovery.range == Range::Off;
         let has_multicast = discovery.range == Range::Subnet;
         let mut interfaces = String::new();
@@ -136,6 +124,11 @@ impl Network {
         let multicast = if has_multicast { "default" } else { "false" };
         let vendors: Vec<String> = (1..=MAX_VENDOR).map(|number| format!("1.{number}")).collect();
         let vendors = vendors.join(",");
+        let trace = trace.map_or_else(String::new, |path| {
+            format!(
+                "<Tracing><Category>discovery</Category><OutputFile>{path}</OutputFile></Tracing>"
+            )
+        });
         // LeaseDuration: same as Fast DDS.
         // SPDPInterval: a reader that forgot this participant finds it within one interval.
         // WriterLingerDuration: do not wait at exit to resend scans, which are stale by then.
@@ -158,7 +151,7 @@ impl Network {
              <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\
              <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation>\
-             </Compatibility>\
+             </Compatibility>{trace}\
              </Domain>"
         )
     }
@@ -168,53 +161,33 @@ impl Network {
 mod tests {
     use super::*;
 
-    fn network(found: &[(bool, &str, &str)]) -> Network {
-        let interface = |(number, (is_up, name, address)): (u32, &(bool, &str, &str))| Interface {
-            is_up: *is_up,
-            index: Some(number),
-            name: (*name).to_owned(),
-            address: address.parse().unwrap(),
-        };
-        Network::from_interfaces((1..).zip(found).map(interface).collect())
-    }
-
-    fn used(found: &[(bool, &str, &str)]) -> Vec<String> {
-        network(found).used.iter().map(ToString::to_string).collect()
-    }
-
     #[test]
     fn interfaces_that_are_up_come_first_and_cyclone_takes_four() {
+        let network = |found: &[(bool, &str, &str)]| {
+            let interface = |&(is_up, name, address): &(bool, &str, &str)| Interface {
+                is_up,
+                index: None,
+                name: name.to_owned(),
+                address: address.parse().unwrap(),
+            };
+            Network::from_interfaces(found.iter().map(interface).collect())
+        };
         let found = [
             (false, "docker0", "172.17.0.1"),
             (true, "eth0", "10.0.0.1"),
             (true, "eth0", "10.0.0.2"),
             (true, "wlan0", "10.1.0.1"),
+            (true, "usb0", "169.254.1.1"),
             (true, "tun0", "10.2.0.1"),
             (true, "eth1", "10.3.0.1"),
         ];
-        assert_eq!(used(&found), ["10.0.0.1", "10.1.0.1", "10.2.0.1", "10.3.0.1"]);
-        let line = network(&found).shortage().unwrap();
-        assert!(line.contains("10.3.0.1, and not 172.17.0.1"), "{line}");
+        let line = "DDS uses only 10.0.0.1, 10.1.0.1, 10.2.0.1, 10.3.0.1, and not 172.17.0.1: \
+                    choose one with --interface";
+        assert_eq!(network(&found).shortage().as_deref(), Some(line));
         assert_eq!(network(&found[1..]).shortage(), None);
         assert!(network(&found).is_up && !network(&found[..1]).is_up);
-    }
-
-    #[test]
-    fn a_link_local_address_is_used_only_where_there_is_no_other() {
-        assert_eq!(used(&[(true, "a", "169.254.1.1"), (true, "b", "10.0.0.1")]), ["10.0.0.1"]);
-        assert_eq!(
-            used(&[(true, "a", "169.254.1.1"), (true, "b", "169.254.1.2")]),
-            ["169.254.1.1"]
-        );
-        assert_eq!(used(&[]), ["127.0.0.1"]);
-    }
-
-    #[test]
-    fn an_interface_made_again_is_another_one() {
-        let (a, b) = ((true, "a", "10.0.0.1"), (true, "b", "10.1.0.1"));
-        let before = network(&[a, b]);
-        assert!(!before.differs(&network(&[(false, "a", "10.0.0.1"), b])), "it is down");
-        assert!(before.differs(&network(&[b, a])), "other indexes");
-        assert!(before.differs(&network(&[a])));
+        let link_local = [found[4], (true, "usb1", "169.254.1.2")];
+        assert_eq!(network(&link_local).used, [Ipv4Addr::new(169, 254, 1, 1)]);
+        assert_eq!(network(&[]).used, [Ipv4Addr::LOCALHOST]);
     }
 }

@@ -6,12 +6,14 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
-use super::rtps::{Packet, packets};
+/// GUID prefix, common to a participant and its entities.
+pub(super) type Prefix = [u8; 12];
 
 /// First bytes of the prefix of every participant of Cyclone: the number of the vendor.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
 
-const CHECK_INTERVAL: Duration = Duration::from_millis(5);
+/// Time to wait for a packet.
+const PATIENCE: Duration = Duration::from_millis(1);
 
 /// Receiver of a participant's announcements.
 pub(super) struct Pulse {
@@ -19,10 +21,15 @@ pub(super) struct Pulse {
     address: SocketAddr,
 }
 
+pub(super) struct Announcement {
+    pub(super) sender: Prefix,
+    pub(super) bytes: Vec<u8>,
+}
+
 impl Pulse {
     pub(super) fn bind() -> io::Result<Self> {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
-        socket.set_nonblocking(true)?;
+        socket.set_read_timeout(Some(PATIENCE))?;
         let address = socket.local_addr()?;
         Ok(Self { socket, address })
     }
@@ -33,40 +40,27 @@ impl Pulse {
     }
 
     /// Blocks until the first announcement, for at most `timeout`.
-    pub(super) fn first(&self, timeout: Duration) -> Option<Packet> {
+    pub(super) fn first(&self, timeout: Duration) -> Option<Announcement> {
         let end = Instant::now() + timeout;
-        loop {
-            let first = self.latest();
-            if first.is_some() || Instant::now() > end {
-                return first;
-            }
-            std::thread::sleep(CHECK_INTERVAL);
-        }
+        std::iter::repeat_with(|| self.latest())
+            .find(|first| first.is_some() || Instant::now() > end)
+            .flatten()
     }
 
     /// Latest announcement, if one has arrived since the last call. Skips packets that are not
     /// from Cyclone.
-    pub(super) fn latest(&self) -> Option<Packet> {
-        packets(&self.socket).filter(|packet| packet.sender.starts_with(&CYCLONE)).last()
+    pub(super) fn latest(&self) -> Option<Announcement> {
+        let mut packet = [0; 8192];
+        let mut latest = None;
+        while let Ok(length) = self.socket.recv(&mut packet) {
+            let bytes = packet.get(..length).unwrap_or_default();
+            latest = announcement(bytes).or(latest);
+        }
+        latest
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn it_beats_once_for_each_check_at_what_arrived() {
-        let pulse = Pulse::bind().unwrap();
-        let sender = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
-        assert!(pulse.latest().is_none());
-        sender.send_to(b"noise", pulse.address()).unwrap();
-        assert!(pulse.latest().is_none());
-        let announcement = b"RTPS\x02\x05\x01\x10\x01\x10abcdefghij and more";
-        for _ in 0..2 {
-            sender.send_to(announcement, pulse.address()).unwrap();
-        }
-        assert_eq!(pulse.first(Duration::from_secs(10)).unwrap().bytes, announcement);
-        assert!(pulse.latest().is_none());
-    }
+fn announcement(bytes: &[u8]) -> Option<Announcement> {
+    let sender: Prefix = bytes.strip_prefix(b"RTPS")?.get(4..16)?.try_into().ok()?;
+    sender.starts_with(&CYCLONE).then(|| Announcement { sender, bytes: bytes.to_owned() })
 }

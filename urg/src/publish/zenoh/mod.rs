@@ -52,16 +52,7 @@ pub(super) struct Zenoh {
 }
 
 impl Engine for Zenoh {
-    type Memory = ();
-    /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. The router drops it
-    /// after 2 s.
-    const MAY_OVERLAP: bool = true;
-
-    fn open(
-        settings: &Arc<EngineSettings>,
-        topics: &Arc<[Topic]>,
-        (): &mut (),
-    ) -> OpenedEngine<Self> {
+    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
         let config = config(settings)
             .map_err(|error| Unavailable::Permanently(format!("cannot set up zenoh: {error}")))?;
         let local_address = router::local_address(&settings.router);
@@ -86,10 +77,16 @@ impl Engine for Zenoh {
             thread,
             in_transit: topics.iter().map(|topic| InTransit::new(&topic.counts)).collect(),
         };
-        Ok((zenoh, queue))
+        Ok((Box::new(zenoh), queue))
     }
 
-    fn check(&mut self, (): &mut ()) -> Result<Option<String>, Reopen> {
+    /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. The router drops it
+    /// after 2 s, and the closed queue feeds it nothing more.
+    fn may_overlap(&self) -> bool {
+        true
+    }
+
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
         let consequence = match self.settings.mode {
             Mode::Client => {
                 let answers = router::answers(&self.session);
@@ -118,7 +115,7 @@ impl Engine for Zenoh {
         Ok(consequence.map(|text| format!("no zenoh router answers at {router}; {text}")))
     }
 
-    fn close(mut self) {
+    fn close(mut self: Box<Self>) {
         self.queue.close();
         let end = Instant::now() + DRAIN_TIMEOUT;
         while !self.thread.is_finished() && Instant::now() < end {

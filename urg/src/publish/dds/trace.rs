@@ -1,0 +1,122 @@
+//! Reads in Cyclone's trace of discovery which participants were forgotten and are back.
+//!
+//! Cyclone forgets a participant that is silent for its lease. But the participant, if its process
+//! was only stopped, still remembers Cyclone. Cyclone's counter restarts, so the participant takes
+//! new requests for old ones, and never answers. They find each other again only if Cyclone's
+//! participant is reopened under a new name. Cyclone's own events do not name participants.
+
+use std::collections::HashMap;
+use std::fs::OpenOptions;
+use std::io::{self, BufRead, BufReader, PipeWriter};
+use std::sync::Arc;
+use std::time::{Duration, Instant, SystemTime};
+
+use parking_lot::Mutex;
+
+/// Silence after which others forget this process. Its lease, as in `network`, is a second
+/// longer: checks may be late.
+const OWN_LEASE: Duration = Duration::from_secs(19);
+
+/// Maximum number of participants to remember. A domain has room for 120 per machine.
+const MAX_FORGOTTEN: usize = 10_000;
+
+/// Reader of the trace, on a thread of its own that ends when Cyclone closes the trace.
+pub(super) struct Trace {
+    /// Why the participant is outdated.
+    returned: Arc<Mutex<Option<String>>>,
+    checked: (Instant, SystemTime),
+    /// `None` once Cyclone has opened the pipe.
+    writer: Option<PipeWriter>,
+}
+
+impl Trace {
+    pub(super) fn start() -> io::Result<Self> {
+        let returned = Arc::<Mutex<_>>::default();
+        let (reader, writer) = io::pipe()?;
+        let found = Arc::clone(&returned);
+        std::thread::Builder::new()
+            .name("trace".to_owned())
+            .spawn(move || read(BufReader::new(reader), &found))?;
+        let checked = (Instant::now(), SystemTime::now());
+        Ok(Self { returned, checked, writer: Some(writer) })
+    }
+
+    /// Path of the pipe for Cyclone, on systems that have one.
+    pub(super) fn path(&self) -> Option<String> {
+        #[cfg(unix)]
+        let number = self.writer.as_ref().map(std::os::fd::AsRawFd::as_raw_fd);
+        #[cfg(not(unix))]
+        let number: Option<u8> = None;
+        let path = format!("/dev/fd/{}", number?);
+        // Not every container has these paths.
+        OpenOptions::new().write(true).open(&path).is_ok().then_some(path)
+    }
+
+    /// Call it when Cyclone has opened the pipe, so that the trace ends with Cyclone.
+    pub(super) fn opened(&mut self) {
+        self.writer = None;
+    }
+
+    /// Checks whether a forgotten participant is back, or this process itself, after it was
+    /// stopped or the machine slept. Returns a line for the user. Call it at regular intervals.
+    pub(super) fn returned(&mut self) -> Option<String> {
+        let (now, clock) = (Instant::now(), SystemTime::now());
+        let (before, clock_before) = std::mem::replace(&mut self.checked, (now, clock));
+        // Only the wall clock includes the time that the machine slept.
+        let slept = clock.duration_since(clock_before).unwrap_or_default();
+        let stopped = slept.max(now - before);
+        if stopped > OWN_LEASE {
+            return Some(format!("this program was stopped for {} s", stopped.as_secs()));
+        }
+        self.returned.lock().take()
+    }
+}
+
+fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
+    let mut forgotten = HashMap::new();
+    for line in trace.split(b'\n').map_while(Result::ok) {
+        let line = String::from_utf8_lossy(&line);
+        if let Some(guid) = after(&line, "lease expired", " guid ") {
+            if forgotten.len() >= MAX_FORGOTTEN {
+                forgotten.clear();
+            }
+            forgotten.insert(guid.to_owned(), Instant::now());
+        } else if let Some(since) =
+            after(&line, " NEW", "SPDP ST0 ").and_then(|guid| forgotten.remove(guid))
+        {
+            let seconds = since.elapsed().as_secs();
+            let why = format!("a reader is back that was forgotten {seconds} s ago");
+            *returned.lock() = Some(why);
+        }
+    }
+}
+
+/// Word after `before`, in a line that contains `event`.
+fn after<'a>(line: &'a str, event: &str, before: &str) -> Option<&'a str> {
+    line.contains(event)
+        .then(|| line.split_once(before))?
+        .map(|(_, rest)| rest.split(' ').next().unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_participant_that_was_forgotten_is_back_once() {
+        let returned = Mutex::default();
+        let back = |trace: &str| {
+            read(trace.as_bytes(), &returned);
+            returned.lock().take()
+        };
+        let (new, expired) = (
+            "1.2 [7]  recv: SPDP ST0 110ab:1:2:1c1 bes 3f NEW QOS={}\n",
+            "1.2 [7]  gc: lease expired: l 0x7f guid 110ab:1:2:1c1 tend 5 < now 6\n",
+        );
+        assert_eq!(back(&[new, new].concat()), None);
+        assert_eq!(back(expired), None);
+        let why = "a reader is back that was forgotten 0 s ago";
+        assert_eq!(back(&[new, expired, new].concat()).as_deref(), Some(why));
+        assert_eq!(back(&[expired, &new.replace("ab", "cd")].concat()), None, "another one");
+    }
+}
