@@ -95,16 +95,9 @@ mod tests {
                 };
                 Some(text.to_owned())
             });
-            let expected_peers = if has_peers { &["10.0.0.1", "robot.local"][..] } else { &[] };
             let found = found.unwrap();
-            assert_eq!(
-                (found.range, &*found.static_peers),
-                (
-                    expected,
-                    &expected_peers.iter().map(|it| (*it).to_owned()).collect::<Vec<_>>()[..]
-                ),
-                "{range}"
-            );
+            let peers = if has_peers { "10.0.0.1 robot.local" } else { "" };
+            assert_eq!((found.range, &*found.static_peers.join(" ")), (expected, peers), "{range}");
         }
     }
 }

@@ -77,53 +77,58 @@ impl RosArgs {
             } else if argument == END {
                 is_inside = false;
             } else {
-                let flag = argument.to_string_lossy();
-                if is_log_switch(&flag) {
-                    unused_log_flag(&flag);
-                    continue;
-                }
-                let value = arguments.next().and_then(|value| value.into_string().ok());
-                ros.add(&flag, value.as_deref())?;
+                ros.add(&argument.to_string_lossy(), &mut arguments)?;
             }
         }
         Ok((plain, ros))
     }
 
-    fn add(&mut self, flag: &str, value: Option<&str>) -> Result<(), Failure> {
-        let expected = match flag {
-            "-r" | "--remap" => "FROM:=TO",
-            "-p" | "--param" => "NAME:=VALUE",
-            "--params-file" => "a file",
-            "--log-level" | "--log-config-file" | "--log-file-name" => "a value",
+    /// Adds the meaning of `flag`, which takes its value from the arguments after it.
+    fn add(
+        &mut self,
+        flag: &str,
+        after: &mut impl Iterator<Item = OsString>,
+    ) -> Result<(), Failure> {
+        let mut value = |expected| {
+            let value = after.next().and_then(|value| value.into_string().ok());
+            value.ok_or_else(|| usage(format!("expected {expected} after {flag}")))
+        };
+        // Launch files pass flags for the log to all nodes.
+        let unused = |text: &str| {
+            notice(format_args!("`{text}` changes nothing: set RUST_LOG for a log"));
+        };
+        match flag {
+            "-r" | "--remap" => {
+                let text = value("FROM:=TO")?;
+                let (_, from, to) = assignment(&text, "FROM:=TO")?;
+                self.remappings.push((from.to_owned(), to.to_owned()));
+            }
+            "-p" | "--param" => {
+                let text = value("NAME:=VALUE")?;
+                let (node, name, yaml) = assignment(&text, "NAME:=VALUE")?;
+                let value = load(yaml).map_err(|why| usage(format!("`{text}`: {why}")))?;
+                let (node, name) = (node.unwrap_or("/**").to_owned(), name.to_owned());
+                let parameters = vec![Parameter { node, name, value }];
+                self.sources.push(Source { text: text.trim().to_owned(), parameters });
+            }
+            "--params-file" => {
+                let (text, mut parameters) = (value("a file")?, Vec::new());
+                std::fs::read_to_string(&text)
+                    .map_err(|error| error.to_string())
+                    .and_then(|yaml| collect("", &load(&yaml)?, &mut parameters))
+                    .map_err(|why| usage(format!("cannot use --params-file {text}: {why}")))?;
+                self.sources.push(Source { text, parameters });
+            }
+            _ if flag.starts_with("--log-") => {
+                unused(&format!("{flag} {}", value("a value")?));
+            }
+            _ if flag.starts_with("--enable-") || flag.starts_with("--disable-") => unused(flag),
             _ => {
                 return Err(usage(format!(
                     "`{flag}` is not supported: expected -r FROM:=TO, -p NAME:=VALUE or \
                      --params-file FILE"
                 )));
             }
-        };
-        let value = value.ok_or_else(|| usage(format!("expected {expected} after {flag}")))?;
-        match flag {
-            "-r" | "--remap" => {
-                let (_, from, to) = assignment(value, expected)?;
-                self.remappings.push((from.to_owned(), to.to_owned()));
-            }
-            "-p" | "--param" => {
-                let (node, name, yaml) = assignment(value, expected)?;
-                let yaml = load(yaml).map_err(|why| usage(format!("`{value}`: {why}")))?;
-                let node = node.unwrap_or("/**").to_owned();
-                let parameters = vec![Parameter { node, name: name.to_owned(), value: yaml }];
-                self.sources.push(Source { text: value.trim().to_owned(), parameters });
-            }
-            "--params-file" => {
-                let mut parameters = Vec::new();
-                std::fs::read_to_string(value)
-                    .map_err(|error| error.to_string())
-                    .and_then(|text| collect("", &load(&text)?, &mut parameters))
-                    .map_err(|why| usage(format!("cannot use --params-file {value}: {why}")))?;
-                self.sources.push(Source { text: value.to_owned(), parameters });
-            }
-            _ => unused_log_flag(&format!("{flag} {value}")),
         }
         Ok(())
     }
@@ -285,15 +290,4 @@ fn matches(pattern: &str, node: &str) -> bool {
         };
     }
     reached.contains(&parts.len())
-}
-
-/// Checks for flags such as `--disable-stdout-logs`.
-fn is_log_switch(flag: &str) -> bool {
-    let log = flag.strip_prefix("--enable-").or_else(|| flag.strip_prefix("--disable-"));
-    matches!(log, Some("rosout-logs" | "stdout-logs" | "external-lib-logs"))
-}
-
-/// Launch files pass flags for the log to all nodes.
-fn unused_log_flag(text: &str) {
-    notice(format_args!("`{text}` changes nothing: set RUST_LOG for a log"));
 }

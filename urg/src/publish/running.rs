@@ -281,18 +281,13 @@ impl NetworkNotices {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::atomic::{AtomicU32, Ordering};
-
     use super::super::{Discovery, Mode, Qos};
     use super::*;
 
-    /// Engine that dies at once, or that hangs when it is closed.
+    /// Engine that is dead at once. If `hangs`, it is outdated instead, and cannot be closed.
     struct Faulty {
         hangs: bool,
     }
-
-    /// Numbers of engines that were opened: dying, and hanging.
-    static OPENED: [AtomicU32; 2] = [AtomicU32::new(0), AtomicU32::new(0)];
 
     impl Publisher for Faulty {
         fn publish(&self, _: usize, _: Vec<u8>) {}
@@ -300,12 +295,11 @@ mod tests {
 
     impl Engine for Faulty {
         fn open(settings: &Arc<EngineSettings>, _: &Arc<[Topic]>) -> OpenedEngine {
-            if settings.depth == 0 {
-                return Err(Unavailable::Permanently("it can never open".to_owned()));
+            let hangs = settings.domain == 1;
+            match settings.domain {
+                2 => Err(Unavailable::Permanently("it can never open".to_owned())),
+                _ => Ok((Box::new(Self { hangs }), Arc::new(Self { hangs }))),
             }
-            let hangs = settings.depth == 2;
-            OPENED[usize::from(hangs)].fetch_add(1, Ordering::Relaxed);
-            Ok((Box::new(Self { hangs }), Arc::new(Self { hangs })))
         }
 
         fn check(&mut self) -> Result<Option<String>, Reopen> {
@@ -317,51 +311,35 @@ mod tests {
 
         fn close(self: Box<Self>) {
             if self.hangs {
-                loop {
-                    std::thread::park();
-                }
+                std::thread::sleep(Duration::MAX);
             }
         }
     }
 
-    fn faulty(depth: usize) -> (RunningEngine, Vec<Outlet>) {
-        let settings = EngineSettings {
-            nodes: vec![NodeNames::default()],
-            domain: 0,
-            qos: Qos::Reliable,
-            depth,
-            transforms: Vec::new(),
-            interface: None,
-            discovery: Discovery::default(),
-            router: String::new(),
-            mode: Mode::Client,
-            listen: ([127, 0, 0, 1], 0).into(),
-        };
-        start(Faulty::open, settings).unwrap()
-    }
-
     #[tokio::test]
-    async fn a_dead_engine_is_opened_again_and_counted() {
-        let (mut running, outlets) = faulty(1);
-        let failure = running.failed().await;
-        assert_eq!(failure.line(), "the engine is dead, also after it was opened again 5 times");
-        assert_eq!(OPENED[0].load(Ordering::Relaxed), 1 + MAX_RESTARTS);
-        assert_eq!(outlets[0].counts().lock().restarts, 5);
-        running.close().await;
-    }
-
-    #[tokio::test]
-    async fn no_second_engine_is_opened_beside_one_that_hangs() {
-        let (mut running, _) = faulty(2);
-        let failure = running.failed().await;
-        assert_eq!(failure.line(), "the network has changed, and the engine cannot be closed");
-        assert_eq!(OPENED[1].load(Ordering::Relaxed), 1);
-    }
-
-    #[tokio::test]
-    async fn an_engine_that_can_never_open_fails_at_once() {
-        let (mut running, _) = faulty(0);
-        assert_eq!(running.failed().await.line(), "it can never open");
+    async fn an_engine_is_opened_again_unless_that_cannot_help() {
+        for (domain, restarts, line) in [
+            (0, 5, "the engine is dead, also after it was opened again 5 times"),
+            (1, 0, "the network has changed, and the engine cannot be closed"),
+            (2, 0, "it can never open"),
+        ] {
+            let settings = EngineSettings {
+                nodes: vec![NodeNames::default()],
+                domain,
+                qos: Qos::Reliable,
+                depth: 1,
+                transforms: Vec::new(),
+                interface: None,
+                discovery: Discovery::default(),
+                router: String::new(),
+                mode: Mode::Client,
+                listen: ([127, 0, 0, 1], 0).into(),
+            };
+            let (mut running, outlets) = start(Faulty::open, settings).unwrap();
+            assert_eq!(running.failed().await.line(), line);
+            assert_eq!(outlets[0].counts().lock().restarts, restarts, "{line}");
+            running.close().await;
+        }
     }
 
     #[test]

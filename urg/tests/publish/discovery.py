@@ -5,10 +5,14 @@ discovery.py PROGRAM RECORDING
 """
 
 import os
+import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import threading
 import time
+from pathlib import Path
 
 from common import Urg, ok, wait
 from namespaces import ROS_READER, Lines, Namespace, ip, use
@@ -36,6 +40,25 @@ for index in range(int(__import__("sys").argv[1])):
             pass
 print("ready", flush=True)
 time.sleep(3600)
+"""
+
+# For a program whose multicast cannot be sent while a file exists.
+NO_MULTICAST = """
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <unistd.h>
+ssize_t sendmsg(int fd, const struct msghdr *message, int flags) {
+    ssize_t (*next)(int, const struct msghdr *, int) = dlsym(RTLD_NEXT, "sendmsg");
+    const struct sockaddr_in *to = message->msg_name;
+    if (to && to->sin_family == AF_INET && to->sin_addr.s_addr == htonl(0xEFFF0001) &&
+        access(BLOCKED, F_OK) == 0) {
+        errno = ENETUNREACH;
+        return -1;
+    }
+    return next(fd, message, flags);
+}
 """
 
 LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
@@ -167,6 +190,33 @@ def reopened_for_a_forgotten_reader():
     ok(f"opened again for a reader that was forgotten: no scan came twice, {missed} are missing")
 
 
+def reopened_when_announcements_cannot_be_sent():
+    folder = Path(tempfile.mkdtemp())
+    blocked, library = folder / "blocked", folder / "no_multicast.so"
+    command = ["cc", "-shared", "-fPIC", f'-DBLOCKED="{blocked}"', "-o", str(library), "-xc", "-"]
+    subprocess.run(command, input=NO_MULTICAST, text=True, check=True)
+    opened_again = "DDS cannot send, but its network interfaces are up: the engine is opened again"
+    with Hosts() as hosts:
+        reader = hosts.reader(hosts.far)
+        with hosts.urg(f"LD_PRELOAD={library}") as urg:
+            # It must have worked for 5 s.
+            reader.more(80, 40)
+            begin = time.monotonic()
+            blocked.touch()
+            urg.wait_for(opened_again, 20)
+            took = time.monotonic() - begin
+            assert took > 4, f"opened again after {took:.1f} s"
+            urg.wait_for("DDS cannot send on some network")
+            blocked.unlink()
+            urg.wait_for("the network is back")
+            late = hosts.reader(hosts.far)
+            late.more(20, 40), reader.more(20, 40)
+            said = urg.stop()
+            assert said.count(opened_again) == 1, said
+    shutil.rmtree(folder)
+    ok(f"opened again when announcements could not be sent for {took:.1f} s")
+
+
 # Kilted has no Cyclone DDS.
 rare = threading.Thread(target=a_participant_that_announces_itself_rarely)
 if "jazzy" in sys.prefix:
@@ -176,6 +226,7 @@ localhost()
 many_participants_on_this_machine()
 a_second_interface()
 reopened_for_a_forgotten_reader()
+reopened_when_announcements_cannot_be_sent()
 if rare.ident:
     rare.join()
 os._exit(0)

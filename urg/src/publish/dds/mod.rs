@@ -62,7 +62,7 @@ impl Engine for Dds {
     fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
         let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
-        let mut trace = Trace::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
+        let trace = Trace::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
         let network = Network::current(settings.interface, &settings.discovery);
         let domain = settings.domain;
         let mut peers = settings.discovery.static_peers.clone();
@@ -99,7 +99,6 @@ impl Engine for Dds {
                 (why, _) => why,
             });
         };
-        trace.opened();
         if let Some(shortage) = network.shortage() {
             notice(shortage);
         }

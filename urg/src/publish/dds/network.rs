@@ -91,14 +91,10 @@ impl Network {
     /// multicast.
     pub(super) fn asks_this_machine(&self, discovery: &Discovery) -> bool {
         match discovery.range {
-            Range::Subnet => self.is_loopback(),
+            Range::Subnet => self.used == [Ipv4Addr::LOCALHOST],
             Range::Localhost => true,
             Range::Off => false,
         }
-    }
-
-    fn is_loopback(&self) -> bool {
-        self.used == [Ipv4Addr::LOCALHOST]
     }
 
     /// Writes Cyclone's configuration. The participant announces itself to `pulse` as well, and
@@ -114,8 +110,10 @@ impl Network {
         let mut interfaces = String::new();
         for address in &self.used {
             // The loopback of Linux supports multicast, but does not have the flag.
-            let multicast =
-                if self.is_loopback() && has_multicast { " multicast=\"true\"" } else { "" };
+            let multicast = match address.is_loopback() && has_multicast {
+                true => " multicast=\"true\"",
+                false => "",
+            };
             let _ = write!(interfaces, "<NetworkInterface address=\"{address}\"{multicast}/>");
         }
         // A unique tag isolates the participant, as in ROS 2.

@@ -20,13 +20,14 @@ const OWN_LEASE: Duration = Duration::from_secs(19);
 /// Maximum number of participants to remember. A domain has room for 120 per machine.
 const MAX_FORGOTTEN: usize = 10_000;
 
-/// Reader of the trace, on a thread of its own that ends when Cyclone closes the trace.
+/// Reader of the trace, on a thread of its own. The thread ends when Cyclone has closed the trace,
+/// and this is dropped.
 pub(super) struct Trace {
     /// Why the participant is outdated.
     returned: Arc<Mutex<Option<String>>>,
     checked: (Instant, SystemTime),
-    /// `None` once Cyclone has opened the pipe.
-    writer: Option<PipeWriter>,
+    /// Open until Cyclone has opened the pipe by its path.
+    writer: PipeWriter,
 }
 
 impl Trace {
@@ -38,23 +39,18 @@ impl Trace {
             .name("trace".to_owned())
             .spawn(move || read(BufReader::new(reader), &found))?;
         let checked = (Instant::now(), SystemTime::now());
-        Ok(Self { returned, checked, writer: Some(writer) })
+        Ok(Self { returned, checked, writer })
     }
 
     /// Path of the pipe for Cyclone, on systems that have one.
     pub(super) fn path(&self) -> Option<String> {
         #[cfg(unix)]
-        let number = self.writer.as_ref().map(std::os::fd::AsRawFd::as_raw_fd);
+        let number = Some(std::os::fd::AsRawFd::as_raw_fd(&self.writer));
         #[cfg(not(unix))]
         let number: Option<u8> = None;
         let path = format!("/dev/fd/{}", number?);
         // Not every container has these paths.
         OpenOptions::new().write(true).open(&path).is_ok().then_some(path)
-    }
-
-    /// Call it when Cyclone has opened the pipe, so that the trace ends with Cyclone.
-    pub(super) fn opened(&mut self) {
-        self.writer = None;
     }
 
     /// Checks whether a forgotten participant is back, or this process itself, after it was
