@@ -3,7 +3,6 @@
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV4};
 use std::sync::Arc;
 
-use clap::ValueEnum;
 use parking_lot::Mutex;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
@@ -176,14 +175,8 @@ impl Publish {
     }
 
     fn settings(&self, nodes: Vec<NodeNames>) -> Result<EngineSettings, Failure> {
-        let default_depth = match self.qos {
-            Qos::Reliable => 20,
-            Qos::Sensor => 5,
-        };
-        let domain = match self.domain {
-            Some(domain) => domain,
-            None => domain_of_environment()?,
-        };
+        let default_depth = if self.qos == Qos::Sensor { 5 } else { 20 };
+        let domain = self.domain.map_or_else(domain_of_environment, Ok)?;
         if let (EngineName::Dds, Some(IpAddr::V6(address))) = (self.engine, self.interface) {
             return Err(Failure::Usage(format!(
                 "--interface {address}: expected an IPv4 address, DDS uses no other here"
@@ -197,20 +190,20 @@ impl Publish {
                 self.tf.len()
             )));
         }
-        for (tf, names) in self.tf.iter().zip(&nodes) {
-            if tf.parent == names.frame {
-                return Err(Failure::Usage(format!(
-                    "--tf: the parent `{0}` is the frame of the sensor itself: expected another \
-                     frame, such as base_link",
-                    tf.parent
-                )));
-            }
+        let child = |(tf, names): (&Transform, &NodeNames)| Transform {
+            child: names.frame.clone(),
+            ..tf.clone()
+        };
+        let transforms: Vec<_> = self.tf.iter().zip(&nodes).map(child).collect();
+        if let Some(tf) = transforms.iter().find(|tf| tf.parent == tf.child) {
+            return Err(Failure::Usage(format!(
+                "--tf: the parent `{}` is the frame of the sensor itself: expected another \
+                 frame, such as base_link",
+                tf.parent
+            )));
         }
-        let transforms = self.tf.iter().cloned().zip(&nodes);
-        let transforms =
-            transforms.map(|(tf, names)| Transform { child: names.frame.clone(), ..tf });
         Ok(EngineSettings {
-            transforms: transforms.collect(),
+            transforms,
             nodes,
             domain,
             qos: self.qos,
@@ -225,23 +218,19 @@ impl Publish {
 
     /// Refuses options of another engine.
     fn check_engine(&self) -> Result<(), Failure> {
-        use EngineName::{Dds, Foxglove, Zenoh};
-        let options: [(&str, bool, &[EngineName]); 5] = [
-            ("--router", self.router.is_some(), &[Zenoh]),
-            ("--mode", self.mode.is_some(), &[Zenoh]),
-            ("--listen", self.listen.is_some(), &[Foxglove]),
-            ("--domain", self.domain.is_some(), &[Dds, Zenoh]),
-            ("--interface", self.interface.is_some(), &[Dds, Zenoh]),
-        ];
-        for (option, is_given, engines) in options {
-            if is_given && !engines.contains(&self.engine) {
-                let names: Vec<_> =
-                    engines.iter().filter_map(ValueEnum::to_possible_value).collect();
-                let names: Vec<_> = names.iter().map(|name| name.get_name()).collect();
+        let engine = format!("{:?}", self.engine).to_lowercase();
+        for (option, is_given, engines) in [
+            ("--router", self.router.is_some(), &["zenoh"][..]),
+            ("--mode", self.mode.is_some(), &["zenoh"]),
+            ("--listen", self.listen.is_some(), &["foxglove"]),
+            ("--domain", self.domain.is_some(), &["dds", "zenoh"]),
+            ("--interface", self.interface.is_some(), &["dds", "zenoh"]),
+        ] {
+            if is_given && !engines.contains(&&*engine) {
                 return Err(Failure::Usage(format!(
                     "{option} is for {}: add `--engine {}`, or leave it out",
-                    names.join(" and "),
-                    names.join("` or `--engine "),
+                    engines.join(" and "),
+                    engines.join("` or `--engine "),
                 )));
             }
         }

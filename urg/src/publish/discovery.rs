@@ -40,6 +40,7 @@ impl Discovery {
         Self::resolve(|name| env::var_os(name).map(|text| text.to_string_lossy().into_owned()))
     }
 
+    /// Whether readers may be on other machines.
     pub(super) fn is_beyond_this_machine(&self) -> bool {
         self.range == Range::Subnet || !self.static_peers.is_empty()
     }
@@ -87,15 +88,12 @@ mod tests {
             ("SYSTEM_DEFAULT", "", Range::Subnet, false),
             ("SUBNET", "1", Range::Localhost, false),
         ] {
-            let found = Discovery::resolve(|name| {
-                let text = match name {
-                    "ROS_AUTOMATIC_DISCOVERY_RANGE" => range,
-                    "ROS_STATIC_PEERS" => peers,
-                    _ => localhost_only,
-                };
-                Some(text.to_owned())
-            });
-            let found = found.unwrap();
+            let text = |name: &str| match name {
+                "ROS_AUTOMATIC_DISCOVERY_RANGE" => range,
+                "ROS_STATIC_PEERS" => peers,
+                _ => localhost_only,
+            };
+            let found = Discovery::resolve(|name| Some(text(name).to_owned())).unwrap();
             let peers = if has_peers { "10.0.0.1 robot.local" } else { "" };
             assert_eq!((found.range, &*found.static_peers.join(" ")), (expected, peers), "{range}");
         }

@@ -16,8 +16,12 @@ use super::names::NodeNames;
 /// Number of diagnostics kept for readers that missed some.
 const DIAGNOSTICS_DEPTH: usize = 10;
 
-/// Number of topics of every node: scans and diagnostics.
-const NODE_TOPICS: usize = 2;
+/// Topics of every node, in their order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum NodeTopic {
+    Scans,
+    Diagnostics,
+}
 
 /// Engines, whether built in or not.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -201,24 +205,13 @@ impl Outlet {
         Self { node, publisher: Arc::clone(publisher), counts: Arc::clone(counts) }
     }
 
-    /// Publishes an encoded `sensor_msgs/msg/LaserScan`.
-    pub(crate) fn publish_scan(&self, message: Vec<u8>) {
-        if !self.publish(0, message) {
-            self.counts.add_dropped();
+    /// Publishes an encoded message on one of the node's topics.
+    pub(crate) fn publish(&self, topic: NodeTopic, message: Vec<u8>) {
+        match (&*self.publisher.read(), topic) {
+            (Some(publisher), _) => publisher.publish(2 * self.node + topic as usize, message),
+            (None, NodeTopic::Scans) => self.counts.add_dropped(),
+            (None, NodeTopic::Diagnostics) => {}
         }
-    }
-
-    /// Publishes an encoded `diagnostic_msgs/msg/DiagnosticArray`.
-    pub(crate) fn publish_diagnostics(&self, message: Vec<u8>) {
-        self.publish(1, message);
-    }
-
-    /// Publishes on one of the node's topics. Returns false if the engine is not open.
-    fn publish(&self, topic: usize, message: Vec<u8>) -> bool {
-        let publisher = self.publisher.read();
-        let Some(publisher) = &*publisher else { return false };
-        publisher.publish(NODE_TOPICS * self.node + topic, message);
-        true
     }
 
     pub(crate) fn counts(&self) -> &Counts {

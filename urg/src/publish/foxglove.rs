@@ -51,11 +51,14 @@ impl Engine for Foxglove {
                 channels.push((channel, Arc::clone(&topic.counts)));
             }
         }
+        // The SDK joins host and port with a colon.
+        let ip = settings.listen.ip();
+        let host = if ip.is_ipv6() { format!("[{ip}]") } else { ip.to_string() };
         let mut server = WebSocketServer::new()
             .name(concat!("urg ", env!("CARGO_PKG_VERSION")))
             .context(&context)
             .message_backlog_size((settings.depth * settings.nodes.len()).max(MIN_BACKLOG))
-            .bind(host(settings.listen), settings.listen.port());
+            .bind(host, settings.listen.port());
         if let Some(late_viewers) = late_viewers {
             server = server.listener(late_viewers);
         }
@@ -106,13 +109,5 @@ impl ServerListener for LateViewers {
         if channel.id() == self.channel.id() {
             self.channel.log_to_sink(&self.message, viewer.sink_id());
         }
-    }
-}
-
-/// Host part of an address, as the SDK joins it with the port.
-fn host(address: SocketAddr) -> String {
-    match address {
-        SocketAddr::V4(address) => address.ip().to_string(),
-        SocketAddr::V6(address) => format!("[{}]", address.ip()),
     }
 }

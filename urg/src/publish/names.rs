@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use crate::args::frame_id;
 use crate::failure::Failure;
 use crate::port::named::{NamedPort, token};
 
@@ -79,11 +80,7 @@ impl NameArgs {
         };
         let node = token(node).map_err(usage("--node"))?;
         // tf2 refuses a leading slash. Otherwise a frame may contain almost any character.
-        if frame.is_empty()
-            || frame.starts_with('/')
-            || frame.len() > MAX_NAME
-            || frame.chars().any(|c| c.is_control() || c.is_whitespace())
-        {
+        if frame_id(frame).is_err() || frame.starts_with('/') || frame.len() > MAX_NAME {
             return Err(usage("--frame")(format!(
                 "invalid frame {frame:?}: expected a name such as laser, without a leading `/`, \
                  spaces and control characters"

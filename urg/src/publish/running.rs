@@ -14,8 +14,8 @@ use super::backoff::Backoff;
 #[cfg(feature = "dds")]
 use super::dds::Dds;
 use super::engine::{
-    Engine, EngineName, EngineSettings, Opened, OpenedEngine, Outlet, Publisher, Reopen, Shared,
-    Topic, Unavailable,
+    Engine, EngineName, EngineSettings, Opened, OpenedEngine, Outlet, Reopen, Shared, Topic,
+    Unavailable,
 };
 #[cfg(feature = "foxglove")]
 use super::foxglove::Foxglove;
@@ -139,9 +139,9 @@ impl Watched {
     /// engine has died. The error is permanent: reopening did not help.
     fn run(&mut self) -> Result<(), Failure> {
         while let Some((mut engine, publisher)) = self.open()? {
-            self.set(Some(publisher));
+            *self.shared.write() = Some(publisher);
             let watched = self.watch(&mut *engine);
-            self.set(None);
+            *self.shared.write() = None;
             let is_closed = close(engine);
             let Err(reason) = watched else { break };
             self.count(&reason, is_closed)?;
@@ -212,10 +212,6 @@ impl Watched {
         Ok(())
     }
 
-    fn set(&self, publisher: Option<Arc<dyn Publisher>>) {
-        *self.shared.write() = publisher;
-    }
-
     /// Waits for at most `wait`. Returns true if the engine was stopped meanwhile.
     fn is_stopped(&self, wait: Duration) -> bool {
         !matches!(self.stop.recv_timeout(wait), Err(RecvTimeoutError::Timeout))
@@ -281,6 +277,7 @@ impl NetworkNotices {
 
 #[cfg(test)]
 mod tests {
+    use super::super::engine::Publisher;
     use super::super::{Discovery, Mode, Qos};
     use super::*;
 

@@ -10,7 +10,7 @@ use urg_recording::Event;
 use urg_recording::ros;
 
 use super::diagnostics::Condition;
-use super::engine::Outlet;
+use super::engine::{NodeTopic, Outlet};
 use super::names::NodeNames;
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
@@ -66,7 +66,9 @@ impl Source {
         while let Some(update) = feed.next().await {
             reporter.report(&update);
             match update {
-                Update::Scan(scan) => self.outlet.publish_scan(self.message(&scan)),
+                Update::Scan(scan) => {
+                    self.outlet.publish(NodeTopic::Scans, self.message(&scan));
+                }
                 Update::Event(Event::Reconnected) => self.identify(&sensor).await,
                 Update::Error(_) | Update::Event(_) => {}
             }
@@ -86,7 +88,7 @@ impl Source {
             let status = self.condition.lock().status(&node, self.window, self.rate, &self.outlet);
             let mut message = Vec::new();
             ros::write_diagnostics(&mut message, SystemTime::now(), &[status]);
-            self.outlet.publish_diagnostics(message);
+            self.outlet.publish(NodeTopic::Diagnostics, message);
         }
     }
 

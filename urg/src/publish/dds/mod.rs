@@ -60,9 +60,9 @@ pub(super) struct Dds {
 
 impl Engine for Dds {
     fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
-        let pulse = Pulse::bind().map_err(|error| format!("cannot watch DDS: {error}"))?;
-        let log = Log::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
-        let trace = Trace::start().map_err(|error| format!("cannot watch DDS: {error}"))?;
+        let failed = |error| format!("cannot watch DDS: {error}");
+        let (pulse, address) = Pulse::bind().map_err(failed)?;
+        let (log, trace) = (Log::start().map_err(failed)?, Trace::start().map_err(failed)?);
         let network = Network::current(settings.interface, &settings.discovery);
         let domain = settings.domain;
         let mut peers = settings.discovery.static_peers.clone();
@@ -71,7 +71,7 @@ impl Engine for Dds {
         }
         let static_peers = StaticPeers::new(&peers, domain, settings.interface)
             .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
-        let config = network.config(&settings.discovery, pulse.address(), trace.path());
+        let config = network.config(&settings.discovery, address, trace.path());
         // Of the discovery information, only the last matters.
         let queues = topics.iter().map(Topic::queue).chain([(1, Arc::default())]);
         let queue = Arc::new(SendQueue::new(queues));
@@ -95,7 +95,12 @@ impl Engine for Dds {
             let why = has_ended.then(|| ended(thread)).flatten();
             let why = why.unwrap_or_else(|| "DDS does not announce itself".to_owned().into());
             return Err(match (why, log.finish()) {
-                (Unavailable::Now(why), Some(line)) => format!("{why}: {}", explained(line)).into(),
+                (Unavailable::Now(why), Some(line)) if line.contains("participant index") => {
+                    let text = "too many participants run on this machine, end some of them or \
+                                choose another --domain";
+                    format!("{why}: {line}: {text}").into()
+                }
+                (Unavailable::Now(why), Some(line)) => format!("{why}: {line}").into(),
                 (why, _) => why,
             });
         };
@@ -203,15 +208,4 @@ impl Dds {
 /// Waits until the thread ends. Returns its error.
 fn ended(thread: JoinHandle<Result<(), Unavailable>>) -> Option<Unavailable> {
     thread.join().unwrap_or_else(|_| Err("the thread of DDS has panicked".to_owned().into())).err()
-}
-
-/// Adds to a line of Cyclone what the user can do.
-fn explained(line: String) -> String {
-    if line.contains("participant index") {
-        return format!(
-            "{line}: too many participants run on this machine, end some of them or choose \
-             another --domain"
-        );
-    }
-    line
 }

@@ -41,7 +41,7 @@ struct Interface {
 impl Network {
     /// Reads the interfaces of the system. `only` restricts DDS to one address.
     pub(super) fn current(only: Option<IpAddr>, discovery: &Discovery) -> Self {
-        if discovery.range != Range::Subnet && discovery.static_peers.is_empty() && only.is_none() {
+        if !discovery.is_beyond_this_machine() && only.is_none() {
             return Self::from_interfaces(Vec::new());
         }
         // An error means out of memory. The next check tries again.

@@ -16,10 +16,7 @@ const CYCLONE: [u8; 2] = [0x01, 0x10];
 const PATIENCE: Duration = Duration::from_millis(1);
 
 /// Receiver of a participant's announcements.
-pub(super) struct Pulse {
-    socket: UdpSocket,
-    address: SocketAddr,
-}
+pub(super) struct Pulse(UdpSocket);
 
 pub(super) struct Announcement {
     pub(super) sender: Prefix,
@@ -27,16 +24,12 @@ pub(super) struct Announcement {
 }
 
 impl Pulse {
-    pub(super) fn bind() -> io::Result<Self> {
+    /// Returns the address to add to the participant's peers, too.
+    pub(super) fn bind() -> io::Result<(Self, SocketAddr)> {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
         socket.set_read_timeout(Some(PATIENCE))?;
         let address = socket.local_addr()?;
-        Ok(Self { socket, address })
-    }
-
-    /// Address to add to the participant's peers.
-    pub(super) fn address(&self) -> SocketAddr {
-        self.address
+        Ok((Self(socket), address))
     }
 
     /// Blocks until the first announcement, for at most `timeout`.
@@ -52,7 +45,7 @@ impl Pulse {
     pub(super) fn latest(&self) -> Option<Announcement> {
         let mut packet = [0; 8192];
         let mut latest = None;
-        while let Ok(length) = self.socket.recv(&mut packet) {
+        while let Ok(length) = self.0.recv(&mut packet) {
             let bytes = packet.get(..length).unwrap_or_default();
             latest = announcement(bytes).or(latest);
         }

@@ -74,17 +74,3 @@ pub(super) fn attachment(sequence: i64, time: SystemTime, gid: Gid) -> Vec<u8> {
     bytes.extend_from_slice(&gid);
     bytes
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_publisher_has_the_identity_that_others_compute_from_its_token() {
-        let token = "@ros2_lv/7/1b42ce9e071392be9bd8b5c60d108967/0/1/MP/%/%/urg_node/%scan/\
-                     sensor_msgs::msg::dds_::LaserScan_/RIHS01_64c191398013af96509d518dac71d5164f\
-                     9382553fce5c1f8cca5be7924bd828/::,20:,:,:,,";
-        let hex: String = gid(token).iter().map(|byte| format!("{byte:02x}")).collect();
-        assert_eq!(hex, "7fdd3c7864607827008077793c63c525");
-    }
-}

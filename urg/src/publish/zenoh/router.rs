@@ -2,7 +2,7 @@
 //! Zenoh itself closes the link to a silent router only after 10 s, and does not tell which
 //! messages were lost.
 
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
+use std::net::{IpAddr, ToSocketAddrs, UdpSocket};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -31,11 +31,7 @@ pub(super) fn answers(session: &Session) -> bool {
 pub(super) fn local_address(locator: &str) -> Option<IpAddr> {
     let address = locator.strip_prefix("tcp/")?.split(['#', '?']).next()?;
     let router = address.to_socket_addrs().ok()?.next()?;
-    let any: IpAddr = match router {
-        SocketAddr::V4(_) => Ipv4Addr::UNSPECIFIED.into(),
-        SocketAddr::V6(_) => Ipv6Addr::UNSPECIFIED.into(),
-    };
-    let socket = UdpSocket::bind((any, 0)).ok()?;
+    let socket = UdpSocket::bind(if router.is_ipv6() { "[::]:0" } else { "0.0.0.0:0" }).ok()?;
     // Sends nothing: UDP has no connections.
     socket.connect(router).ok()?;
     Some(socket.local_addr().ok()?.ip())
