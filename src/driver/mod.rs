@@ -153,7 +153,8 @@ pub(crate) fn new(connect: Box<dyn AnyConnect>, mut config: Config) -> (Client, 
     // A copy: a clone of the builder may create another driver, which must not share it.
     let observers = Arc::new(ReplyObservers::clone(&config.observers));
     config.observers = Arc::clone(&observers);
-    let supervisor = Supervisor::new(connect, config, queue, Arc::clone(&telemetry));
+    // In its own block: a future keeps an argument twice, as it was passed and as it is used.
+    let supervisor = Box::new(Supervisor::new(connect, config, queue, Arc::clone(&telemetry)));
     let client = Client { sender, telemetry, observers, depth };
     (client, Driver { run: Box::pin(supervisor.run().instrument(span)) })
 }

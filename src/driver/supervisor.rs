@@ -65,7 +65,7 @@ impl Supervisor {
     }
 
     /// Runs until the driver is closed or abandoned, or the link is lost permanently.
-    pub(crate) async fn run(mut self) -> Result<(), Error> {
+    pub(crate) async fn run(mut self: Box<Self>) -> Result<(), Error> {
         let outcome = catch_panic(pin!(self.supervise())).await;
         match outcome {
             Ok(Stop::Closed(responder)) => {

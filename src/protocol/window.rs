@@ -216,6 +216,8 @@ impl Window {
     }
 
     /// Number of points in a scan of this window: steps over cluster count, rounded up.
+    // Several times a scan, and a division each: one copy of its code.
+    #[inline(never)]
     pub const fn points(&self) -> usize {
         self.steps().div_ceil(self.cluster_count as usize)
     }
@@ -261,16 +263,16 @@ impl Window {
     /// of points to skip in front. Returns `None` if neither side has room. The points of this
     /// window are the same in the wider one.
     pub(crate) fn widened(&self, points: u16) -> Option<(Self, usize)> {
-        let (start, end) = (self.start.number(), self.end.number());
         let steps = points.saturating_mul(u16::from(self.cluster_count));
-        let (steps, first) = match start.checked_sub(steps) {
-            Some(start) => (start..=end, usize::from(points)),
+        match self.start.number().checked_sub(steps) {
+            Some(start) => Some((Self { start: Step(start), ..*self }, usize::from(points))),
             // Steps after the end would fill up a partial last cluster.
-            None if !self.steps().is_multiple_of(self.cluster_count.into()) => return None,
-            None => (start..=end.saturating_add(steps), 0),
-        };
-        let window = Self::new(steps).ok()?.with_cluster_count(self.cluster_count).ok()?;
-        Some((window, first))
+            None if !self.steps().is_multiple_of(self.cluster_count.into()) => None,
+            None => {
+                let end = Step::new(self.end.number().saturating_add(steps)).ok()?;
+                Some((Self { end, ..*self }, 0))
+            }
+        }
     }
 
     /// Creates the window of one step.

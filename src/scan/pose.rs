@@ -86,8 +86,6 @@ fn wrapped(angle: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::f64::consts::FRAC_PI_2;
-
     use proptest::prelude::*;
 
     use super::super::scan::tests::{scan, window};
@@ -95,19 +93,6 @@ mod tests {
 
     fn near(a: (f64, f64), b: (f64, f64)) -> bool {
         (a.0 - b.0).abs() < 1e-9 && (a.1 - b.1).abs() < 1e-9
-    }
-
-    #[test]
-    fn a_chain_applies_the_inner_pose_first() {
-        let (outer, inner) = (
-            Pose { x: 1.0, y: 2.0, heading: FRAC_PI_2 },
-            Pose { x: 3.0, y: -1.0, heading: 3.0 * FRAC_PI_2 },
-        );
-        let (x, y) = inner.transform(0.3, 0.4);
-        assert!(near((outer * inner).transform(0.3, 0.4), outer.transform(x, y)));
-        assert!((outer * inner).heading.abs() < 1e-9);
-        let twice = Pose { heading: 0.75 * PI, ..Pose::default() };
-        assert!(((twice * twice).heading + FRAC_PI_2).abs() < 1e-9);
     }
 
     #[test]

@@ -30,6 +30,7 @@ fn a_rate_is_parsed_from_its_own_text() {
         ("10 Hz", Rate::hz(10.0)),
         ("12.5 Hz", Rate::hz(12.5)),
         ("0.1 Hz", Rate::every(Duration::from_secs(10))),
+        ("0.0003333333333333 Hz", Rate::every(Duration::from_secs(3000))),
         ("1000 Hz", Rate::hz(1000.0)),
         ("max", Rate::UNLIMITED),
     ] {
@@ -49,6 +50,24 @@ fn an_invalid_rate_is_refused_with_the_valid_ones() {
         let error = text.parse::<Rate>().unwrap_err().to_string();
         assert!(error.starts_with(&format!("invalid rate {text:?}: expected")), "{error}");
         assert!(error.contains("more than 0 and at most 1000 Hz"), "{error}");
+    }
+    for hz in [f64::NAN, f64::INFINITY, -1.0, -0.0, 0.0, 1000.1] {
+        assert!(Rate::try_from(hz).is_err(), "{hz}");
+        assert!(std::panic::catch_unwind(|| Rate::hz(hz)).is_err(), "{hz}");
+    }
+}
+
+#[test]
+fn a_rate_as_text_is_the_same_rate_again() {
+    let (shortest, longest) = (1_000_000_u64, DAY.as_nanos() as u64);
+    // All orders of magnitude from one end to the other, evenly.
+    let between = (0..5000).map(|n| {
+        let part = f64::from(n) / 5000.0;
+        (shortest as f64 * (longest as f64 / shortest as f64).powf(part)) as u64
+    });
+    for nanos in [shortest, shortest + 1, longest - 1, longest].into_iter().chain(between) {
+        let rate = Rate::every(Duration::from_nanos(nanos));
+        assert_eq!(rate.to_string().parse(), Ok(rate), "{rate}");
     }
 }
 
