@@ -112,6 +112,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     drop(sender);
     while let Some((door, count)) = reports.recv().await {
         match count {
+            Ok(1) => println!("{door}: 1 person"),
             Ok(count) => println!("{door}: {count} people"),
             Err(reason) => println!("{door}: unknown: {reason}"),
         }

@@ -26,6 +26,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let target = std::env::args().nth(2).unwrap_or("127.0.0.1:57120".to_owned());
     let sensor = port::open(Sensor::builder(), &port::argument()).await?;
     let socket = UdpSocket::bind("127.0.0.1:0").await?;
+    println!("sends the nearest point of each scan to {target}");
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
     while let Some(item) = scans.next().await {
         // The driver logs errors, and the stream continues.

@@ -21,6 +21,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let sensor = port::open_in_background(Sensor::builder(), &port::argument())?;
     let scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
+    println!("tells systemd every second whether scans are fresh");
     // The service does its work in other tasks, with clones of the stream.
     sd_notify::notify(&[Ready])?;
     let mut ticks = tokio::time::interval(Duration::from_secs(1));

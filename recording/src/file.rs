@@ -231,7 +231,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_finished_file_is_free_while_its_sync_has_it_open() {
+    fn a_finished_file_is_free_during_its_sync() {
         let path = std::env::temp_dir().join(format!("scip-lock-{}.mcap", std::process::id()));
         let output = RecordingFile::open(&path, true).unwrap().begin().unwrap();
         assert!(RecordingFile::is_busy(&path));

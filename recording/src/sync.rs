@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_synced_behind_its_folder_and_before_the_next_one() {
+    fn a_file_is_synced_after_its_folder() {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(Duration::from_secs(3600)).unwrap();
         let ((one, _), (two, _)) = (disk("one", &log), disk("two", &log));
@@ -224,7 +224,7 @@ mod tests {
 
     /// In real time, like a disk: written bytes are synced without a further call.
     #[test]
-    fn written_bytes_are_synced_after_the_interval_and_not_again_without_more() {
+    fn written_bytes_are_synced_once_an_interval() {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(Duration::from_millis(20)).unwrap();
         syncer.begin(disk("one", &log).0);
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sync_that_fails_is_told_by_every_later_write_and_by_the_end() {
+    fn a_failed_sync_fails_every_later_write() {
         let (log, logged) = mpsc::channel();
         let syncer = Syncer::start(Duration::ZERO).unwrap();
         let (file, answer) = disk("one", &log);

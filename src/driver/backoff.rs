@@ -51,7 +51,7 @@ mod tests {
     }
 
     #[test]
-    fn waits_double_up_to_the_longest_and_are_up_to_a_tenth_longer() {
+    fn waits_double_up_to_the_longest() {
         let mut longest_first = Duration::ZERO;
         for seed in 0..100 {
             let mut backoff = Backoff::new((ms(100), ms(1000)), seed);

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shortfall_is_reported_once_and_again_after_it_was_gone() {
+    fn a_shortfall_is_reported_once_each_time() {
         let mut meter = meter();
         let mut report = |shortfall| meter.report(Span { reached: 5.0, failed: 0, shortfall });
         let slow = Some(Shortfall::Line);

@@ -232,7 +232,7 @@ mod tests {
     use super::*;
 
     #[tokio::test(start_paused = true)]
-    async fn a_request_that_waited_for_a_link_is_ready_when_there_is_one() {
+    async fn a_waiting_request_is_ready_with_a_link() {
         let (sender, receiver) = mpsc::channel(2);
         let mut queue = RequestQueue::new(receiver, Duration::from_secs(1));
         let ready = poll_fn(|cx| queue.poll_ready(cx)).now_or_never();

@@ -248,7 +248,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn a_port_is_found_through_links_to_it_and_knows_their_names() -> std::io::Result<()> {
+    fn a_port_knows_the_links_to_it() -> std::io::Result<()> {
         let scratch = std::env::temp_dir().join(format!("tokio-scip-list-{}", std::process::id()));
         let by_path = scratch.join("by-path");
         fs::create_dir_all(&by_path)?;

@@ -160,14 +160,14 @@ mod tests {
     }
 
     #[test]
-    fn permission_denied_on_a_device_that_appeared_just_now_may_pass() {
+    fn permission_denied_on_a_new_device_may_pass() {
         let error = explain_with(PORT, denied(), Ok(Node { is_new: true, ..device() }));
         assert!(matches!(error, ErrorKind::Open { .. }), "{error}");
         assert!(error.is_transient(), "udev is about to give it to its group");
     }
 
     #[test]
-    fn a_device_that_a_container_may_not_use_is_no_matter_of_groups() {
+    fn a_container_device_is_no_matter_of_groups() {
         let error = explain_with(PORT, unknown("Operation not permitted"), Ok(device()));
         assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
     }
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_port_unplugged_while_it_is_opened_is_no_such_port() {
+    fn a_port_unplugged_while_opened_is_missing() {
         for text in ["I/O error", "No such device"] {
             let error = explain_with(PORT, unknown(text), Err(io::ErrorKind::NotFound.into()));
             assert!(matches!(error, ErrorKind::NoSuchPort { .. }), "{error}");
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn a_path_through_a_folder_that_may_not_be_searched_is_no_matter_of_groups() {
+    fn a_closed_folder_is_no_matter_of_groups() {
         let error = not_found(PORT, io::ErrorKind::PermissionDenied.into());
         assert!(matches!(error, ErrorKind::PermissionDenied { group: None, .. }), "{error}");
         let error = not_found(PORT, io::ErrorKind::TimedOut.into());
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_without_a_kind_of_its_own_keeps_its_cause() {
+    fn an_unknown_failure_keeps_its_cause() {
         let error = explain_with(PORT, unknown("I/O error"), Ok(device()));
         let source = std::error::Error::source(&error).map(ToString::to_string);
         assert_eq!(source.as_deref(), Some("I/O error"));

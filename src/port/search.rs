@@ -261,7 +261,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn searches_that_begin_at_once_find_a_sensor_each_in_whatever_order_they_are() {
+    async fn simultaneous_searches_each_find_a_sensor() {
         for (count, shift) in (2..=5).flat_map(|count| (0..count).map(move |shift| (count, shift)))
         {
             let held = Arc::default();
@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_pass_opens_each_port_that_can_be_opened_and_then_fails() {
+    async fn a_pass_opens_each_port_once() {
         let mut search = search(&[("a", "o"), ("b", "g"), ("c", "o")]);
         assert!(!search.has_more(), "no pass has begun");
         assert_eq!(next(&mut search).await, "a");
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_busy_port_is_retried_also_by_calls_that_are_dropped_before() {
+    async fn a_busy_port_is_retried_after_dropped_calls() {
         let mut search = search(&[("a", "bo")]);
         let call = Duration::from_millis(20);
         let mut calls = 1;
@@ -365,7 +365,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_port_that_may_not_be_opened_is_named_when_the_sensor_is_not_elsewhere() {
+    async fn a_forbidden_port_is_named_in_the_end() {
         let mut search = search(&[("a", "d"), ("b", "o")]);
         assert_eq!(next(&mut search).await, "b");
         let error = search.next_port().await.unwrap_err();
@@ -385,7 +385,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn o25_a_port_that_hangs_does_not_keep_the_others_from_being_tried() {
+    async fn o25_a_hanging_port_spares_the_others() {
         let mut search = search(&[("a", "h"), ("b", "h"), ("c", "o")]);
         let start = Instant::now();
         assert_eq!(next(&mut search).await, "c");
@@ -395,7 +395,7 @@ mod tests {
     /// Tests the system's ports while the one thread for blocking calls is busy, as with a
     /// device that hangs.
     #[test]
-    fn o25_a_port_whose_opening_hangs_is_busy_until_it_ends_and_no_other_one_is() {
+    fn o25_a_hanging_port_blocks_no_other() {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .max_blocking_threads(1)

@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_read_that_fails_while_wake_ups_are_suspended_returns_the_error() -> io::Result<()> {
+    async fn a_failed_read_during_suspension_is_returned() -> io::Result<()> {
         let (far, near) = serialport::TTYPort::pair()?;
         // The far end of a pseudo-terminal reports a closed near end as an error.
         let port = SerialStream::try_from(far)?;

@@ -288,7 +288,7 @@ fn explore(writes: [&'static [Write]; 2], changes: [(usize, Change); 3]) {
 }
 
 #[test]
-fn three_readers_come_to_the_end_of_two_writers_in_every_order() {
+fn three_readers_reach_the_end() {
     explore(
         [&[Write::Push, Write::Push], &[Write::Report, Write::End]],
         [(1, Change::None), (2, Change::None), (1, Change::None)],
@@ -296,7 +296,7 @@ fn three_readers_come_to_the_end_of_two_writers_in_every_order() {
 }
 
 #[test]
-fn readers_that_clone_themselves_or_leave_keep_none_of_the_others_waiting_in_every_order() {
+fn readers_that_come_and_go_block_nobody() {
     explore(
         [&[Write::Push, Write::Push], &[Write::Report, Write::End]],
         [(1, Change::Renew(0)), (2, Change::Clone(0)), (1, Change::Leave(1))],
@@ -305,7 +305,7 @@ fn readers_that_clone_themselves_or_leave_keep_none_of_the_others_waiting_in_eve
 
 /// No end follows that would wake them.
 #[test]
-fn a_scan_or_an_error_alone_wakes_each_reader_in_every_order() {
+fn each_item_wakes_each_reader() {
     for write in [&[Write::Push], &[Write::Report]] {
         explore([write, &[]], [1, 2, 1].map(|depth| (depth, Change::Leave(1))));
     }

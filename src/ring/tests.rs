@@ -160,7 +160,7 @@ proptest! {
 }
 
 #[tokio::test]
-async fn a_reader_that_always_finds_a_scan_lets_other_tasks_run() {
+async fn a_busy_reader_lets_other_tasks_run() {
     let ring = Ring::new();
     let mut reader = ring.subscribe(1);
     let other = tokio::spawn(async {});

@@ -60,7 +60,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cluster_lies_in_the_middle_of_its_steps_and_a_partial_last_one_is_taken_as_whole() {
+    fn a_partial_last_cluster_counts_as_whole() {
         for (window, first) in [(window(44, 725, 4), 45.5), (window(0, 768, 99), 49.0)] {
             let scan = scan(window);
             let step = |angle: f32| angle / (std::f32::consts::TAU / 1024.0) + 384.0;

@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn each_value_has_a_ray_and_each_distance_the_point_of_its_ray() {
+    fn each_value_has_its_ray_and_point() {
         let value = |n: u16| if n.is_multiple_of(3) { n % 20 } else { 1000 + n };
         let scan = scan_of(Window::DETECTION, (0..682).map(value));
         let rays: Vec<Ray> = scan.rays().collect();

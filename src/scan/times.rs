@@ -140,7 +140,7 @@ mod tests {
     use crate::Window;
 
     #[test]
-    fn the_first_ray_is_as_long_before_the_reply_as_the_motor_turned_on() {
+    fn the_first_ray_follows_the_motor() {
         let before = |scan: &Scan| {
             let before = scan.stamp().duration_since(scan.first_ray_stamp()).unwrap();
             (before.as_secs_f64() * 1e5).round() / 100.0
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_scan_has_its_rays_before_the_arrival_by_its_lateness() {
+    fn a_late_scan_has_earlier_rays() {
         let mut scan = scan(Window::DETECTION);
         let (stamp, at) = (scan.first_ray_stamp(), scan.first_ray_at());
         assert_eq!((scan.stamp_quality(), scan.lateness()), (StampQuality::Arrival, None));
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn the_age_of_a_scan_is_on_the_clock_that_a_test_pauses() {
+    async fn the_age_follows_a_paused_clock() {
         let scan = scan(Window::DETECTION);
         tokio::time::advance(Duration::from_secs(3)).await;
         assert_eq!(scan.age(), Duration::from_secs(3));

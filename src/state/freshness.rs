@@ -122,7 +122,7 @@ mod tests {
     const LIMIT: Duration = Duration::from_millis(500);
 
     #[tokio::test(start_paused = true)]
-    async fn a_scan_is_fresh_until_it_is_older_than_the_limit() {
+    async fn a_scan_is_fresh_until_the_limit() {
         let fresh = Freshness::new(Some(Instant::now()), None);
         assert_eq!((fresh.age(), fresh.check(LIMIT).is_ok()), (Some(Duration::ZERO), true));
         tokio::time::advance(LIMIT).await;
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn before_the_first_scan_nothing_is_fresh_and_the_reason_is_the_cause() {
+    async fn before_the_first_scan_nothing_is_fresh() {
         let none = Freshness::new(None, Some(ErrorKind::LaserOff.into()));
         let stale = none.check(LIMIT).map_err(|stale| ErrorChain(&stale).to_string());
         let text = "expected a scan within 500.0ms, but none has arrived yet: \

@@ -184,7 +184,7 @@ mod tests {
     use crate::{Rate, Window};
 
     #[test]
-    fn each_figure_has_a_name_and_labels_of_its_own_and_its_value() {
+    fn each_figure_has_a_name_and_labels() {
         let malformed = MalformedCounts { echo: 1, ..MalformedCounts::default() };
         let mut stats = Stats { scans: 7, malformed, ..Stats::default() };
         stats.reply_latency.add(Duration::from_millis(250));
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn figures_of_one_name_follow_each_other_and_agree_in_all_but_labels() {
+    fn figures_of_one_name_stay_together() {
         let mut stats = Stats::default();
         stats.reply_latency.add(Duration::from_millis(250));
         let mut seen: Vec<Metric> = Vec::new();

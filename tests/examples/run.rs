@@ -141,7 +141,8 @@ fn a_missing_door_does_not_delay_the_others() {
 fn the_nearest_object_is_sent_as_osc() {
     let receiver = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let target = receiver.local_addr().unwrap().to_string();
-    let _example = Example::run("osc", &["emulated", &target]);
+    let mut example = Example::run("osc", &["emulated", &target]);
+    example.line_with(&target);
     let mut packet = [0; 64];
     assert_eq!(receiver.recv(&mut packet).unwrap(), 28);
     assert!(packet.starts_with(b"/urg/nearest\0\0\0\0,ff\0"));

@@ -87,7 +87,6 @@ enum Command {
     Baud(Baud),
     Emulate(Emulate),
     Completions(Completions),
-    #[command(hide = true)]
     Man(Manual),
 }
 

@@ -17,7 +17,19 @@ fn every_command_has_help_on_standard_output() {
             assert!(help.contains(&format!("Usage: urg {command}")), "{help}");
         }
     }
+    for command in COMMANDS.iter().chain(&["man", "publish"]) {
+        assert!(help.contains(&format!("\n  {command} ")), "{command} in\n{help}");
+    }
     assert!(run("--version", 0).stdout.starts_with("urg "));
+}
+
+#[cfg(not(any(feature = "dds", feature = "zenoh", feature = "foxglove")))]
+#[test]
+fn publish_says_how_to_build_it() {
+    for arguments in ["publish emulated --frame-id laser", "publish --help"] {
+        let output = run(arguments, 2);
+        assert!(output.stderr.contains("cargo install --path urg --features dds"), "{arguments}");
+    }
 }
 
 #[test]
@@ -177,7 +189,7 @@ fn a_search_for_the_sensor_ends_at_its_timeout() {
 
 #[cfg(target_os = "linux")]
 #[test]
-fn a_second_emulator_does_not_take_the_link_of_one_that_runs() {
+fn a_second_emulator_takes_no_used_link() {
     let link = Scratch::new("claimed");
     let first = Emulated::start(&format!("--link {}", link.path()));
     let line = failure(&format!("emulate --link {}", link.path()));

@@ -164,7 +164,7 @@ mod tests {
 
     /// The checksum is right, but the memory for it is limited all the same.
     #[test]
-    fn an_index_of_16_mib_is_read_and_none_that_is_longer() {
+    fn an_index_of_16_mib_is_read() {
         let path = std::env::temp_dir().join(format!("scip-index-{}", std::process::id()));
         let longest = MAX_INDEX_BYTES;
         for (length, is_read) in [(longest, true), (longest + 1, false)] {

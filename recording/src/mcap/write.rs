@@ -255,7 +255,7 @@ mod tests {
     const MESSAGE_HEAD: usize = RECORD_HEAD + 22;
 
     #[test]
-    fn a_chunk_has_at_most_768_kib_before_its_last_message() {
+    fn a_chunk_is_limited_to_768_kib() {
         let header = MessageHeader { channel: 0, sequence: 0, log_time: 0, publish_time: 0 };
         let first = CHUNK_BYTES / 2;
         for (longer, chunks) in [(0, 1), (1, 2)] {

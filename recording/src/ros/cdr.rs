@@ -141,7 +141,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_message_cut_short_anywhere_is_read_as_far_as_it_goes_and_no_further() {
+    fn a_truncated_message_is_read_to_its_end() {
         let mut out = Vec::new();
         let mut cdr = CdrWriter::new(&mut out);
         cdr.length(2);

@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_reply_disproves_the_baud_rate_if_it_comes_a_nanosecond_before_its_bytes_can() {
+    async fn an_early_reply_disproves_the_baud_rate() {
         let refused = Status::new(b'6');
         let full = Command::Distances(Window::FULL);
         // The bytes of the command and its reply, and their time.
@@ -386,7 +386,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_copy_of_a_reply_may_come_for_less_than_20_ms() {
+    async fn a_copy_may_come_soon_after_a_reply() {
         let mut session = session(b"L0\n0\n\n");
         assert!(!session.may_be_copied(), "there is nothing to copy");
         session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_malformed_reply_and_a_missed_deadline_leave_the_link_unsettled() {
+    async fn a_bad_reply_leaves_the_link_unsettled() {
         for (reply, is_settled) in [(&b"L0\n0\n\n"[..], true), (b"L1\n0\n\n", false), (b"", false)]
         {
             let mut session = session(reply);

@@ -253,7 +253,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_pause_is_counted_from_its_own_reply_and_not_from_one_that_was_never_whole() {
+    async fn a_pause_counts_from_its_own_reply() {
         let mut pauses = measured().await;
         pauses.begin_reply();
         assert!(next(&mut pauses, REST).is_some());
@@ -285,7 +285,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn scans_are_in_time_20_scans_after_a_stall_however_late_timers_are() {
+    async fn scans_are_soon_in_time_after_a_stall() {
         for late in (0..=100).map(|tenths| Duration::from_micros(100 * tenths)) {
             let mut pauses = Pauses::default();
             for _ in 0..MEASURED_FIRST {
@@ -335,7 +335,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn scans_that_take_exactly_the_shortest_time_make_no_pause_shorter() {
+    async fn punctual_scans_make_no_pause_shorter() {
         let mut pauses = measured().await;
         for _ in 0..5 {
             pauses.begin_reply();

@@ -40,7 +40,7 @@ async fn discard(transport: &mut Transport) -> Result<u64, ErrorKind> {
 }
 
 #[tokio::test]
-async fn o15_bytes_behind_an_interrupted_read_are_dropped_and_each_time_counted_anew() {
+async fn o15_bytes_after_an_interrupted_read_are_dropped() {
     let quiet = Err(io::ErrorKind::WouldBlock);
     let interrupted = Err(io::ErrorKind::Interrupted);
     let reads = [Ok(100), interrupted, Ok(20), quiet, Ok(7), quiet, interrupted, Ok(0)];
@@ -77,7 +77,7 @@ async fn o15_a_port_that_is_interrupted_for_ever_blocks_nobody() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o15_a_port_that_refuses_to_read_while_idle_is_asked_200_times_a_second() {
+async fn o15_a_busy_idle_port_is_asked_rarely() {
     let (mut transport, reads) = refusing(io::ErrorKind::WouldBlock, false);
     let second = Duration::from_secs(1);
     assert!(timeout(second, poll_fn(|cx| transport.poll_idle(cx))).await.is_err());
@@ -85,14 +85,14 @@ async fn o15_a_port_that_refuses_to_read_while_idle_is_asked_200_times_a_second(
 }
 
 #[tokio::test]
-async fn a_read_that_fails_ends_the_dropping_of_bytes_with_its_error() {
+async fn a_failed_read_ends_dropping() {
     for mut transport in transports(&[Ok(100), Err(io::ErrorKind::BrokenPipe), Ok(20)]) {
         assert_eq!(kind(discard(&mut transport).await), io::ErrorKind::BrokenPipe);
     }
 }
 
 #[tokio::test]
-async fn one_byte_more_than_64_kib_after_a_command_is_a_flood() {
+async fn too_many_bytes_are_a_flood() {
     let all_but_one: Vec<_> = (0..127).map(|_| Ok(512)).chain([Ok(511)]).collect();
     let quiet = Err(io::ErrorKind::WouldBlock);
     let reads = [all_but_one.as_slice(), &[Ok(1), quiet]].concat();
@@ -135,7 +135,7 @@ async fn an_empty_budget_is_no_quiet_line() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_late() {
+async fn a_late_reply_is_seen_without_budget() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
     transport.send(&Command::LaserOff, Duration::ZERO).await.unwrap();
@@ -148,7 +148,7 @@ async fn a_reply_that_is_there_is_seen_by_a_task_without_budget_though_it_is_lat
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_that_does_not_come_is_an_error_after_the_time_of_its_bytes_and_the_latency() {
+async fn a_missing_reply_times_out() {
     // 3 bytes and 6 bytes of 520.8 us, and 10 and 1,576.
     for (command, wire) in
         [(Command::LaserOff, 4_687_500), (Command::Distances(Window::FULL), 826_041_666)]
@@ -185,7 +185,7 @@ async fn bytes_after_the_answer_are_pending() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_nul_in_front_of_a_reply_is_not_its_first_byte() {
+async fn a_nul_in_front_begins_no_reply() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
     let begin = Instant::now();

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_repeated_vertex_and_one_inside_of_an_edge_change_nothing() {
+    fn repeated_and_collinear_vertices_change_nothing() {
         let closed = SQUARE.into_iter().chain([SQUARE[0]]);
         assert_eq!(Polygon::new(closed), Polygon::new(SQUARE));
         let doubled = SQUARE.into_iter().flat_map(|vertex| [vertex, vertex]);

@@ -6,9 +6,9 @@ use std::ffi::OsString;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 
-/// Not in this build
+/// Publish to ROS 2: not in this build, add `--features dds`
 #[derive(Debug, clap::Args)]
-#[command(hide = true, disable_help_flag = true)]
+#[command(disable_help_flag = true)]
 pub(crate) struct Publish {
     #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
     _arguments: Vec<OsString>,
@@ -17,7 +17,7 @@ pub(crate) struct Publish {
 impl Publish {
     pub(crate) async fn run(self, _: &Interrupt) -> Result<(), Failure> {
         Err(Failure::Usage(
-            "`urg publish` is not in this build: build urg with the feature `dds`, `zenoh` or `foxglove`"
+            "`urg publish` is not in this build: build urg with the feature `dds`, `zenoh` or `foxglove` (`cargo install --path urg --features dds`)"
                 .to_owned(),
         ))
     }

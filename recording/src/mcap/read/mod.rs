@@ -61,6 +61,8 @@ pub(super) enum Section {
 #[derive(Default)]
 pub(super) struct Sections {
     input: Input,
+    /// Room for one read.
+    buffer: Vec<u8>,
     /// Bytes of the file, used up to `start`.
     window: Vec<u8>,
     start: usize,
@@ -90,7 +92,7 @@ struct ChunkHead {
 
 impl Sections {
     pub(super) fn new(input: Input) -> Self {
-        Self { input, ..Self::default() }
+        Self { input, buffer: vec![0; READ_BYTES], ..Self::default() }
     }
 
     /// Returns true if the whole file was read and its end is missing.
@@ -371,18 +373,14 @@ impl Sections {
 
     /// Reads up to [`READ_BYTES`]. Returns false at the end of the input.
     fn read_more(&mut self) -> io::Result<bool> {
-        let before = self.window.len();
-        self.window.resize(before + READ_BYTES, 0);
-        let outcome = loop {
-            let room = self.window.get_mut(before..).unwrap_or_default();
-            match self.input.read(room) {
+        let read = loop {
+            match self.input.read(&mut self.buffer) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                outcome => break outcome,
+                outcome => break outcome?,
             }
         };
-        let read = outcome.as_ref().map_or(0, |read| *read);
-        self.window.truncate(before + read);
-        outcome.map(|read| read > 0)
+        self.window.extend_from_slice(self.buffer.get(..read).unwrap_or_default());
+        Ok(read > 0)
     }
 
     fn drop_used(&mut self) {
