@@ -21,7 +21,7 @@ mod instant_sensor;
 #[path = "support/mod.rs"]
 mod support;
 
-/// Runs of each row, of which the median counts.
+/// Runs of each row. The median counts.
 const ROUNDS: usize = 5;
 /// The scans that a row delivers at least, over all its consumers.
 const SCANS: u64 = 20_000;

@@ -43,7 +43,7 @@ const POLLERS: [&str; 4] = ["floor", "tokio", "driver", "unpaused"];
 /// A revolution of the motor of a real sensor.
 const REVOLUTION: Duration = Duration::from_nanos(99_760_500);
 
-/// The way in which the bytes of a reply arrive.
+/// How the bytes of a reply arrive.
 struct Pattern {
     name: &'static str,
     /// When a reply begins.

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// The modules from the top down: each may use those behind it in this list.
+/// The modules from the top down: each may use the later ones in this list.
 const ORDER: [&str; 12] = [
     "sensor", "stream", "driver", "state", "ring", "stats", "port", "codec", "scan", "rate",
     "error", "protocol",
@@ -37,7 +37,7 @@ fn words(code: &str) -> impl Iterator<Item = &str> {
     code.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
 
-/// Returns the first names behind each `prefix`: of `prefix::{a::b, c}` these are a and c.
+/// Returns the first names after each `prefix`: of `prefix::{a::b, c}` these are a and c.
 fn names_behind<'a>(code: &'a str, prefix: &str) -> Vec<&'a str> {
     let mut names = Vec::new();
     for (at, _) in code.match_indices(prefix) {

@@ -17,7 +17,7 @@ fn serial(baud_rate: BaudRate) -> Emulator {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_starts_at_19200_baud_and_has_none_on_usb() {
+async fn a_link_has_no_baud_rate_on_usb() {
     let mut link = serial(BaudRate::B750000).link();
     assert_eq!(link.baud_rate(), Some(BaudRate::B19200));
     link.set_baud_rate(BaudRate::B750000).unwrap();
@@ -63,7 +63,7 @@ async fn at_a_wrong_baud_rate_the_host_reads_no_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_accepted_baud_rate_applies_one_revolution_later_with_a_stray_byte() {
+async fn an_accepted_baud_rate_applies_later() {
     let emulator = serial(BaudRate::B19200);
     let mut link = emulator.link();
     let start = Instant::now();
@@ -89,7 +89,7 @@ async fn the_stray_byte_can_be_left_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_command_that_comes_before_the_change_is_served_after_it() {
+async fn an_early_command_is_served_after_the_change() {
     let mut link = serial(BaudRate::B19200).link();
     link.write_all(b"S0576000000000\nL0\n").await.unwrap();
     assert_eq!(listen(&mut link).await, "S0576000000000\n0\n\n");
@@ -98,7 +98,7 @@ async fn a_command_that_comes_before_the_change_is_served_after_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_baud_rate_survives_the_link_and_not_a_power_cycle() {
+async fn a_baud_rate_survives_the_link() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).stray_byte(false).build();
     ask(&mut emulator.link(), "S2500000000000").await;
     sleep(200 * MS).await;

@@ -48,7 +48,7 @@ async fn each_fault_leaves_the_bytes_that_its_name_says() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_command_whose_reply_is_lost_takes_effect_and_a_lost_command_does_not() {
+async fn a_lost_command_has_no_effect() {
     for (fault, laser) in
         [(Fault::Lost, false), (Fault::CommandLost, true), (Fault::Status(b'9'), true)]
     {
@@ -105,7 +105,7 @@ async fn a_trickle_and_a_pause_delay_the_reply() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reset_at_any_byte_brings_19200_baud_and_the_laser_back() {
+async fn a_reset_restores_baud_rate_and_laser() {
     let baud_rate = BaudRate::B115200;
     for after in 0..=1399 {
         let emulator = instant_sensor()
@@ -194,7 +194,7 @@ async fn polled(emulator: &Emulator) -> Vec<u8> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn random_faults_occur_at_their_rate_and_repeat_with_the_seed() {
+async fn random_faults_repeat_with_their_seed() {
     let spec = "late=0.05:3s,lost=0.05,command-lost=0.05,damaged=0.05,doubled=0.05,merged=0.05,\
                 noise=0.05:64,pause=0.05:1s,reset=0.05,hang-up=0.05";
     let faults: Faults = spec.parse().unwrap();

@@ -36,7 +36,7 @@ async fn the_log_holds_the_last_commands_with_their_verdicts() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_command_before_the_end_of_the_last_reply_is_an_overlap() {
+async fn an_early_command_is_an_overlap() {
     let emulator = Emulator::default();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();
@@ -143,7 +143,7 @@ async fn bytes_on_the_cable_are_lost_when_it_is_pulled() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_power_cycle_cuts_off_the_reply_and_switches_the_laser_on() {
+async fn a_power_cycle_cuts_off_the_reply() {
     let emulator = instant_sensor().baud_rate(tokio_scip::BaudRate::B19200).laser(false).build();
     let mut link = emulator.link();
     link.write_all(b"V\n").await.unwrap();

@@ -19,7 +19,7 @@ async fn the_texts_firmware_replies_to_v_with_five_lines() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn firmware_3_replies_to_v_with_six_lines_in_206_bytes() {
+async fn firmware_3_answers_v_with_six_lines() {
     let reply = ask(&mut instant_sensor().build().link(), "V").await;
     let expected = "V\n0\n\
         VEND:Hokuyo Automatic Co.,Ltd.\n\
@@ -41,7 +41,7 @@ async fn version_lines_can_be_anything() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_laser_is_on_at_first_and_switches_off_and_on() {
+async fn the_laser_switches_off_and_on() {
     let emulator = instant_sensor().build();
     let mut link = emulator.link();
     assert!(emulator.is_laser_on());
@@ -59,7 +59,7 @@ async fn the_laser_is_on_at_first_and_switches_off_and_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_carriage_return_ends_a_command_and_a_line_feed_answers_it() {
+async fn carriage_return_and_line_feed_end_commands() {
     let mut link = instant_sensor().build().link();
     link.write_all(b"L0\r").await.unwrap();
     assert_eq!(listen(&mut link).await, "L0\n0\n\n");
@@ -92,7 +92,7 @@ async fn data_are_cut_into_lines_of_64_bytes() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_full_scan_has_1576_bytes_in_25_lines_of_data() {
+async fn a_full_scan_has_1576_bytes() {
     let mut link = instant_sensor().build().link();
     let reply = ask(&mut link, "G00076801").await;
     assert_eq!(reply.len(), 1576);
@@ -105,7 +105,7 @@ async fn a_full_scan_has_1576_bytes_in_25_lines_of_data() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cluster_has_its_smallest_value_and_the_last_one_may_be_partial() {
+async fn a_cluster_has_its_smallest_value() {
     let mut codes = [0; 769];
     for (step, code) in codes.iter_mut().enumerate() {
         *code = 64 * step as u16 % 4096;
@@ -190,7 +190,7 @@ async fn an_over_long_command_is_cut_and_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn on_usb_a_change_of_the_baud_rate_has_no_effect() {
+async fn on_usb_a_baud_rate_has_no_effect() {
     let text = instant_sensor().firmware(Firmware::Text).build();
     assert_eq!(ask(&mut text.link(), "S1152000000000").await, "S1152000000000\n0\n\n");
     let third = instant_sensor().build();
@@ -218,7 +218,7 @@ async fn a_miscounting_firmware_sends_a_point_more_or_less() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_scip_2_every_command_has_a_status_of_three_characters() {
+async fn scip_2_statuses_have_three_characters() {
     let emulator = instant_sensor().mode(Mode::Scip2).build();
     let mut link = emulator.link();
     for command in ["V", "L1", "G04472501", "S1152000000000", "X"] {
@@ -230,7 +230,7 @@ async fn in_scip_2_every_command_has_a_status_of_three_characters() {
 
 /// Clients of newer sensors ask for SCIP 2 first, and fall back if it is refused.
 #[tokio::test(start_paused = true)]
-async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
+async fn scip_2_is_refused() {
     let mut link = instant_sensor().build().link();
     for (command, status) in [
         ("SCIP2.0", "C"),
@@ -248,7 +248,7 @@ async fn commands_of_scip_2_are_refused_and_leave_the_sensor_in_scip_1() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
+async fn a_laser_already_switched_answers_0_or_2() {
     assert_eq!(RepeatedLaser::default(), RepeatedLaser::Status0, "which all clients accept");
     for (setting, status) in [(RepeatedLaser::Status0, '0'), (RepeatedLaser::Status2, '2')] {
         let emulator = instant_sensor().repeated_laser(setting).build();
@@ -263,7 +263,7 @@ async fn a_laser_that_is_in_the_state_already_is_answered_with_0_or_2() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn in_scip_2_scans_stream_without_requests_until_they_are_stopped() {
+async fn scip_2_scans_stream_until_stopped() {
     let emulator = instant_sensor().mode(Mode::Scip2Streaming).build();
     let mut link = emulator.link();
     for _ in 0..3 {

@@ -1,4 +1,4 @@
-//! The sensor behind other streams: in memory, on TCP, on a pseudo-terminal. The latter
+//! The sensor on other streams: in memory, on TCP, on a pseudo-terminal. The latter
 //! two run in real time, and each wait is for bytes.
 
 use std::time::Duration;
@@ -136,7 +136,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn bytes_that_a_client_did_not_read_go_to_the_next_one() {
+    async fn unread_bytes_go_to_the_next_client() {
         let emulator = instant_sensor().build();
         let served = serve(&emulator, None);
         let mut client = open(&served.path, 19_200);
@@ -207,7 +207,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn ending_it_hangs_up_the_client_and_removes_the_symbolic_link() {
+    async fn ending_it_hangs_up_the_client() {
         let link = scratch("ends");
         let served = serve(&instant_sensor().build(), Some(&link));
         assert_eq!(served.path, link);
@@ -219,7 +219,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn a_program_that_was_started_meanwhile_does_not_keep_an_unplugged_one_open() {
+    async fn an_unplugged_program_is_not_kept_open() {
         let emulator = instant_sensor().build();
         let served = serve(&emulator, None);
         let mut program = tokio::process::Command::new("sleep").arg("600").spawn().unwrap();
@@ -232,7 +232,7 @@ mod terminal {
     }
 
     #[tokio::test]
-    async fn unplugged_it_is_gone_and_plugged_in_again_it_is_back() {
+    async fn unplugged_it_is_gone_until_plugged_in() {
         let link = scratch("replug");
         let emulator = instant_sensor().build();
         let served = serve(&emulator, Some(&link));

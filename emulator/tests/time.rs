@@ -223,7 +223,7 @@ async fn a_sent_scan_has_the_true_end_of_its_revolution() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reply_begins_with_a_frame_of_usb_and_its_truth_before_it() {
+async fn a_reply_begins_with_a_usb_frame() {
     let start = Instant::now();
     let emulator = Emulator::builder()
         .revolution(Duration::from_micros(99_760))
@@ -237,7 +237,7 @@ async fn a_reply_begins_with_a_frame_of_usb_and_its_truth_before_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_motor_that_drifts_is_slower_after_an_hour_until_the_next_power_cycle() {
+async fn a_drifting_motor_slows_until_power_cycled() {
     let emulator = Emulator::builder().drift(0.001).world(Fixed::filled(1234)).build();
     let mut link = emulator.link();
     let mut period = async || {

@@ -28,7 +28,7 @@ fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
 }
 
 #[test]
-fn a_room_is_mostly_distances_with_errors_where_a_sensor_has_them() {
+fn a_room_has_mostly_distances() {
     for seed in 0..20 {
         for codes in looks(Room::new(seed), 50) {
             assert!(codes[..44].iter().chain(&codes[726..]).all(|&code| code == 19));
@@ -56,7 +56,7 @@ fn a_room_has_every_kind_of_error_that_it_promises() {
 }
 
 #[test]
-fn points_next_to_each_other_are_on_the_same_surface_mostly() {
+fn neighbouring_points_are_mostly_on_one_surface() {
     let codes = looks(Room::new(1), 1)[0];
     let near = codes[44..=725].windows(2).filter(|pair| pair[0].abs_diff(pair[1]) < 60).count();
     assert!(near > 600, "{near}");
@@ -104,7 +104,7 @@ fn a_room_is_the_same_on_every_machine() {
     );
 }
 
-/// The figures are those of six scans captured indoors from a real URG-04LX.
+/// The figures come from six scans captured indoors from a real URG-04LX.
 #[test]
 fn sensors_at_two_places_measure_the_same_walls() {
     let room = || Room::sized(3, 5000, 4400, 0);
@@ -134,7 +134,7 @@ fn sensors_at_two_places_measure_the_same_walls() {
 }
 
 #[test]
-fn a_hard_room_has_as_many_missing_points_as_a_real_one() {
+fn a_hard_room_misses_as_many_points() {
     let mut total = 0;
     for seed in 0..20 {
         let (mut counts, mut points) = ([0_u32; 20], 0);
@@ -159,7 +159,7 @@ fn a_hard_room_has_as_many_missing_points_as_a_real_one() {
 }
 
 #[test]
-fn a_scene_has_its_walls_discs_and_openings_where_they_were_put() {
+fn a_scene_has_its_parts_in_place() {
     let scene = Scene::new(0)
         .without_noise()
         .wall((2.0, -1.0), (2.0, 1.0))
@@ -176,7 +176,7 @@ fn a_scene_has_its_walls_discs_and_openings_where_they_were_put() {
 }
 
 #[test]
-fn a_person_walks_by_at_the_time_and_at_the_place_of_the_walk() {
+fn a_person_walks_as_described() {
     let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).starting_at(Duration::from_secs(2)).speed(1.0);
     assert_eq!(walk.duration(), Duration::from_secs(2));
     let scans = looks(Scene::new(7).person(walk), 60);
@@ -206,7 +206,7 @@ fn a_disc_goes_back_and_forth() {
 }
 
 #[test]
-fn a_sparse_world_omits_the_requested_share_and_keeps_the_rest() {
+fn a_sparse_world_omits_the_requested_share() {
     for (share, from, to) in
         [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
     {
@@ -239,7 +239,7 @@ async fn sensors_with_the_same_seed_send_the_same_bytes() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn each_ray_of_a_moving_sensor_is_measured_at_its_time() {
+async fn a_moving_sensor_measures_each_ray_in_time() {
     // At 1 m/s towards a wall, turned to the left.
     let pose = |x| Pose { x, y: 0.3, heading: 0.2 };
     let path = Path::new([(Duration::ZERO, pose(0.0)), (Duration::from_secs(2), pose(2.0))]);

@@ -37,7 +37,7 @@ async fn replayed(sink: &Sink) -> (String, Vec<Scan>) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_in_use_is_recorded_from_one_scan_to_another_and_replayed() {
+async fn a_sensor_in_use_is_recorded_and_replayed() {
     let sensor = Sensor::builder().depth(100).connect(Emulator::default()).await.unwrap();
     let serial_number = sensor.version().await.unwrap().serial_number.to_string();
     let mut scans = sensor.scans(WINDOW, Rate::hz(5.0)).await.unwrap();
@@ -62,7 +62,7 @@ async fn a_sensor_in_use_is_recorded_from_one_scan_to_another_and_replayed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_version_that_is_older_than_the_recording_is_at_its_beginning() {
+async fn an_older_version_begins_the_recording() {
     let sensor = Sensor::builder().connect(Emulator::default()).await.unwrap();
     tokio::time::sleep(std::time::Duration::from_secs(3600)).await;
     let sink = Sink::new();
@@ -78,7 +78,7 @@ async fn a_version_that_is_older_than_the_recording_is_at_its_beginning() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_recorders_record_one_sensor_and_one_that_is_dropped_ends() {
+async fn two_recorders_record_one_sensor() {
     let sensor = Sensor::builder().depth(100).connect(Emulator::default()).await.unwrap();
     let (long, short) = (Sink::new(), Sink::new());
     let mut recorders = [&long, &short].map(|sink| {

@@ -122,7 +122,7 @@ fn written(name: &str, bytes: &[u8]) -> PathBuf {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_compressed_recording_is_read_replayed_and_copied_as_the_original() {
+async fn a_compressed_recording_is_used_as_the_original() {
     let part = Duration::from_secs(3)..Duration::from_secs(7);
     let (sink, forms) = recorded(Window::DETECTION, 100).await;
     let scans: Vec<_> = sink.open().scans().collect::<Result<_, _>>().unwrap();
@@ -168,7 +168,7 @@ fn long_compressed_messages_do_not_fill_the_memory() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_compressed_recording_is_reached_through_its_index() {
+async fn a_compressed_part_is_reached_by_index() {
     let (sink, forms) = recorded(Window::DETECTION, 100).await;
     let place = Duration::from_secs(7);
     let expected: Vec<_> = sink.open().range(place..).collect::<Result<_, _>>().unwrap();
@@ -187,7 +187,7 @@ async fn a_part_of_a_compressed_recording_is_reached_through_its_index() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_damaged_byte_of_a_compressed_chunk_costs_at_most_this_chunk() {
+async fn a_damaged_compressed_byte_costs_one_chunk() {
     let (sink, forms) = recorded(window(300, 310, 1), 50).await;
     let records = sink.records();
     for form in forms {
@@ -236,7 +236,7 @@ fn chunks(file: &[u8]) -> Vec<usize> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_compressed_recording_that_is_cut_off_is_read_up_to_its_end() {
+async fn a_truncated_compressed_recording_is_read() {
     let (sink, forms) = recorded(window(300, 340, 1), 50).await;
     let records = sink.records();
     for form in forms {
@@ -278,7 +278,7 @@ fn zstd_bomb(window: u8) -> Vec<u8> {
 }
 
 #[test]
-fn a_chunk_that_decompresses_to_more_than_it_claims_is_damaged_and_takes_no_memory() {
+fn an_oversized_chunk_takes_no_memory() {
     const MIB: u64 = 1 << 20;
     let small_chunk = compress("zstd", &[channel(), event(0)].concat());
     let claimed = (channel().len() + event(0).len()) as u64;
@@ -335,7 +335,7 @@ fn compressed_schemas_do_not_fill_the_memory() {
         // Those whose schema did not fit have none.
         assert_eq!((outcome.messages, outcome.damaged_parts), (120, 53));
     });
-    // The definitions of the file, and twice those of its copy: for its chunks, and for its index.
+    // The definitions of the file, and the definitions of its copy twice: for its chunks, and for its index.
     let most = (3 * 64 + 16) * MIB as u64;
     assert!(counted.bytes_max < most, "{} bytes in memory", counted.bytes_max);
 }
@@ -366,7 +366,7 @@ fn a_compressed_chunk_with_a_wrong_checksum_is_damaged() {
 }
 
 #[test]
-fn a_cut_off_chunk_that_decompresses_to_more_than_it_claims_takes_no_memory() {
+fn a_truncated_chunk_takes_no_memory() {
     let chunk = compressed_chunk("zstd", 1000, &zstd_bomb(10));
     let file = [MAGIC, &chunk[..chunk.len() - 1]].concat();
     let counted = allocation_counter::measure(|| {

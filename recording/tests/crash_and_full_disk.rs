@@ -16,7 +16,7 @@ fn end_of(part: &[u8], whole: &[u8]) -> usize {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_file_cut_off_at_any_byte_is_read_to_its_last_whole_message() {
+async fn a_truncated_file_is_read_to_its_end() {
     let sink = Sink::new();
     record(sensor(), &sink, window(300, 340, 1), 6).await;
     let (file, records) = (sink.bytes(), sink.records());
@@ -40,7 +40,7 @@ async fn a_file_cut_off_at_any_byte_is_read_to_its_last_whole_message() {
     assert!(truncated > *ends.last().unwrap());
 }
 
-/// Makes a file of three chunks behind the one that declares the channels.
+/// Makes a file of three chunks after the one that declares the channels.
 async fn three_chunks() -> (Vec<u8>, Vec<Record>) {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
@@ -56,7 +56,7 @@ async fn three_chunks() -> (Vec<u8>, Vec<Record>) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flipped_bit_anywhere_is_reported_costs_one_chunk_and_never_changes_a_message() {
+async fn a_flipped_bit_costs_one_chunk() {
     let (file, records) = three_chunks().await;
     let end_of_data = end_of(&[0x0f, 4, 0, 0, 0, 0, 0, 0, 0], &file) - 9;
     let largest = records.len() - 2;
@@ -117,7 +117,7 @@ async fn o23_a_full_disk_ends_the_recording_and_nothing_else() {
 
 /// The last chunk is on the disk; only its index is not.
 #[tokio::test(start_paused = true)]
-async fn finish_fails_if_the_disk_is_full_at_the_very_end() {
+async fn finish_fails_if_the_disk_is_full() {
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     let run = async |room| {
@@ -160,7 +160,7 @@ impl Write for Slow {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_disk_that_stalls_costs_scans_but_neither_time_nor_unbounded_memory() {
+async fn a_stalled_disk_costs_only_scans() {
     let sink = Sink::new();
     let ((go, wait), (hangs, hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };
@@ -189,7 +189,7 @@ async fn a_disk_that_stalls_costs_scans_but_neither_time_nor_unbounded_memory() 
 }
 
 #[tokio::test]
-async fn waiting_for_ready_loses_no_scan_to_a_disk_that_stalls() {
+async fn waiting_for_ready_survives_a_stalled_disk() {
     let sink = Sink::new();
     let ((go, wait), (hangs, _hung)) = (mpsc::channel(), mpsc::channel());
     let slow = Slow { sink: sink.clone(), hangs, go: wait };

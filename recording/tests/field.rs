@@ -51,7 +51,7 @@ fn a_file_stays_as_it_is_until_its_recording_begins() {
 
 /// In real time, because a chunk is written after a second.
 #[tokio::test]
-async fn a_file_that_is_removed_or_cut_short_meanwhile_ends_the_recording_with_the_reason() {
+async fn a_file_that_vanishes_ends_the_recording() {
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
     for reason in ["was removed", "was cut short or written to"] {
@@ -98,7 +98,7 @@ fn times(file: &[u8]) -> Vec<(String, u32, u64, u64)> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_that_is_cut_out_keeps_the_times_of_its_messages() {
+async fn a_part_keeps_its_times() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 100).await;
     let whole = times(&sink.bytes());
@@ -113,7 +113,7 @@ async fn a_part_that_is_cut_out_keeps_the_times_of_its_messages() {
     assert_eq!((&copied[0].0, copied[0].2), (&"/scip/replies".to_owned(), copied[1].2));
     let span = copied.last().unwrap().2 - copied[0].2;
     assert!((2_800_000_000..3_000_000_000).contains(&span), "{span} ns");
-    // The same scans as those of the part.
+    // The same scans as in the part.
     let open = |file: &[u8]| Recording::read(std::io::Cursor::new(file.to_vec())).unwrap();
     let scans = |recording: Recording| -> Vec<_> {
         let scans = recording.scans().map(Result::unwrap);
@@ -126,7 +126,7 @@ async fn a_part_that_is_cut_out_keeps_the_times_of_its_messages() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_files_of_a_split_recording_are_joined_to_what_it_would_have_been() {
+async fn joined_files_equal_the_unsplit_recording() {
     let folder = Folder::new("join");
     let path = path(&folder);
     let builder = Recorder::builder().split_duration(Duration::from_secs(2));

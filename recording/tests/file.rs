@@ -123,7 +123,7 @@ async fn a_file_is_overwritten_only_on_request() {
 }
 
 #[test]
-fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
+fn a_foreign_file_is_an_explained_error() {
     let read = |bytes: &'static [u8]| Recording::read(bytes).map(drop);
     assert!(matches!(read(b"sequence,stamp,step\n1,2,3\n"), Err(RecordingError::NotMcap)));
     let open = Recording::open(Path::new("no/such/file.mcap"));
@@ -167,7 +167,7 @@ impl std::io::Write for Buffered {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_writer_with_a_buffer_is_flushed_at_the_beginning_and_at_the_end() {
+async fn a_buffered_writer_is_flushed_at_both_ends() {
     let sink = Sink::new();
     let buffered = Buffered { sink: sink.clone(), bytes: Vec::new() };
     let mut recorder = Recorder::builder().write_to(buffered).unwrap();

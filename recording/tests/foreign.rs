@@ -42,7 +42,7 @@ fn written_again(recorded: &[u8], options: WriteOptions) -> Vec<u8> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_that_another_program_copied_is_read_and_repaired_as_the_original() {
+async fn a_foreign_copy_reads_as_the_original() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 20).await;
     let recorded = sink.bytes();

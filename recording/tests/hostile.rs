@@ -10,7 +10,7 @@ use super::raw::{
 };
 
 #[test]
-fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
+fn a_hostile_length_takes_no_memory() {
     const G4: u64 = 4 << 30;
     // The file, and the number of its damaged parts.
     let cases = [
@@ -35,7 +35,7 @@ fn a_hostile_length_is_an_error_or_an_end_and_takes_no_memory() {
             record(0x0c, 18, &[&claims(10)[..], b"tokio_scip", &claims(u32::MAX)].concat()),
             1,
         ),
-        // An empty name and an empty map, and six bytes behind them.
+        // An empty name and an empty map, then six bytes.
         ("a record cut off behind its fields", record(0x0c, 20, &[0; 14]), 1),
         (
             "a message index of 4 GB",
@@ -78,7 +78,7 @@ fn a_compressed_recording_is_reported_as_such() {
 }
 
 #[test]
-fn the_error_of_a_compressed_recording_says_how_to_read_it() {
+fn an_unreadable_compression_is_explained() {
     let text = |compression: &str| {
         RecordingError::Compressed { compression: compression.to_owned() }.to_string()
     };
@@ -91,7 +91,7 @@ fn the_error_of_a_compressed_recording_says_how_to_read_it() {
 }
 
 #[test]
-fn a_malformed_record_in_a_chunk_is_reported_by_the_reader_and_left_out_by_a_repair() {
+fn a_malformed_record_is_reported_and_left_out() {
     for (name, malformed) in [
         ("a map of no pairs", of_kind(0x0c, &[text("tokio_scip"), text("pair")].concat())),
         ("a map of 4 GB", of_kind(0x0c, &[&text("tokio_scip")[..], &claims(u32::MAX)].concat())),
@@ -115,7 +115,7 @@ fn a_malformed_record_in_a_chunk_is_reported_by_the_reader_and_left_out_by_a_rep
 }
 
 #[test]
-fn a_message_of_a_channel_that_is_not_defined_is_damage_of_its_chunk_once() {
+fn a_message_without_a_channel_is_damage() {
     let first = [MAGIC, &chunk_of(&[channel(), event(0)].concat())].concat();
     let second = chunk_of(&[event(3), event(0), event(3)].concat());
     let file = [&first[..], &second, &end()].concat();
@@ -123,10 +123,10 @@ fn a_message_of_a_channel_that_is_not_defined_is_damage_of_its_chunk_once() {
 }
 
 #[test]
-fn a_wrong_length_of_metadata_costs_the_metadata_and_no_chunk() {
+fn wrong_metadata_length_costs_no_chunk() {
     let content = [text("tokio_scip"), text("")].concat();
     let chunk = chunk_of(&[channel(), event(0)].concat());
-    // Some end in the chunk behind, some in themselves.
+    // Some end in the next chunk, some in themselves.
     for length in (0..content.len() + 80).filter(|length| *length != content.len()) {
         let metadata = record(0x0c, length as u64, &content);
         let file = [MAGIC, &metadata, &chunk, &end()].concat();
@@ -135,7 +135,7 @@ fn a_wrong_length_of_metadata_costs_the_metadata_and_no_chunk() {
 }
 
 #[test]
-fn malformed_metadata_of_the_right_length_does_not_hide_the_chunk_that_begins_in_it() {
+fn malformed_metadata_does_not_hide_a_chunk() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     // Of a map of 40 bytes the last 31 are missing, and what is there is no pair.
     let metadata = [&text("tokio_scip")[..], &claims(40), &[0xff; 9]].concat();
@@ -145,7 +145,7 @@ fn malformed_metadata_of_the_right_length_does_not_hide_the_chunk_that_begins_in
 }
 
 #[test]
-fn a_damaged_last_record_does_not_hide_the_end_of_the_file() {
+fn a_damaged_last_record_hides_no_end() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let mut damaged = chunk.clone();
     // Its length.
@@ -155,7 +155,7 @@ fn a_damaged_last_record_does_not_hide_the_end_of_the_file() {
 }
 
 #[test]
-fn a_file_that_lacks_one_byte_of_its_end_is_truncated() {
+fn a_file_without_its_last_byte_is_truncated() {
     let file = [MAGIC, &chunk_of(&[channel(), event(0)].concat()), &end()].concat();
     assert_eq!(read(&file), (vec![], 1, false));
     for missing in 1..=end().len() {
@@ -164,14 +164,14 @@ fn a_file_that_lacks_one_byte_of_its_end_is_truncated() {
 }
 
 #[test]
-fn metadata_is_read_from_a_file_that_ends_right_behind_it() {
+fn metadata_is_read_at_the_files_end() {
     let file = [MAGIC, &metadata()].concat();
     let recording = Recording::read(Cursor::new(file)).unwrap();
     assert_eq!(recording.metadata()["rate"], "10 Hz");
 }
 
 #[test]
-fn the_places_of_the_first_16_damaged_chunks_are_kept_and_all_are_counted() {
+fn the_first_16_damaged_places_are_kept() {
     let mut chunk = chunk_of(&event(0));
     // A checksum, and it is wrong.
     chunk[9 + 24] = 1;
@@ -184,7 +184,7 @@ fn the_places_of_the_first_16_damaged_chunks_are_kept_and_all_are_counted() {
 
 /// Many channels with long names, and as many chunks as fit.
 #[test]
-fn a_repaired_file_is_a_small_multiple_of_a_hostile_one() {
+fn a_repaired_file_stays_small() {
     let name = "x".repeat(1000);
     let channels: Vec<u8> =
         (0..200).flat_map(|number| of_kind(0x04, &channel_content(number, &name))).collect();
@@ -230,7 +230,7 @@ fn a_topic_of_another_type_is_none_of_a_recording() {
 
 /// One part, however many of its messages are malformed, for the reader and the repair.
 #[test]
-fn a_chunk_without_a_checksum_is_judged_alike_by_the_reader_and_a_repair() {
+fn reader_and_repair_judge_chunks_alike() {
     let bad = of_kind(0x05, &[&[0; 22][..], b"no event"].concat());
     let records = [channel(), bad.clone(), event(0), bad, event(7), event(0)].concat();
     let file = [MAGIC, &chunk_of(&records), &end()].concat();

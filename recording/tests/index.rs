@@ -149,7 +149,7 @@ fn check(file: &[u8]) -> Expected {
 }
 
 #[tokio::test(start_paused = true)]
-async fn each_topic_has_the_type_and_its_definition_as_ros_2_has_them() {
+async fn each_topic_has_its_ros_2_type() {
     let sink = Sink::new();
     Recorder::builder().write_to(sink.clone()).unwrap().finish().await.unwrap();
     let file = sink.bytes();
@@ -169,7 +169,7 @@ async fn each_topic_has_the_type_and_its_definition_as_ros_2_has_them() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_index_has_the_place_the_length_and_the_times_of_all_that_is_in_the_file() {
+async fn the_index_describes_the_whole_file() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();

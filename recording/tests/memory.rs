@@ -1,4 +1,4 @@
-//! The memory that reading a recording takes: that of a chunk, however long the file is.
+//! Reading a recording takes the memory of one chunk, however long the file is.
 
 use std::io::{self, Read};
 
@@ -50,7 +50,7 @@ fn other_channel() -> Vec<u8> {
 }
 
 #[test]
-fn a_recording_of_20_mb_is_read_in_the_memory_of_two_of_its_chunks() {
+fn a_long_recording_needs_two_chunks_of_memory() {
     let part = chunk_of(&[channel(), other_channel(), event(0), other_message(200_000)].concat());
     let file = Endless::new(MAGIC, part, 100);
     let counted = measure(|| assert_eq!(Recording::read(file).unwrap().count(), 100));
@@ -83,12 +83,12 @@ fn long_messages_without_metadata_do_not_fill_the_memory() {
 }
 
 #[test]
-fn metadata_is_known_at_once_if_it_is_in_the_first_mebibyte_and_256_messages() {
+fn metadata_is_known_at_once_near_the_start() {
     let has_metadata = |parts: &[Vec<u8>]| {
         let file = [MAGIC, &parts.concat()].concat();
         let mut recording = Recording::read(io::Cursor::new(file)).unwrap();
         let is_known = recording.rate().is_some();
-        // Later it is known behind its place.
+        // Later it is known after its place.
         recording.by_ref().for_each(|record| drop(record.unwrap()));
         assert!(recording.rate().is_some());
         is_known

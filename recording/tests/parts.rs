@@ -29,7 +29,7 @@ fn last_scan(recording: Recording) -> Items {
 }
 
 #[test]
-fn what_is_before_a_part_is_not_read_on_either_side_of_metadata() {
+fn a_part_is_read_without_its_past() {
     let (whole, starts) = eight_chunks();
     let mut damaged = whole.clone();
     // Those before the last one, except those with the first scan and what precedes it.
@@ -73,7 +73,7 @@ fn a_place_where_no_record_begins_leaves_nothing_out() {
 /// The driver asks for some points more in most polls. Without metadata only the polls
 /// themselves show which window the stream has.
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
+async fn a_part_without_metadata_has_its_scans() {
     for window in [Window::DETECTION, Window::FULL, window(2, 400, 1), window(40, 99, 3)] {
         let sink = Sink::new();
         let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
@@ -100,7 +100,7 @@ async fn a_part_of_a_recording_without_metadata_has_all_its_scans() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_that_begins_with_the_file_is_read_from_there() {
+async fn a_part_from_the_start_is_read_there() {
     let sink = Sink::new();
     record(sensor(), &sink, window(380, 384, 1), 20).await;
     let folder = Folder::new("from-zero");

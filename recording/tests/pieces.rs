@@ -64,14 +64,14 @@ fn metadata_may_lie_across_two_reads_or_end_with_one() {
 
 /// The search for the next chunk goes on where a read ends, also in the middle of its head.
 #[test]
-fn a_chunk_behind_a_long_damaged_part_is_found_wherever_it_begins() {
+fn a_chunk_after_long_damage_is_found() {
     let chunk = chunk_of(&[channel(), event(0)].concat());
     let shortest = 2 * READ_BYTES - 80;
     for length in (shortest..shortest + 80).chain([5 * READ_BYTES]) {
         let file = [MAGIC, &vec![0; length], &chunk, &chunk, &end()].concat();
         assert_eq!(read(&file), (vec![8], 2, false), "{length} bytes");
     }
-    // Behind the first damaged byte there is exactly what is read at once.
+    // Exactly one read follows the first damaged byte.
     for before in 0..80 {
         let damaged = vec![0; READ_BYTES + 1 - before];
         let file = [MAGIC, &filler(8, 1), &damaged, &chunk, &chunk, &end()].concat();

@@ -38,7 +38,7 @@ fn by_index(file: &[u8]) -> Vec<(String, u32, u64, u64, Vec<u8>)> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_file_cut_off_anywhere_is_repaired_with_the_same_bytes_and_stamps() {
+async fn repair_keeps_bytes_and_stamps() {
     let sink = Sink::new();
     record(sensor(), &sink, window(300, 340, 1), 30).await;
     let (file, whole) = (sink.bytes(), by_index(&sink.bytes()));
@@ -69,7 +69,7 @@ async fn a_file_cut_off_anywhere_is_repaired_with_the_same_bytes_and_stamps() {
 
 /// Leaves its file for `tests/recording_readers.py`.
 #[tokio::test(start_paused = true)]
-async fn a_damaged_and_cut_off_file_is_repaired_without_its_damaged_chunk() {
+async fn a_damaged_truncated_file_is_repaired() {
     let sink = Sink::new();
     let items = record(sensor(), &sink, Window::DETECTION, 1000).await;
     let mut file = sink.bytes();
@@ -107,7 +107,7 @@ fn a_file_that_is_not_a_recording_is_not_repaired() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
+async fn a_truncated_file_replays_the_same_scans() {
     let sink = Sink::new();
     record(sensor(), &sink, window(300, 340, 1), 30).await;
     let file = sink.bytes();
@@ -132,7 +132,7 @@ async fn a_cut_off_file_has_the_same_scans_in_a_replay_as_without_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_damaged_byte_in_the_first_sector_costs_at_most_the_first_chunk() {
+async fn a_damaged_first_sector_costs_one_chunk() {
     let (file, whole) = (two_chunks().await, by_index(&two_chunks().await).len());
     let first = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes[0].clone();
     let messages = mcap::MessageStream::new(&file).unwrap();
@@ -161,7 +161,7 @@ async fn a_damaged_byte_in_the_first_sector_costs_at_most_the_first_chunk() {
 
 /// Other kinds, such as those from 0x80, would be skipped as records of other programs.
 #[tokio::test(start_paused = true)]
-async fn a_chunk_whose_kind_is_damaged_is_reported_whatever_its_kind_becomes() {
+async fn a_damaged_kind_of_chunk_is_reported() {
     let file = two_chunks().await;
     let chunk = mcap::Summary::read(&file).unwrap().unwrap().chunk_indexes[0].clone();
     let at = chunk.chunk_start_offset;
@@ -199,7 +199,7 @@ async fn a_damaged_index_is_known_and_repaired() {
         let mut read = Recording::read(Cursor::new(damaged)).unwrap();
         assert!(read.by_ref().all(|item| item.is_ok()) && read.is_truncated(), "byte {at}");
     }
-    // An index that is whole, of a file that has lost or gained bytes before or behind it.
+    // An index that is whole, of a file that has lost or gained bytes before or after it.
     for (changed, parts) in [
         ([&file[..], b"\0"].concat(), 0),
         ([&file[..start], &[0x80, 0, 0, 0, 0, 0, 0, 0, 0], &file[start..]].concat(), 0),

@@ -30,7 +30,7 @@ fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u16>> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_delivers_every_scan_again_for_every_kind_of_window() {
+async fn a_replay_delivers_every_kind_of_window() {
     for window in [
         Window::DETECTION,
         Window::FULL,
@@ -109,7 +109,7 @@ async fn damaged_and_refused_replies_are_replayed_as_such() {
         };
         items.iter().map(kind).collect::<Vec<_>>()
     };
-    // Replies 0 to 2 are those of opening; replies to fences count, too.
+    // Replies 0 to 2 belong to opening; replies to fences count, too.
     let faults = Faults::none()
         .at(5, Fault::Drop(700..701))
         // The poll, the `L1` that follows, its fence, and the repeated poll.
@@ -153,7 +153,7 @@ async fn another_window_shows_the_recorded_part_of_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_polls() {
+async fn a_replayed_sensor_answers_as_recorded() {
     let sink = Sink::new();
     let original = Emulator::builder().version_lines(["VEND:x", "FIRM:1", "SERI:42"]).build();
     let recorded = record(original, &sink, Window::DETECTION, 5).await;
@@ -175,10 +175,10 @@ async fn a_replayed_sensor_answers_as_the_recorded_one_and_keeps_its_scans_for_p
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_has_the_version_of_the_first_reply_that_is_one() {
+async fn a_replay_has_the_first_real_version() {
     let sink = Sink::new();
     let emulator = sensor();
-    // Behind a fence. The line feed behind the status is lost.
+    // After a fence. The line feed after the status is lost.
     emulator.set_faults(Faults::none().at(1, Fault::Drop(3..4)));
     record(emulator, &sink, Window::DETECTION, 3).await;
     let first = sink.records().into_iter().find_map(|record| match record.entry {
@@ -193,7 +193,7 @@ async fn a_replay_has_the_version_of_the_first_reply_that_is_one() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_scan() {
+async fn a_replay_obeys_the_laser_and_loses_nothing() {
     let sink = Sink::new();
     let recorded = record(sensor(), &sink, window(384, 385, 1), 2).await;
     let emulator = sink.open().replay(ReplayPace::Max).unwrap();
@@ -217,13 +217,13 @@ async fn a_replayed_sensor_refuses_to_measure_without_its_laser_and_loses_no_sca
 /// One point of the wider window is lost, so that the reply has the length of the
 /// narrower one.
 #[tokio::test(start_paused = true)]
-async fn a_damaged_reply_is_never_replayed_as_a_scan_of_another_window() {
+async fn a_damaged_reply_is_never_replayed() {
     let (wide, narrow) = (window(43, 725, 1), Window::DETECTION);
     // Echo and status, 683 points in blocks of 64 bytes.
     let end = "G04372501\n0\n".len() + 683 * 2 + 22;
     let last_point = end - 3..end - 1;
     let emulator = sensor();
-    // Behind a fence and two `V`s.
+    // After a fence and two `V`s.
     emulator.set_faults(Faults::none().at(3, Fault::Drop(last_point)));
     let sink = Sink::new();
     let recorded = record(emulator, &sink, wide, 5).await;
@@ -236,7 +236,7 @@ async fn a_damaged_reply_is_never_replayed_as_a_scan_of_another_window() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_is_that_of_the_described_stream_and_has_the_polls_of_others() {
+async fn a_replay_follows_the_described_stream() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let rate = Rate::hz(4.0);

@@ -207,7 +207,7 @@ async fn a_recording_is_replayed_without_its_reply_to_v() {
     assert_eq!(replayed, live);
 }
 
-/// Pipe whose writer pauses behind the bytes.
+/// Pipe whose writer pauses after the bytes.
 struct PausedPipe(Cursor<Vec<u8>>);
 
 impl Read for PausedPipe {
@@ -320,7 +320,7 @@ async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it(
 async fn a_part_is_read_whole_where_the_file_is_no_longer_as_its_index_says() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 200).await;
-    // Ten bytes are missing before the part, and ten too many behind its beginning.
+    // Ten bytes are missing before the part, and ten too many after its beginning.
     let mut bytes = sink.bytes();
     let quarter = bytes.len() / 4;
     bytes.drain(quarter..quarter + 10);
@@ -379,13 +379,13 @@ async fn an_index_with_a_wrong_byte_or_without_a_checksum_is_not_believed() {
     let expected = values(sink.open().range(place..).scans());
     assert!(expected.len() > 5);
     let folder = Folder::new("index");
-    // The index is the end of the file, with some 40 bytes behind it.
+    // The index is the end of the file, with some 40 bytes after it.
     for at in (whole.len() - 900..whole.len()).step_by(7) {
         let mut bytes = whole.clone();
         bytes[at] ^= 0x11;
         let path = folder.write(&bytes);
         assert_eq!(values(scans_from(&path, place)), expected, "{at}");
-        // Zero stands for no checksum. The magic is behind it.
+        // Zero stands for no checksum. The magic follows it.
         let crc = bytes.len() - 12;
         bytes[crc..crc + 4].fill(0);
         let path = folder.write(&bytes);

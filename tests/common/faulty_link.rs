@@ -159,7 +159,7 @@ impl<S> FaultyLink<S> {
         self.counter.clone()
     }
 
-    /// Takes the failure of this call, if one is due, of which `done` have succeeded.
+    /// Takes the failure of this call, if one is due after `done` calls that succeeded.
     fn take_failure(&mut self, call: Call, done: u64) -> Option<LinkFailure> {
         let is_due = |&(of, after, failure): &(Call, u64, LinkFailure)| {
             let lasting = matches!(failure, LinkFailure::End | LinkFailure::Stall);

@@ -44,7 +44,7 @@ struct PromiseRun {
     reaction: Duration,
     /// The age of the oldest good scan that permitted to move.
     age: Duration,
-    /// The share of the time in which the field was clear and the vehicle could move.
+    /// Share of the time during which the field was clear and the vehicle could move.
     clear: f64,
 }
 
@@ -114,7 +114,7 @@ fn obstacle(distance: f64) -> Scene {
 
 fn appearing(room: impl World + 'static) -> (Appearing, Arc<AtomicBool>) {
     let is_blocked = Arc::new(AtomicBool::new(false));
-    // Its distances are as sparse as those of the hard room.
+    // Its distances are as sparse as in the hard room.
     let blocked = Box::new(Sparse::new(obstacle(TERMS.distance() - 0.03), 0.44, 3));
     let world = Appearing { room: Box::new(room), blocked, is_blocked: Arc::clone(&is_blocked) };
     (world, is_blocked)

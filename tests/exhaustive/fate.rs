@@ -4,7 +4,7 @@
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fate {
     OnTime,
-    /// The reply comes just before its deadline, behind the time of several polls.
+    /// The reply comes just before its deadline, after the time of several polls.
     Late,
     /// The reply comes at its very deadline.
     AtDeadline,

@@ -23,10 +23,9 @@ use crate::common::wire_time;
 
 /// The time from a command to its reply.
 const TURNAROUND: Duration = Duration::from_millis(20);
-/// A delayed reply comes so long after a later command: behind the bytes of that, and
-/// before its reply.
+/// Delay of a late reply after a later command: after its bytes, before its reply.
 const LAG: Duration = Duration::from_millis(6);
-/// A copy comes so long after a reply, before the next poll of a grid.
+/// Delay of a copy after its reply, before the next poll of a grid.
 const SOON: Duration = Duration::from_millis(3);
 
 /// Bytes on their way to the host.
@@ -37,7 +36,7 @@ struct Packet {
     baud_rate: Option<BaudRate>,
 }
 
-/// The time at which a packet comes; behind those before it in any case.
+/// When a packet comes: never before an earlier one.
 #[derive(Clone, Copy)]
 enum Due {
     At(Instant),

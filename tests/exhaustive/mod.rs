@@ -58,7 +58,7 @@ fn cannot_differ() -> Window {
 }
 
 /// All fates but those that no driver survives where polls cannot differ: a copy that
-/// comes behind the next poll is equal to the reply to it.
+/// comes after the next poll is equal to its reply.
 fn without_later_copies() -> &'static [Fate] {
     let (others, copies) = FATES.split_at(FATES.len() - 2);
     assert_eq!(copies, [Fate::DoubledSoon, Fate::DoubledAfterNext]);

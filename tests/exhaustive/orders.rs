@@ -95,8 +95,8 @@ impl Task<'_> {
     }
 }
 
-/// Runs tasks to their end. The choices in `enumerated`, which of the tasks that were
-/// woken goes on, are those of the chooser; before and behind them all have their turn.
+/// Runs tasks to their end. The chooser decides, for the choices in `enumerated`, which of the
+/// woken tasks continues; before and after them each has its turn.
 async fn execute(
     chooser: &mut Chooser,
     enumerated: Range<usize>,
@@ -257,7 +257,7 @@ async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: OrderEnd, is_
 }
 
 #[test]
-fn every_order_of_tasks_answers_each_call_and_ends_each_stream() {
+fn every_order_of_tasks_answers_each_call() {
     let length = setting("SCIP_ORDERS").unwrap_or(2);
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().unwrap();

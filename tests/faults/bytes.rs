@@ -13,7 +13,7 @@ use crate::common::faulty_link::FaultyLink;
 use crate::common::{builder, reply_len, request_of};
 
 const WINDOW: Window = Window::DETECTION;
-/// The offset of the data: behind echo, LF, status, LF.
+/// Offset of the data, which follows echo, LF, status, LF.
 const DATA: usize = 12;
 
 /// The length of the second poll's reply. That poll asks for one step more.
@@ -45,7 +45,7 @@ async fn w01_w05_w06_w11_each_byte_lost() {
 async fn w02_w07_w12_each_byte_doubled() {
     for at in 0..length() {
         let outcome = second_poll(WINDOW, &[Fault::Repeat(at..at + 1)]).await;
-        // One more LF behind the two that end a reply is harmless.
+        // One more LF after the two that end a reply is harmless.
         let check = if at < length() - 2 { assert_refused } else { assert_unharmed };
         check(&outcome, &format!("byte {at} twice"));
     }
@@ -56,7 +56,7 @@ async fn w02_w07_w12_w18_a_byte_inserted_at_each_place() {
     for byte in [b'\n', 0, 0xff] {
         for at in 0..=length() {
             let outcome = second_poll(WINDOW, &[Fault::Insert(at, vec![byte])]).await;
-            // A NUL before a reply is skipped; a byte behind it is dropped before the next poll.
+            // A NUL before a reply is skipped; a byte after it is dropped before the next poll.
             let harmless = at == length()
                 || at == length() - 1 && byte == b'\n'
                 || at == length() - 2 && byte == b'\n'
@@ -72,7 +72,7 @@ async fn w15_a_reply_cut_at_each_length() {
     for kept in 0..length() {
         let outcome = second_poll(WINDOW, &[Fault::Cut(kept)]).await;
         assert_refused(&outcome, &format!("{kept} bytes of it"));
-        // The fence's reply is recognised behind the remains of the damaged one.
+        // The fence's reply is recognised after the remains of the damaged one.
         assert_eq!(outcome.stats.fence_timeouts, 0, "{kept} bytes of it");
     }
 }
@@ -122,7 +122,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
     emulator.set_faults(urg_emulator::Faults::none().at(0, Fault::Flip(at, 1 << bit)));
     let next = scans(&mut stream, 2).await;
     assert!(request_of(&next[1]).is_some(), "the scan after the damaged one is wrong, too");
-    // The damaged reply is that of the first scan, or it was refused.
+    // The damaged reply answers the first scan, or it was refused.
     let sent_value = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u16;
     let wrong =
         next[0].values().iter().enumerate().filter(|&(step, &v)| v != sent_value(step)).count();
@@ -196,7 +196,7 @@ fn accepted<'a>(command: &Command, chunks: impl IntoIterator<Item = &'a [u8]>) -
 }
 
 #[test]
-fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
+fn w16_w17_a_scan_may_be_split_anywhere() {
     let command = Command::Distances(Window::FULL);
     let data = vec![b'C'; 2 * 769];
     let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
@@ -217,7 +217,7 @@ fn w16_w17_a_full_scan_comes_out_of_the_codec_however_it_is_split() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w09_a_byte_lost_and_another_gained_in_one_line_shift_the_points_between_them() {
+async fn w09_a_lost_and_an_added_byte_shift_points() {
     // No driver can detect this. The test shows its effect, and that it has no other.
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;

@@ -15,7 +15,7 @@ use crate::common::{builder, ms, reply_len, request_of};
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
-async fn d01_a_reset_at_each_byte_of_a_reply_is_detected_and_the_baud_rate_restored() {
+async fn d01_a_reset_in_a_reply_is_detected() {
     let window = Window::new(300..=360).unwrap();
     for at in 0..=reply_len(window) {
         let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
@@ -37,7 +37,7 @@ async fn d01_a_reset_at_each_byte_of_a_reply_is_detected_and_the_baud_rate_resto
 }
 
 #[tokio::test(start_paused = true)]
-async fn d02_nothing_is_polled_after_laser_off_and_a_reset_sensor_is_switched_off_again() {
+async fn d02_a_reset_laser_is_switched_off_again() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = builder().baud_rate(BaudRate::B115200).connect(emulator.clone()).await.unwrap();
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -60,7 +60,7 @@ async fn d02_nothing_is_polled_after_laser_off_and_a_reset_sensor_is_switched_of
 }
 
 #[tokio::test(start_paused = true)]
-async fn d02_a_restart_that_a_change_of_baud_rate_cannot_show_leaves_the_laser_off() {
+async fn d02_a_hidden_restart_leaves_the_laser_off() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.laser_off().await.unwrap();
@@ -128,7 +128,7 @@ async fn d04_a_sensor_that_restarts_repeatedly_is_recovered() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d07_a_refusal_with_any_status_is_reported_and_the_link_stays_clean() {
+async fn d07_any_refusal_leaves_the_link_clean() {
     let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     for status in (0x21..=0x7e).filter(|status| *status != b'0') {
@@ -176,7 +176,7 @@ fn peer(reply: impl Fn(&str) -> &'static str + Send + 'static) -> tokio::io::Dup
 }
 
 #[tokio::test(start_paused = true)]
-async fn d14_a_laser_that_stays_off_is_reported_with_both_statuses_and_tried_with_back_off() {
+async fn d14_a_stubborn_laser_is_reported_and_retried() {
     for (answer, refusal) in [("2", "6"), ("0", "6"), ("1", "5")] {
         let sent = Arc::new(AtomicUsize::new(0));
         let count = Arc::clone(&sent);
@@ -205,7 +205,7 @@ async fn d14_a_laser_that_stays_off_is_reported_with_both_statuses_and_tried_wit
 }
 
 #[tokio::test(start_paused = true)]
-async fn d08_only_the_four_commands_are_sent_whether_or_not_undefined_ones_are_answered() {
+async fn d08_only_the_four_commands_are_sent() {
     for firmware in [Firmware::Text, Firmware::V3] {
         for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
             let emulator = instant_sensor()
@@ -228,7 +228,7 @@ async fn d08_only_the_four_commands_are_sent_whether_or_not_undefined_ones_are_a
 }
 
 #[tokio::test(start_paused = true)]
-async fn d10_a_sensor_that_counts_its_points_differently_is_malformed_and_not_silent() {
+async fn d10_miscounted_points_are_malformed() {
     // A fence asks for one point, which is two characters.
     let two_points = MalformedError::LineLength { line: 0, expected: 2, found: 4 };
     for (miscount, told) in [(1, two_points), (-1, MalformedError::NoData)] {
@@ -242,7 +242,7 @@ async fn d10_a_sensor_that_counts_its_points_differently_is_malformed_and_not_si
 }
 
 #[tokio::test(start_paused = true)]
-async fn d11_missing_and_unknown_lines_of_a_version_do_not_prevent_scans() {
+async fn d11_odd_version_lines_prevent_no_scans() {
     let cases: [&[&str]; 5] = [
         &["VEND:x", "PROD:y"],
         &["WHAT: is this", "SERI: H1", "  ", "no colon at all"],

@@ -44,7 +44,7 @@ impl Connect for ConnectOnAnotherTask {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o01_d03_an_hour_unplugged_costs_two_wake_ups_a_second_at_most() {
+async fn o01_d03_an_hour_unplugged_wakes_rarely() {
     let emulator = instant_sensor().build();
     let wakes = Arc::new(AtomicU64::new(0));
     let (sensor, driver) = builder().build(ConnectOnAnotherTask(emulator.clone()));
@@ -153,7 +153,7 @@ async fn w23_no_control_character_from_a_sensor_reaches_a_person() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d03_an_hour_of_bad_frames_and_an_hour_without_power_log_a_few_lines() {
+async fn d03_hours_of_trouble_log_few_lines() {
     let log = ErrorLog::default();
     let _guard = crate::common::logs::collect(log.clone());
     let loud = || {

@@ -62,7 +62,7 @@ impl Hooks for CountedUse {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o01_o03_o16_o17_a_hung_up_port_is_dropped_before_the_next_one_is_opened() {
+async fn o01_o03_o16_o17_a_hung_up_port_is_closed_first() {
     let emulator = instant_sensor().build();
     let counts = Arc::new(LinkCounts::default());
     let (inner, links, mut opened) = (emulator.clone(), Arc::clone(&counts), 0);
@@ -142,7 +142,7 @@ async fn o10_s_on_usb_changes_neither_baud_rate() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o12_a_baud_rate_that_the_port_refuses_is_an_error_before_s_is_sent() {
+async fn o12_a_refused_baud_rate_is_never_sent() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
     let connect = ConnectFn(move || {
@@ -163,7 +163,7 @@ async fn o12_a_baud_rate_that_the_port_refuses_is_an_error_before_s_is_sent() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o12_a_port_that_refuses_all_baud_rates_is_reported_as_the_cause() {
+async fn o12_a_port_without_baud_rates_is_reported() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let inner = emulator.clone();
     let connect = ConnectFn(move || {
@@ -196,7 +196,7 @@ fn first_faulty(
 }
 
 #[tokio::test(start_paused = true)]
-async fn o13_a_write_that_stalls_times_out_and_the_port_is_reopened() {
+async fn o13_a_stalled_write_reopens_the_port() {
     let emulator = instant_sensor().build();
     let connect = first_faulty(&emulator, |link| link.fail(Call::Write, 5, LinkFailure::Stall));
     let sensor = builder().connect(connect).await.unwrap();
@@ -219,7 +219,7 @@ async fn o13_a_write_that_stalls_times_out_and_the_port_is_reopened() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o14_commands_arrive_whole_through_a_port_that_takes_a_few_bytes_at_a_time() {
+async fn o14_commands_arrive_whole_through_a_slow_port() {
     for most in [1, 2, 3, 7] {
         let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
         let inner = emulator.clone();
@@ -263,7 +263,7 @@ fn o18_messages_and_guide_name_the_programs_that_probe_new_ports() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
+async fn o20_delays_of_adapters_cost_no_scan() {
     for delay in [16, 40, 100] {
         let emulator = instant_sensor().baud_rate(BaudRate::B115200).latency(ms(delay)).build();
         let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(2.0)).await;
@@ -275,7 +275,7 @@ async fn o20_the_delays_of_usb_adapters_and_sleeping_hubs_cost_no_scan() {
 }
 
 #[tokio::test]
-async fn o22_a_tcp_connection_that_is_reset_or_falls_silent_is_replaced() {
+async fn o22_a_dead_tcp_connection_is_replaced() {
     let emulator = instant_sensor().build();
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

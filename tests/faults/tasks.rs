@@ -24,7 +24,7 @@ fn runtime() -> tokio::runtime::Runtime {
 }
 
 #[test]
-fn a05_a_runtime_shut_down_at_any_time_closes_the_port_and_answers_everyone() {
+fn a05_a_runtime_shut_down_answers_everyone() {
     let mut working = 0;
     for steps in 0..120 {
         let first = runtime();
@@ -133,9 +133,9 @@ async fn a06_an_observer_that_panics_ends_the_driver_with_the_cause() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most() {
+async fn a17_closing_at_silence_takes_two_commands() {
     let silent = Faults::none().every(Fault::CommandLost);
-    // The command is lost, and would be again behind a fence that is answered.
+    // The command is lost, and would be again after a fence that is answered.
     let twice = Faults::none().at(0, Fault::Lost).at(2, Fault::Lost);
     let (fast, slow) = (Rate::hz(10.0), Rate::hz(0.1));
     for (rate, faults) in [(fast, silent.clone()), (slow, silent), (slow, twice)] {
@@ -155,10 +155,10 @@ async fn a17_closing_at_a_silent_sensor_takes_one_command_and_one_fence_at_most(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a17_closing_while_the_baud_rate_changes_takes_one_command_and_one_fence_at_most() {
+async fn a17_closing_waits_for_two_commands_at_most() {
     let silent = Faults::none().every(Fault::CommandLost);
     // The sensor answers the fence before the change, and loses either the reply to the change or
-    // only those behind it.
+    // only the later ones.
     let from = |first| (first..100).fold(Faults::none(), |faults, n| faults.at(n, Fault::Lost));
     let (unconfirmed, accepted) = (from(1), from(2));
     // Besides both deadlines the time of their bytes, 100 ms at most. An accepted change takes
@@ -206,7 +206,7 @@ async fn a10_sixteen_thousand_requests_without_a_link_take_linear_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a08_a_failed_change_of_baud_rate_under_a_stream_keeps_the_old_one() {
+async fn a08_a_failed_change_keeps_the_baud_rate() {
     let emulator = instant_sensor().baud_rate(BaudRate::B57600).build();
     let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(2.0)).await;
     let mut delivered = scans(&mut stream, 2).await;
@@ -305,7 +305,7 @@ async fn a13_a_port_that_always_has_bytes_starves_no_other_task() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a16_the_state_that_a_killed_process_leaves_is_recovered_by_the_next_one() {
+async fn a16_a_killed_process_leaves_nothing_broken() {
     for (left, speed) in [
         (&b"L0\n"[..], BaudRate::B19200),
         (b"G0447", BaudRate::B750000),

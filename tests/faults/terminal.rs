@@ -11,7 +11,7 @@ const LEADER: &str = "TOKIO_SCIP_SESSION_LEADER";
 /// Returns the number of this process's controlling terminal, 0 for none.
 fn controlling_terminal() -> i32 {
     let stat = std::fs::read_to_string("/proc/self/stat").unwrap();
-    // The fields behind the name, which is in parentheses: state, parent, process group,
+    // The fields after the name, which is in parentheses: state, parent, process group,
     // session, terminal.
     let fields = stat.rsplit_once(')').unwrap().1;
     fields.split_whitespace().nth(4).unwrap().parse().unwrap()

@@ -16,7 +16,7 @@ use crate::simulation::truth::SimulationTruth;
 const WINDOW: Window = Window::DETECTION;
 
 #[tokio::test(start_paused = true)]
-async fn t01_a_late_reply_is_dropped_and_each_scan_answers_its_own_poll() {
+async fn t01_a_late_reply_answers_no_later_poll() {
     for window in [Window::DETECTION, Window::FULL] {
         for late in (450..1500).step_by(10) {
             let outcome = second_poll(window, &[Fault::Late(ms(late))]).await;
@@ -26,7 +26,7 @@ async fn t01_a_late_reply_is_dropped_and_each_scan_answers_its_own_poll() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan() {
+async fn t02_very_late_replies_lose_the_link() {
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
@@ -47,7 +47,7 @@ async fn t02_replies_that_are_all_very_late_end_in_a_lost_link_and_no_wrong_scan
 }
 
 #[tokio::test(start_paused = true)]
-async fn t02_five_lost_fences_cost_no_link_where_no_other_baud_rate_can_be_tried() {
+async fn t02_lost_fences_cost_no_link() {
     let emulator = truthful().baud_rate(BaudRate::B115200).build();
     let bridged = emulator.clone();
     let bridge = ConnectFn(move || Ok(bridged.bridge(BaudRate::B115200)));
@@ -60,7 +60,7 @@ async fn t02_five_lost_fences_cost_no_link_where_no_other_baud_rate_can_be_tried
 }
 
 #[tokio::test(start_paused = true)]
-async fn w12_a_reply_cut_off_behind_its_echo_is_not_a_loopback() {
+async fn w12_a_reply_cut_after_its_echo_is_no_loopback() {
     let emulator = instant_sensor().build();
     let sensor = open(&emulator).await;
     // The poll is lost. Of the reply to the fence after it only the echo comes, which is all
@@ -72,7 +72,7 @@ async fn w12_a_reply_cut_off_behind_its_echo_is_not_a_loopback() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
+async fn t03_an_immediate_copy_is_not_delivered() {
     // At the highest rate, so that the driver is never idle between two polls, and with
     // the full window, where polls cannot differ.
     let emulator = instant_sensor().build();
@@ -88,7 +88,7 @@ async fn t03_a_copy_behind_a_reply_is_not_delivered_for_the_next_poll() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t03_a_copy_that_comes_after_the_next_poll_is_not_delivered_for_it() {
+async fn t03_a_late_copy_is_not_delivered() {
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;
@@ -118,7 +118,7 @@ fn without_room() -> [Window; 4] {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot_differ() {
+async fn t13_an_immediate_copy_is_no_scan() {
     for (window, baud_rate) in without_room().into_iter().flat_map(|window| {
         [BaudRate::B19200, BaudRate::B115200, BaudRate::B750000].map(|rate| (window, rate))
     }) {
@@ -145,7 +145,7 @@ async fn t13_a_copy_right_behind_a_reply_is_not_the_next_scan_where_polls_cannot
 }
 
 #[tokio::test(start_paused = true)]
-async fn t13_a_reply_that_begins_before_its_command_has_left_the_wire_is_refused() {
+async fn t13_a_premature_reply_is_refused() {
     let window = Window::FULL.with_cluster_count(99).unwrap();
     let truth = SimulationTruth::default();
     let emulator = truthful().pace(Pace::AtOnce).baud_rate(BaudRate::B19200);
@@ -178,7 +178,7 @@ impl Hooks for ClaimBaudRate {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_replies_as_fast_as_the_baud_rate_can_carry_do_not_mark_it_as_outrun() {
+async fn o26_prompt_replies_do_not_mark_it_outrun() {
     let emulator = instant_sensor().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.scan(WINDOW).await.unwrap();
@@ -206,7 +206,7 @@ async fn o26_replies_faster_than_the_baud_rate_mark_it_as_outrun() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn o26_a_scan_faster_than_the_baud_rate_marks_it_as_outrun_where_short_replies_are_not() {
+async fn o26_a_scan_marks_the_baud_rate_as_outrun() {
     let fast = truthful().pace(Pace::AtOnce).latency(ms(100)).usb().build();
     let sensor = builder()
         .connect(ConnectFn(move || Ok(Hooked { port: fast.link(), hooks: ClaimBaudRate })))
@@ -220,7 +220,7 @@ async fn o26_a_scan_faster_than_the_baud_rate_marks_it_as_outrun_where_short_rep
 
 /// A port that ignores its baud rate is replaced by a serial line.
 #[tokio::test(start_paused = true)]
-async fn o26_a_new_link_is_not_outrun_because_the_one_before_was() {
+async fn o26_a_new_link_is_not_outrun() {
     let fast = truthful().pace(Pace::AtOnce).latency(ms(1)).usb().build();
     let slow = truthful().baud_rate(BaudRate::B19200).build();
     let unplugged = fast.clone();
@@ -263,7 +263,7 @@ async fn t04_a_lost_command_is_retried_and_counted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t05_half_a_command_from_a_stalled_write_is_terminated_before_the_next_one() {
+async fn t05_half_a_stalled_command_is_terminated() {
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         for stalled_after in 1..10 {
             let emulator = instant_sensor().empty_command(empty).build();
@@ -291,7 +291,7 @@ async fn t05_half_a_command_from_a_stalled_write_is_terminated_before_the_next_o
 }
 
 #[tokio::test(start_paused = true)]
-async fn t06_a_slow_line_is_polled_without_overlap_and_without_a_backlog() {
+async fn t06_a_slow_line_gets_no_backlog() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
     let delivered = scans(&mut stream, 50).await;
@@ -315,7 +315,7 @@ async fn t07_a_reply_that_trickles_in_times_out_at_its_deadline() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t08_a_reply_whose_last_byte_comes_at_the_deadline_is_in_time() {
+async fn t08_a_last_byte_at_the_deadline_counts() {
     let window = Window::new(384..=384).unwrap();
     // The time of command and reply on USB, 2,666 ns a byte.
     let wire = Duration::from_nanos(2_666) * (10 + 16);
@@ -363,7 +363,7 @@ async fn t09_unrequested_bytes_are_read_counted_and_dropped() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
+async fn t10_a_booting_sensor_is_awaited() {
     for speed in [None, Some(BaudRate::B115200)] {
         let boot = Duration::from_secs(7);
         let mut sensor = instant_sensor().boot_time(boot);
@@ -386,7 +386,7 @@ async fn t10_a_sensor_that_boots_after_a_replug_is_back_when_it_has_booted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t12_a_late_reply_to_one_fence_is_not_taken_for_the_next() {
+async fn t12_a_late_fence_reply_is_not_mistaken() {
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::hz(10.0)).await;
     let mut delivered = scans(&mut stream, 1).await;

@@ -14,7 +14,7 @@ use crate::common::{builder, ms};
 const WINDOW: Window = Window::DETECTION;
 
 #[test]
-fn w03_two_fences_in_a_row_differ_in_two_bytes_at_least() {
+fn w03_consecutive_fences_differ_in_two_bytes() {
     for step in 0..769 {
         let [one, next] = [step, (step + 1) % 769].map(|n| format!("G{n:03}{n:03}01"));
         let differing = one.bytes().zip(next.bytes()).filter(|(a, b)| a != b).count();
@@ -23,8 +23,8 @@ fn w03_two_fences_in_a_row_differ_in_two_bytes_at_least() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_accepted() {
-    // The status; the status and the LF behind it; the LF before it and the status.
+async fn w05_a_lost_status_line_is_not_accepted() {
+    // The status; the status and the LF after it; the LF before it and the status.
     for lost in [10..11, 10..12, 9..11] {
         let outcome = second_poll(WINDOW, &[Fault::Drop(lost.clone())]).await;
         assert!(!outcome.accepted, "without {lost:?}");
@@ -39,7 +39,7 @@ async fn w05_a_lost_status_line_makes_two_frames_and_neither_is_accepted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_detected() {
+async fn w10_a_whole_lost_line_is_detected() {
     // The second poll asks for one step more: 64 points, two lines of 64 bytes.
     let window = Window::new(301..=363).unwrap();
     for line in [12..77, 77..142] {
@@ -51,15 +51,15 @@ async fn w10_a_line_lost_from_a_reply_of_whole_lines_is_detected() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w14_a_reply_that_runs_into_the_next_one_costs_one_scan() {
+async fn w14_merged_replies_cost_one_scan() {
     let outcome = second_poll(WINDOW, &[Fault::Merged]).await;
     assert!(!outcome.accepted && outcome.errors.len() == 1);
-    // One at opening, and one whose reply was recognised behind the merged replies.
+    // One at opening, and one whose reply was recognised after the merged replies.
     assert_eq!((outcome.stats.fences, outcome.stats.fence_timeouts), (2, 0));
 }
 
 #[tokio::test(start_paused = true)]
-async fn w16_w18_a_scan_comes_through_a_link_that_delivers_one_byte_at_a_time() {
+async fn w16_w18_a_scan_may_arrive_bytewise() {
     use crate::common::faulty_link::FaultyLink;
     let emulator = instant_sensor().build();
     let link = FaultyLink::new(emulator.link()).short_reads(1).partial_writes(1);
@@ -92,7 +92,7 @@ async fn w17_unrequested_replies_before_the_right_one_are_not_accepted() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
+async fn w01_w18_a_damaged_echo_costs_one_poll() {
     let faults = [
         Fault::Drop(4..5),
         Fault::Insert(4, b"7".to_vec()),
@@ -118,7 +118,7 @@ async fn w01_w18_a_damaged_echo_or_garbage_costs_one_poll_and_no_deadline() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w18_garbage_of_any_length_in_front_costs_one_scan_and_nuls_none() {
+async fn w18_garbage_in_front_costs_one_scan() {
     for length in (0..70).chain((127..4096).step_by(127)).chain([4095, 4096]) {
         let nuls = second_poll(WINDOW, &[Fault::Garbage(vec![0; length])]).await;
         assert!(nuls.accepted && nuls.stats.fences == 1, "{length} NULs: {nuls:?}");
@@ -203,7 +203,7 @@ async fn w21_telnet_bytes_are_reported_with_a_hint_at_raw_mode() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w24_d05_d06_a_sensor_switched_to_scip_2_is_reported_and_used_again_after_a_restart() {
+async fn w24_d05_d06_a_sensor_returns_from_scip_2() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
             let emulator = instant_sensor().empty_command(empty).build();

@@ -136,7 +136,7 @@ async fn a01_a_request_dropped_in_the_queue_is_not_written() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
+async fn a05_a_dropped_driver_ends_handles_and_streams() {
     for steps in 0..40 {
         let emulator = truthful().build();
         let (sensor, driver) = builder().build(emulator.clone());
@@ -168,7 +168,7 @@ async fn a05_a_driver_dropped_at_every_await_ends_its_handles_and_streams() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_that_is_dropped_before_it_runs_ends_every_call() {
+async fn a_driver_that_never_runs_ends_every_call() {
     let (sensor, driver) = builder().build(truthful().build());
     let asked = tokio::spawn({
         let sensor = sensor.clone();

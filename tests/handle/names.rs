@@ -63,7 +63,7 @@ async fn every_error_of_a_request_names_the_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() {
+async fn every_stream_error_names_the_sensor() {
     let emulator = Emulator::default();
     let (sensor, driver) = builder().name("left").reconnect(false).build(emulator.clone());
     let driver = tokio::spawn(driver);
@@ -97,7 +97,7 @@ async fn every_error_of_a_stream_its_freshness_and_the_state_names_the_sensor() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_watch_of_a_driver_that_was_dropped_names_the_sensor() {
+async fn a_dropped_drivers_watch_names_the_sensor() {
     let (sensor, driver) = builder().name("left").build(Emulator::default());
     drop(driver);
     named(sensor.watch_state().connected().await.unwrap_err());
@@ -130,7 +130,7 @@ fn an_error_of_opening_names_the_port_and_no_program() {
 
 /// In real time, as a user runs it.
 #[test]
-fn a_main_that_returns_the_error_prints_its_text_and_what_to_do() {
+fn main_prints_the_error_and_its_remedy() {
     crate::common::limit::limit();
     let tests = std::env::current_exe().unwrap();
     let examples = tests.parent().unwrap().parent().unwrap().join("examples");

@@ -53,7 +53,7 @@ async fn the_observer_receives_valid_malformed_and_foreign_replies_and_fences() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn several_observers_each_receive_every_reply_in_the_order_of_their_setting() {
+async fn observers_receive_every_reply_in_order() {
     let replies = Arc::new(Mutex::new(Vec::new()));
     let mut builder = Sensor::builder();
     for observer in 0..3 {
@@ -73,7 +73,7 @@ async fn several_observers_each_receive_every_reply_in_the_order_of_their_settin
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_open_sensor_is_observed_from_its_known_version_until_the_observation_is_dropped() {
+async fn an_observation_begins_with_the_version() {
     let sensor = Sensor::builder().connect(Emulator::default()).await.unwrap();
     let window = Window::new(384..=385).unwrap();
     sensor.scan(window).await.unwrap();
@@ -98,7 +98,7 @@ async fn an_open_sensor_is_observed_from_its_known_version_until_the_observation
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_observation_keeps_no_driver_running_and_sensors_of_one_builder_share_none() {
+async fn an_observation_keeps_no_driver_running() {
     let builder = Sensor::builder();
     let (first, driver) = builder.clone().build(Emulator::default());
     let mut driver = tokio::spawn(driver);

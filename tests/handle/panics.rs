@@ -21,7 +21,7 @@ impl Hooks for PanicAtScan {
 }
 
 #[test]
-fn a06_the_request_under_way_gets_the_panic_of_the_driver_on_another_thread() {
+fn a06_a_request_gets_the_drivers_panic() {
     limit();
     std::panic::set_hook(Box::new(|_| {}));
     let runtime = runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
@@ -41,7 +41,7 @@ fn a06_the_request_under_way_gets_the_panic_of_the_driver_on_another_thread() {
 }
 
 #[test]
-fn a06_a_panic_elsewhere_on_the_thread_of_the_runtime_is_none_of_the_driver() {
+fn a06_a_panic_elsewhere_spares_the_driver() {
     limit();
     let (sender, receiver) = mpsc::channel();
     let thread = thread::spawn(move || {

@@ -101,7 +101,7 @@ async fn a_flood_on_an_idle_link_fails_the_next_request() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_flood_from_a_port_with_try_read_ends_the_session() {
+async fn a_flood_through_try_read_ends_the_session() {
     for pattern in PATTERNS {
         let (_emulator, open, flooding_port) = flooding_port(pattern);
         let sensor =

@@ -44,7 +44,7 @@ fn driving<C: Connect>(runtime: &Runtime, connect: C) -> AllocationInfo {
 }
 
 #[test]
-fn w19_a_driver_takes_at_most_32_kib_of_the_heap_whatever_comes() {
+fn w19_a_driver_takes_32_kib_at_most() {
     for fast in [true, false] {
         for pattern in [
             &b"x"[..],
@@ -70,7 +70,7 @@ fn w19_a_driver_takes_at_most_32_kib_of_the_heap_whatever_comes() {
 }
 
 #[test]
-fn a14_hundreds_of_sensors_take_at_most_32_kib_each_and_no_thread() {
+fn a14_hundreds_of_sensors_need_no_thread() {
     const SENSORS: u64 = 500;
     let runtime = runtime();
     let info = measure(|| {
@@ -94,7 +94,7 @@ fn a14_hundreds_of_sensors_take_at_most_32_kib_each_and_no_thread() {
 }
 
 #[test]
-fn a_sensor_in_service_takes_at_most_13_kib_of_the_heap() {
+fn a_sensor_in_service_takes_13_kib() {
     const SENSORS: u64 = 100;
     let runtime = runtime();
     let mut service = Vec::new();
@@ -125,7 +125,7 @@ fn a_sensor_in_service_takes_at_most_13_kib_of_the_heap() {
 const REST: i64 = 1024;
 
 #[test]
-fn a_thousand_replugs_with_streams_that_come_and_go_leave_nothing_on_the_heap() {
+fn a_thousand_replugs_leak_no_heap() {
     let runtime = runtime();
     let emulator = sensor();
     let opened = runtime.block_on(builder().connect(emulator.clone())).unwrap();

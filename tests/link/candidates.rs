@@ -54,7 +54,7 @@ async fn opening_fails_though_the_connector_always_promises_another_candidate() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_that_waits_for_its_sensor_backs_off_between_candidates_and_passes() {
+async fn a_waiting_driver_backs_off_between_passes() {
     for hangs in [false, true] {
         let endless = Endless { hangs, ..Endless::default() };
         let connects = Arc::clone(&endless.connects);
@@ -95,7 +95,7 @@ impl ConnectHints for Busy {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_pass_is_long_enough_for_a_busy_port_however_short_the_time_limit_is() {
+async fn a_pass_suffices_for_a_busy_port() {
     for open_timeout in [Duration::ZERO, ms(1), ms(400)] {
         let opened = builder().open_timeout(open_timeout).connect(Busy::default()).await;
         let error = opened.unwrap_err();

@@ -11,7 +11,7 @@ use tokio_scip::{BaudRate, Error, ErrorKind, Rate, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
 #[tokio::test(start_paused = true)]
-async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken() {
+async fn d09_another_sensor_is_refused_once() {
     let emulator = truthful().serial_number("H0000001").build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -41,7 +41,7 @@ async fn d09_another_sensor_in_its_place_is_refused_once_and_the_right_one_taken
 }
 
 #[tokio::test(start_paused = true)]
-async fn d09_any_sensor_accepts_a_spare_and_restores_the_settings_on_it() {
+async fn d09_any_sensor_accepts_and_sets_a_spare() {
     let emulator = truthful().serial_number("H0000001").build();
     let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
     sensor.laser_off().await.unwrap();
@@ -57,7 +57,7 @@ async fn d09_any_sensor_accepts_a_spare_and_restores_the_settings_on_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d09_waiting_for_a_sensor_goes_on_while_another_one_is_there() {
+async fn d09_waiting_continues_beside_a_wrong_sensor() {
     let emulator = truthful().serial_number("H0000002").build();
     let builder = builder().wait_for_sensor(true).serial_number("H0000001");
     let opening = tokio::spawn(builder.connect(emulator.clone()));
@@ -70,11 +70,11 @@ async fn d09_waiting_for_a_sensor_goes_on_while_another_one_is_there() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w25_a_flipped_bit_in_the_serial_number_does_not_refuse_the_sensor() {
+async fn w25_a_flipped_serial_number_refuses_nothing() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     emulator.unplug();
-    // Behind the fence comes the first `V`, whose fifth line is the serial number.
+    // After the fence comes the first `V`, whose fifth line is the serial number.
     emulator.set_faults(Faults::none().at(1, Fault::Flip(160, 1)));
     emulator.plug_in();
     sensor.scan(Window::FULL).await.unwrap();
@@ -103,13 +103,13 @@ async fn w25_a_damaged_first_serial_number_does_not_refuse_the_sensor_later() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w25_a_first_serial_number_that_is_damaged_twice_alike_does_not_refuse_the_sensor_later() {
+async fn w25_a_damaged_serial_number_is_not_pinned() {
     // A byte that no text has, in the same place of both replies.
     replug_after(vec![Fault::Flip(160, 0x80), Fault::Flip(160, 0x80)]).await;
 }
 
 #[tokio::test(start_paused = true)]
-async fn w25_a_serial_number_that_is_damaged_differently_each_time_is_requested_again() {
+async fn w25_a_damaged_serial_number_is_requested_again() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -133,7 +133,7 @@ async fn w25_a_serial_number_that_is_damaged_differently_each_time_is_requested_
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_serial_number_is_requested_twice_also_if_it_is_empty_or_another_one_is_expected() {
+async fn a_serial_number_is_requested_twice() {
     let requests = |emulator: &Emulator| {
         emulator.log().iter().filter(|received| received.line.starts_with(b"V")).count()
     };
@@ -166,7 +166,7 @@ async fn the_first_scan_of_an_expected_sensor_comes_after_three_replies() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_scan_has_the_time_of_a_revolution_that_the_version_states() {
+async fn a_scan_knows_the_stated_revolution() {
     let emulator = |specification: &str| {
         let lines = [
             "VEND:Hokuyo Automatic Co.,Ltd.",
@@ -221,7 +221,7 @@ async fn no_flipped_bit_changes_the_motor_speed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_refuses_the_wanted_baud_rate_is_not_the_expected_one_ever_after() {
+async fn a_refused_baud_rate_is_not_expected_later() {
     let emulator = truthful().serial_number("H0000001").baud_rate(BaudRate::B19200).build();
     // After the replies to a fence at the wrong baud rate and to one at the right one, to two
     // `V` and another fence.
@@ -247,7 +247,7 @@ async fn a_sensor_that_refuses_the_wanted_baud_rate_is_not_the_expected_one_ever
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_spare_that_does_not_tell_its_motor_speed_does_not_inherit_the_one_before() {
+async fn a_spare_inherits_no_motor_speed() {
     let lines = |serial_number: &str, bracket: &str| {
         [format!("FIRM:3.3.00,08/04/16{bracket}"), format!("SERI:{serial_number}")]
     };

@@ -45,7 +45,7 @@ async fn commands_in_a_minute(emulator: &Emulator) -> u64 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_idle_link_is_probed_if_it_can_die_silently_and_otherwise_on_request() {
+async fn only_links_that_die_silently_are_probed() {
     let (_sensor, emulator) = remote(Sensor::builder()).await;
     assert!((11..=12).contains(&commands_in_a_minute(&emulator).await), "every five seconds");
     let (_sensor, emulator) = remote(Sensor::builder().idle_probe(None)).await;
@@ -92,7 +92,7 @@ async fn a_stream_that_polls_more_often_is_not_probed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_restarts_with_its_laser_off_by_request_is_found_by_the_probe() {
+async fn the_probe_finds_a_sensor_after_its_restart() {
     let (sensor, emulator) = remote(Sensor::builder()).await;
     sensor.laser_off().await.unwrap();
     emulator.power_cycle();
@@ -115,7 +115,7 @@ async fn requests_that_need_no_exchange_do_not_put_the_probe_off() {
     assert!(!emulator.is_laser_on(), "no probe has found that the sensor restarted");
 }
 
-/// A serial line behind a server, which keeps its baud rate.
+/// A serial line on a server, which keeps its baud rate.
 struct SilentBridge(BaudRate);
 
 impl Hooks for SilentBridge {
@@ -129,7 +129,7 @@ impl Hooks for SilentBridge {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_died_silently_is_lost_within_ten_seconds_at_every_fixed_baud_rate() {
+async fn a_silent_link_is_lost_in_ten_seconds() {
     for baud_rate in BaudRate::ALL {
         let emulator = Emulator::builder().baud_rate(baud_rate).build();
         let bridged = emulator.clone();

@@ -78,7 +78,7 @@ impl Subscriber for Log {
 }
 
 #[tokio::test(start_paused = true)]
-async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
+async fn logs_and_errors_name_the_sensor() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
@@ -105,7 +105,7 @@ async fn logs_and_errors_name_the_sensor_inside_the_span_of_its_user() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_every_ten_minutes() {
+async fn a_waiting_driver_logs_every_ten_minutes() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
@@ -123,7 +123,7 @@ async fn a_driver_that_waits_for_its_sensor_logs_once_and_then_every_ten_minutes
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_lost_link_is_logged_once_for_each_reason_why_it_stays_lost() {
+async fn a_lost_link_is_logged_once_a_reason() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();
@@ -191,7 +191,7 @@ async fn each_loss_of_a_steady_link_is_a_warning() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_log_of_a_search_on_an_open_port_counts_the_bytes_of_that_search_only() {
+async fn the_log_counts_bytes_of_one_search() {
     let log = Log::default();
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().build();

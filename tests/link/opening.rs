@@ -125,7 +125,7 @@ async fn a_sensor_of_scip_2_is_named_with_what_to_do() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w24_d05_d06_a_sensor_in_scip_2_is_distinguished_from_a_silent_one_at_once() {
+async fn w24_d05_d06_scip_2_is_recognised_at_once() {
     for mode in [Mode::Scip2, Mode::Scip2Streaming] {
         let emulator = truthful().build();
         emulator.set_mode(mode);
@@ -184,7 +184,7 @@ async fn w21_translated_line_ends_are_reported_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_malformed_first_reply_is_counted_and_does_not_fail_the_opening() {
+async fn a_malformed_first_reply_spares_the_opening() {
     // A byte of the data that is no character of SCIP.
     let emulator = truthful().faults(Faults::none().at(0, Fault::Flip(12, 0x80))).build();
     let malformed = builder().connect(emulator).await.unwrap().stats().malformed;
@@ -192,7 +192,7 @@ async fn a_malformed_first_reply_is_counted_and_does_not_fail_the_opening() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_programs_begin_with_different_fences_unless_both_set_the_same_seed() {
+async fn two_programs_begin_with_different_fences() {
     async fn first_fence(builder: SensorBuilder) -> Vec<u8> {
         let emulator = truthful().build();
         builder.connect(emulator.clone()).await.unwrap();
@@ -266,7 +266,7 @@ async fn another_sensor_than_the_expected_one_is_refused() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t05_o07_half_a_command_and_old_replies_of_the_last_program_are_harmless() {
+async fn t05_o07_remains_of_another_program_are_harmless() {
     use urg_emulator::EmptyCommand;
     for empty in [EmptyCommand::Silence, EmptyCommand::Status, EmptyCommand::LineFeeds] {
         let emulator = truthful().empty_command(empty).build();
@@ -328,9 +328,9 @@ async fn extreme_settings_are_replaced_by_the_nearest_valid_ones() {
     assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error:?}");
 }
 
-/// A port whose baud rate cannot be changed, behind which nothing answers.
+/// Nothing answers on a port whose baud rate cannot be changed.
 #[tokio::test(start_paused = true)]
-async fn a_latency_of_zero_does_not_make_the_search_a_busy_loop() {
+async fn zero_latency_makes_no_busy_loop() {
     let written = Arc::new(AtomicU64::new(0));
     let count = CountWrites(Arc::clone(&written));
     let (near, _silent) = duplex(1 << 20);

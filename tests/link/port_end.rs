@@ -120,7 +120,7 @@ async fn ends(builder: SensorBuilder, port: Ending, opened: u64, before: impl Fu
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_that_is_over_before_a_sensor_answers_ends_the_driver() {
+async fn an_early_end_of_the_port_ends_the_driver() {
     for end in [End::Nothing, End::Failure] {
         ends(builder(), Ending::new(end), 1, async {}).await;
         ends(builder().wait_for_sensor(true), Ending::new(end), 1, async {}).await;
@@ -128,7 +128,7 @@ async fn a_port_that_is_over_before_a_sensor_answers_ends_the_driver() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_that_ends_while_the_driver_searches_for_its_sensor_ends_the_driver() {
+async fn a_port_that_ends_ends_the_search() {
     for end in [End::Nothing, End::Failure] {
         let port = Ending::new(end);
         let emulator = port.emulator.clone();
@@ -143,7 +143,7 @@ async fn a_port_that_ends_while_the_driver_searches_for_its_sensor_ends_the_driv
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_that_is_over_when_it_is_opened_again_ends_the_driver() {
+async fn a_port_over_at_reopening_ends_the_driver() {
     for end in [End::Nothing, End::Failure] {
         let port = Ending::new(end);
         let emulator = port.emulator.clone();

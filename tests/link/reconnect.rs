@@ -12,7 +12,7 @@ pub(crate) async fn open(emulator: &Emulator) -> Sensor {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
+async fn a_stream_continues_after_a_replug() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let state = sensor.watch_state();
@@ -44,7 +44,7 @@ async fn a_stream_reports_a_lost_link_once_and_goes_on_after_a_replug() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_baud_rate_that_the_sensor_refuses_fails_the_first_opening_and_no_later_one() {
+async fn a_refused_baud_rate_fails_only_opening() {
     let (slow, fast) = (BaudRate::B19200, BaudRate::B115200);
     let emulator = truthful().baud_rate(slow).build();
     // After those to a fence at the wrong baud rate and to one at the right one, to two `V`
@@ -67,7 +67,7 @@ async fn a_baud_rate_that_the_sensor_refuses_fails_the_first_opening_and_no_late
 }
 
 #[tokio::test(start_paused = true)]
-async fn d03_a10_an_hour_unplugged_costs_little_and_every_call_is_answered_in_time() {
+async fn d03_a10_an_hour_unplugged_costs_little() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
@@ -83,7 +83,7 @@ async fn d03_a10_an_hour_unplugged_costs_little_and_every_call_is_answered_in_ti
 }
 
 #[tokio::test(start_paused = true)]
-async fn a10_a_request_made_while_disconnected_is_answered_when_the_sensor_is_back_in_time() {
+async fn a10_a_request_survives_a_short_outage() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
@@ -184,7 +184,7 @@ async fn the_end_of_an_attached_stream_ends_the_driver() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_sensor_that_is_silent_for_a_while_is_found_again_on_the_same_port() {
+async fn a_silent_sensor_is_found_on_its_port() {
     for speed in [None, Some(BaudRate::B115200)] {
         let mut sensor_builder = truthful();
         if let Some(speed) = speed {
@@ -259,7 +259,7 @@ async fn queued_requests_survive_two_short_outages() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_link_that_comes_and_goes_is_not_reopened_without_a_pause() {
+async fn a_flapping_link_is_reopened_with_pauses() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut state = sensor.watch_state();
@@ -300,7 +300,7 @@ async fn closing_and_subscribing_need_no_link_and_never_expire() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
+async fn an_abandoned_close_closes_nothing() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.unplug();
@@ -314,7 +314,7 @@ async fn a_request_to_close_that_was_dropped_in_the_queue_does_not_close() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_reset_that_shows_on_the_line_does_not_leave_the_laser_on() {
+async fn a_visible_reset_leaves_no_laser_on() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let _stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

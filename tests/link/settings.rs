@@ -25,7 +25,7 @@ async fn the_laser_is_switched_and_switching_it_twice_is_no_error() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn w04_a_lost_or_false_reply_to_l_does_not_leave_the_laser_on() {
+async fn w04_a_bad_reply_leaves_no_laser_on() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(0, Fault::Lost));
@@ -62,10 +62,10 @@ async fn w04_a_false_status_of_success_is_detected() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d14_a_baud_rate_that_stays_is_reported_with_the_status_of_s() {
+async fn d14_a_stubborn_baud_rate_is_reported() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
-    // Behind a fence; a flipped bit makes the refusal "already at that baud rate".
+    // After a fence; a flipped bit makes the refusal "already at that baud rate".
     let shown = Fault::Flip(15, b'1' ^ b'3');
     emulator.set_faults(Faults::none().at(1, Fault::Status(b'1')).at(1, shown));
     let error = sensor.set_baud_rate(BaudRate::B115200).await.unwrap_err();
@@ -115,7 +115,7 @@ async fn a_laser_that_another_program_switched_off_is_switched_on() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_laser_that_could_not_be_switched_on_is_tried_at_once_after_scans_have_come_again() {
+async fn a_stubborn_laser_is_retried_after_scans() {
     let emulator = truthful().build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -164,7 +164,7 @@ async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
     for fault in [Fault::Lost, Fault::CommandLost, Fault::Drop(3..4), Fault::Late(ms(900))] {
         let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
         let sensor = open(&emulator).await;
-        // Reply 0 is that to the fence behind the trial of the port's baud rate.
+        // Reply 0 answers the fence after the trial of the port's baud rate.
         emulator.set_faults(Faults::none().at(1, fault.clone()));
         let outcome = sensor.set_baud_rate(BaudRate::B115200).await;
         let lost = fault == Fault::CommandLost;
@@ -186,7 +186,7 @@ async fn a_refused_baud_rate_changes_neither_side() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn d01_a_baud_rate_that_is_set_again_is_confirmed_and_not_assumed() {
+async fn d01_a_repeated_baud_rate_is_confirmed() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
@@ -199,7 +199,7 @@ async fn d01_a_baud_rate_that_is_set_again_is_confirmed_and_not_assumed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_time_limit_of_a_command_is_its_latency_and_the_time_of_all_bytes_on_the_wire() {
+async fn a_command_has_its_latency_and_wire_time() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
     emulator.set_faults(Faults::none().at(0, Fault::Lost).at(2, Fault::Lost));

@@ -35,7 +35,7 @@ export SCIP_SIMULATION_HOURS="${SCIP_SIMULATION_HOURS:-1}" SCIP_TEST_LIMIT_MINUT
 kinds=(--workspace --lib --bins --tests) names=("$@")
 if [ "${1-}" = core ]; then
     kinds=(-p tokio-scip -p urg-emulator --lib --test it --test emulator)
-    names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::at_least rate:: opening::
+    names=(protocol:: codec:: properties:: polling:: unique_polls:: grid:: wire::the_line rate:: opening::
         settings:: reconnect:: identity:: cancel:: fresh:: worlds:: simulation::seeds simulation::the_same)
 fi
 version=$("$qemu" --version | sed -n '1s/.* version \([0-9]*\).*/\1/p')

@@ -49,7 +49,7 @@ async fn malformed_replies_leave_the_state_connected_and_the_scans_stale() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_driver_gone() {
+async fn freshness_says_why_scans_are_missing() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let mut stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -73,7 +73,7 @@ async fn freshness_has_the_reason_while_the_laser_is_off_the_link_lost_and_the_d
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_polls() {
+async fn a_recorder_and_a_loop_share_polls() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let rate = Rate::hz(10.0);
@@ -93,7 +93,7 @@ async fn a_recorder_that_wants_all_and_a_loop_that_wants_the_newest_share_the_po
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_kept_for_resubscribing_passes_on_no_old_error_and_misses_nothing() {
+async fn a_kept_stream_passes_on_no_old_error() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let kept = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -114,7 +114,7 @@ async fn a_stream_kept_for_resubscribing_passes_on_no_old_error_and_misses_nothi
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_first_scan_after_a_reconnect_is_marked_also_if_scans_were_missed() {
+async fn the_first_scan_after_reconnecting_is_marked() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let stream = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -134,7 +134,7 @@ async fn the_first_scan_after_a_reconnect_is_marked_also_if_scans_were_missed() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn streams_opened_before_the_first_link_begin_with_a_scan_however_many_there_are() {
+async fn early_streams_begin_with_a_scan() {
     let emulator = Emulator::builder().build();
     emulator.unplug();
     let (sensor, driver) = builder().wait_for_sensor(true).build(emulator.clone());
@@ -154,7 +154,7 @@ async fn streams_opened_before_the_first_link_begin_with_a_scan_however_many_the
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_gets_no_error_because_another_one_is_opened_while_the_link_is_lost() {
+async fn opening_a_stream_disturbs_no_other() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let mut first = sensor.scans(WINDOW, Rate::hz(10.0)).await.unwrap();
@@ -170,7 +170,7 @@ async fn a_stream_gets_no_error_because_another_one_is_opened_while_the_link_is_
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_laser_that_is_on_again_is_no_reason_any_more_also_before_the_next_scan() {
+async fn a_laser_switched_on_is_no_reason() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let slow = sensor.scans(WINDOW, Rate::every(Duration::from_secs(60))).await.unwrap();
@@ -188,7 +188,7 @@ async fn a_laser_that_is_on_again_is_no_reason_any_more_also_before_the_next_sca
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_slow_stream_that_is_well_does_not_report_the_timeouts_of_another_one() {
+async fn a_stream_reports_only_its_own_timeouts() {
     let emulator = Emulator::builder().build();
     let sensor = sensor(&emulator).await;
     let mut slow = sensor.scans(WINDOW, Rate::every(Duration::from_secs(60))).await.unwrap();

@@ -212,7 +212,7 @@ impl FarEnd for Trickle {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_scan_takes_a_few_reads_instead_of_one_for_each_piece_and_is_not_late() {
+async fn a_scan_takes_a_few_prompt_reads() {
     for (pieces, each_piece, most) in [(RS232, 100, 4), (ADAPTER, 23, 3), (USB, 4, 4)] {
         let mut rig = rig(pieces, true).await;
         for _ in 0..3 {
@@ -229,7 +229,7 @@ async fn a_scan_takes_a_few_reads_instead_of_one_for_each_piece_and_is_not_late(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_port_that_cannot_suspend_its_wake_ups_is_read_piece_by_piece() {
+async fn a_port_without_suspension_is_read_piecewise() {
     let mut rig = rig(RS232, false).await;
     for _ in 0..10 {
         let (reads, late) = rig.scan().await.unwrap();
@@ -238,7 +238,7 @@ async fn a_port_that_cannot_suspend_its_wake_ups_is_read_piece_by_piece() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_pace_that_is_too_slow_is_found_and_corrected_within_five_scans() {
+async fn a_slow_pace_is_corrected_in_five_scans() {
     let mut rig = rig(RS232, true).await;
     rig.learn().await;
     rig.set(|shared| shared.pieces = USB);
@@ -268,7 +268,7 @@ async fn a_pace_that_is_too_fast_is_forgotten() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_shorter_reply_is_judged_when_a_whole_one_would_have_ended() {
+async fn a_short_reply_is_judged_in_time() {
     let mut rig = rig(RS232, true).await;
     rig.learn().await;
     // The first ten lines, and an early end.
@@ -331,7 +331,7 @@ async fn a_longer_reply_is_read_to_its_end_and_rejected() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_line_that_is_pulled_during_a_pause_is_noticed_at_its_end() {
+async fn a_line_pulled_in_a_pause_is_noticed() {
     let mut rig = rig(RS232, true).await;
     rig.learn().await;
     let asked = Instant::now() + ms(200) - ms(122);
@@ -360,7 +360,7 @@ async fn a_deadline_during_a_pause_passes_in_time() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_scan_that_is_whole_at_the_deadline_counts_though_the_driver_paused() {
+async fn a_scan_whole_at_the_deadline_counts() {
     let slow = Pieces { interval: ms(21), ..ADAPTER };
     let mut rig = rig(slow, true).await;
     rig.learn().await;

@@ -21,7 +21,7 @@ impl Hooks for CountReads {
 }
 
 #[tokio::test(start_paused = true)]
-async fn on_a_clean_link_the_port_is_read_for_pending_bytes_once_a_poll() {
+async fn pending_bytes_are_read_once_a_poll() {
     const SCANS: u64 = 20;
     let reads = Arc::new(AtomicU64::new(0));
     let count = Arc::clone(&reads);
@@ -37,6 +37,6 @@ async fn on_a_clean_link_the_port_is_read_for_pending_bytes_once_a_poll() {
         stream.next().await.unwrap().unwrap();
     }
     // The wait for the next poll ends if bytes come, so it reads whenever it is polled, here
-    // three times. Then come the read for pending bytes and that of the reply.
+    // three times. Then come the read for pending bytes and the read of the reply.
     assert_eq!(reads.load(Relaxed) - before, 5 * SCANS);
 }

@@ -30,7 +30,7 @@ async fn wait_for(sensor: &Sensor, is_state: impl FnMut(&State) -> bool) {
 }
 
 #[tokio::test(start_paused = true)]
-async fn it_is_unknown_while_the_link_is_lost_and_measured_anew_afterwards() {
+async fn it_is_unknown_while_the_link_is_lost() {
     let (emulator, sensor, _stream) = streaming(builder()).await;
     emulator.unplug();
     wait_for(&sensor, |state| matches!(state, State::Disconnected { .. })).await;
@@ -49,7 +49,7 @@ async fn it_is_unknown_while_the_driver_searches_for_a_silent_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn it_is_unknown_after_a_driver_that_does_not_reconnect_has_ended() {
+async fn it_is_unknown_after_the_driver_ended() {
     let (emulator, sensor, _stream) = streaming(builder().reconnect(false)).await;
     emulator.unplug();
     wait_for(&sensor, |state| matches!(state, State::Closed { .. })).await;

@@ -27,7 +27,7 @@ impl Hooks for CountCommands {
 }
 
 #[tokio::test]
-async fn at_the_highest_rate_a_port_whose_replies_are_ready_leaves_other_tasks_their_turn() {
+async fn ready_replies_leave_other_tasks_their_turn() {
     let commands = Arc::new(AtomicU64::new(0));
     let counted = Arc::clone(&commands);
     let connect = move || {

@@ -42,7 +42,7 @@ async fn a_motor_a_little_slow_or_fast_is_polled_every_revolution() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn t06_a_line_that_is_too_slow_is_polled_at_its_own_rate_and_reported_once() {
+async fn t06_a_slow_line_is_reported_once() {
     let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -109,7 +109,7 @@ async fn an_error_is_reported_once_for_each_change_of_condition() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_streams_of_the_same_window_and_rate_cost_one_poll_a_period() {
+async fn equal_streams_share_their_polls() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut one = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -229,7 +229,7 @@ async fn a04_the_driver_lives_as_long_as_the_last_handle_or_stream() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_stream_goes_on_after_an_error_and_ends_when_it_is_closed() {
+async fn a_stream_outlives_errors_until_closed() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
@@ -315,7 +315,7 @@ async fn a_stream_that_is_opened_again_polls_at_once() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_pause_of_polling_is_neither_skipped_polls_nor_a_low_rate() {
+async fn a_pause_of_polling_is_no_low_rate() {
     let emulator = truthful().pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();

@@ -11,7 +11,7 @@ use crate::common::hooked::{Hooked, Hooks};
 use crate::common::{ConnectFn, builder, ms};
 
 /// A motor a little faster than its firmware line says. The timers of tokio's clock make
-/// its bytes arrive in whole milliseconds, as those of USB do.
+/// its bytes arrive in whole milliseconds, as on USB.
 fn turning() -> EmulatorBuilder {
     let revolution = Duration::from_micros(99_760);
     Emulator::builder().world(Fixed::filled(1234)).revolution(revolution)
@@ -33,7 +33,7 @@ struct Errors {
 fn errors(emulator: &Emulator, scan: &Scan) -> Errors {
     let sent = emulator.sent_scans();
     let truth = sent.iter().find(|sent| sent.requested_at >= scan.requested_at()).unwrap();
-    // The window begins 172 steps behind the rear.
+    // The window begins 172 steps after the rear.
     let turned = truth.revolution_end.duration_since(scan.first_ray_at()).as_secs_f64();
     let stamp = scan.scan_time().as_secs_f64() * (1.0 - 172.0 / 1024.0) - turned;
     let lateness = scan.lateness().unwrap_or_default().as_secs_f64();
@@ -90,7 +90,7 @@ async fn late_replies_do_not_move_the_stamps() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn five_scans_after_a_jump_of_the_motor_the_stamps_are_right_again() {
+async fn stamps_recover_five_scans_after_a_jump() {
     let emulator = turning().build();
     let (sensor, mut scans) = stream(&emulator, Rate::hz(10.0)).await;
     next_errors(&emulator, &mut scans, 100).await;
@@ -174,7 +174,7 @@ impl Hooks for SetClock {
 }
 
 #[tokio::test(start_paused = true)]
-async fn when_the_wall_clock_is_set_no_scan_has_a_time_between_both() {
+async fn setting_the_clock_gives_no_time_between() {
     let emulator = turning().build();
     let began = Instant::now();
     let port = move || Ok(Hooked { port: emulator.link(), hooks: SetClock { began, reads: 0 } });

@@ -54,7 +54,7 @@ async fn successive_polls_differ_wherever_the_window_leaves_any_room() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_reply_to_a_fence_that_comes_twice_is_not_taken_for_that_of_a_single_step() {
+async fn a_doubled_fence_reply_is_no_scan() {
     // The first fence asks for step 0, and the copy of its reply is late enough to arrive
     // after the next command.
     for step in 0..4 {
@@ -71,7 +71,7 @@ async fn the_reply_to_a_fence_that_comes_twice_is_not_taken_for_that_of_a_single
 }
 
 #[tokio::test(start_paused = true)]
-async fn polls_that_cannot_differ_reach_the_rate_of_the_motor_on_a_serial_line() {
+async fn equal_polls_reach_the_rate_of_the_motor() {
     let window = Window::FULL.with_cluster_count(99).unwrap();
     let emulator = truthful().baud_rate(BaudRate::B115200).build();
     let sensor = builder().connect(emulator).await.unwrap();

@@ -29,7 +29,7 @@ fn exchange(window: Window, speed: BaudRate) -> f64 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn at_least_99_percent_of_what_the_line_can_carry_is_reached() {
+async fn the_line_is_used_to_99_percent() {
     for speed in BaudRate::ALL {
         for window in [Window::DETECTION, Window::FULL] {
             // Where polls cannot differ, a fence precedes each poll.

@@ -162,7 +162,7 @@ impl PortHints for Unusual {
 }
 
 #[test]
-fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_has_no_hints() {
+fn a_boxed_port_keeps_its_hints() {
     let is_discarded = Arc::new(AtomicBool::new(false));
     let mut boxed: Box<dyn Port> =
         Box::new(TestPort(Unusual { is_discarded: Arc::clone(&is_discarded) }));
@@ -182,7 +182,7 @@ fn a_boxed_port_answers_as_the_port_in_it_and_a_plain_stream_has_no_hints() {
     assert!(plain.hints().is_none());
 }
 
-/// A stream of which only the bytes are known.
+/// A stream that has only bytes.
 struct NoHints;
 
 impl PortHints for NoHints {}

@@ -47,7 +47,7 @@ fn connector(host: &str, port: u16) -> impl Connect<Port = Box<dyn Port>> {
 }
 
 #[tokio::test]
-async fn a_tcp_port_is_a_stream_like_any_other_and_can_be_shut_down() {
+async fn a_tcp_port_is_an_ordinary_stream() {
     // IPv6 where the machine has it.
     let (host, server) = match TcpListener::bind(("::1", 0)).await {
         Ok(server) => ("::1", server),

@@ -73,7 +73,7 @@ impl Hooks for CountedCalls {
 }
 
 #[tokio::test]
-async fn o01_o16_a_stream_goes_on_after_unplug_and_replug_without_a_busy_loop() {
+async fn o01_o16_a_stream_survives_a_replug() {
     let emulator = truthful().build();
     let (path, _serving) = serve(&emulator, "replug");
     let counts = Arc::new(Counts::new());
@@ -112,7 +112,7 @@ async fn o01_o16_a_stream_goes_on_after_unplug_and_replug_without_a_busy_loop() 
 }
 
 #[tokio::test]
-async fn a_sensor_at_another_baud_rate_is_found_and_changed_on_a_real_terminal() {
+async fn a_terminal_changes_its_baud_rate() {
     let emulator = truthful().baud_rate(BaudRate::B57600).build();
     let (path, _serving) = serve(&emulator, "baud_rate");
     let sensor = builder().baud_rate(BaudRate::B250000).open(path.to_str().unwrap()).await.unwrap();

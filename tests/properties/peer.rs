@@ -1,5 +1,5 @@
 //! A sensor and a port that follow a script: the driver's other end. The sensor is on
-//! USB, writes the number of each `G` into its data, and works without faults behind the
+//! USB, writes the number of each `G` into its data, and works without faults after the
 //! script's end.
 //!
 //! No fault in the script makes another valid reply, so that no wrong reply may ever be
@@ -339,7 +339,7 @@ impl FarEnd for Wire {
         }
         let count = state.size().min(bytes.len());
         if count == 0 {
-            // A driver that stops waiting now leaves half a command behind.
+            // A driver that stops waiting now has sent half a command.
             state.torn = true;
             context.waker().wake_by_ref();
             return Poll::Pending;

@@ -111,7 +111,7 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
         an_expected_scan_is_the_one_that_a_search_finds(window, &frame);
     }
 
-    // The same reply behind other bytes.
+    // The same reply after other bytes.
     let accepted = match command {
         // Echo and status, each with its LF, and blocks of 64 bytes.
         Command::Distances(window) => {
@@ -128,7 +128,7 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
 }
 
 /// A codec that expects a scan finds a valid one exactly where a codec that searches for
-/// the end finds it, and leaves the same bytes behind it.
+/// the end finds it, and leaves the same bytes after it.
 fn an_expected_scan_is_the_one_that_a_search_finds(window: Window, frame: &[u8]) {
     let bytes = BytesMut::from(&[frame, b"\n\nL1"].concat()[..]);
     let command = Command::Distances(window);

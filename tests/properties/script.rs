@@ -3,7 +3,7 @@
 
 #![allow(dead_code, reason = "each fuzz target uses a part of it")]
 
-/// A sequence of decisions. Behind its end every decision is 0.
+/// A sequence of decisions. Past the end, every decision is 0.
 pub(crate) struct Script<'a>(&'a [u8]);
 
 impl<'a> Script<'a> {

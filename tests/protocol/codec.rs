@@ -34,7 +34,7 @@ fn w17_a_reply_ends_with_two_line_feeds() {
 }
 
 #[test]
-fn w17_the_end_is_found_at_each_place_with_or_without_more_behind_it() {
+fn w17_an_end_is_found_anywhere() {
     for length in 0..400 {
         for behind in [0, 1, 15, 200] {
             let mut bytes = vec![b'x'; length];
@@ -54,7 +54,7 @@ fn w18_leading_nuls_are_skipped_and_inner_ones_are_not() {
 }
 
 #[test]
-fn w19_a15_an_over_long_reply_is_an_item_and_the_next_one_is_whole() {
+fn w19_a15_an_over_long_reply_is_an_item() {
     for extra in [1, 2, 64, 3 * MAX_FRAME] {
         let mut bytes = vec![b'x'; MAX_FRAME + extra];
         bytes.extend_from_slice(b"\n\nL1\n0\n\n");
@@ -96,7 +96,7 @@ fn w20_line_feeds_alone_are_empty_replies() {
 }
 
 #[test]
-fn a15_half_a_reply_at_the_end_of_the_stream_is_dropped_without_an_error() {
+fn a15_half_a_reply_is_dropped_without_error() {
     let (mut codec, mut buffer) = (ScipCodec::default(), BytesMut::from(&b"V\n0\n\nG00"[..]));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), Some(reply(b"V\n0")));
     assert_eq!(codec.decode_eof(&mut buffer).unwrap(), None);
@@ -119,7 +119,7 @@ fn expecting(window: Window) -> ScipCodec {
 }
 
 #[test]
-fn an_expected_scan_is_the_frame_that_a_search_finds_however_it_is_split() {
+fn an_expected_scan_is_the_frame_found() {
     let (window, reply, expected) = scan();
     let bytes = [reply, reply, b"L1\n0\n\n"].concat();
     for split in 0..reply.len() {
@@ -153,7 +153,7 @@ fn w12_an_expected_scan_with_a_terminator_inside_is_malformed() {
 }
 
 #[test]
-fn w19_a_scan_at_the_end_of_an_over_long_reply_is_not_accepted() {
+fn w19_an_over_long_reply_hides_no_scan() {
     let (window, reply, _) = scan();
     let (mut codec, mut buffer) = (expecting(window), BytesMut::new());
     buffer.extend_from_slice(&[b'G'; MAX_FRAME + 1]);

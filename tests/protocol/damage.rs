@@ -67,14 +67,14 @@ fn w01_w06_a_reply_without_any_one_byte_is_never_accepted() {
 #[test]
 fn w02_w07_w12_a_reply_with_any_one_byte_more_is_never_accepted() {
     for (command, values, reply) in cases() {
-        // Behind the first LF of the terminator another LF makes the same bytes, and any
+        // After the first LF of the terminator another LF makes the same bytes, and any
         // other byte leaves no terminator.
         for at in 0..reply.len() {
             for byte in [reply[at], b'\n', b'\r', 0, b'0', 0xff] {
                 let damaged = [&reply[..at], &[byte], &reply[at..]].concat();
                 let found = accepted(&command, &damaged);
                 if at + 2 >= reply.len() && byte == b'\n' {
-                    assert_eq!(found, std::slice::from_ref(&values)); // An LF behind the reply.
+                    assert_eq!(found, std::slice::from_ref(&values)); // An LF after the reply.
                 } else {
                     assert!(found.is_empty(), "{command} with {byte:#x} before byte {at}");
                 }
@@ -96,7 +96,7 @@ fn w15_a_truncated_reply_is_never_accepted() {
 }
 
 #[test]
-fn w15_a_truncated_reply_with_a_whole_one_behind_it_is_never_accepted() {
+fn w15_a_truncated_reply_hides_no_whole_one() {
     for (command, _, reply) in cases() {
         for length in 1..reply.len() - 1 {
             let damaged = [&reply[..length], &reply].concat();
@@ -176,7 +176,7 @@ fn accepted_flips(window: Window, values: &[u16]) -> (usize, usize) {
 }
 
 #[test]
-fn w08_the_share_of_undetectable_flipped_bits_is_the_one_in_the_readme() {
+fn w08_undetectable_bits_are_as_rare_as_documented() {
     let share = |window: Window, values: &[u16]| {
         let (undetected, bits) = accepted_flips(window, values);
         (undetected as f64 * 100.0 / bits as f64).round() as u32

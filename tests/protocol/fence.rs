@@ -1,4 +1,4 @@
-//! A fence's reply is found behind the remains of another reply, and nowhere else.
+//! A fence's reply is found after the remains of another reply, and nowhere else.
 
 use tokio_scip::protocol::{BaudRate, Command, Reply, Window};
 
@@ -76,7 +76,7 @@ fn a_damaged_fence_is_not_found() {
 }
 
 #[test]
-fn without_a_fence_at_its_end_the_error_is_that_of_the_whole_frame() {
+fn an_error_covers_the_whole_frame() {
     let (command, _, _) = fence(385);
     let frame = b"G38538501\n0\nCD\nCD";
     assert_eq!(Reply::parse_end(&command, frame), Reply::parse(&command, frame));

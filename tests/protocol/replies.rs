@@ -130,7 +130,7 @@ fn a_full_scan_is_1576_bytes_and_the_detection_window_1399() {
 }
 
 #[test]
-fn d10_a_partial_last_cluster_is_a_point_and_one_more_or_less_is_malformed() {
+fn d10_a_partial_last_cluster_is_a_point() {
     for (start, end, cluster_count, points) in [
         (44, 725, 2, 341),
         (44, 725, 4, 171),
@@ -182,7 +182,7 @@ fn status(character: u8) -> Status {
 }
 
 #[test]
-fn success_of_l_and_s_has_no_data_and_of_v_and_g_has_some() {
+fn only_version_and_distances_have_data() {
     let parse =
         |command: Command, frame: &[u8]| Reply::parse(&command, frame).map(|reply| reply.status());
     let success = status(b'0');
@@ -235,7 +235,7 @@ fn another_echo_is_foreign_and_shown_shortened() {
 }
 
 #[test]
-fn an_error_names_the_place_what_was_expected_and_what_was_found() {
+fn an_error_names_place_expectation_and_finding() {
     let command = Command::Distances(Window::FULL);
     let mut damaged = frame("G00076801", &spread(769));
     damaged[12 + 2 * 65 + 5] = 0xff;
@@ -274,7 +274,7 @@ fn w24_a_status_with_its_checksum_is_scip_2() {
 }
 
 #[test]
-fn w05_a_one_step_reply_without_the_lf_after_its_status_is_not_taken_for_scip_2() {
+fn w05_a_one_step_reply_is_not_scip_2() {
     let command = Command::Distances(window(384, 384, 1));
     assert_eq!(
         Reply::parse(&command, b"G38438401\n0CD"),

@@ -40,7 +40,7 @@ fn the_reply_of_the_text_is_read() {
 }
 
 #[test]
-fn d11_the_reply_of_firmware_3_is_read_with_its_sixth_line_and_its_bracket() {
+fn d11_replies_of_firmware_3_are_read() {
     assert_eq!(OF_FIRMWARE_3.len(), 206);
     let firm = OF_FIRMWARE_3.split(|&byte| byte == b'\n').nth(4).unwrap();
     assert_eq!(firm.len(), 64);
@@ -65,7 +65,7 @@ fn d11_lines_may_come_in_any_order_be_missing_or_be_unknown() {
 }
 
 #[test]
-fn w23_bytes_that_could_write_to_a_terminal_are_kept_and_shown_escaped() {
+fn w23_escapes_for_a_terminal_are_shown_escaped() {
     let version = version(b"V\n0\nVEND:\x1b[2J\x00\xff\\\rfake\x7f\xc3\xa9");
     assert_eq!(version.vendor.as_bytes(), b"\x1b[2J\x00\xff\\\rfake\x7f\xc3\xa9");
     assert_eq!(version.vendor.to_string(), r"\x1b[2J\x00\xff\\\rfake\x7f\xc3\xa9");

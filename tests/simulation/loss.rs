@@ -51,7 +51,7 @@ pub(crate) fn bad_line(times: f64) -> Faults {
         .seed(1)
 }
 
-/// 1 % of the replies are doubled, with many copies behind the next command. A copy that
+/// 1 % of the replies are doubled, with many copies after the next command. A copy that
 /// arrives while no reply is awaited does no harm.
 pub(crate) fn line_with_late_copies() -> Faults {
     Faults::none()

@@ -93,7 +93,7 @@ fn poll(window: Window, rate: Rate, faults: Faults) -> Loss {
 }
 
 #[test]
-fn a_bad_line_costs_less_than_three_scans_in_a_hundred_and_none_is_wrong() {
+fn a_bad_line_costs_few_scans() {
     for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
         let loss = poll(Window::DETECTION, rate, bad_line(1.0));
         assert_eq!(loss.wrong, 0);
@@ -111,10 +111,10 @@ fn t03_late_copies_of_replies_are_not_delivered() {
 }
 
 #[test]
-fn where_polls_cannot_differ_at_most_a_few_doubled_replies_are_delivered() {
+fn equal_polls_deliver_few_doubled_replies() {
     for rate in [Rate::hz(10.0), Rate::UNLIMITED] {
         let loss = poll(Window::FULL, rate, bad_line(1.0));
-        // One reply in a thousand is doubled; a delay puts a few of the copies behind the
+        // One reply in a thousand is doubled; a delay puts a few of the copies after the
         // next poll.
         assert!(loss.wrong * 100_000 <= loss.polls, "{rate}: {loss:?}");
         assert!(loss.share() >= 0.97, "{rate}: {loss:?}");

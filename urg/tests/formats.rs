@@ -78,7 +78,7 @@ pub(crate) fn check(scan: &Value) {
 }
 
 #[test]
-fn a_stream_of_twenty_scans_is_twenty_lines_of_ndjson_without_a_gap() {
+fn twenty_scans_are_twenty_lines() {
     let output = run("stream emulated --count 20", 0);
     assert_eq!(output.stderr, "");
     let scans = scans(&output.stdout);
@@ -113,7 +113,7 @@ fn the_window_can_be_given_in_steps_or_degrees() {
 }
 
 #[test]
-fn csv_has_a_row_for_each_point_and_the_same_columns_in_each() {
+fn csv_has_a_row_for_each_point() {
     let output = run("stream emulated --count 3 --format csv --cluster 2", 0);
     let mut lines = output.stdout.lines();
     assert_eq!(lines.next(), Some("sequence,stamp,time,step,angle,range,code"));
@@ -180,7 +180,7 @@ fn laser_and_baud_rate_are_set_and_reported_on_standard_error() {
 }
 
 #[test]
-fn a_rate_that_the_line_cannot_carry_is_reported_once_with_a_remedy() {
+fn an_impossible_rate_is_reported_with_a_remedy() {
     let output = run("stream emulated --baud 19200 --count 6", 0);
     assert_eq!(scans(&output.stdout).len(), 6);
     assert_eq!(output.stderr.lines().count(), 1, "{}", output.stderr);

@@ -8,7 +8,7 @@ use super::web::on_tcp;
 struct Element {
     name: String,
     attributes: Vec<(String, String)>,
-    /// The text right behind the element's tag.
+    /// The text right after the element's tag.
     text: String,
 }
 
@@ -82,7 +82,7 @@ fn texts(svg: &str) -> Vec<String> {
 }
 
 #[test]
-fn a_picture_is_well_formed_and_names_sensor_time_rings_angles_and_codes() {
+fn a_picture_is_well_formed_and_labelled() {
     let svg = run("scan emulated --format svg", 0).stdout;
     let texts = texts(&svg);
     for text in ["SOKUIKI Sensor URG-04LX H0713090", "1 m", "4 m", "0°", "90°", "-90°", "30°"] {

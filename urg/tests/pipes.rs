@@ -31,7 +31,7 @@ fn a_recording_goes_through_a_pipe_into_another_program() {
 
 /// The recorder is not asked to end, so its scans come while it records.
 #[test]
-fn scans_come_through_a_pipe_while_they_are_recorded_until_the_reader_has_enough() {
+fn a_recorded_stream_ends_with_its_reader() {
     let mut live = Running::spawn(shell("$urg record emulated - | exec $urg stream -"));
     live.read();
     for number in 0..15 {

@@ -46,7 +46,7 @@ fn post(served: &Served, command: &str) -> u16 {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_on_the_page_can_be_paused_stepped_searched_and_looped() {
+async fn a_recording_on_the_page_obeys_its_controls() {
     let file = Scratch::mcap("played");
     let recorded = recording(file.path(), Window::DETECTION, 30).await;
     let served = Served::start(file.path());
@@ -103,7 +103,7 @@ async fn a_part_of_a_recording_is_played_through_another_window() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn commands_that_make_no_sense_and_those_of_other_sites_are_refused() {
+async fn foreign_and_senseless_commands_are_refused() {
     let file = Scratch::mcap("refused");
     recording(file.path(), Window::DETECTION, 5).await;
     let served = Served::start(file.path());
@@ -130,7 +130,7 @@ async fn commands_that_make_no_sense_and_those_of_other_sites_are_refused() {
 
 /// A file whose log times run back, as others may write it, and one that is overwritten.
 #[tokio::test(start_paused = true)]
-async fn times_that_run_back_are_played_and_a_dead_playback_is_a_failure_everywhere() {
+async fn a_dead_playback_fails_everywhere() {
     let file = Scratch::mcap("dead");
     recording(file.path(), Window::DETECTION, 600).await;
     // The last scan's reply and message at the time of the first scan.
@@ -154,7 +154,7 @@ async fn times_that_run_back_are_played_and_a_dead_playback_is_a_failure_everywh
 
 /// The other source keeps the page there.
 #[tokio::test(start_paused = true)]
-async fn a_dead_playback_beside_another_source_is_on_the_page_and_in_the_health() {
+async fn a_dead_playback_fails_page_and_health() {
     let file = Scratch::mcap("dead-beside");
     recording(file.path(), Window::DETECTION, 600).await;
     let arguments = format!("dead={} live=emulated --loop --speed 100", file.path());
@@ -178,7 +178,7 @@ async fn a_dead_playback_beside_another_source_is_on_the_page_and_in_the_health(
 
 /// As on a computer without a clock of its own, once it has asked for the time.
 #[tokio::test(start_paused = true)]
-async fn a_clock_that_was_set_changes_neither_the_length_of_a_recording_nor_its_parts() {
+async fn setting_the_clock_keeps_a_recordings_length() {
     let file = Scratch::mcap("clock");
     recording(file.path(), Window::DETECTION, 100).await;
     with_times(file.path(), |messages| {

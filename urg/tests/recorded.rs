@@ -94,7 +94,7 @@ async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_has_the_window_and_the_pace_that_were_recorded_and_ends_with_the_file() {
+async fn a_replay_has_the_recorded_window_and_pace() {
     let file = Scratch::mcap("own");
     let window = Window::new(100..=200).unwrap().with_cluster_count(2).unwrap();
     let recorded = recording(file.path(), window, 10).await;
@@ -182,7 +182,7 @@ async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
     assert!(run(&cut, 0).stderr.contains(&format!("{} scans", streamed.len())));
     let output = run(&format!("stream {}", part.path()), 0);
     assert_eq!(scans(&output.stdout).iter().map(values).collect::<Vec<_>>(), streamed);
-    // Its times are those of the recording, for other readers, too.
+    // It has the times of the recording, for other readers, too.
     let times = |path: &str| -> Vec<_> {
         let scans = Recording::open(path).unwrap().map(Result::unwrap);
         let scans = scans.filter(|record| matches!(record.entry, Entry::Scan(_)));
@@ -243,7 +243,7 @@ fn polls_without_a_scan_are_counted_for_the_recording_alone() {
 }
 
 #[test]
-fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
+fn a_file_is_overwritten_only_with_force() {
     let (file, nobody) = (Scratch::mcap("exists"), Scratch::new("nobody"));
     let precious = b"precious".repeat(100_000);
     fs::write(file.path(), &precious).unwrap();
@@ -263,7 +263,7 @@ fn a_file_is_overwritten_only_with_force_and_only_when_there_is_a_sensor() {
 }
 
 #[test]
-fn a_file_that_another_recorder_writes_or_another_program_removes_ends_the_recording() {
+fn a_file_in_other_hands_ends_the_recording() {
     let file = Scratch::mcap("shared");
     let first = Running::start(&format!("record emulated {}", file.path()));
     while fs::metadata(file.path()).map_or(0, |file| file.len()) == 0 {
@@ -304,7 +304,7 @@ fn a_path_need_not_be_utf_8() {
 }
 
 #[test]
-fn an_empty_file_of_a_recording_that_was_killed_while_it_waited_is_used() {
+fn an_empty_file_of_a_killed_recording_is_used() {
     let (file, nobody) = (Scratch::mcap("killed-waiting"), Scratch::new("killed-waiting"));
     let mut waiting = Running::start(&format!("record {} {} --wait", nobody.path(), file.path()));
     waiting.notice();
@@ -480,7 +480,7 @@ fn scans_recorded_before_a_kill_can_be_replayed() {
 }
 
 #[test]
-fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
+fn a_full_disk_keeps_what_was_recorded() {
     let full = Scratch::mcap("full");
     let linked = Command::new("ln").args(["-s", "/dev/full", full.path()]).status().unwrap();
     assert!(linked.success());
@@ -500,7 +500,7 @@ fn a_full_disk_is_reported_and_what_was_recorded_before_can_be_replayed() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_file_that_is_not_a_recording_is_an_error_with_the_reason() {
+async fn a_foreign_file_is_a_clear_error() {
     let file = Scratch::mcap("other");
     let line = failure(&format!("stream {}", file.path()));
     assert!(line.contains("cannot open") && line.contains(file.path()), "{line}");

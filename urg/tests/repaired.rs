@@ -18,7 +18,7 @@ fn count(path: &str) -> usize {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repaired() {
+async fn a_truncated_recording_is_read_and_repaired() {
     let (whole, cut) = (Scratch::mcap("repair-whole"), Scratch::mcap("repair-cut"));
     recording(whole.path(), Window::DETECTION, 400).await;
     let bytes = fs::read(whole.path()).unwrap();
@@ -56,7 +56,7 @@ async fn a_cut_off_recording_has_the_same_scans_in_info_and_replay_and_is_repair
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_recordings_in_one_file_as_cat_writes_them_are_both_read_and_repaired() {
+async fn concatenated_recordings_are_read_and_repaired() {
     let (one, both) = (Scratch::mcap("repair-one"), Scratch::mcap("repair-both"));
     recording(one.path(), Window::DETECTION, 20).await;
     let bytes = fs::read(one.path()).unwrap();
@@ -130,7 +130,7 @@ fn a_split_recording_has_its_scans_in_several_files() {
 }
 
 #[test]
-fn a_recording_that_keeps_to_a_space_removes_its_first_file_too() {
+fn a_bounded_recording_removes_old_files() {
     let folder = Scratch::new("keep-run");
     fs::create_dir(folder.path()).unwrap();
     let file = format!("{}/run.mcap", folder.path());
@@ -149,7 +149,7 @@ fn a_recording_that_keeps_to_a_space_removes_its_first_file_too() {
 /// The signal for exceeding a limit on file size ends a program without a message unless
 /// it is handled.
 #[test]
-fn a_limit_on_the_size_of_files_is_reported_as_a_failure_to_write() {
+fn a_file_size_limit_is_a_write_failure() {
     let (file, lines) = (Scratch::mcap("limited"), Scratch::new("limited-lines"));
     let urg = env!("CARGO_BIN_EXE_urg");
     for command in [

@@ -114,7 +114,7 @@ async fn stopped(id: u32) {
 
 #[cfg(target_os = "linux")]
 #[tokio::test]
-async fn ctrl_z_and_the_signal_stop_the_program_with_the_terminal_restored() {
+async fn ctrl_z_restores_the_terminal() {
     let mut terminal = Terminal::start("view emulated").await;
     terminal.until_each(&["URG-04LX", "quit"]).await;
     let id = terminal.urg.id().unwrap();
@@ -139,7 +139,7 @@ async fn ctrl_z_and_the_signal_stop_the_program_with_the_terminal_restored() {
 }
 
 #[tokio::test]
-async fn several_sensors_share_a_screen_and_one_that_is_missing_is_shown_as_such() {
+async fn a_missing_sensor_shares_the_screen() {
     let nobody = Scratch::new("not-on-screen");
     let missing = format!("rear={}@-0.2,0,180", nobody.path());
     let mut terminal = Terminal::start(&format!("view front=emulated@0.2,0,0 {missing}")).await;
@@ -203,7 +203,7 @@ async fn many_keys_do_not_delay_ctrl_c() {
 }
 
 #[tokio::test]
-async fn a_recording_shows_its_progress_and_removes_that_line_at_the_end() {
+async fn a_recording_shows_and_removes_its_progress() {
     let file = Scratch::mcap("progress");
     let arguments = format!("record emulated {}", file.path());
     let mut terminal = Terminal::start_with(&arguments, |path| open(path).into()).await;
@@ -268,7 +268,7 @@ async fn a_stopped_terminal_delays_no_notice() {
 }
 
 #[tokio::test]
-async fn the_radar_of_a_recording_stays_on_its_last_scan_and_obeys_its_keys() {
+async fn a_recordings_radar_stays_and_obeys_keys() {
     let file = Scratch::mcap("radar");
     run(&format!("record emulated {} --count 5", file.path()), 0);
     let mut terminal = Terminal::start(&format!("view {}", file.path())).await;
@@ -312,7 +312,7 @@ fn long_recording(path: &str) {
 }
 
 #[tokio::test]
-async fn the_radar_of_a_recording_that_is_overwritten_ends_with_the_reason_on_the_terminal() {
+async fn a_radar_ends_when_its_file_is_overwritten() {
     let file = Scratch::mcap("overwritten");
     long_recording(file.path());
     let arguments = format!("view {} --loop --speed 100", file.path());
@@ -326,7 +326,7 @@ async fn the_radar_of_a_recording_that_is_overwritten_ends_with_the_reason_on_th
 }
 
 #[tokio::test]
-async fn a_stream_on_a_terminal_is_one_short_line_for_each_scan() {
+async fn a_terminal_gets_short_lines() {
     let mut terminal = Terminal::start("stream emulated --count 3").await;
     terminal.until(&["    0 ", "/682 points", " nearest ", "    1 ", "    2 ", "\n"]).await;
     assert_eq!(terminal.urg.wait().await.unwrap().code(), Some(0));
@@ -348,7 +348,7 @@ fn a_recording_is_not_shown_beside_another_source() {
 }
 
 #[tokio::test]
-async fn a_recording_is_neither_written_to_a_terminal_nor_read_from_one() {
+async fn a_recording_stays_off_the_terminal() {
     for (arguments, text) in [
         ("record emulated -", "a recording is no text for a terminal"),
         ("stream -", "standard input, and that is a terminal"),

@@ -110,7 +110,7 @@ fn the_baud_rate_behind_a_bridge_cannot_be_changed() {
 }
 
 #[test]
-fn a_stream_goes_on_when_its_sensor_is_unplugged_and_comes_back() {
+fn a_stream_continues_when_the_sensor_returns() {
     let link = Scratch::new("replug");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
     let mut stream = Running::start(&format!("stream {}", link.path()));

@@ -8,7 +8,7 @@ use super::program::{Emulated, Running, Scratch, run};
 use super::web::Served;
 
 #[test]
-fn each_line_names_its_sensor_and_each_has_its_place_and_figures() {
+fn each_line_names_its_sensor() {
     let served = Served::start("front=emulated@0.2,0,0 rear=emulated@-0.2,0.5,180");
     let mut scans = served.get("/scans");
     let mut seen = BTreeSet::new();
@@ -51,7 +51,7 @@ fn the_trouble_of_one_sensor_is_that_of_no_other() {
 }
 
 #[test]
-fn a_sensor_that_is_not_there_at_the_start_is_reported_and_the_others_are_shown() {
+fn an_absent_sensor_does_not_hide_the_others() {
     let nobody = Scratch::new("not-there");
     let both = format!("front=emulated rear={}", nobody.path());
     let mut running = Running::start(&format!("serve {both} --listen 0"));
@@ -78,7 +78,7 @@ fn a_name_that_stands_twice_is_named() {
 }
 
 #[test]
-fn several_sensors_need_a_name_each_and_a_place_is_three_numbers() {
+fn several_sensors_need_names_and_places() {
     for arguments in
         ["emulated emulated", "front=emulated emulated", "a=emulated a=emulated", "1=emulated", ""]
     {

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_names_the_part_what_was_expected_and_what_was_found() {
+    fn an_error_names_part_expectation_and_finding() {
         for (bad, reason) in [
             ("late", "expected a probability from 0 to 1 after `=`"),
             ("late=2", "expected a probability from 0 to 1, found 2"),

@@ -46,7 +46,7 @@ pub(super) fn bag(random: &mut Random) -> Bag {
     let mut channels = Vec::new();
     for number in 0..1 + random.below(4) {
         let (topic, name, encoding) = *random.pick(&TOPICS);
-        // Any numbers, mostly small ones, so that those of two bags meet.
+        // Any numbers, mostly small ones, so that two bags have some in common.
         let any = |random: &mut Random, bound| 1 + number * 100 + random.below(bound);
         let schema = match name {
             "" => 0,

@@ -15,7 +15,7 @@ use super::script::Script;
 pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// The size of a chunk's header before its checksum: kind, length, start, end.
 const CHUNK_CRC: usize = 9 + 8 + 8 + 8;
-/// The checksum of the index, and the magic behind it.
+/// The checksum of the index, and the magic after it.
 const INDEX_CRC: usize = 4 + 8;
 /// Lengths at and beyond the limits, which a careless reader would trust.
 const LENGTHS: [u64; 8] = [0, 1, 40, 0xffff_ffff, 0x1_0000_0000, 1 << 63, u64::MAX, u64::MAX - 8];
@@ -34,7 +34,7 @@ pub(crate) fn of_eight_chunks() -> &'static [u8] {
     FILE.get_or_init(|| recorded(8, Rate::every(Duration::from_secs(2)), &[0, 5]))
 }
 
-/// Records so many scans, with metadata before those of these numbers.
+/// Records this many scans, with metadata before the scans of these numbers.
 fn recorded(scans: usize, rate: Rate, described: &[usize]) -> Vec<u8> {
     let mut runtime = tokio::runtime::Builder::new_current_thread();
     let runtime = runtime.enable_time().start_paused(true).build().unwrap();

@@ -77,7 +77,7 @@ fn is_version(record: &Record) -> bool {
 /// time. Its time counts from the first scan that can be read in the file: definitions that
 /// are damaged at its beginning are taken from its index. Unless the index itself was forged, or the chunks have no checksum, the part has
 /// all that reading from the beginning finds, in the same order, and nothing that was not
-/// recorded. It may have more: behind what is left out no damage is in the way.
+/// recorded. It may have more: after what is left out, no damage is in the way.
 pub(crate) fn the_index_leads_to_the_same_part(script: &[u8]) {
     let mut script = Script::new(script);
     let (kind, range) = (script.byte(), range(&mut script));

@@ -114,8 +114,8 @@ fn plug_in(name: &str, serial_number: &str) {
 }
 
 #[tokio::test]
-async fn a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is() {
-    if !is_inside("a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is") {
+async fn a_sensor_is_found_by_serial_number() {
+    if !is_inside("a_sensor_is_found_by_serial_number") {
         return;
     }
     plug_in("ttyACM0", "H0000001");
@@ -133,8 +133,8 @@ async fn a_sensor_is_found_by_its_serial_number_on_whichever_port_it_is() {
 }
 
 #[tokio::test]
-async fn a_search_goes_through_the_sensors_and_starts_over_when_its_own_was_found() {
-    if !is_inside("a_search_goes_through_the_sensors_and_starts_over_when_its_own_was_found") {
+async fn a_search_starts_over_after_a_success() {
+    if !is_inside("a_search_starts_over_after_a_success") {
         return;
     }
     for name in ["ttyACM0", "ttyACM1"] {
@@ -159,8 +159,8 @@ async fn a_search_goes_through_the_sensors_and_starts_over_when_its_own_was_foun
 }
 
 #[tokio::test]
-async fn a_sensors_own_port_has_no_baud_rate_and_an_adapter_has_one() {
-    if !is_inside("a_sensors_own_port_has_no_baud_rate_and_an_adapter_has_one") {
+async fn only_an_adapter_has_a_baud_rate() {
+    if !is_inside("only_an_adapter_has_a_baud_rate") {
         return;
     }
     plug_in("ttyACM0", "H0713090");

@@ -42,7 +42,7 @@ async fn received_bytes_are_read_before_the_runtime_reports_readiness() {
     assert_eq!(port.read(&mut bytes).await.unwrap(), 5);
 }
 
-/// A reply arrives in pieces, and behind each of them the queue is empty.
+/// A reply arrives in pieces, and after each of them the queue is empty.
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn a_read_does_not_try_again_before_the_system_reports_readiness() {
@@ -101,7 +101,7 @@ impl Wake for WokenPort {
 }
 
 #[tokio::test]
-async fn a_port_with_suspended_wake_ups_wakes_nobody_and_reads_what_came_meanwhile() {
+async fn suspended_wake_ups_wake_nobody() {
     let SerialLine { mut far, near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
     let woken = Arc::new(WokenPort::default());
@@ -132,7 +132,7 @@ async fn a_port_with_suspended_wake_ups_wakes_nobody_and_reads_what_came_meanwhi
 }
 
 #[tokio::test]
-async fn a_line_that_hangs_up_while_wake_ups_are_suspended_is_noticed_by_the_next_read() {
+async fn a_hang_up_without_wake_ups_is_noticed() {
     let SerialLine { far, near: _near, path } = line();
     let mut port = SerialPort::open(&path).await.unwrap();
     assert!(port.read(&mut [0; 8]).now_or_never().is_none());

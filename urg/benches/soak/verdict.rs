@@ -9,8 +9,8 @@ use crate::viewers::ViewerCounts;
 struct Holding {
     name: &'static str,
     of: fn(&Sample) -> u64,
-    /// By so much the highest sample of the last third of the time may exceed that of the
-    /// first third.
+    /// Limit by which the highest sample of the last third of the time may exceed the highest
+    /// of the first third.
     growth_limit: u64,
 }
 

@@ -1,4 +1,4 @@
-//! The clients of `urg serve`: 20 that read scans, of which half come and go.
+//! The clients of `urg serve`: 20 read scans, and half of them come and go.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -75,7 +75,7 @@ async fn view(place: u64, server: SocketAddr, counters: Arc<Counters>) {
                 counters.ended.fetch_add(1, Ordering::Relaxed);
                 break;
             };
-            // The lines between are those of HTTP, and events.
+            // The lines between belong to HTTP, and events.
             let Some(number) = line.strip_prefix(r#"{"sequence":"#) else { continue };
             let number: u64 = number.split(',').next().unwrap().parse().unwrap();
             let missed =

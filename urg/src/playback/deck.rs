@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn each_scan_is_shown_at_its_time_and_the_last_one_stays() {
+    fn each_scan_is_shown_at_its_time() {
         let now = Instant::now();
         let mut deck = deck(false, now);
         for (millis, scan) in [(0, 0), (99, 0), (101, 1), (550, 5), (999, 9), (1001, 10)] {

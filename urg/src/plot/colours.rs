@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_half_metre_has_a_colour_and_the_last_one_is_for_the_rest() {
+    fn each_half_metre_has_a_colour() {
         assert_eq!([0.0, 0.49, 0.5, 3.99, 4.0, 99.0].map(band), [0, 0, 1, 7, 7, 7]);
     }
 }

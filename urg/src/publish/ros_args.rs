@@ -57,7 +57,7 @@ struct Source {
 }
 
 struct Parameter {
-    /// Full name of the node, in which `*` stands for a part and `**` for any number of them.
+    /// Full name of the node. `*` stands for a part, and `**` for any number of parts.
     node: String,
     name: String,
     value: YamlOwned,

@@ -327,7 +327,7 @@ impl Record {
     }
 }
 
-/// Holds what comes until the trigger. Returns how long that took.
+/// Holds scans and replies in memory until the trigger. Returns how long that took.
 async fn hold(
     recorder: &mut Recorder,
     feed: &mut Feed,

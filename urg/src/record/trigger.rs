@@ -1,4 +1,4 @@
-//! [`trigger`]: the moment from which `--before` writes.
+//! [`trigger`]: waits for the signal or line that makes `--before` write.
 
 use std::future::pending;
 
@@ -15,10 +15,10 @@ pub(super) fn trigger() -> impl Future<Output = ()> {
     }
 }
 
-/// Waits for Enter, or a line that a program writes. Forever if standard input has ended.
+/// Waits for Enter, or for a line from a program. Waits forever if standard input has ended.
 async fn line() {
     let mut line = Vec::new();
-    // A lone end of file, or an error, is no line.
+    // Neither an error nor the end of the file alone is a line.
     if !matches!(BufReader::new(tokio::io::stdin()).read_until(b'\n', &mut line).await, Ok(1..)) {
         pending().await
     }

@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_its_name_only_once_it_is_kept_and_replaces_no_other() {
+    fn a_file_is_named_once_it_is_kept() {
         let place = tempfile::tempdir().unwrap();
         let path = place.path().join("run.mcap");
         let names = || {

@@ -78,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_part_of_a_recording_has_a_beginning_and_maybe_an_end() {
+    fn a_part_may_lack_an_end() {
         let span = |from, to: Option<u64>| {
             let (from, to) = (Duration::from_millis(from), to.map(Duration::from_millis));
             Ok(TimeSpan { from, to })

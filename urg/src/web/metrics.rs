@@ -93,7 +93,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_metric_has_its_help_and_type_once_and_before_its_samples() {
+    fn each_metric_has_help_and_type_once() {
         let mut families = Families::default();
         let mut stats = Stats::default();
         // As after a first reply.

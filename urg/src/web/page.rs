@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn each_kind_of_missing_distance_has_a_word_and_a_colour_on_the_page() {
+    fn each_missing_distance_has_word_and_colour() {
         for place in ["{dark}", "{light}"] {
             assert_eq!(STYLE.matches(place).count(), 1, "{place}");
         }

@@ -3,7 +3,7 @@
 use super::*;
 
 #[tokio::test(start_paused = true)]
-async fn help_covers_the_radar_until_a_key_and_that_key_does_nothing_else() {
+async fn help_covers_the_radar_until_a_key() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     press(&mut model, KeyCode::Char('?'));
     for (width, height) in [(80, 24), (160, 50), (40, 12)] {

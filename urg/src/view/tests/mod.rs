@@ -134,7 +134,7 @@ async fn everything_is_there_in_80x24_and_in_160x50() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_narrow_screen_has_the_radar_and_the_main_figures_and_a_tiny_one_a_message() {
+async fn a_narrow_screen_keeps_the_main_figures() {
     let model = watched(Emulator::builder().usb().build()).await;
     let narrow = screen(&model, 50, 20);
     assert!(narrow.contains("of 682 points, 10.0 Hz"), "{narrow}");
@@ -203,7 +203,7 @@ async fn error_codes_are_marked_at_the_rim_as_what_they_are() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_cell_at_the_rim_shows_what_most_of_its_directions_are() {
+async fn a_cell_shows_most_of_its_directions() {
     let mut sight = [3; STEPS];
     sight.iter_mut().step_by(4).for_each(|code| *code = 0);
     let rows = rows(&watched(seen(sight)).await, 80, 24);

@@ -41,7 +41,7 @@ async fn a_playback_shows_its_place_instead_of_a_link() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_keys_of_a_playback_move_it_and_those_of_the_picture_stay() {
+async fn playback_keys_move_the_playback() {
     let mut model = watched(Emulator::builder().usb().build()).await;
     model.playback = Some(played(123, false));
     for (code, command) in [

@@ -93,7 +93,7 @@ async fn a_plain_terminal_gets_no_colours() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn every_sensor_has_its_state_and_figures_and_the_selected_one_its_details() {
+async fn every_sensor_has_its_state_and_figures() {
     let mut model = front_and_rear().await;
     for (width, height) in [(80, 24), (200, 60)] {
         let screen = screen(&model, width, height);
@@ -123,7 +123,7 @@ async fn every_sensor_has_its_state_and_figures_and_the_selected_one_its_details
 }
 
 #[tokio::test(start_paused = true)]
-async fn keys_of_a_sensor_act_on_the_selected_one_and_those_of_the_picture_on_all() {
+async fn keys_act_on_the_selected_sensor() {
     let mut model = front_and_rear().await;
     press(&mut model, KeyCode::Char('2'));
     assert!(matches!(press(&mut model, KeyCode::Char('w')), Some(Action::Watch(_))));
@@ -143,7 +143,7 @@ async fn keys_of_a_sensor_act_on_the_selected_one_and_those_of_the_picture_on_al
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_trouble_of_one_sensor_is_named_and_the_other_is_drawn_as_before() {
+async fn one_sensor_in_trouble_leaves_the_others_drawn() {
     let mut model = front_and_rear().await;
     let own = |model: &Model| cells_in(model, Palette::Coloured.sensor(0), Palette::Coloured);
     let before = own(&model);
