@@ -35,11 +35,11 @@
 //! A wrong line is worse than no line. The arrivals may lie on a line that is not the motor's:
 //!
 //! - A sensor that answers at once follows its requests. So the driver moves some polls
-//!   ([`MotorClock::poll_delay`]). If the replies do not move with them, [`PROVED`] times more often
+//!   ([`Revolution::delay`]). If the replies do not move with them, [`PROVED`] times more often
 //!   than they do, the line is the motor's. Polls more than a revolution apart also move by up
 //!   to two whole ones, which shows a multiple of the period.
 //! - An adapter with a latency timer, long frames or a jittery network moves the lower edge. Each
-//!   early arrival and each jump casts [`DOUBT`], and so does a start. Until then misfits add more.
+//!   early arrival and each jump casts doubt, and so does a start. Until then misfits add more.
 //! - On a very busy host most replies are late, and with a wrong nominal period they spread over the
 //!   revolution. So the part that fits must be [`STEADY`].
 //! - If the doubt of the line grows to a quarter of a revolution between two replies,
@@ -67,8 +67,7 @@ use crate::stats::MotorStats;
 const MEMORY: f64 = 12.0;
 /// Weight of an arrival below the line. An arrival above it has weight 1.
 const EARLY_WEIGHT: f64 = 40.0;
-/// Doubt of the nominal period, as a standard deviation: 0.3 %. The only motor in a
-/// capture is off by 0.24 %.
+/// Standard deviation of the nominal period: the only motor in a capture is off by 0.24 %.
 const NOMINAL_DOUBT: f64 = 0.003;
 /// Largest difference between the period and the nominal one. No motor is so far off, so
 /// larger differences mean that the arrivals follow something else.
@@ -104,8 +103,9 @@ const STEADY: f64 = 0.7;
 const LEAST_SHARE: f64 = 0.1;
 /// Number of replies over which the part is averaged.
 const SHARE_REPLIES: f64 = 128.0;
-/// Number of fitting replies before a line is used: at the start, and after an early arrival or a
-/// jump. These add up to a limit, and until then each misfit adds [`DOUBT_BY_MISFIT`].
+/// Number of fitting replies before a line is used: at the start, and after a jump. These add up to
+/// [`MOST_DOUBT`], and until then each misfit adds [`DOUBT_BY_MISFIT`]. A move by less than
+/// [`EARLY`] casts all: the line may follow frames, and moves again.
 const DOUBT_AT_START: u32 = 128;
 const DOUBT: u32 = 512;
 const DOUBT_BY_MISFIT: u32 = 2;
@@ -115,9 +115,9 @@ const MOST_DOUBT: u32 = 4 * DOUBT;
 const EARLY: f64 = 0.018;
 /// An arrival nearer to the line than this is no reason for doubt: two USB frames of 1 ms.
 const NEAR_LINE: f64 = 2e-3;
-/// Part of the wait for the end of a revolution by which a poll moves, and the parts of a revolution
-/// where polls are more than one apart. Least move that tells, in seconds: more than a latency timer
-/// of 16 ms can hide. A reply follows within [`FOLLOWS`].
+/// Part of the latest reply's wait by which a poll moves, and the revolutions by which it moves where
+/// polls are more than one apart. Least move that tells, in seconds: more than a latency timer of
+/// 16 ms can hide. A reply follows within [`FOLLOWS`].
 const MOVED_PART: f64 = 0.5;
 const MOVED_TURNS: [f64; 6] = [0.4, 1.6, 2.4, 0.6, 1.4, 2.6];
 const LEAST_MOVE: f64 = 0.024;
@@ -127,13 +127,15 @@ const PROVED: i8 = 12;
 /// Largest number of polls to move. Each costs up to three revolutions.
 const MOST_MOVES: u8 = 40;
 
-/// What is known of the revolution that a reply shows.
+/// What a reply shows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Revolution {
     /// Time from the end of the revolution on the line to the arrival of the reply.
     pub(crate) lateness: Option<Duration>,
     /// Duration of a revolution, once it is known.
     pub(crate) period: Option<Duration>,
+    /// How much later than due to send the next poll: its reply tells what replies follow.
+    pub(crate) delay: Duration,
 }
 
 /// Line through the ends of revolutions. Its times are in seconds from `origin`.
@@ -183,8 +185,7 @@ struct Proof {
     turns: [f64; 2],
     /// Number of replies that did not follow a moved poll, less those that did.
     votes: i8,
-    is_complete: bool,
-    /// True if the latest poll was moved.
+    /// True if the next poll is moved.
     is_moved: bool,
     /// True if the latest reply is of a moved poll: the next one that is not moved is compared with it.
     is_compared: bool,
@@ -222,11 +223,20 @@ impl MotorClock {
         }
     }
 
-    /// Adds a reply whose first byte arrived at `arrived`. Returns when the revolution
-    /// that it shows ended, which is never later than `arrived`.
+    /// Adds a reply whose first byte arrived at `arrived`. Its revolution ended before.
     pub(crate) fn observe(&mut self, requested: Instant, arrived: Instant) -> Revolution {
         let (requested, arrived) = (self.seconds(requested), self.seconds(arrived));
         self.proof.compare(requested, arrived, self.period);
+        let mut revolution = self.place(requested, arrived);
+        if self.proof.votes < PROVED && self.fitting >= ENOUGH {
+            revolution.delay = duration(self.proof.delay(arrived - requested, self.period));
+        }
+        revolution
+    }
+
+    /// Finds the place of a reply on the line, or moves the line.
+    #[inline]
+    fn place(&mut self, requested: f64, arrived: f64) -> Revolution {
         let Some(latest) = self.latest else { return self.start(arrived) };
         let since = arrived - latest;
         // Rounds without a call of libm.
@@ -241,18 +251,6 @@ impl MotorClock {
             }
             () if lag.abs() <= gate => self.fit(moments, arrived, lag),
             () => self.misfit(requested, arrived, lag, gate),
-        }
-    }
-
-    /// How much later than planned to send the next poll, so that its reply shows whether
-    /// replies follow the motor or their requests.
-    pub(crate) fn poll_delay(&mut self, planned: Instant) -> Duration {
-        let planned = self.seconds(planned);
-        match self.latest {
-            Some(latest) if self.fitting >= ENOUGH => {
-                duration(self.proof.delay(planned - latest, self.period))
-            }
-            _ => Duration::ZERO,
         }
     }
 
@@ -317,16 +315,16 @@ impl MotorClock {
         let late = if lag < 0.0 { lag + self.period } else { lag };
         let end = arrived - late;
         let is_early = lag < 0.0 && lag > -EARLY;
-        match () {
-            () if is_early && lag < -NEAR_LINE => self.add_doubt(DOUBT),
-            () if self.doubt > 0 => self.add_doubt(DOUBT_BY_MISFIT),
-            () => {}
+        if self.doubt > 0 {
+            self.add_doubt(DOUBT_BY_MISFIT);
+        }
+        if is_early {
+            self.doubt_move(lag);
         }
         if self.share < LEAST_SHARE {
             return self.start(arrived);
         }
         let is_rare = self.proof.turns[1] * self.period > RARE * (1.0 - self.share);
-        let most_in_a_row = if self.share > 0.9 { 1 } else { 2 };
         let misfits = &mut self.misfits;
         misfits.in_a_row += 1;
         match misfits.votes {
@@ -338,26 +336,19 @@ impl MotorClock {
             _ => misfits.votes -= 1,
         }
         let Misfits { in_a_row, lag: agreed, votes } = *misfits;
+        let may_be_jump = votes > 1 || in_a_row > 2 || is_rare;
         match () {
             // No revolution since the request explains it.
             () if end < requested => self.jump(arrived, lag, 1.0),
             () if votes == JUMP => self.jump(end + agreed, agreed, f64::from(votes)),
-            () if is_early
-                || in_a_row > most_in_a_row
-                || is_rare
-                || end - requested >= self.period =>
-            {
-                self.at_arrival()
-            }
+            () if is_early || may_be_jump || end - requested >= self.period => self.at_arrival(),
             () => self.on_line(end, arrived),
         }
     }
 
     /// Moves the line by `lag`, to a revolution that ended at `end`.
     fn jump(&mut self, end: f64, lag: f64, weight: f64) -> Revolution {
-        if lag.abs() > NEAR_LINE {
-            self.add_doubt(DOUBT);
-        }
+        self.doubt_move(lag);
         // A second jump this soon means that the period is wrong, too.
         if self.fitting < ENOUGH {
             return self.start(end);
@@ -399,8 +390,15 @@ impl MotorClock {
         self.doubt = (self.doubt + more).min(MOST_DOUBT);
     }
 
+    /// Doubts the line after it moved by `lag`, or should.
+    fn doubt_move(&mut self, lag: f64) {
+        if lag.abs() > NEAR_LINE {
+            self.add_doubt(if lag.abs() < EARLY { MOST_DOUBT } else { DOUBT });
+        }
+    }
+
     fn has_line(&self) -> bool {
-        self.proof.is_complete && self.fitting >= ENOUGH
+        self.proof.votes == PROVED && self.fitting >= ENOUGH
     }
 
     /// Returns true if stamps rest on the line.
@@ -425,23 +423,25 @@ impl MotorClock {
         if !self.is_known() {
             return Revolution::default();
         }
-        Revolution { lateness: Some(duration(arrived - end)), period: self.known_period }
+        Revolution { lateness: Some(duration(arrived - end)), ..self.at_arrival() }
     }
 
     fn at_arrival(&self) -> Revolution {
-        Revolution { lateness: None, period: self.known_period.filter(|_| self.is_known()) }
+        Revolution {
+            period: self.known_period.filter(|_| self.is_known()),
+            ..Revolution::default()
+        }
     }
 }
 
 impl Proof {
-    /// How much later to send a poll that is planned `since` the end of a revolution.
-    fn delay(&mut self, since: f64, period: f64) -> f64 {
-        self.is_moved = false;
-        let wait = (since / period).ceil() * period - since;
+    /// How much later to send the next poll, which would wait as long for its reply as the latest one
+    /// `waited`.
+    fn delay(&mut self, waited: f64, period: f64) -> f64 {
         let turns = MOVED_TURNS.get(usize::from(self.moves) % MOVED_TURNS.len());
         let delay = match turns.filter(|_| self.skips_revolutions()) {
             Some(turns) => turns * period,
-            None => MOVED_PART * wait,
+            None => MOVED_PART * waited.min(period),
         };
         if self.votes.abs() >= PROVED
             || self.is_compared
@@ -463,7 +463,7 @@ impl Proof {
         // Polls on a grid may show each second or third revolution: only other ones tell.
         self.is_compared = std::mem::take(&mut self.is_moved);
         let is_told = self.is_compared || !self.skips_revolutions();
-        if self.is_complete || !is_told {
+        if self.votes == PROVED || !is_told {
             return;
         }
         let moved = part((requested - before) / period);
@@ -479,7 +479,6 @@ impl Proof {
             () => 0,
         };
         self.votes = (self.votes + vote).clamp(-PROVED, PROVED);
-        self.is_complete = self.votes == PROVED;
     }
 
     /// Returns true if some recent replies were more than a revolution apart.

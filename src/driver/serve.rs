@@ -78,6 +78,8 @@ pub(crate) struct Service<'a> {
     /// Silence after which an idle link is probed with a fence, if it is.
     pub(crate) probe_interval: Option<Duration>,
     pub(crate) motor_clock: MotorClock,
+    /// How much later than due to send the next poll.
+    pub(crate) poll_delay: Duration,
     /// Number of times the sensor had been found again before this session.
     pub(crate) reconnects: u64,
     /// True if scans are polled, as the state reports it.
@@ -346,10 +348,8 @@ impl Service<'_> {
             self.timer.wait(copies_end).await;
         }
         // Few polls of a session: they show whether replies follow the motor.
-        let now = Instant::now();
-        let delay = self.motor_clock.poll_delay(now);
-        if !delay.is_zero() {
-            self.timer.wait(now + delay).await;
+        if !self.poll_delay.is_zero() {
+            self.timer.wait(Instant::now() + self.poll_delay).await;
         }
         let mut polled = session.poll(poll.window).await;
         if let Err(failure) = polled {
@@ -447,6 +447,7 @@ impl Service<'_> {
             true => Revolution::default(),
             false => self.motor_clock.observe(timing.requested, timing.began),
         };
+        self.poll_delay = revolution.delay;
         let mut stats = self.telemetry.stats();
         stats.scanned(timing.requested, timing.received);
         stats.motor = self.motor_clock.stats();

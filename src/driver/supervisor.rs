@@ -8,6 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::Poll;
+use std::time::Duration;
 
 use tokio::time::{Instant, sleep};
 
@@ -140,6 +141,7 @@ impl Supervisor {
             scan_time,
             probe_interval,
             motor_clock: MotorClock::new(scan_time),
+            poll_delay: Duration::ZERO,
             reconnects,
             streaming: false,
             timer: Timer::default(),

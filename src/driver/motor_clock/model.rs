@@ -209,7 +209,7 @@ impl Cell {
         let mut clock = MotorClock::new(Duration::from_secs_f64(told));
         let mut host = Host::draw(&mut random, honest);
         let (phase, answer) = (random.between(-0.02, 0.0), random.between(1e-4, 15e-3));
-        let (mut free, mut errors, mut polls) = (1.0, Vec::new(), 0);
+        let (mut free, mut errors, mut polls, mut delay) = (1.0, Vec::new(), 0, 0.0);
         while free < TIME && polls < MOST_POLLS {
             polls += 1;
             if !honest && random.once_in(4000.0) {
@@ -218,8 +218,7 @@ impl Cell {
             }
             let due = if rate.is_finite() { (free * rate).ceil() / rate } else { free };
             let turnaround = random.between(2e-5, 2e-4);
-            let due = due + clock.poll_delay(at(due)).as_secs_f64();
-            let requested = due + turnaround;
+            let requested = due + delay + turnaround;
             let heard = requested + line.delay(&mut random);
             let end = motor.next_end(heard, &mut random);
             let (began, truth) = match at_once {
@@ -234,7 +233,7 @@ impl Cell {
             let first = first + host.delay(first, &mut random);
             let last = last.max(first);
             let revolution = clock.observe(at(requested), at(first));
-            free = last;
+            (free, delay) = (last, revolution.delay.as_secs_f64());
             self.stamps += 1;
             if let Some(lateness) = revolution.lateness {
                 errors.push(first - lateness.as_secs_f64() - truth);

@@ -8,7 +8,7 @@ const REPLY_TIMES: &str = include_str!("reply_times.csv");
 
 /// Clock of a sensor that has shown that it follows its motor and not its requests.
 fn proved() -> MotorClock {
-    let proof = Proof { is_complete: true, ..Proof::default() };
+    let proof = Proof { votes: PROVED, ..Proof::default() };
     MotorClock { proof, doubt: 0, ..MotorClock::new(NOMINAL) }
 }
 
