@@ -13,6 +13,8 @@ use super::output::Output;
 /// With this many index entries, a file is split at the next opportunity. Less than the maximum,
 /// because the file grows until then.
 pub(super) const MAX_PART_ENTRIES: usize = 65_000;
+/// A larger number is not one of ours. There is room for further ones after it.
+const MAX_PART_NUMBER: u32 = 999_999_999;
 /// A file time before 2020 comes from a clock that was not set yet, and tells nothing
 /// about the file's age.
 const CLOCK_IS_SET: Duration = Duration::from_secs(50 * 365 * 86_400);
@@ -179,7 +181,8 @@ fn begun_parts(path: &Path) -> Vec<(u32, PathBuf)> {
         // The rest of the name need not be UTF-8.
         let digits = name.file_stem()?.as_encoded_bytes().rsplit(|byte| *byte == b'_').next()?;
         let number = std::str::from_utf8(digits).ok()?.parse().ok()?;
-        (number > 1 && part_path(path, number).file_name()? == name).then_some(number)
+        let is_part = (2..=MAX_PART_NUMBER).contains(&number);
+        (is_part && part_path(path, number).file_name()? == name).then_some(number)
     };
     let further = entries.filter_map(|entry| number(Path::new(&entry.file_name())));
     let further = further.map(|number| (number, part_path(path, number)));

@@ -18,8 +18,14 @@ use crate::common::random::{Random, seeds};
 use crate::sink::window;
 
 /// Names that are almost those of parts.
-const OTHERS: [&str; 5] =
-    ["run_2.mcap", "run_x.mcap", "run_00002.mcap", "other_0002.mcap", "run.txt"];
+const OTHERS: [&str; 6] = [
+    "run_2.mcap",
+    "run_x.mcap",
+    "run_00002.mcap",
+    "run_4294967295.mcap",
+    "other_0002.mcap",
+    "run.txt",
+];
 const HOUR: Duration = Duration::from_secs(3600);
 
 /// File of an earlier run.
