@@ -98,7 +98,7 @@ fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_bag_of_another_program_is_judged_by_its_scans() {
+async fn the_bag_of_another_program_is_judged() {
     let file = Scratch::mcap("check-bag");
     recording(file.path(), Window::DETECTION, 20).await;
     let bytes = std::fs::read(file.path()).unwrap();
