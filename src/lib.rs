@@ -62,11 +62,8 @@
 //!
 //! # Other crates
 //!
-//! | crate | what it is |
-//! |---|---|
-//! | `urg-emulator` | the sensor in software, to test your service without hardware |
-//! | `urg-recording` | recordings as MCAP files, their replay, and ROS 2 messages |
-//! | `urg` | the program: live view, recordings, a web page, a self-test, ROS 2 |
+//! `urg-emulator` is the sensor in software, `urg-recording` records into MCAP files and replays
+//! them, and `urg` is the program: live view, recordings, a web page, ROS 2.
 //!
 //! # Cancel safety
 //!
