@@ -310,6 +310,7 @@ impl MotorClock {
     }
 
     /// Judges a reply that does not fit: it is late unless the phase has changed.
+    #[cold]
     fn misfit(&mut self, requested: f64, arrived: f64, lag: f64, gate: f64) -> Revolution {
         self.update_share(0.0);
         let late = if lag < 0.0 { lag + self.period } else { lag };

@@ -1,63 +1,106 @@
-//! [`Lookup`]: finds the addresses of a host, with one thread at most.
+//! [`Lookup`]: finds the addresses of a host, with one thread at most for each name.
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::sync::watch;
+use tokio::task::spawn_blocking;
+
+type Outcome = Result<Vec<SocketAddr>, Arc<io::Error>>;
+/// Has a value once the lookup has ended.
+type Running = watch::Receiver<Option<Outcome>>;
+
+/// Lookups of this process, by host.
+static RUNNING: Mutex<Vec<(String, Running)>> = Mutex::new(Vec::new());
 
 /// Lookup of one host. The system's call blocks, and without a reachable server it can take
 /// half a minute, longer than an attempt to connect may.
 #[derive(Debug, Default)]
 pub(super) struct Lookup {
-    running: Option<JoinHandle<io::Result<Vec<SocketAddr>>>>,
+    running: Option<Running>,
 }
 
 impl Lookup {
     /// Returns the addresses of the host. If you drop the future, the call continues on its
     /// thread, and the next one takes its result.
     pub(super) async fn addresses(&mut self, host: &str, port: u16) -> io::Result<Vec<SocketAddr>> {
-        let host = host.to_owned();
-        self.run(move || Ok((host.as_str(), port).to_socket_addrs()?.collect())).await
+        let name = host.to_owned();
+        let mut found = self.run(host, move || Ok((name, 0).to_socket_addrs()?.collect())).await?;
+        found.iter_mut().for_each(|address| address.set_port(port));
+        Ok(found)
     }
 
     async fn run(
         &mut self,
+        host: &str,
         resolve: impl FnOnce() -> io::Result<Vec<SocketAddr>> + Send + 'static,
     ) -> io::Result<Vec<SocketAddr>> {
-        let outcome = self.running.get_or_insert_with(|| spawn_blocking(resolve)).await;
+        let running = self.running.get_or_insert_with(|| join(host, resolve));
+        // Fails if the thread panicked or its runtime ended.
+        let outcome = running.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
         self.running = None;
-        outcome?
+        match outcome.map_err(io::Error::other)? {
+            Some(outcome) => outcome.map_err(|error| io::Error::new(error.kind(), error)),
+            None => Ok(Vec::new()),
+        }
     }
+}
+
+/// Joins the running lookup of `host`, or starts one.
+fn join(
+    host: &str,
+    resolve: impl FnOnce() -> io::Result<Vec<SocketAddr>> + Send + 'static,
+) -> Running {
+    let mut all = RUNNING.lock().unwrap_or_else(PoisonError::into_inner);
+    // An error: its thread has ended.
+    all.retain(|(_, running)| running.has_changed().is_ok());
+    if let Some((_, running)) = all.iter().find(|(other, _)| other == host) {
+        return running.clone();
+    }
+    let (outcome, running) = watch::channel(None);
+    all.push((host.to_owned(), running.clone()));
+    spawn_blocking(move || outcome.send(Some(resolve().map_err(Arc::new))));
+    running
 }
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
-    use std::sync::{Arc, mpsc};
+    use std::sync::mpsc;
 
     use futures::FutureExt;
 
     use super::*;
 
     #[tokio::test]
-    async fn attempts_share_a_lookup_that_hangs() {
+    async fn sensors_share_a_lookup_that_hangs() {
         let begun = Arc::new(AtomicUsize::new(0));
-        let mut lookup = Lookup::default();
-        let mut attempt = || {
+        let mut lookups: Vec<_> = (0..20).map(|_| Lookup::default()).collect();
+        let mut ends = Vec::new();
+        for attempt in 0..100 {
             let (begun, (end, ended)) = (Arc::clone(&begun), mpsc::channel::<()>());
             let resolve = move || {
                 begun.fetch_add(1, Ordering::Relaxed);
                 let _ = ended.recv();
-                Ok(vec![([10, 0, 0, 1], 2000).into()])
+                Ok(vec![([10, 0, 0, 1], 0).into()])
             };
-            assert!(lookup.run(resolve).now_or_never().is_none());
-            end
-        };
-        let ends: Vec<_> = (0..20).map(|_| attempt()).collect();
+            let attempt = lookups[attempt % 20].run("hangs", resolve);
+            assert!(attempt.now_or_never().is_none());
+            ends.push(end);
+        }
+        let mut other = Lookup::default();
+        assert_eq!(other.addresses("127.0.0.1", 7).await.unwrap(), [([127, 0, 0, 1], 7).into()]);
         drop(ends);
-        let found = lookup.run(|| panic!("a second lookup")).await.unwrap();
-        assert_eq!((found.len(), begun.load(Ordering::Relaxed)), (1, 1));
-        assert!(lookup.run(|| Err(io::ErrorKind::NotFound.into())).await.is_err());
+        for lookup in &mut lookups {
+            assert_eq!(lookup.run("hangs", || panic!("another lookup")).await.unwrap().len(), 1);
+        }
+        assert_eq!(begun.load(Ordering::Relaxed), 1);
+        let missing = || Err(io::ErrorKind::NotFound.into());
+        let error = other.run("fails", missing).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::NotFound);
+        assert!(other.run("panics", || panic!("a lookup")).await.is_err());
+        assert!(other.addresses("127.0.0.1", 7).await.is_ok());
     }
 }
