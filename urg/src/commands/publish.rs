@@ -116,9 +116,6 @@ Examples:
   urg publish emulated --engine foxglove    then: open ws://localhost:8765 in Lichtblick
   urg publish serial:H0713090 --wait --engine zenoh --router tcp/10.0.0.1:7447";
 
-/// Topic of a sensor on its port, and how its scans ended.
-type Ended = (String, Result<(), Failure>);
-
 impl Publish {
     /// Returns the nodes, or none if a name is invalid.
     pub(crate) fn nodes(&self) -> Vec<NodeNames> {
@@ -238,9 +235,9 @@ impl Publish {
     }
 }
 
-/// Waits until the scans of all sensors have ended. While others continue, an error is only
-/// printed. The last error ends the program.
-async fn all_ended(scans: &mut JoinSet<Ended>) -> Result<(), Failure> {
+/// Waits until the scans of all sensors have ended: for each its name, and how it ended. While
+/// others continue, an error is only printed. The last error ends the program.
+async fn all_ended(scans: &mut JoinSet<(String, Result<(), Failure>)>) -> Result<(), Failure> {
     let mut failure = Ok(());
     while let Some(ended) = scans.join_next().await {
         let (name, outcome) =

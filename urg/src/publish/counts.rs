@@ -2,14 +2,14 @@
 
 use std::time::Instant;
 
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 
-/// Counters of published, dropped and lost messages, updated from any thread.
-#[derive(Debug, Default)]
-pub(crate) struct Counts(Mutex<Counted>);
+/// Counters that any thread updates.
+pub(crate) type Counts = Mutex<Counted>;
 
+/// Published, dropped and lost messages.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Counted {
+pub(crate) struct Counted {
     /// Number of messages passed to the network.
     pub(super) published: u64,
     /// When the last message was passed to the network.
@@ -24,18 +24,13 @@ pub(super) struct Counted {
     pub(super) restarts: u64,
 }
 
-impl Counts {
-    pub(super) fn lock(&self) -> MutexGuard<'_, Counted> {
-        self.0.lock()
+impl Counted {
+    pub(super) fn add_published(&mut self) {
+        self.published += 1;
+        self.last_published = Some(Instant::now());
     }
 
-    pub(super) fn add_published(&self) {
-        let mut counted = self.lock();
-        counted.published += 1;
-        counted.last_published = Some(Instant::now());
-    }
-
-    pub(super) fn add_dropped(&self) {
-        self.lock().dropped += 1;
+    pub(super) fn add_dropped(&mut self) {
+        self.dropped += 1;
     }
 }

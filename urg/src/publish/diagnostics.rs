@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use tokio_scip::{Rate, Sensor, State, Stats, Version, Window};
+use tokio_scip::{Rate, Sensor, State, Version, Window};
 use urg_recording::ros::{DiagnosticLevel, DiagnosticStatus};
 
 use super::engine::Outlet;
@@ -57,7 +57,18 @@ impl Condition {
             ("Readers", shown(counted.readers)),
             ("Engine restarts", counted.restarts.to_string()),
         ];
-        values.extend(losses(&stats));
+        let losses = [
+            ("Polls", stats.polls),
+            ("Scans", stats.scans),
+            ("Timeouts", stats.timeouts),
+            ("Refused", stats.refused),
+            ("Malformed", stats.malformed.total()),
+            ("Skipped", stats.polls_skipped),
+            ("Missed", stats.missed),
+            ("Disconnects", stats.disconnects),
+            ("Reconnects", stats.reconnects),
+        ];
+        values.extend(losses.map(|(name, count)| (name, count.to_string())));
         DiagnosticStatus {
             level,
             name: format!("{}: Hardware Status", node.trim_start_matches('/')),
@@ -92,21 +103,6 @@ impl Condition {
             (None, _) => (Ok, "scans flow".to_owned()),
         }
     }
-}
-
-fn losses(stats: &Stats) -> [(&'static str, String); 9] {
-    [
-        ("Polls", stats.polls),
-        ("Scans", stats.scans),
-        ("Timeouts", stats.timeouts),
-        ("Refused", stats.refused),
-        ("Malformed", stats.malformed.total()),
-        ("Skipped", stats.polls_skipped),
-        ("Missed", stats.missed),
-        ("Disconnects", stats.disconnects),
-        ("Reconnects", stats.reconnects),
-    ]
-    .map(|(name, count)| (name, count.to_string()))
 }
 
 fn hertz(period: Duration) -> String {

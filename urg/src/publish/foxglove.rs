@@ -93,7 +93,7 @@ impl Publisher for Channels {
     fn publish(&self, topic: usize, message: Vec<u8>) {
         if let Some((channel, counts)) = self.0.get(topic) {
             channel.log(&message);
-            counts.add_published();
+            counts.lock().add_published();
         }
     }
 }

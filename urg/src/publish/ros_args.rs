@@ -27,7 +27,7 @@ pub(crate) fn as_options(
     arguments: Vec<OsString>,
     nodes: impl Fn(&[OsString]) -> Vec<NodeNames>,
 ) -> Result<Vec<OsString>, Failure> {
-    let (plain, ros) = RosArgs::split(arguments)?;
+    let (plain, ros) = RosArgs::split(&arguments)?;
     let with = |options: &[String]| {
         let end = plain.iter().position(|argument| argument == END).unwrap_or(plain.len());
         let (before, after) = plain.split_at(end);
@@ -65,19 +65,17 @@ struct Parameter {
 
 impl RosArgs {
     /// Separates the arguments of ROS from all others.
-    fn split(arguments: Vec<OsString>) -> Result<(Vec<OsString>, Self), Failure> {
-        let (mut plain, mut ros) = (Vec::new(), Self::default());
-        let mut arguments = arguments.into_iter();
-        let mut is_inside = false;
-        while let Some(argument) = arguments.next() {
-            if argument == BEGIN {
-                is_inside = true;
-            } else if !is_inside {
-                plain.push(argument);
-            } else if argument == END {
-                is_inside = false;
-            } else {
-                ros.add(&argument.to_string_lossy(), &mut arguments)?;
+    fn split(arguments: &[OsString]) -> Result<(Vec<OsString>, Self), Failure> {
+        let mut ros = Self::default();
+        let mut parts = arguments.split(|argument| argument == BEGIN);
+        let mut plain = parts.next().unwrap_or_default().to_vec();
+        for part in parts {
+            let end = part.iter().position(|argument| argument == END).unwrap_or(part.len());
+            let (inside, after) = part.split_at(end);
+            plain.extend(after.iter().skip(1).cloned());
+            let mut inside = inside.iter().cloned();
+            while let Some(flag) = inside.next() {
+                ros.add(&flag.to_string_lossy(), &mut inside)?;
             }
         }
         Ok((plain, ros))

@@ -43,9 +43,7 @@ impl Log {
         let last = Arc::<Mutex<_>>::default();
         let latest = Arc::clone(&last);
         let capture = Capture::start(move |line| {
-            // Without the time and the thread: `1795395521.219124 [7]        dds: text`.
-            let text = line.split_once(']').and_then(|(_, rest)| rest.split_once(": "));
-            let text = text.map_or(line, |(_, text)| text);
+            let text = text(line);
             if text.starts_with("ddsi_udp_conn_write") {
                 tracing::debug!("{line}");
                 let is_multicast = text.contains("udp/239.255.0.1:");
@@ -67,6 +65,12 @@ impl Log {
         drop(self.capture);
         self.last.lock().take()
     }
+}
+
+/// Cuts the time and the thread off a line such as `1795395521.219124 [7]        dds: text`.
+pub(super) fn text(line: &str) -> &str {
+    let text = line.split_once(']').and_then(|(_, rest)| rest.split_once(": "));
+    text.map_or(line, |(_, text)| text)
 }
 
 /// Packets that could not be sent.

@@ -1,7 +1,6 @@
 //! Choice of network interfaces for DDS, and Cyclone's configuration.
 
 use std::collections::BTreeSet;
-use std::fmt::Write;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 
 use crate::publish::discovery::{Discovery, Range};
@@ -107,15 +106,11 @@ impl Network {
     ) -> String {
         let is_off = discovery.range == Range::Off;
         let has_multicast = discovery.range == Range::Subnet;
-        let mut interfaces = String::new();
-        for address in &self.used {
-            // The loopback of Linux supports multicast, but does not have the flag.
-            let multicast = match address.is_loopback() && has_multicast {
-                true => " multicast=\"true\"",
-                false => "",
-            };
-            let _ = write!(interfaces, "<NetworkInterface address=\"{address}\"{multicast}/>");
-        }
+        // The loopback of Linux supports multicast, but does not have the flag.
+        let is_forced = has_multicast && self.used == [Ipv4Addr::LOCALHOST];
+        let flag = if is_forced { " multicast=\"true\"" } else { "" };
+        let interface = |address| format!("<NetworkInterface address=\"{address}\"{flag}/>");
+        let interfaces: String = self.used.iter().map(interface).collect();
         // A unique tag isolates the participant, as in ROS 2.
         let tag =
             if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };

@@ -110,8 +110,8 @@ pub(super) fn run(
     while let Some(message) = queue.pop() {
         let Some(writer) = writers.get(message.topic) else { continue };
         match writer.write(&Encoded(message.payload)) {
-            Ok(()) => message.counts.add_published(),
-            Err(_) => message.counts.add_dropped(),
+            Ok(()) => message.counts.lock().add_published(),
+            Err(_) => message.counts.lock().add_dropped(),
         }
         let readers = writer.matched_subscriptions().map_or(0, |readers| readers.len());
         message.counts.lock().readers = Some(readers);

@@ -13,6 +13,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use parking_lot::Mutex;
 
+use super::log::text;
+
 /// Silence after which others forget this process. Its lease, as in `network`, is a second
 /// longer: checks may be late.
 const OWN_LEASE: Duration = Duration::from_secs(19);
@@ -72,26 +74,23 @@ fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
     let mut forgotten = HashMap::new();
     for line in trace.split(b'\n').map_while(Result::ok) {
         let line = String::from_utf8_lossy(&line);
-        if let Some(guid) = after(&line, "lease expired", " guid ") {
-            if forgotten.len() >= MAX_FORGOTTEN {
-                forgotten.clear();
+        let words: Vec<_> = text(&line).split(' ').collect();
+        match words[..] {
+            ["lease", "expired:", "l", _, "guid", guid, ..] => {
+                if forgotten.len() >= MAX_FORGOTTEN {
+                    forgotten.clear();
+                }
+                forgotten.insert(guid.to_owned(), Instant::now());
             }
-            forgotten.insert(guid.to_owned(), Instant::now());
-        } else if let Some(since) =
-            after(&line, " NEW", "SPDP ST0 ").and_then(|guid| forgotten.remove(guid))
-        {
-            let seconds = since.elapsed().as_secs();
-            let why = format!("a reader is back that was forgotten {seconds} s ago");
-            *returned.lock() = Some(why);
+            ["SPDP", "ST0", guid, "bes", _, "NEW", ..] => {
+                let Some(since) = forgotten.remove(guid) else { continue };
+                let seconds = since.elapsed().as_secs();
+                let why = format!("a reader is back that was forgotten {seconds} s ago");
+                *returned.lock() = Some(why);
+            }
+            _ => {}
         }
     }
-}
-
-/// Word after `before`, in a line that contains `event`.
-fn after<'a>(line: &'a str, event: &str, before: &str) -> Option<&'a str> {
-    line.contains(event)
-        .then(|| line.split_once(before))?
-        .map(|(_, rest)| rest.split(' ').next().unwrap_or_default())
 }
 
 #[cfg(test)]

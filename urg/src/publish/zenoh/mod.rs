@@ -80,8 +80,9 @@ impl Engine for Zenoh {
         Ok((Box::new(zenoh), queue))
     }
 
-    /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. The router drops it
-    /// after 2 s, and the closed queue feeds it nothing more.
+    /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. By the time another
+    /// session is opened, this one sends nothing more: its queue and the session are closed, and
+    /// the router has dropped the silent link.
     fn may_overlap(&self) -> bool {
         true
     }
@@ -179,7 +180,7 @@ fn send(queue: &SendQueue, publishers: &[(pubsub::Publisher<'static>, Gid)]) {
     while let Some(message) = queue.pop() {
         let Some((publisher, gid)) = publishers.get(message.topic) else { continue };
         // Counted before `put`, so that a scan waiting there counts as in transit.
-        message.counts.add_published();
+        message.counts.lock().add_published();
         let metadata = attachment(message.sequence, message.published_at, *gid);
         // Fails only after the session is closed.
         let _ = publisher.put(message.payload).attachment(metadata).wait();

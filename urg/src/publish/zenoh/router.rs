@@ -74,7 +74,7 @@ mod tests {
     #[test]
     fn what_was_published_since_the_answer_before_the_last_is_possibly_lost_once() {
         let counts = Arc::new(Counts::default());
-        let publish = |scans| (0..scans).for_each(|_| counts.add_published());
+        let publish = |scans| (0..scans).for_each(|_| counts.lock().add_published());
         publish(100);
         let mut transit = InTransit::new(&counts);
         publish(10);
