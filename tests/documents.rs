@@ -1,5 +1,6 @@
 //! Checks the documents as a reader sees them as files: each begins with a title, each
 //! reference has a target in its own file, relative links exist, and code names its language.
+//! Together they have less than 20,000 words.
 //! rustdoc replaces the targets of the guide's links, so `links.md` needs all of them.
 
 use std::collections::{BTreeSet, HashMap};
@@ -30,6 +31,8 @@ struct Document {
     anchors: BTreeSet<String>,
     links: Vec<String>,
     defects: Vec<String>,
+    /// Number of words in sentences and tables, without code.
+    words: usize,
 }
 
 /// Returns the anchor of a heading, as forges make it.
@@ -45,12 +48,17 @@ fn read(text: &str) -> Document {
         undefined.push(format!("no target for [{}]", link.reference));
         None::<(CowStr<'_>, CowStr<'_>)>
     };
-    let mut heading: Option<String> = None;
+    let (mut heading, mut is_code) = (None::<String>, false);
     let parser = Parser::new_with_broken_link_callback(text, Options::all(), Some(&mut note));
     for (number, event) in parser.enumerate() {
         let is_title = matches!(event, Event::Start(Tag::Heading { level: HeadingLevel::H1, .. }));
         if number == 0 && !is_title {
             document.defects.push("expected a title at its beginning".to_owned());
+        }
+        match &event {
+            Event::Start(Tag::CodeBlock(_)) => is_code = true,
+            Event::End(TagEnd::CodeBlock) => is_code = false,
+            _ => {}
         }
         match event {
             Event::Start(Tag::Heading { .. }) => heading = Some(String::new()),
@@ -58,6 +66,10 @@ fn read(text: &str) -> Document {
                 document.anchors.extend(heading.take().map(|heading| anchor(&heading)));
             }
             Event::Text(text) | Event::Code(text) => {
+                if !is_code {
+                    let is_word = |word: &&str| word.contains(char::is_alphabetic);
+                    document.words += text.split_whitespace().filter(is_word).count();
+                }
                 if let Some(heading) = &mut heading {
                     heading.push_str(&text);
                 }
@@ -89,6 +101,8 @@ fn documents_read_well_as_files() {
     };
     let all: HashMap<PathBuf, Document> = paths.into_iter().map(read).collect();
     assert!(all.len() > 30, "{} documents", all.len());
+    let words: usize = all.values().map(|document| document.words).sum();
+    assert!(words < 20_000, "{words} words");
     let mut defects = Vec::new();
     for (path, document) in &all {
         let name = path.strip_prefix(root).unwrap().display();
