@@ -10,7 +10,7 @@ use super::baud_rate;
 use super::config::Config;
 use super::failure::{ExchangeError, LinkError};
 use super::laser::Laser;
-use super::session::{Session, UniqueRequests};
+use super::session::{Leftovers, Session, UniqueRequests};
 use crate::port::{AnyConnect, Port};
 use crate::protocol::{Text, Version};
 use crate::state::{Telemetry, VersionReply};
@@ -46,9 +46,7 @@ pub(crate) struct Opener {
     identity: Option<Text>,
     /// Serial number of the sensor that was last found.
     serial_number: Option<Text>,
-    /// Requests of earlier sessions. The system keeps bytes that arrive while a port is
-    /// closed, so the next session may read replies to them.
-    unique_requests: UniqueRequests,
+    leftovers: Leftovers,
     opened: bool,
     /// Motor speed on which two replies have agreed, which may be that the sensor tells none.
     motor_speed: Option<Option<u16>>,
@@ -77,7 +75,10 @@ impl Opener {
             found: None,
             serial_number: None,
             identity: config.serial_number.clone().or(asked),
-            unique_requests: UniqueRequests::starting(config.seed()),
+            leftovers: Leftovers {
+                unique_requests: UniqueRequests::starting(config.seed()),
+                interrupted: false,
+            },
             opened: false,
             motor_speed: None,
             scan_time: REVOLUTION,
@@ -136,11 +137,11 @@ impl Opener {
         port: Box<dyn Port>,
         laser: Option<bool>,
     ) -> Result<Session, LinkError> {
-        let unique_requests = std::mem::take(&mut self.unique_requests);
+        let leftovers = std::mem::take(&mut self.leftovers);
         let reply_latency = self.config.reply_latency;
         let observers = Arc::clone(&self.config.observers);
         let telemetry = Arc::clone(&self.telemetry);
-        let mut session = Session::new(port, reply_latency, unique_requests, observers, telemetry);
+        let mut session = Session::new(port, reply_latency, leftovers, observers, telemetry);
         match self.find(&mut session, laser, self.config.open_timeout).await {
             Ok(()) => Ok(session),
             Err(mut failure) => {
@@ -154,7 +155,7 @@ impl Opener {
     }
 
     pub(crate) fn close(&mut self, session: Session) {
-        self.unique_requests = session.close();
+        self.leftovers = session.close();
     }
 
     /// Finds the sensor again on a port that is still open.

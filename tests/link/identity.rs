@@ -149,7 +149,7 @@ async fn a_serial_number_is_requested_twice() {
 /// serial number is expected.
 #[tokio::test(start_paused = true)]
 async fn the_first_scan_of_an_expected_sensor_comes_after_three_replies() {
-    for (is_expected, limit) in [(true, 370), (false, 470)] {
+    for (is_expected, limit) in [(true, 270), (false, 370)] {
         let mut times = Vec::new();
         for phase in 0..20 {
             let emulator = truthful().serial_number("H0000001").usb().build();

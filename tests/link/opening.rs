@@ -16,7 +16,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream, duplex};
 use tokio::time::Instant;
 use tokio_scip::port::{Connect, StreamPort};
 use tokio_scip::{BaudRate, Error, ErrorKind, Sensor, SensorBuilder, State, Window};
-use urg_emulator::{Emulator, Fault, Faults, Firmware, Mode};
+use urg_emulator::{Emulator, Fault, Faults, Firmware, Mode, Pace};
 
 async fn fails(emulator: &Emulator) -> Error {
     builder().connect(emulator.clone()).await.unwrap_err()
@@ -499,4 +499,19 @@ async fn o07_bytes_buffered_while_the_port_was_closed_are_not_a_flood() {
     tokio::time::sleep(ms(1000)).await;
     let sensor = builder().attach(FaultyLink::new(link).short_reads(64)).await.unwrap();
     sensor.scan(Window::FULL).await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn half_a_command_of_another_program_delays_no_opening() {
+    for command in [&b"G04472501"[..], b"V", b"L0", b"S1152000000000", b"\0\xff"] {
+        for length in 1..=command.len() {
+            let emulator = truthful().pace(Pace::AtOnce).build();
+            emulator.link().write_all(&command[..length]).await.unwrap();
+            let begin = Instant::now();
+            let sensor = builder().connect(emulator.clone()).await.unwrap();
+            sensor.scan(Window::DETECTION).await.unwrap();
+            assert!(begin.elapsed() < ms(100), "{:?}", command[..length].escape_ascii());
+            assert!(emulator.is_laser_on());
+        }
+    }
 }

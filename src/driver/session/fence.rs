@@ -66,6 +66,11 @@ impl Session {
                 error @ (ErrorKind::Timeout { .. } | ErrorKind::Malformed { .. }),
             )) => {
                 self.telemetry.stats().fence_timeouts += 1;
+                if self.transport.latest_at().is_none() {
+                    // Another program may have left half a command. And only an LF tells an echo
+                    // from a reply.
+                    self.transport.interrupt();
+                }
                 tracing::trace!(%error, "no answer to a fence");
             }
             Err(_) => {}

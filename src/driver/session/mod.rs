@@ -54,6 +54,16 @@ enum EchoKind {
     Common,
 }
 
+/// What a session leaves for the next one.
+#[derive(Debug, Default)]
+pub(crate) struct Leftovers {
+    /// The system keeps bytes that arrive while a port is closed, so the next session may read
+    /// replies to these.
+    pub(crate) unique_requests: UniqueRequests,
+    /// True if the sensor may hold part of a command. An LF ends it, and can cost a revolution.
+    pub(crate) interrupted: bool,
+}
+
 pub(crate) struct Session {
     pub(crate) transport: Transport,
     /// True if no reply older than the next command can be on its way.
@@ -70,20 +80,22 @@ impl Session {
     pub(crate) fn new(
         port: Box<dyn Port>,
         latency: Option<Duration>,
-        unique_requests: UniqueRequests,
+        before: Leftovers,
         observers: Arc<ReplyObservers>,
         telemetry: Arc<Telemetry>,
     ) -> Self {
+        let Leftovers { unique_requests, interrupted } = before;
         telemetry.stats().baud_rate_outrun = false;
-        let transport = Transport::new(port, latency);
+        let transport = Transport::new(port, latency, interrupted);
         // The last user of the port may have left bytes behind.
         let is_settled = false;
         Self { transport, is_settled, is_outrun: false, unique_requests, observers, telemetry }
     }
 
-    /// Closes the port, and returns the requests that the next session must not repeat.
-    pub(crate) fn close(self) -> UniqueRequests {
-        self.unique_requests
+    /// Closes the port.
+    pub(crate) fn close(self) -> Leftovers {
+        let interrupted = self.transport.is_interrupted();
+        Leftovers { unique_requests: self.unique_requests, interrupted }
     }
 
     /// Returns true while the driver is closing. A silent sensor then gets no second try.
@@ -358,7 +370,7 @@ mod tests {
         let (reads, baud_rate) = ([Ok(input.to_vec())].into(), Some(BaudRate::B19200));
         let port = ScriptedPort { reads, baud_rate, ..ScriptedPort::default() };
         let telemetry = Arc::new(Telemetry::new(None));
-        Session::new(Box::new(port), None, UniqueRequests::default(), Arc::default(), telemetry)
+        Session::new(Box::new(port), None, Leftovers::default(), Arc::default(), telemetry)
     }
 
     #[tokio::test]
@@ -419,7 +431,7 @@ mod tests {
         session.exchange(Command::LaserOff, EchoKind::Common).await.unwrap();
         let copy =
             ScriptedPort { reads: [Ok(b"L0\n0\n\n".to_vec())].into(), ..ScriptedPort::default() };
-        session.transport = Transport::new(Box::new(copy), None);
+        session.transport = Transport::new(Box::new(copy), None, false);
         assert!(session.is_settled());
         assert!(session.command(Command::LaserOff).await.is_err());
     }

@@ -25,13 +25,24 @@ impl Transport {
 
     /// Sets this side's baud rate, and drops the bytes received at another one.
     pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.interrupted = true;
+        // What was written at another baud rate.
+        self.interrupted |= !self.output.is_empty();
         self.clear_input();
         self.pauses = Pauses::default();
         let outcome = self.port.set_baud_rate(baud_rate);
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome
+    }
+
+    /// Writes an LF before the next command, in case the sensor holds part of another one.
+    pub(crate) fn interrupt(&mut self) {
+        self.interrupted = true;
+    }
+
+    /// Returns true if the sensor may hold part of a command.
+    pub(crate) fn is_interrupted(&self) -> bool {
+        self.interrupted
     }
 
     /// Returns true if the port can change its baud rate, as far as known from trying.

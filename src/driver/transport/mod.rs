@@ -121,7 +121,7 @@ pub(crate) struct ReceivedFrame<'a> {
 }
 
 impl Transport {
-    pub(crate) fn new(port: Box<dyn Port>, latency: Option<Duration>) -> Self {
+    pub(crate) fn new(port: Box<dyn Port>, latency: Option<Duration>, interrupted: bool) -> Self {
         let (now, stamp) = (Instant::now(), SystemTime::now());
         Self {
             port,
@@ -143,8 +143,7 @@ impl Transport {
             retry_timer: Timer::default(),
             pauses: Pauses::default(),
             latency,
-            // The last user of the port may have left half a command behind.
-            interrupted: true,
+            interrupted,
             adjustable: false,
         }
     }

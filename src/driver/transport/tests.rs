@@ -15,7 +15,7 @@ use crate::{BaudRate, Window};
 const LATENCY: Duration = Duration::from_millis(100);
 
 fn on(port: impl Port) -> Transport {
-    Transport::new(Box::new(port), None)
+    Transport::new(Box::new(port), None, true)
 }
 
 /// Creates a transport at 19,200 baud that receives these bytes in one piece.
