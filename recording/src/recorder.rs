@@ -271,7 +271,8 @@ impl RecorderBuilder {
     /// Removes the oldest files of a split recording while all files together are larger than
     /// this. Never removes the current file. If you also limit the [size of a
     /// file](Self::split_bytes) to at most half of it, the recording never takes more space, except
-    /// for the index of the current file: old files are removed before a second of data is written.
+    /// for the metadata and the index of the current file: old files are removed before a second of
+    /// data is written.
     ///
     /// If you restart and create a recorder under the same name, it continues after the last
     /// file: it neither refuses nor overwrites existing files. While another recorder writes the

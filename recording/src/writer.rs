@@ -204,6 +204,8 @@ impl Writer {
         self.mcap = start(self.parts.next()?)?;
         self.part = Part::default();
         self.chunk_began = None;
+        // First, because the metadata are written at once.
+        self.parts.remove_old(self.mcap.len());
         if let Some(metadata) = &self.preamble.metadata {
             self.mcap.metadata(METADATA, metadata)?;
         }
