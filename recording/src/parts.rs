@@ -48,6 +48,8 @@ pub(super) struct Parts {
     number: u32,
     /// Finished files, oldest first. Empty unless old files are removed.
     old: Vec<OldPart>,
+    /// True once a file could not be removed.
+    pub(super) cannot_remove: bool,
     wrap: Wrap,
 }
 
@@ -69,7 +71,8 @@ impl Parts {
     ) -> Self {
         let last = path.as_ref().and_then(|path| begun_parts(path).pop());
         let number = last.map_or(1, |(number, _)| number);
-        let mut parts = Self { limits, path, number, old: Vec::new(), wrap: Box::new(wrap) };
+        let (old, cannot_remove, wrap) = (Vec::new(), false, Box::new(wrap));
+        let mut parts = Self { limits, path, number, old, cannot_remove, wrap };
         parts.find_old(current);
         parts
     }
@@ -129,29 +132,36 @@ impl Parts {
             let is_set = part.changed > SystemTime::UNIX_EPOCH + CLOCK_IS_SET;
             is_set && keep_duration.is_some_and(|keep| age > keep)
         };
-        self.old.extract_if(.., |part| is_too_old(part)).for_each(OldPart::remove);
+        let mut unwanted: Vec<_> = self.old.extract_if(.., |part| is_too_old(part)).collect();
         let mut total = self.old.iter().fold(current, |sum, part| sum.saturating_add(part.bytes));
         let is_too_much = |part: &mut OldPart| {
             let is_too_much = keep_bytes.is_some_and(|keep| total > keep);
             total -= if is_too_much { part.bytes } else { 0 };
             is_too_much
         };
-        self.old.extract_if(.., is_too_much).for_each(OldPart::remove);
+        unwanted.extend(self.old.extract_if(.., is_too_much));
+        for part in unwanted {
+            self.cannot_remove |= part.remove().is_err();
+        }
     }
 }
 
 impl OldPart {
     /// Removes the file, unless another recorder under the same name writes it.
-    fn remove(self) {
+    fn remove(self) -> io::Result<()> {
         let path = self.path.display();
         if RecordingFile::is_busy(&self.path) {
-            return;
+            return Ok(());
         }
         match fs::remove_file(&self.path) {
             Ok(()) => tracing::info!(%path, "old recording removed"),
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-            Err(error) => tracing::warn!(%path, %error, "an old recording cannot be removed"),
+            Err(error) => {
+                tracing::warn!(%path, %error, "an old recording cannot be removed");
+                return Err(error);
+            }
         }
+        Ok(())
     }
 }
 

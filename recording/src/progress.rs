@@ -22,4 +22,7 @@ pub struct Progress {
     pub late_syncs: u64,
     /// True if the file system cannot sync: if the power fails, you may lose more.
     pub cannot_sync: bool,
+    /// True if an old file could not be removed: all files together may be larger than
+    /// [asked](super::RecorderBuilder::keep_bytes).
+    pub cannot_remove: bool,
 }

@@ -232,6 +232,7 @@ fn write_all(
                 return writer.finish().and_then(|()| queue.sync_rest());
             }
         }
+        queue.counts().cannot_remove = writer.cannot_remove();
         queue.waiting.send_modify(|waiting| *waiting = waiting.map(|waiting| waiting - weight));
         // While items keep arriving, the wait above never times out, so flush here when
         // due.

@@ -159,6 +159,11 @@ impl Writer {
         self.mcap.flush()
     }
 
+    /// Returns true if an old file could not be removed.
+    pub(super) fn cannot_remove(&self) -> bool {
+        self.parts.cannot_remove
+    }
+
     /// Writes the index and the end of the file.
     pub(super) fn finish(self) -> io::Result<()> {
         self.mcap.finish().map(drop)

@@ -141,6 +141,23 @@ async fn a_second_recorder_of_the_same_parts_is_refused() {
     builder.create(&path).unwrap();
 }
 
+#[tokio::test]
+async fn an_old_file_that_cannot_be_removed_is_told() {
+    for is_folder in [false, true] {
+        let path = folder("split-stuck").join("run.mcap");
+        fs::write(&path, [0; 1000]).unwrap();
+        let mut recorder = Recorder::builder().keep_bytes(4000).create(&path).unwrap();
+        if is_folder {
+            fs::remove_file(&path).unwrap();
+            fs::create_dir(&path).unwrap();
+        }
+        let scan = tokio_scip::Scan::builder(Window::DETECTION, [500; 682]).build().unwrap();
+        recorder.record(&Ok(scan)).unwrap();
+        assert_eq!(recorder.finish().await.unwrap().cannot_remove, is_folder);
+        assert_eq!(path.exists(), is_folder);
+    }
+}
+
 /// The consumer is always one scan behind, so that a scan is outstanding at each place
 /// where the file could be split.
 #[tokio::test(start_paused = true)]

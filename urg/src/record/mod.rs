@@ -170,7 +170,7 @@ impl Record {
         let mut times = ScanTimes::new(Some(feed.scans().rate()));
         // When the progress line may change again.
         let mut refresh_at = began;
-        let (mut is_late, mut is_unsynced) = (false, false);
+        let mut are_told = [false; 3];
         let mut take = async |update: Update| {
             reporter.report(&update);
             let item = match update {
@@ -183,16 +183,25 @@ impl Record {
             };
             recorder.record(&item).map_err(|error| failure(target, &error))?;
             let progress = recorder.progress();
-            if !is_unsynced && progress.cannot_sync {
-                is_unsynced = true;
-                notice("this file system cannot sync files: if the power fails, more is lost");
-            }
-            if !is_late && progress.late_syncs > 0 {
-                is_late = true;
-                notice(
+            let notices = [
+                (
+                    progress.cannot_sync,
+                    "this file system cannot sync files: if the power fails, more is lost",
+                ),
+                (
+                    progress.late_syncs > 0,
                     "the disk is slow: it takes longer than --sync for what is written; no scan \
                      is delayed, but more is lost if the power fails",
-                );
+                ),
+                (
+                    progress.cannot_remove,
+                    "an old file cannot be removed: all files take more than --keep",
+                ),
+            ];
+            for ((is_so, text), is_told) in notices.into_iter().zip(&mut are_told) {
+                if is_so && !std::mem::replace(is_told, true) {
+                    notice(text);
+                }
             }
             if Instant::now() < refresh_at {
                 return Ok(());
