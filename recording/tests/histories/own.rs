@@ -8,7 +8,7 @@ use std::time::{Duration, SystemTime};
 use tokio_scip::{Rate, Sensor};
 use urg_recording::Recorder;
 
-use super::file::read;
+use super::file::{Message, read};
 use crate::common::random::Random;
 use crate::sink::{Sink, sensor, window};
 
@@ -37,13 +37,14 @@ async fn record(random: &mut Random, seed: u64) -> Own {
     let folder = folder(seed);
     let path = folder.join("run.mcap");
     let (is_split, sink) = (random.once_in(3), Sink::new());
+    let keep_bytes = (is_split && random.once_in(2)).then(|| random.below(40_000));
     let mut recorder = match is_split {
         true => {
             let limit = Duration::from_millis(500 + random.below(2000));
             let builder = Recorder::builder().sync_interval(None).split_duration(limit);
-            match random.once_in(2) {
-                true => builder.keep_bytes(random.below(40_000)).create(&path),
-                false => builder.create(&path),
+            match keep_bytes {
+                Some(bytes) => builder.keep_bytes(bytes).create(&path),
+                None => builder.create(&path),
             }
         }
         false => Recorder::builder().write_to(sink.clone()),
@@ -117,11 +118,13 @@ async fn record(random: &mut Random, seed: u64) -> Own {
         false => vec![sink.bytes()],
     };
     std::fs::remove_dir_all(folder).unwrap();
-    // The oldest files may be removed.
-    let messages: Vec<_> = files.iter().flat_map(|file| read(file).unwrap()).collect();
-    let stamps = messages.iter().filter(|message| message.is_scan());
-    let first = stamps.map(|message| message.publish_time).min().unwrap_or(u64::MAX);
-    recorded.retain(|stamp| *stamp >= first);
+    if keep_bytes.is_some() {
+        // The other scans were in the files that are removed (`keep`).
+        let messages = files.iter().flat_map(|file| read(file).unwrap());
+        let scans = messages.filter(Message::is_scan);
+        let stamps: BTreeSet<_> = scans.map(|message| message.publish_time).collect();
+        recorded.retain(|stamp| stamps.contains(stamp));
+    }
     Own { files, recorded, delivered, is_alone }
 }
 
