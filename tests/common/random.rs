@@ -3,12 +3,20 @@
 use std::ops::Range;
 use std::time::Duration;
 
-/// Returns the seeds of a model: the number of them that `name` sets, or `usual`, from the one that
-/// `NAME_FIRST` sets.
+/// Returns the seeds of a model: the number of them that `name` sets, or [`times`] `usual`, from the
+/// one that `NAME_FIRST` sets.
 pub(crate) fn seeds(name: &str, usual: u64) -> Range<u64> {
-    let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().unwrap());
     let first = number(&format!("{name}_FIRST")).unwrap_or(0);
-    first..first + number(name).unwrap_or(usual)
+    first..first + number(name).unwrap_or(times() * usual)
+}
+
+/// How many times the usual seeds to run: `SCIP_TIMES`, which CI sets, or once.
+pub(crate) fn times() -> u64 {
+    number("SCIP_TIMES").unwrap_or(1)
+}
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
 }
 
 /// The splitmix64 generator (Steele, Lea and Flood, 2014).

@@ -13,7 +13,7 @@ use urg_emulator::{
     Emulator, Fault, Faults, Fixed, Room, Scene, Sparse, Values, Walk, World, WorldTime,
 };
 
-use crate::common::{limit::limit, ms};
+use crate::common::{limit::limit, ms, random::seeds};
 
 use super::programs::merged::{self, Mounted};
 #[cfg(unix)]
@@ -251,7 +251,7 @@ fn count(emulator: Emulator) -> impl AsyncFnMut() -> Result<usize, String> {
 
 #[tokio::test(start_paused = true)]
 async fn up_to_three_walkers_are_counted() {
-    for seed in 0..20 {
+    for seed in seeds("SCIP_WALKERS", 7) {
         // At different distances, and never one in front of the other.
         let walk = |from, to, start, speed| Walk::new(from, to).starting_at(ms(start)).speed(speed);
         let walks = [

@@ -21,6 +21,7 @@ use tokio_scip::{Rate, Window};
 use urg_emulator::Faults;
 
 use crate::common::limit::limit;
+use crate::common::random::times;
 
 fn setting(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|text| text.parse().unwrap_or_else(|_| panic!("{name}={text}")))
@@ -35,7 +36,7 @@ fn seeds_find_no_wrong_scan_and_no_call_without_an_answer() {
         return;
     }
     let first = setting("SCIP_SIMULATION_FIRST").unwrap_or(0);
-    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(3);
+    let hours = setting("SCIP_SIMULATION_HOURS").unwrap_or(times());
     // A number of seeds has precedence over a number of hours.
     let last = setting("SCIP_SIMULATION_SEEDS").map(|seeds| first + seeds);
     let (mut simulated, mut longest) = (Duration::ZERO, [Duration::ZERO; 2]);
