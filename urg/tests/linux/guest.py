@@ -36,14 +36,14 @@ def expect(good, text):
         raise Failure(text)
 
 
-def wait(condition, text):
+def wait(condition, text, interval=0.05):
     """Returns the first true value of `condition`."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         value = condition()
         if value:
             return value
-        time.sleep(0.05)
+        time.sleep(interval)
     raise Failure(f"{text} within {PATIENCE} s")
 
 
@@ -141,18 +141,16 @@ def decode(reply):
     return int(lines[0][1:4]), values
 
 
-class Sensor:
-    """An emulated sensor behind a gadget."""
+class Gadget:
+    """A USB device with the ids of a sensor and a terminal."""
 
-    def __init__(self, number, serial_number):
-        self.number, self.serial_number = number, serial_number
-        self.sent, self.partial = [], b""
-        self.moment, self.plugged = None, False
-        self.emulator = None
+    def __init__(self, number):
+        self.number = number
         folder = self.folder = GADGETS / f"urg{number}"
         (folder / "strings/0x409").mkdir(parents=True)
         (folder / "configs/c.1/strings/0x409").mkdir(parents=True)
-        (folder / "functions" / f"acm.{number}").mkdir(parents=True)
+        function = folder / "functions" / f"acm.{number}"
+        function.mkdir(parents=True)
         for name, value in [
             ("idVendor", "0x15d1"), ("idProduct", "0x0000"), ("bcdUSB", "0x0200"),
             ("bDeviceClass", "2"),
@@ -162,10 +160,33 @@ class Sensor:
             ("strings/0x409/product", "URG-Series USB Driver"),
         ]:
             (folder / name).write_text(value)
-        function = folder / "functions" / f"acm.{number}"
         os.symlink(function, folder / "configs/c.1" / f"acm.{number}")
-        port = (function / "port_num").read_text().strip()
-        self.near = f"/dev/ttyGS{port}"
+        self.near = f"/dev/ttyGS{(function / 'port_num').read_text().strip()}"
+
+    def bind(self):
+        (self.folder / "UDC").write_text(f"dummy_udc.{self.number}\n")
+
+    def unbind(self):
+        (self.folder / "UDC").write_text("\n")
+
+    def path(self):
+        """Returns the terminal of this device on the host's side, or None."""
+        for tty_path in pathlib.Path("/sys/class/tty").glob("ttyACM*"):
+            bus = os.path.realpath(tty_path / "device")
+            if f"dummy_hcd.{self.number}/" in bus:
+                return f"/dev/{tty_path.name}"
+        return None
+
+
+class Sensor(Gadget):
+    """An emulated sensor behind a gadget."""
+
+    def __init__(self, number, serial_number):
+        super().__init__(number)
+        self.serial_number = serial_number
+        self.sent, self.partial = [], b""
+        self.moment, self.plugged = None, False
+        self.emulator = None
         threading.Thread(target=self._work, daemon=True).start()
 
     def plug(self):
@@ -184,11 +205,11 @@ class Sensor:
         threading.Thread(target=self.emulator.stderr.read, daemon=True).start()
         self.line = socket.create_connection(address)
         self.partial, self.plugged = b"", True
-        (self.folder / "UDC").write_text(f"dummy_udc.{self.number}\n")
+        self.bind()
 
     def unplug(self):
         self.plugged = False
-        (self.folder / "UDC").write_text("\n")
+        self.unbind()
         self.line.close()
         self.emulator.kill()
         self.emulator.wait()
@@ -199,14 +220,6 @@ class Sensor:
         done = threading.Event()
         self.moment = (moment, done)
         expect(done.wait(PATIENCE), f"no {moment} to unplug in within {PATIENCE} s")
-
-    def path(self):
-        """Returns the terminal of this sensor on the host's side, or None."""
-        for tty_path in pathlib.Path("/sys/class/tty").glob("ttyACM*"):
-            bus = os.path.realpath(tty_path / "device")
-            if f"dummy_hcd.{self.number}/" in bus:
-                return f"/dev/{tty_path.name}"
-        return None
 
     def _is_moment(self, name):
         if self.moment and self.moment[0] == name:
@@ -251,8 +264,9 @@ class Sensor:
                     return
                 # In parts of USB's size, so that a cable can be pulled between two.
                 for at in range(0, len(data), 64):
-                    self._send(near, data[at:at + 64])
+                    # Kept first: the program may print a scan before `_send` returns.
                     self._keep(data[at:at + 64])
+                    self._send(near, data[at:at + 64])
                     is_half = self.partial.startswith(b"G") and len(self.partial) > 600
                     if is_half and self._is_moment("reply"):
                         return

@@ -27,7 +27,8 @@ MODULES = [
     "dummy_hcd", "libcomposite", "usb_f_acm", "cdc-acm", "uhci-hcd", "ehci-pci", "ftdi_sio",
     "dm-flakey",
 ]
-OPTIONS = {"dummy_hcd": "num=2"}
+# As many as the gadget driver has terminals.
+OPTIONS = {"dummy_hcd": "num=8"}
 
 
 class Skipped(Exception):

@@ -4,6 +4,7 @@
 something is missing."""
 
 import json
+import os
 import pathlib
 import random
 import shutil
@@ -269,6 +270,11 @@ def show(answer):
 if __name__ == "__main__":
     checks, program, place = sys.argv[1], str(pathlib.Path(sys.argv[2]).resolve()), pathlib.Path(sys.argv[3])
     place.mkdir(parents=True, exist_ok=True)
+    try:
+        # Some checks bound times: what else this host does should not count.
+        os.nice(-10)
+    except PermissionError:
+        pass
     try:
         run = {"usb": usb, "system": system, "power": power, "services": services, "cost": cost}[checks]
         sys.exit(run(program, place.resolve(), sys.argv[4:]))
