@@ -29,8 +29,4 @@ impl Counted {
         self.published += 1;
         self.last_published = Some(Instant::now());
     }
-
-    pub(super) fn add_dropped(&mut self) {
-        self.dropped += 1;
-    }
 }

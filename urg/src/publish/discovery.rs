@@ -40,7 +40,6 @@ impl Discovery {
         Self::resolve(|name| env::var_os(name).map(|text| text.to_string_lossy().into_owned()))
     }
 
-    /// Whether readers may be on other machines.
     pub(super) fn is_beyond_this_machine(&self) -> bool {
         self.range == Range::Subnet || !self.static_peers.is_empty()
     }

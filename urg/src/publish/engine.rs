@@ -209,7 +209,7 @@ impl Outlet {
     pub(crate) fn publish(&self, topic: NodeTopic, message: Vec<u8>) {
         match (&*self.publisher.read(), topic) {
             (Some(publisher), _) => publisher.publish(2 * self.node + topic as usize, message),
-            (None, NodeTopic::Scans) => self.counts.lock().add_dropped(),
+            (None, NodeTopic::Scans) => self.counts.lock().dropped += 1,
             (None, NodeTopic::Diagnostics) => {}
         }
     }

@@ -96,7 +96,7 @@ impl SendQueue {
         if state.is_cut {
             state.turns.clear();
             let waiting = state.topics.iter_mut().flat_map(|topic| topic.waiting.drain(..));
-            waiting.for_each(|message| message.counts.lock().add_dropped());
+            waiting.for_each(|message| message.counts.lock().dropped += 1);
         }
     }
 
@@ -118,7 +118,7 @@ impl Publisher for SendQueue {
         };
         *sequence += 1;
         if state.is_closed || state.is_cut {
-            return counts.lock().add_dropped();
+            return counts.lock().dropped += 1;
         }
         waiting.push_back(Message {
             topic,
@@ -129,7 +129,7 @@ impl Publisher for SendQueue {
         });
         if waiting.len() > *depth {
             waiting.pop_front();
-            counts.lock().add_dropped();
+            counts.lock().dropped += 1;
         } else if waiting.len() == 1 {
             state.turns.push_back(topic);
             self.changed.notify_one();

@@ -104,9 +104,7 @@ impl Engine for Dds {
                 (why, _) => why,
             });
         };
-        if let Some(shortage) = network.shortage() {
-            notice(shortage);
-        }
+        network.shortage().into_iter().for_each(notice);
         static_peers.announce(&first.bytes);
         let dds = Self {
             settings: Arc::clone(settings),

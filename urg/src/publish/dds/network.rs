@@ -104,7 +104,6 @@ impl Network {
         pulse: SocketAddr,
         trace: Option<String>,
     ) -> String {
-        let is_off = discovery.range == Range::Off;
         let has_multicast = discovery.range == Range::Subnet;
         // The loopback of Linux supports multicast, but does not have the flag.
         let is_forced = has_multicast && self.used == [Ipv4Addr::LOCALHOST];
@@ -112,11 +111,11 @@ impl Network {
         let interface = |address| format!("<NetworkInterface address=\"{address}\"{flag}/>");
         let interfaces: String = self.used.iter().map(interface).collect();
         // A unique tag isolates the participant, as in ROS 2.
+        let is_off = discovery.range == Range::Off;
         let tag =
             if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };
         let multicast = if has_multicast { "default" } else { "false" };
-        let vendors: Vec<String> = (1..=MAX_VENDOR).map(|number| format!("1.{number}")).collect();
-        let vendors = vendors.join(",");
+        let vendors = (1..=MAX_VENDOR).map(|it| format!("1.{it}")).collect::<Vec<_>>().join(",");
         let trace = trace.map_or_else(String::new, |path| {
             format!(
                 "<Tracing><Category>discovery</Category><OutputFile>{path}</OutputFile></Tracing>"

@@ -111,7 +111,7 @@ pub(super) fn run(
         let Some(writer) = writers.get(message.topic) else { continue };
         match writer.write(&Encoded(message.payload)) {
             Ok(()) => message.counts.lock().add_published(),
-            Err(_) => message.counts.lock().add_dropped(),
+            Err(_) => message.counts.lock().dropped += 1,
         }
         let readers = writer.matched_subscriptions().map_or(0, |readers| readers.len());
         message.counts.lock().readers = Some(readers);

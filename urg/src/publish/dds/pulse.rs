@@ -12,8 +12,7 @@ pub(super) type Prefix = [u8; 12];
 /// First bytes of the prefix of every participant of Cyclone: the number of the vendor.
 const CYCLONE: [u8; 2] = [0x01, 0x10];
 
-/// Time to wait for a packet.
-const PATIENCE: Duration = Duration::from_millis(1);
+const RECEIVE_TIMEOUT: Duration = Duration::from_millis(1);
 
 /// Receiver of a participant's announcements.
 pub(super) struct Pulse(UdpSocket);
@@ -27,7 +26,7 @@ impl Pulse {
     /// Returns the address to add to the participant's peers, too.
     pub(super) fn bind() -> io::Result<(Self, SocketAddr)> {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
-        socket.set_read_timeout(Some(PATIENCE))?;
+        socket.set_read_timeout(Some(RECEIVE_TIMEOUT))?;
         let address = socket.local_addr()?;
         Ok((Self(socket), address))
     }

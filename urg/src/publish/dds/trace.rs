@@ -83,10 +83,11 @@ fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
                 forgotten.insert(guid.to_owned(), Instant::now());
             }
             ["SPDP", "ST0", guid, "bes", _, "NEW", ..] => {
-                let Some(since) = forgotten.remove(guid) else { continue };
-                let seconds = since.elapsed().as_secs();
-                let why = format!("a reader is back that was forgotten {seconds} s ago");
-                *returned.lock() = Some(why);
+                let Some(since) = forgotten.remove(guid).map(|at| at.elapsed().as_secs()) else {
+                    continue;
+                };
+                *returned.lock() =
+                    Some(format!("a reader is back that was forgotten {since} s ago"));
             }
             _ => {}
         }
