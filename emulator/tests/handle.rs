@@ -46,7 +46,7 @@ async fn an_early_command_is_an_overlap() {
     listen(&mut link).await;
     assert_eq!(emulator.counts().overlapping, 1);
     assert!(emulator.log()[1].overlapping);
-    // An LF that ends a half-typed command, and a command behind it, do not overlap.
+    // An LF that ends a half-typed command does not overlap with the next command.
     link.write_all(b"\nV\n").await.unwrap();
     listen(&mut link).await;
     assert_eq!(emulator.counts().overlapping, 1);

@@ -64,7 +64,7 @@ impl Connect for ConnectOnce {
     }
 }
 
-/// Returns an endless port with the sensor behind it, and its switch.
+/// Returns an endless port of a sensor, and its switch.
 fn flooding_port(pattern: &'static [u8]) -> (Emulator, Arc<AtomicBool>, TestPort<FloodingPort>) {
     let emulator = truthful().build();
     let open = Arc::new(AtomicBool::new(false));
