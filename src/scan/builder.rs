@@ -149,21 +149,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_set_is_what_the_scan_has() {
-        let at = Instant::now() + Duration::from_millis(95);
-        let stamp = SystemTime::UNIX_EPOCH + Duration::from_secs(1_800_000_000);
-        let window = Window::new(384..=385).unwrap();
-        let builder = Scan::builder(window, vec![1234, 7]);
-        let scan = builder.sequence(3).received_at(at).stamp(stamp).repeat(true).build().unwrap();
-        assert_eq!((scan.window(), scan.values()), (window, &[1234, 7][..]));
-        assert_eq!((scan.sequence(), scan.reconnects(), scan.is_repeat()), (3, 0, true));
-        assert_eq!((scan.requested_at(), scan.received_at(), scan.stamp()), (at, at, stamp));
-        let other = Scan::builder(Window::single(9), [4000]).like(&scan).build().unwrap();
-        assert_eq!((other.sequence(), other.stamp(), other.is_repeat()), (3, stamp, true));
-        assert_eq!(other.values(), [4000]);
-    }
-
-    #[test]
     fn values_that_do_not_fit_their_window_are_refused() {
         let build = |values: &[u16]| Scan::builder(Window::DETECTION, values).build();
         let error = build(&[1000; 681]).unwrap_err();

@@ -167,24 +167,6 @@ async fn a_missing_reply_times_out() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_replies_in_one_read_are_two_frames() {
-    let mut transport = transport(b"L1\n0\n\nL0\n0\n\n");
-    transport.send(&Command::LaserOff, LATENCY).await.unwrap();
-    for reply in [&b"L1\n0"[..], b"L0\n0"] {
-        assert_eq!(transport.next_frame().await.unwrap().frame(), FoundFrame::Reply(reply));
-    }
-}
-
-#[tokio::test(start_paused = true)]
-async fn bytes_after_the_answer_are_pending() {
-    let mut transport = transport(b"L0\n0\n\nL0\n0\n");
-    transport.ask(&Command::LaserOff, LATENCY).await.unwrap();
-    assert_eq!(transport.pending(), b"L0\n0\n");
-    assert_eq!(discard(&mut transport).await.unwrap(), 5);
-    assert_eq!(transport.pending(), b"");
-}
-
-#[tokio::test(start_paused = true)]
 async fn a_nul_in_front_begins_no_reply() {
     let (near, mut far) = tokio::io::duplex(64);
     let mut transport = on(StreamPort(near));
