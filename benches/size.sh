@@ -1,9 +1,12 @@
 #!/usr/bin/env bash
 # The size of a service on this crate: dependencies, time of a clean release build,
 # size of the program. Beside it a program that opens the same port with tokio and
-# tokio-serial alone. Then the dependencies and the build time that each feature adds to
-# this crate. bash benches/size.sh
+# tokio-serial alone. Then its CPU time a scan, with cargo's defaults, with less code, and beside
+# both of `urg stream` if its path is given; what it keeps on the heap (needs valgrind and jq); and
+# the dependencies and the build time that each feature adds to this crate.
+# bash benches/size.sh [URG]
 set -euo pipefail
+urg=${1:+$(realpath "$1")}
 crate=$(cd "$(dirname "$0")/.." && pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -50,12 +53,15 @@ use tokio_scip::{Rate, Sensor, Window};
 #[tokio::main(flavor = "current_thread")]
 async fn main() -> Result<(), tokio_scip::Error> {
     let path = std::env::args().nth(1).unwrap_or_default();
+    let count = std::env::args().nth(2).and_then(|count| count.parse().ok()).unwrap_or(20);
     let sensor = Sensor::open(path.as_str()).await?;
     let mut scans = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await?;
-    while let Some(scan) = scans.next().await {
+    for _ in 0..count {
+        let Some(scan) = scans.next().await else { break };
         println!("{} points", scan?.points().count());
     }
-    Ok(())
+    // At once, so that the heap is as it was in service.
+    std::process::exit(0)
 }
 END
 
@@ -74,6 +80,52 @@ for name in bare service; do
         $((size / 1024)) $(($(stat -c %s "$program") / 1024))
 done
 
+# The sensor: a URG on USB, on a pseudo-terminal.
+cd "$crate"
+sensor=$(cargo bench --quiet --locked --no-run --bench pieces --message-format json |
+    sed -n 's/.*"name":"pieces".*"executable":"\([^"]*\)".*/\1/p')
+exec 3< <(exec "$sensor" serve frames)
+trap 'rm -rf "$work"; kill '$! EXIT
+read -r port <&3
+
+cd "$work/service"
+CARGO_PROFILE_RELEASE_LTO=fat CARGO_PROFILE_RELEASE_CODEGEN_UNITS=1 \
+    cargo build --quiet --release --offline --target-dir "$work/fat"
+TIMEFORMAT='%3U %3S'
+# Microseconds of CPU time a scan: what the start of a program takes is in both runs.
+cpu() {
+    local scans
+    for scans in 20 120; do
+        { time "${@//SCANS/$scans}" 2>&4 | cat >/dev/null; } 4>/dev/null 2>&1
+    done | awk '{ total = $1 + $2 } NR == 1 { start = total } END { print (total - start) * 1e4 }'
+}
+median() { sort -n | sed -n 3p; }
+for ((round = 0; round < 5; round++)); do
+    cpu target/release/service "$port" SCANS >>defaults
+    cpu "$work/fat/release/service" "$port" SCANS >>fat
+    [ -z "$urg" ] || cpu "$urg" stream "$port" --count SCANS >>urg
+done
+echo "CPU time a scan, median of five, and median of the ratios"
+for name in defaults fat ${urg:+urg}; do
+    ratio=$(paste "$name" defaults | awk '{ print $1 / $2 }' | median)
+    echo "$name: $(median <"$name") us, $ratio of the defaults; $(paste "$name" fat |
+        awk '{ print $1 / $2 }' | median) of fat"
+done
+
+if command -v valgrind >/dev/null && command -v jq >/dev/null; then
+    echo "bytes on the heap after 20 scans, the runtime's own left out"
+    CARGO_PROFILE_RELEASE_DEBUG=line-tables-only cargo build --quiet --release --offline --target-dir "$work/debug"
+    valgrind --tool=dhat --read-inline-info=no --num-callers=30 --dhat-out-file=heap \
+        "$work/debug/release/service" "$port" >/dev/null 2>&1
+    # By the first function of this crate that each block's allocation passed through.
+    jq -r '.ftbl as $names | .pps[] | select(.eb > 0) | .eb as $bytes |
+        [.fs[] | $names[.] | capture("(?<name>tokio_scip::[^( ]*)").name][0] // empty |
+        "\($bytes) \(.)"' heap |
+        awk '{ sum[$2] += $1; all += $1 } END { for (name in sum) print sum[name], name; print all, "in all" }' |
+        sort -rn
+fi
+
+TIMEFORMAT='%R %U'
 echo "features     crates    build     CPU"
 for features in serial serial,serde serial,tcp urg-emulator urg-recording urg urg,dds urg,zenoh; do
     cd "$crate"
