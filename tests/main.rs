@@ -19,4 +19,5 @@ mod properties;
 mod protocol;
 mod simulation;
 mod wishes;
+mod zone_states;
 mod zones;

@@ -3,8 +3,6 @@
 mod error;
 mod polygon;
 mod state;
-#[cfg(test)]
-mod tests;
 
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
