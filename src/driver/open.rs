@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::baud_rate;
 use super::config::Config;
@@ -129,6 +129,14 @@ impl Opener {
             tracing::trace!(error = %ErrorChain(&error), "port skipped");
             candidates += 1;
             sleep_until(started + CANDIDATE_TIME).await;
+        }
+    }
+
+    /// Waits before the next [`open`](Self::open): until a port appears, at most for `time`.
+    pub(crate) async fn back_off(&mut self, time: Duration) {
+        match self.connect.hints().and_then(|hints| hints.port_appears()) {
+            Some(port_appears) => timeout(time, port_appears).await.unwrap_or_default(),
+            None => sleep(time).await,
         }
     }
 

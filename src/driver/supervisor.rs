@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::task::Poll;
 use std::time::Duration;
 
-use tokio::time::{Instant, sleep};
+use tokio::time::Instant;
 
 use super::backoff::Backoff;
 use super::config::Config;
@@ -173,7 +173,7 @@ impl Supervisor {
             }
             let error = self.telemetry.error(kind.clone());
             self.telemetry.enter(State::Connecting { error: Some(error) });
-            self.offline.run(None, sleep(self.backoff.next())).await?;
+            self.offline.run(None, self.opener.back_off(self.backoff.next())).await?;
             latest = Some(kind);
         }
     }
@@ -217,7 +217,7 @@ impl Supervisor {
         self.telemetry.enter(State::Disconnected { since, error: error.clone() });
         let mut latest = error;
         loop {
-            self.offline.run(Some(&latest), sleep(self.backoff.next())).await?;
+            self.offline.run(Some(&latest), self.opener.back_off(self.backoff.next())).await?;
             let laser = self.offline.queue.wishes.laser;
             let error = match self.offline.run(Some(&latest), self.opener.open(laser)).await? {
                 Ok(session) => {

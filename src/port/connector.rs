@@ -2,6 +2,7 @@
 //! loss of the link.
 
 use std::fmt;
+use std::pin::Pin;
 
 use super::{Connect, ConnectHints, Endpoint, Port};
 #[cfg(feature = "tcp")]
@@ -132,6 +133,14 @@ impl ConnectHints for EndpointConnector {
             #[cfg(feature = "serial")]
             Route::SerialNumber(search) => search.start_over(),
             _ => {}
+        }
+    }
+
+    fn port_appears(&mut self) -> Option<Pin<Box<dyn Future<Output = ()> + Send + '_>>> {
+        match &mut self.route {
+            #[cfg(feature = "serial")]
+            Route::SerialNumber(search) => Some(Box::pin(search.port_appears())),
+            _ => None,
         }
     }
 

@@ -44,6 +44,7 @@
 //! ```
 
 use std::io;
+use std::pin::Pin;
 use std::time::SystemTime;
 
 /// Abilities of a [`Port`](super::Port) beyond reading and writing. The driver calls all methods in
@@ -133,6 +134,15 @@ pub trait ConnectHints {
     /// Accepts the last opened port: it has the right sensor. After a loss of the link, start the
     /// next [`connect`](super::Connect::connect) with the first candidate again.
     fn found(&mut self) {}
+
+    /// Returns a future that ends when a port has appeared, or `None` (the default) if only
+    /// [`connect`](super::Connect::connect) can tell. While the driver backs off, it awaits this
+    /// future, too, and then calls `connect` at once.
+    ///
+    /// If the future ends again and again without a new port, the driver does not back off.
+    fn port_appears(&mut self) -> Option<Pin<Box<dyn Future<Output = ()> + Send + '_>>> {
+        None
+    }
 
     /// Serial number (`SERI:`) that the sensor must have, or `None` (the default) to accept any
     /// sensor. The driver asks once, when you build it.

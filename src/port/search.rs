@@ -2,10 +2,11 @@
 //! checks which sensor it has.
 
 use std::future::Future;
+use std::mem::replace;
 use std::time::Duration;
 use std::vec;
 
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::list;
 use super::serial::{SerialOpener, SerialPort};
@@ -21,7 +22,7 @@ const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 /// Enough for five sensors. The search for a missing sensor takes 2 s if other ports stay busy.
 const BUSY_RETRIES: u32 = 4;
 
-/// Time between two looks for ports that have appeared, while busy ports are awaited.
+/// Time between two looks for ports that have appeared.
 const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time after which a port that is still being opened is skipped. Opening takes milliseconds
@@ -74,14 +75,17 @@ impl Ports for SystemPorts {
 pub(super) struct Search<P> {
     serial_number: String,
     ports: P,
+    /// Ports of the latest listing.
+    listed: Vec<String>,
     pass: Option<Pass>,
 }
 
 #[derive(Debug)]
 struct Pass {
     untried: vec::IntoIter<String>,
-    /// Ports of the latest listing.
-    listed: Vec<String>,
+    /// Ports to open again as soon as they are listed again: the system may not have finished with
+    /// a port that has just appeared.
+    failed: Vec<String>,
     busy: Vec<String>,
     /// When to retry the busy ports. Kept here, so that a caller that drops its futures early
     /// does not restart the delay with each call.
@@ -95,7 +99,7 @@ struct Pass {
 
 impl<P: Ports> Search<P> {
     pub(super) fn new(serial_number: String, ports: P) -> Self {
-        Self { serial_number, ports, pass: None }
+        Self { serial_number, ports, listed: Vec::new(), pass: None }
     }
 
     pub(super) fn serial_number(&self) -> &str {
@@ -112,16 +116,29 @@ impl<P: Ports> Search<P> {
         self.pass = None;
     }
 
+    /// Returns when a port has appeared since the latest listing.
+    pub(super) async fn port_appears(&mut self) {
+        loop {
+            sleep(LISTING_INTERVAL).await;
+            // `next_port` reports what prevents listing.
+            let Ok(listed) = self.ports.candidates().await else { continue };
+            let before = replace(&mut self.listed, listed);
+            if new_ports(&before, &self.listed).next().is_some() {
+                return;
+            }
+        }
+    }
+
     /// Opens the next port that can be opened. Skips a port that hangs for `OPEN_LIMIT`, and
     /// one that was being opened when the future was dropped.
     pub(super) async fn next_port(&mut self) -> Result<P::Port, Error> {
         let pass = match &mut self.pass {
             Some(pass) => pass,
             None => {
-                let listed = self.ports.candidates().await?;
+                self.listed = self.ports.candidates().await?;
                 self.pass.insert(Pass {
-                    untried: listed.clone().into_iter(),
-                    listed,
+                    untried: self.listed.clone().into_iter(),
+                    failed: Vec::new(),
                     busy: Vec::new(),
                     busy_until: None,
                     retries: 0,
@@ -149,9 +166,10 @@ impl<P: Ports> Search<P> {
             let until = *pass.busy_until.get_or_insert_with(|| Instant::now() + BUSY_RETRY_DELAY);
             sleep_until(until.min(Instant::now() + LISTING_INTERVAL)).await;
             let listed = self.ports.candidates().await?;
-            let new = listed.iter().filter(|path| !pass.listed.contains(path)).cloned();
-            let mut untried: Vec<_> = new.collect();
-            pass.listed = listed;
+            self.listed.retain(|path| !pass.failed.contains(path));
+            pass.failed.clear();
+            let mut untried: Vec<_> = new_ports(&self.listed, &listed).cloned().collect();
+            self.listed = listed;
             if Instant::now() >= until {
                 pass.busy_until = None;
                 pass.retries += 1;
@@ -165,14 +183,17 @@ impl<P: Ports> Search<P> {
     }
 }
 
+fn new_ports<'a>(before: &'a [String], now: &'a [String]) -> impl Iterator<Item = &'a String> {
+    now.iter().filter(|path| !before.contains(path))
+}
+
 impl Pass {
     fn record_failure(&mut self, path: String, error: Error) {
         match error.kind() {
             ErrorKind::Busy { .. } if self.retries < BUSY_RETRIES => self.busy.push(path),
             ErrorKind::Busy { .. } => {}
             ErrorKind::PermissionDenied { .. } => self.denied = Some(error),
-            // The system may not have finished with a port that has just appeared.
-            _ => self.listed.retain(|listed| *listed != path),
+            _ => self.failed.push(path),
         }
     }
 }
@@ -183,12 +204,10 @@ mod tests {
     use std::io;
     use std::sync::{Arc, Mutex};
 
+    use super::*;
     use futures::FutureExt;
     use futures::future::join_all;
     use tokio::task::spawn_blocking;
-    use tokio::time::{Instant, sleep};
-
-    use super::*;
 
     /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens, `b`
     /// is busy, `d` is denied, `e` fails, `g` is gone, `h` hangs. The last letter repeats.
@@ -362,6 +381,21 @@ mod tests {
                 assert!(search.ports.listings <= 9, "{} listings", search.ports.listings);
             }
         }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn between_passes_only_a_new_port_is_told() {
+        let mut search = search(&[("a", "e"), ("b", "e"), ("new", "o")]);
+        search.ports.appears += Duration::from_secs(10);
+        assert_eq!(next(&mut search).await, "no H0713090");
+        // Dropped and called again, as by a driver that backs off.
+        while timeout(Duration::from_secs(1), search.port_appears()).await.is_err() {
+            assert_eq!(next(&mut search).await, "no H0713090");
+        }
+        assert!(search.ports.appears.elapsed() <= LISTING_INTERVAL);
+        assert_eq!(next(&mut search).await, "new");
+        let appears = search.port_appears();
+        assert!(timeout(Duration::from_secs(10), appears).await.is_err(), "nothing is new");
     }
 
     #[tokio::test(start_paused = true)]

@@ -1,6 +1,8 @@
 //! A connector with several candidates, one of which may have the sensor: each pass over
 //! them ends, whatever the connector answers.
 
+use std::future::Future;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::time::Duration;
@@ -101,4 +103,49 @@ async fn a_pass_suffices_for_a_busy_port() {
         let error = opened.unwrap_err();
         assert!(matches!(error.kind(), ErrorKind::Busy { .. }), "{open_timeout:?}: {error:?}");
     }
+}
+
+/// Has no port for a while, and tells when one appears.
+struct Replugged {
+    appears: Instant,
+    connects: Arc<AtomicU64>,
+}
+
+impl Connect for Replugged {
+    type Port = StreamPort<DuplexStream>;
+
+    async fn connect(&mut self) -> Result<Self::Port, Error> {
+        self.connects.fetch_add(1, Relaxed);
+        Err(ErrorKind::NoSuchPort { port: "usb".to_owned() }.into())
+    }
+
+    fn hints(&mut self) -> Option<&mut dyn ConnectHints> {
+        Some(self)
+    }
+}
+
+impl ConnectHints for Replugged {
+    fn port_appears(&mut self) -> Option<Pin<Box<dyn Future<Output = ()> + Send + '_>>> {
+        let is_there = Instant::now() >= self.appears;
+        Some(Box::pin(async move {
+            if is_there {
+                return std::future::pending().await;
+            }
+            sleep_until(self.appears).await;
+        }))
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_port_that_appears_ends_the_back_off() {
+    let (appears, connects) = (Instant::now() + ms(60_300), Arc::new(AtomicU64::new(0)));
+    let replugged = Replugged { appears, connects: Arc::clone(&connects) };
+    let hour = Duration::from_secs(3600);
+    let builder = builder().wait_for_sensor(true).backoff(hour..=hour);
+    let (_sensor, driver) = builder.build(replugged);
+    tokio::spawn(driver);
+    sleep_until(appears - ms(1)).await;
+    assert_eq!(connects.load(Relaxed), 1);
+    sleep_until(appears + ms(2)).await;
+    assert_eq!(connects.load(Relaxed), 2);
 }
