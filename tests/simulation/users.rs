@@ -172,6 +172,8 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
     let now = || (sensor.stats().reconnects, emulator.counts().resets);
     let (mut reconnects, mut resets) = now();
     let (mut restarted, mut doubts) = (off, Vec::new());
+    // A sensor that seems to refuse both `L0` and to measure is polled until the next `L0`.
+    let may_doubt = run.case.refuses || run.case.flips > 0;
     while off.elapsed() < time {
         sleep(Duration::from_millis(100)).await;
         let latest = now();
@@ -180,11 +182,11 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
         }
         // A restart right after the recovery is not visible until the next request.
         let since = restarted.elapsed() > Duration::from_millis(500);
-        // A sensor that lost both `L0` is asked again after a second, and until then the driver
-        // does not say that its laser is off.
+        // A sensor that lost both `L0`, or seems to refuse them, is asked again after a second, and
+        // until then the driver does not say that its laser is off.
         let reason = sensor.freshness().check(Duration::ZERO).err().and_then(|stale| stale.source);
         let is_told = reason.is_some_and(|reason| matches!(reason.kind(), ErrorKind::LaserOff));
-        if !is_told && loses_commands(emulator) {
+        if !is_told && (may_doubt || loses_commands(emulator)) {
             doubts.push(Instant::now());
         } else if latest.0 > reconnects && since && !run.case.events.other_program {
             assert!(!emulator.is_laser_on(), "the laser is on after a recovery");
@@ -192,8 +194,6 @@ async fn stay_off(run: &Run, sensor: &Sensor, time: Duration) {
         }
         (reconnects, resets) = latest;
     }
-    // A sensor that seems to refuse both `L0` and to measure is polled until the next `L0`.
-    let may_doubt = run.case.refuses || run.case.flips > 0;
     let mut doubt_until = off;
     let polls = emulator.log().into_iter().filter(|received| {
         let line = &received.line;
