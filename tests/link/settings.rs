@@ -62,6 +62,17 @@ async fn w04_a_false_status_of_success_is_detected() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn w04_a_false_refusal_of_a_poll_turns_no_laser_off() {
+    let emulator = truthful().build();
+    let sensor = open(&emulator).await;
+    // L0, a fence, L0, and the fence whose refusal seems to confirm it.
+    let lost = Faults::none().at(0, Fault::CommandLost).at(2, Fault::CommandLost);
+    emulator.set_faults(lost.at(3, Fault::Status(b'E')));
+    sensor.laser_off().await.unwrap();
+    assert!(!emulator.is_laser_on());
+}
+
+#[tokio::test(start_paused = true)]
 async fn d14_a_stubborn_baud_rate_is_reported() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
