@@ -24,6 +24,8 @@ pub(crate) struct Case {
     pub(crate) flips: usize,
     /// True if commands are refused.
     pub(crate) refuses: bool,
+    /// True if replies arrive twice.
+    pub(crate) doubles: bool,
     /// True if commands may reach the sensor in part.
     pub(crate) torn: bool,
     /// True if the driver may have to send a command before a reply has ended.
@@ -80,6 +82,7 @@ impl Case {
             faults: Faults::none().seed(random.next()),
             flips: 0,
             refuses: false,
+            doubles: false,
             torn: false,
             overlaps: false,
             lingers: Duration::ZERO,
@@ -151,6 +154,7 @@ impl Case {
                 _ => faults.rate(rate, Fault::Pause(20, Duration::from_millis(450))),
             };
             self.refuses |= kind == 2;
+            self.doubles |= kind == 5;
             self.overlaps |= kind > 2;
             self.torn |= matches!(kind, 13 | 14);
             self.lingers = self.lingers.max(match kind {
