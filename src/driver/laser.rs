@@ -211,9 +211,9 @@ async fn set_laser(session: &mut Session, on: bool) -> Result<(), ExchangeError>
         let refused = status.filter(|status| !status.is_ok_for(&command));
         if measured.is_ok() == on {
             match (status, refused) {
-                // One refused `G` without an answer to `L0` proves nothing: its status may have
-                // been another one.
-                (None, _) if !on && tries > 0 => continue,
+                // One refused `G` without an answer to `L0` proves little: its status may have
+                // been another one. A driver that is closing has no time to ask again.
+                (None, _) if !on && tries > 0 && !session.is_closing() => continue,
                 (_, Some(status)) if !on => {
                     return Err(ExchangeError::Command(ErrorKind::Refused { command, status }));
                 }
