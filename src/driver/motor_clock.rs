@@ -115,12 +115,14 @@ const MOST_DOUBT: u32 = 4 * DOUBT;
 const EARLY: f64 = 0.018;
 /// An arrival nearer to the line than this is no reason for doubt: two USB frames of 1 ms.
 const NEAR_LINE: f64 = 2e-3;
-/// Part of the latest reply's wait by which a poll moves, and the revolutions by which it moves where
-/// polls are more than one apart. Least move that tells, in seconds: more than a latency timer of
-/// 16 ms can hide. A reply follows within [`FOLLOWS`].
+/// Polls less than a revolution apart move by this part of the latest reply's wait.
 const MOVED_PART: f64 = 0.5;
+/// Other polls move by these numbers of revolutions, in turn.
 const MOVED_TURNS: [f64; 6] = [0.4, 1.6, 2.4, 0.6, 1.4, 2.6];
+/// Least move that shows what the reply follows, in seconds. A latency timer of 16 ms hides a smaller
+/// one.
 const LEAST_MOVE: f64 = 0.024;
+/// A reply follows the poll or the motor if it is at most this many seconds from where either puts it.
 const FOLLOWS: f64 = 0.004;
 /// Number of moved replies that prove a line, less those that speak against it.
 const PROVED: i8 = 12;

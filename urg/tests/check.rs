@@ -118,6 +118,6 @@ async fn the_bag_of_another_program_is_judged() {
     let check = run(&format!("check {} --topic /front/scan", file.path()), 0).stdout;
     assert!(check.contains("not recorded, as by other programs: only the scans on /front/scan"));
     assert!(check.contains("scans    20\n") && check.ends_with("\nall is well\n"), "{check}");
-    // What nobody has counted is not zero.
+    // Nobody counted the losses: "0" would be false.
     assert!(check.contains("losses   not recorded\n"), "{check}");
 }

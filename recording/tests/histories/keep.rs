@@ -17,7 +17,7 @@ use super::own::folder;
 use crate::common::random::{Random, seeds};
 use crate::sink::window;
 
-/// Names that are almost those of parts.
+/// Files that are no parts, although their names look like it.
 const OTHERS: [&str; 6] = [
     "run_2.mcap",
     "run_x.mcap",

@@ -1,5 +1,5 @@
 //! Recordings as services make them: one stream or two, observed and described in any order, with
-//! a consumer that misses scans, in one file or several of which the oldest are removed.
+//! a consumer that misses scans. Some are split into files, and some of those lose their oldest ones.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;

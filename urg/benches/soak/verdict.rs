@@ -9,8 +9,8 @@ use crate::viewers::ViewerCounts;
 struct Holding {
     name: &'static str,
     of: fn(&Sample) -> u64,
-    /// Limit by which the highest sample of the last third of the time may exceed the highest
-    /// of the first third.
+    /// The run fails if the highest sample of the last third of its time exceeds the highest of the
+    /// first third by more than this.
     growth_limit: u64,
 }
 

@@ -58,7 +58,7 @@ pub(crate) async fn laser(sensor: &Sensor) -> Finding {
     Finding::ok(NAME, "goes off and on")
 }
 
-/// Judges the contents of a recording, of which `topic` was read.
+/// Judges what a recording contains. `topic` is the one whose scans were read.
 pub(crate) fn recording(contents: Contents, topic: &str) -> Vec<Finding> {
     let finding = |(name, value, text): Row| {
         let is_empty = value.as_array().is_none_or(Vec::is_empty);

@@ -77,8 +77,8 @@ impl StaticPeers {
     }
 }
 
-/// Looks up a name at regular intervals until nobody needs its address. Blocks, for half a
-/// minute at times.
+/// Looks up a name again and again until nobody needs its address. Each call to the system may
+/// block for half a minute.
 fn look_up(host: &str, address: &Weak<Mutex<Address>>) {
     loop {
         let found = (host, 0).to_socket_addrs().ok().and_then(|mut found| {
