@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use super::faults::{FaultCounts, Faults};
+use super::faults::{Fault, Faults};
 use super::journal::{Counts, Received, SentScan};
 use super::link::{HostBaudRate, Link};
 use super::scip::Mode;
@@ -112,7 +112,7 @@ impl Emulator {
     }
 
     /// Replaces the faults, starting with the next reply, which becomes number 0. Keeps the
-    /// counts of faults.
+    /// [counts](Self::fault_count) of faults.
     pub fn set_faults(&self, faults: Faults) {
         self.change(|plugged, _| plugged.sensor.set_faults(faults));
     }
@@ -154,9 +154,10 @@ impl Emulator {
         self.shared.lock_now().sensor.journal.counts
     }
 
-    /// Number of faults injected so far, by kind.
-    pub fn fault_counts(&self) -> FaultCounts {
-        self.shared.lock_now().sensor.faults.counts
+    /// Number of faults injected so far of the same variant as `fault`, whatever its fields,
+    /// both scripted and random. Includes those that changed nothing in their reply.
+    pub fn fault_count(&self, fault: &Fault) -> u64 {
+        self.shared.lock_now().sensor.faults.count(fault)
     }
 
     /// Latest command lines received, oldest first. Set their number with

@@ -69,7 +69,7 @@ mod wire;
 mod world;
 
 pub use self::builder::EmulatorBuilder;
-pub use self::faults::{Fault, FaultCounts, Faults, FaultsError};
+pub use self::faults::{Fault, Faults, FaultsError};
 pub use self::handle::Emulator;
 pub use self::journal::{Counts, Received, SentScan, Verdict};
 pub use self::link::Link;

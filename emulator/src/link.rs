@@ -15,7 +15,6 @@ use std::time::SystemTime;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 
-use super::playback::Playback;
 use super::shared::Shared;
 use super::timed_device::TimedDevice;
 use tokio_scip::BaudRate;
@@ -131,7 +130,7 @@ impl AsyncRead for Link {
 /// Result of reading from a link that the sensor has hung up.
 fn end_of_stream(sensor: &TimedDevice) -> io::Result<()> {
     let ended = sensor.playback.as_ref().filter(|_| sensor.is_gone);
-    ended.map_or(Ok(()), Playback::end)
+    ended.and_then(|playback| playback.script.failure()).map_or(Ok(()), Err)
 }
 
 impl AsyncWrite for Link {
@@ -215,7 +214,7 @@ impl PortHints for Link {
     /// Returns the time of the recording if one is replayed.
     fn wall_clock(&mut self) -> Option<SystemTime> {
         let plugged = self.shared.lock();
-        plugged.sensor.playback.as_ref().map(Playback::wall_clock)
+        plugged.sensor.playback.as_ref().map(|playback| playback.script.wall_clock())
     }
 }
 

@@ -57,7 +57,7 @@ pub enum ReplayPace {
 
 /// Script being played.
 pub(super) struct Playback {
-    script: Box<dyn Script>,
+    pub(super) script: Box<dyn Script>,
     pace: ReplayPace,
     started_at: Option<Instant>,
 }
@@ -78,11 +78,6 @@ pub(super) enum NextReply {
 impl Playback {
     pub(super) fn new(script: Box<dyn Script>, pace: ReplayPace) -> Self {
         Self { script, pace, started_at: None }
-    }
-
-    /// Reads the next reply of the script, if that was not done yet.
-    pub(super) fn prepare(&mut self) {
-        self.script.prepare();
     }
 
     /// Answer to `command` if it is served at `at`.
@@ -109,19 +104,5 @@ impl Playback {
             self.started_at = at.checked_sub(self.script.due().unwrap_or_default());
         }
         self.script.advance(command)
-    }
-
-    pub(super) fn measure(&self, values: &mut Values) {
-        self.script.measure(values);
-    }
-
-    /// Wall clock of the latest reply's arrival.
-    pub(super) fn wall_clock(&self) -> SystemTime {
-        self.script.wall_clock()
-    }
-
-    /// Result of reading from the sensor after the script's end.
-    pub(super) fn end(&self) -> io::Result<()> {
-        self.script.failure().map_or(Ok(()), Err)
     }
 }

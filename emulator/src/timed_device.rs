@@ -248,7 +248,7 @@ impl TimedDevice {
 
     fn prepare_playback(&mut self) {
         if let Some(playback) = &mut self.playback {
-            playback.prepare();
+            playback.script.prepare();
         }
     }
 
@@ -352,7 +352,7 @@ impl TimedDevice {
             {
                 return (reply, Effect::None);
             }
-            let measure = |values: &mut _| playback.measure(values);
+            let measure = |values: &mut _| playback.script.measure(values);
             self.device.execute(&command.bytes, &command.command, measure)
         } else {
             let measure = |values: &mut _| self.world.measure(time, values);

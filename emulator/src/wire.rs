@@ -292,11 +292,4 @@ mod tests {
             }
         }
     }
-
-    #[test]
-    fn a_byte_takes_ten_bits() {
-        assert_eq!(byte_time(Some(19_200)), Duration::from_nanos(520_833));
-        assert_eq!(byte_time(Some(500_000)), Duration::from_micros(20));
-        assert_eq!(byte_time(None), Duration::from_nanos(2_666));
-    }
 }

@@ -14,12 +14,12 @@ const S: Duration = Duration::from_secs(1);
 
 /// Returns the bytes that arrive for `L0` if its reply, `L0\n0\n\n`, has the fault.
 async fn l0_with(fault: Fault) -> Vec<u8> {
-    let emulator = instant_sensor().faults(Faults::none().at(0, fault)).build();
+    let emulator = instant_sensor().faults(Faults::none().at(0, fault.clone())).build();
     let mut link = emulator.link();
     link.write_all(b"L0\n").await.unwrap();
     let mut received = listen_bytes(&mut link).await;
     received.extend(listen_bytes(&mut link).await);
-    assert_eq!(emulator.fault_counts().total(), 1);
+    assert_eq!(emulator.fault_count(&fault), 1);
     received
 }
 
@@ -31,8 +31,13 @@ async fn each_fault_leaves_the_bytes_that_its_name_says() {
         (Fault::Late(2 * S), b"L0\n0\n\n"),
         (Fault::Doubled, b"L0\n0\n\nL0\n0\n\n"),
         (Fault::Drop(1..2), b"L\n0\n\n"),
+        (Fault::Drop(4..9), b"L0\n0"),
+        (Fault::Drop(8..9), b"L0\n0\n\n"),
         (Fault::Insert(2, vec![0xFF]), b"L0\xFF\n0\n\n"),
+        (Fault::Insert(6, vec![0xFF]), b"L0\n0\n\n\xFF"),
+        (Fault::Insert(7, vec![0xFF]), b"L0\n0\n\n"),
         (Fault::Flip(3, 0x01), b"L0\n1\n\n"),
+        (Fault::Flip(6, 0x01), b"L0\n0\n\n"),
         (Fault::Repeat(0..3), b"L0\nL0\n0\n\n"),
         (Fault::Cut(4), b"L0\n0"),
         (Fault::Merged, b"L0\n0\n"),
@@ -42,9 +47,11 @@ async fn each_fault_leaves_the_bytes_that_its_name_says() {
         (Fault::CrLf, b"L0\r\n0\r\n\r\n"),
         (Fault::Status(b'~'), b"L0\n~\n\n"),
         (Fault::Reset(2), b"L0"),
+        (Fault::HangUp(9), b"L0\n0\n\n"),
     ] {
         assert_eq!(l0_with(fault.clone()).await, received, "{fault:?}");
     }
+    assert_eq!(l0_with(Fault::Noise(7)).await.len(), 13);
 }
 
 #[tokio::test(start_paused = true)]
@@ -66,13 +73,14 @@ async fn faults_affect_only_their_replies() {
     for reply in ["L1\n2\n\n", "", "L1\n2\n\n", "L1\n8\n\n", "L1\n2\n\n"] {
         assert_eq!(ask(&mut link, "L1").await, reply);
     }
-    assert_eq!((emulator.fault_counts().lost, emulator.fault_counts().status), (1, 1));
+    let counts = [Fault::Lost, Fault::Status(0)].map(|fault| emulator.fault_count(&fault));
+    assert_eq!(counts, [1, 1]);
     emulator.set_faults(Faults::none().every(Fault::Lost));
     assert_eq!(ask(&mut link, "L1").await, "");
     assert_eq!(ask(&mut link, "L1").await, "");
     emulator.set_faults(Faults::none());
     assert_eq!(ask(&mut link, "L1").await, "L1\n2\n\n");
-    assert_eq!(emulator.fault_counts().lost, 3);
+    assert_eq!(emulator.fault_count(&Fault::Lost), 3);
 }
 
 #[tokio::test(start_paused = true)]
@@ -128,7 +136,7 @@ async fn a_reset_restores_baud_rate_and_laser() {
         assert!(emulator.is_laser_on());
         link.set_baud_rate(BaudRate::B19200).unwrap();
         assert_eq!(ask(&mut link, "L0").await, "L0\n0\n\n", "after {after}");
-        assert_eq!((emulator.counts().resets, emulator.fault_counts().reset), (1, 1));
+        assert_eq!((emulator.counts().resets, emulator.fault_count(&Fault::Reset(0))), (1, 1));
     }
 }
 
@@ -201,22 +209,22 @@ async fn random_faults_repeat_with_their_seed() {
     let mut received = Vec::new();
     for seed in [1, 1, 2] {
         let emulator = instant_sensor().faults(faults.clone()).seed(seed).build();
-        received.push((polled(&emulator).await, emulator.fault_counts(), emulator.counts()));
-        let counts = emulator.fault_counts();
-        for count in [
-            counts.late,
-            counts.lost,
-            counts.command_lost,
-            counts.damaged,
-            counts.doubled,
-            counts.merged,
-            counts.noise,
-            counts.paused,
-            counts.reset,
-            counts.hung_up,
-        ] {
-            assert!((60..=140).contains(&count), "{counts:?}");
-        }
+        let bytes = polled(&emulator).await;
+        let counts = [
+            Fault::Late(S),
+            Fault::Lost,
+            Fault::CommandLost,
+            Fault::Damaged,
+            Fault::Doubled,
+            Fault::Merged,
+            Fault::Noise(0),
+            Fault::Pause(0, S),
+            Fault::Reset(0),
+            Fault::HangUp(0),
+        ]
+        .map(|fault| emulator.fault_count(&fault));
+        assert!(counts.iter().all(|count| (60..=140).contains(count)), "{counts:?}");
+        received.push((bytes, counts, emulator.counts()));
     }
     assert!(received[0] == received[1], "the same seed makes the same bytes");
     assert!(received[0].0 != received[2].0, "another seed makes other bytes");

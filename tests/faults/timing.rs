@@ -83,7 +83,7 @@ async fn t03_an_immediate_copy_is_not_delivered() {
         delivered.extend(scans(&mut stream, 1).await);
     }
     assert_eq!(wrong_scans(&emulator, &delivered), [""; 0]);
-    assert!(emulator.fault_counts().doubled > 100);
+    assert!(emulator.fault_count(&Fault::Doubled) > 100);
     assert_eq!(sensor.stats().disconnects, 0);
 }
 
@@ -134,7 +134,7 @@ async fn t13_an_immediate_copy_is_no_scan() {
             }
             let mut delivered = scans(&mut stream, 1).await;
             emulator.set_faults(faults);
-            while emulator.fault_counts().doubled < 20 {
+            while emulator.fault_count(&Fault::Doubled) < 20 {
                 delivered.extend(stream.next().await.unwrap().ok());
             }
             let wrong: Vec<_> =

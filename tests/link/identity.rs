@@ -78,7 +78,7 @@ async fn w25_a_flipped_serial_number_refuses_nothing() {
     emulator.set_faults(Faults::none().at(1, Fault::Flip(160, 1)));
     emulator.plug_in();
     sensor.scan(Window::FULL).await.unwrap();
-    assert_eq!(emulator.fault_counts().flipped, 1);
+    assert_eq!(emulator.fault_count(&Fault::Flip(0, 0)), 1);
 }
 
 /// Opens a sensor whose first replies to `V` are damaged in this way, and unplugs it for a
@@ -90,7 +90,7 @@ async fn replug_after(damage: Vec<Fault>) {
     let faults = replies.fold(Faults::none(), |faults, (reply, fault)| faults.at(reply, fault));
     let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
     let sensor = open(&emulator).await;
-    assert_eq!(emulator.fault_counts().flipped, flipped);
+    assert_eq!(emulator.fault_count(&Fault::Flip(0, 0)), flipped);
     assert_eq!(sensor.version().await.unwrap().serial_number, "H0713090");
     emulator.unplug();
     emulator.plug_in();
@@ -125,7 +125,7 @@ async fn w25_a_damaged_serial_number_is_requested_again() {
     while let Err(error) = stream.next().await.unwrap() {
         errors.push(error);
     }
-    assert_eq!(emulator.fault_counts().flipped, 3);
+    assert_eq!(emulator.fault_count(&Fault::Flip(0, 0)), 3);
     // One for each time that the port was opened.
     assert_eq!(sensor.stats().fences, 2);
     let [error] = &errors[..] else { panic!("{errors:?}") };

@@ -1,9 +1,10 @@
 //! Counts of everything that happened in all runs together: each fault, each recovery.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use tokio_scip::{Error, ErrorKind, State, Stats};
-use urg_emulator::{Emulator, FaultCounts};
+use urg_emulator::{Emulator, Fault};
 
 use super::case::CaseEvents;
 
@@ -99,8 +100,8 @@ impl Coverage {
         ] {
             self.count(name.to_owned(), by);
         }
-        for (fault, by) in faults(&emulator.fault_counts()) {
-            self.count(format!("fault {fault}"), by);
+        for fault in faults() {
+            self.count(format!("fault {}", kind(&fault)), emulator.fault_count(&fault));
         }
     }
 
@@ -137,12 +138,28 @@ fn kind(value: &impl std::fmt::Debug) -> String {
     text.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned()
 }
 
-/// Returns every field of the counts with its name.
-fn faults(counts: &FaultCounts) -> Vec<(String, u64)> {
-    let text = format!("{counts:?}");
-    let fields = text.trim_start_matches("FaultCounts {").trim_end_matches('}').split(", ");
-    fields
-        .map(|field| field.trim().split_once(": ").unwrap())
-        .map(|(name, count)| (name.to_owned(), count.parse().unwrap()))
-        .collect()
+/// Returns a fault of each kind that the cases draw.
+fn faults() -> [Fault; 20] {
+    [
+        Fault::CommandLost,
+        Fault::Lost,
+        Fault::Late(Duration::ZERO),
+        Fault::Doubled,
+        Fault::Drop(0..0),
+        Fault::Insert(0, Vec::new()),
+        Fault::Flip(0, 0),
+        Fault::Repeat(0..0),
+        Fault::Cut(0),
+        Fault::Damaged,
+        Fault::Merged,
+        Fault::Garbage(Vec::new()),
+        Fault::Noise(0),
+        Fault::Pause(0, Duration::ZERO),
+        Fault::Trickle(Duration::ZERO),
+        Fault::CrLf,
+        Fault::Status(0),
+        Fault::Reset(0),
+        Fault::HangUp(0),
+        Fault::Endless(Vec::new()),
+    ]
 }

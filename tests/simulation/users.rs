@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use tokio::time::{Instant, sleep, timeout};
 use tokio_scip::{BaudRate, ErrorKind, Rate, Scan, Sensor, Window};
-use urg_emulator::Emulator;
+use urg_emulator::{Emulator, Fault};
 
 use super::run::Run;
 use crate::common::random::Random;
@@ -166,8 +166,7 @@ pub(crate) async fn operator(run: Run, sensor: Sensor, seed: u64) {
 
 /// Returns true if commands or their replies were lost.
 fn loses_commands(emulator: &Emulator) -> bool {
-    let counts = emulator.fault_counts();
-    counts.command_lost + counts.lost > 0
+    emulator.fault_count(&Fault::CommandLost) + emulator.fault_count(&Fault::Lost) > 0
 }
 
 /// Checks that nothing is polled while the laser is off, and that the laser of a sensor

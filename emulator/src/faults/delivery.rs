@@ -136,39 +136,6 @@ fn damage_one_byte(bytes: &mut Vec<u8>, random: &mut Random) {
 mod tests {
     use super::*;
 
-    /// Applies a fault to "ab", a line feed and "cd".
-    fn after(fault: Fault) -> Vec<u8> {
-        let mut delivery = Delivery::new(b"ab\ncd".to_vec());
-        delivery.apply(fault, &mut Random::new(1));
-        delivery.bytes
-    }
-
-    #[test]
-    fn each_fault_changes_the_bytes_as_documented() {
-        let cases: [(Fault, &[u8]); 16] = [
-            (Fault::Lost, b""),
-            (Fault::Doubled, b"ab\ncdab\ncd"),
-            (Fault::Drop(1..3), b"acd"),
-            (Fault::Drop(4..9), b"ab\nc"),
-            (Fault::Drop(8..9), b"ab\ncd"),
-            (Fault::Insert(0, b"x".to_vec()), b"xab\ncd"),
-            (Fault::Insert(5, b"x".to_vec()), b"ab\ncdx"),
-            (Fault::Insert(6, b"x".to_vec()), b"ab\ncd"),
-            (Fault::Flip(0, 0x20), b"Ab\ncd"),
-            (Fault::Repeat(0..3), b"ab\nab\ncd"),
-            (Fault::Cut(2), b"ab"),
-            (Fault::Merged, b"ab\nc"),
-            (Fault::Garbage(b"xy".to_vec()), b"xyab\ncd"),
-            (Fault::CrLf, b"ab\r\ncd"),
-            (Fault::Reset(3), b"ab\n"),
-            (Fault::HangUp(9), b"ab\ncd"),
-        ];
-        for (fault, left) in cases {
-            assert_eq!(after(fault.clone()), left, "{fault:?}");
-        }
-        assert_eq!(after(Fault::Noise(7)).len(), 12);
-    }
-
     #[test]
     fn random_damage_always_changes_the_reply_and_takes_every_form() {
         let mut random = Random::new(3);

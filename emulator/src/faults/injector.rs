@@ -1,8 +1,10 @@
 //! [`FaultInjector`]: decides which faults a reply has.
 
+use std::collections::HashMap;
+use std::mem::{Discriminant, discriminant, take};
 use std::time::Duration;
 
-use super::{Fault, FaultCounts, Faults, RandomFault, Trigger};
+use super::{Fault, Faults, RandomFault, Trigger};
 use crate::random::Random;
 use crate::timing::LONGEST;
 
@@ -14,18 +16,19 @@ pub(crate) struct FaultInjector {
     next_reply: u64,
     /// Seed if the faults have no seed.
     default_seed: u64,
-    pub(crate) counts: FaultCounts,
+    /// Number of faults drawn, by variant.
+    counts: HashMap<Discriminant<Fault>, u64>,
 }
 
 impl FaultInjector {
     pub(crate) fn new(faults: Faults, default_seed: u64) -> Self {
         let random = Random::new(faults.seed.unwrap_or(default_seed));
-        Self { faults, random, next_reply: 0, default_seed, counts: FaultCounts::default() }
+        Self { faults, random, next_reply: 0, default_seed, counts: HashMap::new() }
     }
 
     /// Replaces the faults, but keeps the counts.
     pub(crate) fn replace(&mut self, faults: Faults) {
-        *self = Self { counts: self.counts, ..Self::new(faults, self.default_seed) };
+        *self = Self { counts: take(&mut self.counts), ..Self::new(faults, self.default_seed) };
     }
 
     /// Draws the faults of the next reply, and a generator for their details.
@@ -47,9 +50,14 @@ impl FaultInjector {
             }
         }
         for fault in &drawn {
-            self.counts.add(fault);
+            *self.counts.entry(discriminant(fault)).or_default() += 1;
         }
         (drawn, random)
+    }
+
+    /// Number of faults drawn with the variant of `fault`.
+    pub(crate) fn count(&self, fault: &Fault) -> u64 {
+        self.counts.get(&discriminant(fault)).copied().unwrap_or_default()
     }
 }
 

@@ -153,41 +153,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_commands_of_the_text_are_parsed() {
-        let cases: [(&[u8], HostCommand); 8] = [
-            (b"V", HostCommand::Version),
-            (b"L0", HostCommand::Laser(false)),
-            (b"L1", HostCommand::Laser(true)),
-            (b"S0576001234567", HostCommand::BaudRate(BaudRate::B57600)),
-            (b"S115200abcdefg", HostCommand::BaudRate(BaudRate::B115200)),
-            (b"G00076801", HostCommand::Scan { start: 0, end: 768, cluster: 1 }),
-            (b"G00000000", HostCommand::Scan { start: 0, end: 0, cluster: 1 }),
-            (b"G04472599", HostCommand::Scan { start: 44, end: 725, cluster: 99 }),
-        ];
-        for (line, command) in cases {
-            assert_eq!(HostCommand::parse(line), command, "{}", line.escape_ascii());
-        }
-    }
-
-    #[test]
-    fn an_undefined_command_and_an_invalid_one_are_distinguished() {
-        let cases: [(&[u8], HostCommand); 9] = [
-            (b"", HostCommand::Empty),
-            (b"X", HostCommand::Undefined),
-            (b"v", HostCommand::Undefined),
-            (b"VV", HostCommand::Invalid(Mistake::Length)),
-            (b"L2", HostCommand::Invalid(Mistake::Parameter)),
-            (b"S057600", HostCommand::Invalid(Mistake::Length)),
-            (b"S0384000000000", HostCommand::Invalid(Mistake::Parameter)),
-            (b"G00076901", HostCommand::Invalid(Mistake::Parameter)),
-            (b"G76800001", HostCommand::Invalid(Mistake::Order)),
-        ];
-        for (line, command) in cases {
-            assert_eq!(HostCommand::parse(line), command, "{}", line.escape_ascii());
-        }
-    }
-
-    #[test]
     fn a_line_without_a_terminator_keeps_64_bytes() {
         let now = Instant::now();
         let mut line = LineBuffer::default();

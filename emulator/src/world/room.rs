@@ -124,13 +124,6 @@ impl Room {
     }
 }
 
-impl Default for Room {
-    /// Creates [`Room::new`] with seed 0.
-    fn default() -> Self {
-        Self::new(0)
-    }
-}
-
 impl World for Room {
     fn measure(&mut self, time: WorldTime, values: &mut Values) {
         let walked = WALK_MM_PER_SECOND * (time.at.as_micros() as f64 / 1_000_000.0);

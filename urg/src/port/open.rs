@@ -42,7 +42,7 @@ pub(crate) fn begin(
     Ok(match port {
         PortName::Endpoint(endpoint) => spawn(builder, endpoint.clone().into_connector()),
         PortName::Emulated(pose) => {
-            let room = Room::default().seen_from(pose.x, pose.y, pose::yaw(*pose));
+            let room = Room::new(0).seen_from(pose.x, pose.y, pose::yaw(*pose));
             let emulator = Emulator::builder().world(room);
             // `--baud` needs an emulated RS-232 sensor: USB has no baud rate.
             let emulator = match link.baud {
