@@ -120,7 +120,7 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
         let (start, mut row) = (Instant::now(), StampRow::default());
         let mut next_jump = start + span / (jumps + 1);
         let mut drift = 0.001;
-        let mut turn = start + 2 * HOUR;
+        let mut next_reversal = start + 2 * HOUR;
         while start.elapsed() < span {
             row.add(&emulator, &scans.next().await.unwrap().unwrap());
             if jumps > 0 && Instant::now() >= next_jump {
@@ -130,11 +130,11 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
                 next_jump += span / (jumps + 1);
                 row.worse = 0;
             }
-            if jumps > 0 && Instant::now() >= turn {
+            if jumps > 0 && Instant::now() >= next_reversal {
                 // It warms up and cools down.
                 drift = -drift;
                 emulator.set_drift(drift);
-                turn += 2 * HOUR;
+                next_reversal += 2 * HOUR;
             }
         }
         row.print(name);

@@ -39,15 +39,15 @@ pub(crate) struct Mounted {
 /// Merges the newest scans. Returns the ports without a fresh scan, with the reasons.
 pub(crate) fn merge(sensors: &[Mounted], cloud: &mut Vec<Point>) -> Vec<String> {
     cloud.clear();
-    let mut stale = Vec::new();
+    let mut reasons = Vec::new();
     for Mounted { port, pose, scans } in sensors {
         if let Err(error) = scans.freshness().check(LIMIT) {
-            stale.push(format!("{port}: {}", ErrorChain(&error)));
+            reasons.push(format!("{port}: {}", ErrorChain(&error)));
         } else if let Some(scan) = scans.latest() {
             cloud.extend(pose.transform_scan(&scan));
         }
     }
-    stale
+    reasons
 }
 
 #[tokio::main(flavor = "current_thread")]
@@ -68,10 +68,10 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     loop {
         ticks.tick().await;
-        let stale = merge(&sensors, &mut cloud);
-        let fresh = sensors.len() - stale.len();
+        let reasons = merge(&sensors, &mut cloud);
+        let fresh = sensors.len() - reasons.len();
         print!("{fresh} of {} sensors, {} points", sensors.len(), cloud.len());
-        stale.iter().for_each(|reason| print!("; {reason}"));
+        reasons.iter().for_each(|reason| print!("; {reason}"));
         println!();
     }
 }

@@ -92,9 +92,9 @@ fn align(reference: &[WallPoint], points: &[(f64, f64)], guess: Pose) -> Pose {
             let Some(wall) = nearest.filter(|wall| distance(wall) < gate * gate) else { continue };
             let (nx, ny) = wall.across;
             let error = nx * (wall.x - x) + ny * (wall.y - y);
-            // By a shift along x and y, and by a turn around the sensor.
-            let turn = ny * (x - pose.x) - nx * (y - pose.y);
-            let row = [nx, ny, turn];
+            // By a shift along x and y, and by a rotation around the sensor.
+            let rotation = ny * (x - pose.x) - nx * (y - pose.y);
+            let row = [nx, ny, rotation];
             for (line, a) in matrix.iter_mut().zip(row) {
                 for (cell, b) in line.iter_mut().zip(row) {
                     *cell += a * b;

@@ -278,7 +278,7 @@ async fn scip_2_scans_stream_until_stopped() {
 
 #[tokio::test(start_paused = true)]
 async fn the_request_number_counts_scans_only() {
-    let world = |look: WorldTime, codes: &mut Values| codes.fill(100 + look.request as u16);
+    let world = |time: WorldTime, codes: &mut Values| codes.fill(100 + time.request as u16);
     let mut link = instant_sensor().world(world).build().link();
     for (command, reply) in [
         ("G00000001", "G00000001\n0\n1T\n\n"),

@@ -100,9 +100,9 @@ async fn commands_that_come_together_are_served_one_a_revolution() {
 
 #[tokio::test(start_paused = true)]
 async fn a_scan_shows_the_revolution_finished_last() {
-    let world = |look: WorldTime, codes: &mut Values| {
-        assert_eq!(look.at, 100 * MS * (look.revolution as u32 + 1));
-        codes.fill(100 + look.revolution as u16);
+    let world = |time: WorldTime, codes: &mut Values| {
+        assert_eq!(time.at, 100 * MS * (time.revolution as u32 + 1));
+        codes.fill(100 + time.revolution as u16);
     };
     let mut link = Emulator::builder().world(world).build().link();
     let start = Instant::now();

@@ -10,10 +10,10 @@ use urg_emulator::{
 use super::ask;
 
 /// Returns the values of a world in a sensor's first revolutions, ten a second.
-fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
+fn measured(mut room: impl World + 'static, count: usize) -> Vec<Values> {
     let (sender, receiver) = std::sync::mpsc::channel();
-    let world = move |look: WorldTime, codes: &mut Values| {
-        room.measure(look, codes);
+    let world = move |time: WorldTime, codes: &mut Values| {
+        room.measure(time, codes);
         sender.send(*codes).unwrap();
     };
     let runtime =
@@ -30,7 +30,7 @@ fn looks(mut room: impl World + 'static, count: usize) -> Vec<Values> {
 #[test]
 fn a_room_has_mostly_distances() {
     for seed in 0..20 {
-        for codes in looks(Room::new(seed), 50) {
+        for codes in measured(Room::new(seed), 50) {
             assert!(codes[..44].iter().chain(&codes[726..]).all(|&code| code == 19));
             assert!(codes.iter().all(|&code| code < 4095));
             let window = &codes[44..=725];
@@ -45,7 +45,7 @@ fn a_room_has_mostly_distances() {
 #[test]
 fn a_room_has_every_kind_of_error_that_it_promises() {
     let mut seen = [0_u32; 20];
-    for codes in (0..20).flat_map(|seed| looks(Room::new(seed), 20)) {
+    for codes in (0..20).flat_map(|seed| measured(Room::new(seed), 20)) {
         for &code in codes[44..=725].iter().filter(|&&code| code < 20) {
             seen[usize::from(code)] += 1;
         }
@@ -57,14 +57,14 @@ fn a_room_has_every_kind_of_error_that_it_promises() {
 
 #[test]
 fn neighbouring_points_are_mostly_on_one_surface() {
-    let codes = looks(Room::new(1), 1)[0];
+    let codes = measured(Room::new(1), 1)[0];
     let near = codes[44..=725].windows(2).filter(|pair| pair[0].abs_diff(pair[1]) < 60).count();
     assert!(near > 600, "{near}");
 }
 
 #[test]
 fn people_move_and_walls_do_not() {
-    let scans = looks(Room::new(3), 50);
+    let scans = measured(Room::new(3), 50);
     let (first, last) = (scans[0], scans[49]);
     let both = (44..=725).filter(|&step| first[step] >= 20 && last[step] >= 20);
     let moved = both.filter(|&step| first[step].abs_diff(last[step]) > 100).count();
@@ -79,15 +79,15 @@ fn people_move_and_walls_do_not() {
 
 #[test]
 fn a_big_room_is_mostly_out_of_range() {
-    let codes = looks(Room::sized(0, 16_000, 14_000, 0), 1)[0];
+    let codes = measured(Room::sized(0, 16_000, 14_000, 0), 1)[0];
     let errors = codes[44..=725].iter().filter(|&&code| code < 20).count();
     assert!(errors > 682 / 2, "{errors}");
 }
 
 #[test]
 fn the_same_seed_gives_the_same_scans() {
-    assert!(looks(Room::new(5), 20) == looks(Room::new(5), 20));
-    assert!(looks(Room::new(5), 1) != looks(Room::new(6), 1));
+    assert!(measured(Room::new(5), 20) == measured(Room::new(5), 20));
+    assert!(measured(Room::new(5), 1) != measured(Room::new(6), 1));
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_room_is_the_same_on_every_machine() {
         })
     };
     assert_eq!(
-        [checksum(looks(Room::new(0), 10)), checksum(looks(Room::hard(0), 10))],
+        [checksum(measured(Room::new(0), 10)), checksum(measured(Room::hard(0), 10))],
         [7576578781778081501, 9472447504408061105],
         "the rooms have changed: recordings made of them no longer match"
     );
@@ -119,17 +119,17 @@ fn sensors_at_two_places_measure_the_same_walls() {
         };
         measured.map(place).collect()
     };
-    let ours = places(&looks(room(), 1)[0], (0.0, 0.0, 0.0));
+    let ours = places(&measured(room(), 1)[0], (0.0, 0.0, 0.0));
     let share_that_meets = |theirs: Vec<(f64, f64)>| {
         let near = |a: (f64, f64), b: (f64, f64)| (a.0 - b.0).hypot(a.1 - b.1) < 0.06;
         let meets = theirs.iter().filter(|place| ours.iter().any(|ours| near(*ours, **place)));
         meets.count() as f64 / theirs.len() as f64
     };
-    let moved = looks(room().seen_from(x, y, yaw), 1)[0];
+    let moved = measured(room().seen_from(x, y, yaw), 1)[0];
     // The rest is hidden from the other sensor, or out of its range.
     assert!(share_that_meets(places(&moved, (x, y, yaw))) > 0.5);
-    assert!(share_that_meets(places(&looks(room(), 1)[0], (x, y, yaw))) < 0.2);
-    let outside = looks(room().seen_from(9.0, 0.0, 180.0), 1)[0];
+    assert!(share_that_meets(places(&measured(room(), 1)[0], (x, y, yaw))) < 0.2);
+    let outside = measured(room().seen_from(9.0, 0.0, 180.0), 1)[0];
     assert!(outside.iter().all(|value| *value < 20));
 }
 
@@ -139,7 +139,7 @@ fn a_hard_room_misses_as_many_points() {
     for seed in 0..20 {
         let (mut counts, mut points) = ([0_u32; 20], 0);
         let (mut nearest, mut farthest) = (u16::MAX, 0);
-        for values in looks(Room::hard(seed), 20) {
+        for values in measured(Room::hard(seed), 20) {
             for &value in &values[44..=725] {
                 points += 1;
                 match counts.get_mut(usize::from(value)) {
@@ -165,7 +165,7 @@ fn a_scene_has_its_parts_in_place() {
         .wall((2.0, -1.0), (2.0, 1.0))
         .rectangle((-0.5, 1.5), (0.5, 2.5))
         .disc((0.0, -3.0), 0.5);
-    let values = looks(scene, 1)[0];
+    let values = measured(scene, 1)[0];
     let degrees = |angle: f64| values[(384.0 + angle * 1024.0 / 360.0).round() as usize];
     assert_eq!(degrees(0.0), 2000);
     // The wall ends at 26.6 degrees: a step before its end, and a step past it.
@@ -179,7 +179,7 @@ fn a_scene_has_its_parts_in_place() {
 fn a_person_walks_as_described() {
     let walk = Walk::new((1.0, -1.0), (1.0, 1.0)).starting_at(Duration::from_secs(2)).speed(1.0);
     assert_eq!(walk.duration(), Duration::from_secs(2));
-    let scans = looks(Scene::new(7).person(walk), 60);
+    let scans = measured(Scene::new(7).person(walk), 60);
     let place = |values: &Values| {
         let steps: Vec<usize> = (44..=725).filter(|&step| values[step] >= 20).collect();
         (!steps.is_empty()).then(|| steps.iter().sum::<usize>() / steps.len())
@@ -195,7 +195,7 @@ fn a_person_walks_as_described() {
 #[test]
 fn a_disc_goes_back_and_forth() {
     let walk = Walk::new((1.0, 0.0), (2.0, 0.0)).speed(1.0).back_and_forth();
-    let scans = looks(Scene::new(0).without_noise().moving_disc(0.2, walk), 45);
+    let scans = measured(Scene::new(0).without_noise().moving_disc(0.2, walk), 45);
     let ahead: Vec<u16> = scans.iter().map(|values| values[384]).collect();
     let turns: Vec<usize> = (1..44)
         .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
@@ -210,7 +210,7 @@ fn a_sparse_world_omits_the_requested_share() {
     for (share, from, to) in
         [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
     {
-        let scans = looks(Sparse::new(Fixed::filled(1234), share, 3), 20);
+        let scans = measured(Sparse::new(Fixed::filled(1234), share, 3), 20);
         let values: Vec<u16> = scans.iter().flat_map(|values| values[44..=725].to_vec()).collect();
         let missing = values.iter().filter(|&&value| value < 20).count() * 100 / values.len();
         assert!((from..=to).contains(&missing), "{share}: {missing} %");

@@ -111,11 +111,11 @@ async fn a_recording_without_scans_is_an_error_and_not_an_empty_replay() {
 
 /// Sensor whose scans have distances and, in every seventh step, an error code.
 fn with_errors() -> Emulator {
-    let world = |look: WorldTime, values: &mut Values| {
+    let world = |time: WorldTime, values: &mut Values| {
         for (step, value) in values.iter_mut().enumerate() {
             *value = match step % 7 {
                 0 => 7,
-                _ => 20 + ((look.request * 7 + step as u64 * 3) % 4000) as u16,
+                _ => 20 + ((time.request * 7 + step as u64 * 3) % 4000) as u16,
             };
         }
     };

@@ -72,9 +72,9 @@ impl Write for Sink {
 
 /// A sensor whose scans all differ.
 pub(crate) fn sensor() -> Emulator {
-    let world = |look: WorldTime, codes: &mut Values| {
+    let world = |time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
-            *slot = ((look.request * 7 + step as u64 * 3) % 4096) as u16;
+            *slot = ((time.request * 7 + step as u64 * 3) % 4096) as u16;
         }
     };
     Emulator::builder().world(world).build()

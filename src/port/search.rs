@@ -22,7 +22,7 @@ const BUSY_RETRY_DELAY: Duration = Duration::from_millis(500);
 /// Enough for five sensors. The search for a missing sensor takes 2 s if other ports stay busy.
 const BUSY_RETRIES: u32 = 4;
 
-/// Time between two looks for ports that have appeared.
+/// Time between two listings of the ports, to find those that have appeared.
 const LISTING_INTERVAL: Duration = Duration::from_millis(250);
 
 /// Time after which a port that is still being opened is skipped. Opening takes milliseconds

@@ -15,13 +15,6 @@ use super::lookup::Lookup;
 use super::{Port, PortHints};
 use crate::BaudRate;
 
-/// Idle time after which the system probes a connection.
-const KEEPALIVE_TIME: Duration = Duration::from_secs(10);
-/// Time after which the system repeats an unanswered probe.
-const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(5);
-/// Number of unanswered probes after which the system resets the connection.
-const KEEPALIVE_PROBES: u32 = 3;
-
 /// TCP connection to a server that passes bytes to and from a sensor, such as `ser2net`
 /// in raw mode or `urg emulate --tcp`.
 ///
@@ -96,32 +89,19 @@ fn keep_alive(socket: &SockRef<'_>, settings: &TcpKeepalive) {
     }
 }
 
-#[cfg(any(
-    target_os = "android",
-    target_os = "freebsd",
-    target_os = "linux",
-    target_os = "macos",
-    windows
-))]
+/// Probes a connection after 10 s without traffic, and resets it after three probes without an
+/// answer, 5 s apart. Some systems do not have the last two socket options.
 fn keepalive() -> TcpKeepalive {
-    TcpKeepalive::new()
-        .with_time(KEEPALIVE_TIME)
-        .with_interval(KEEPALIVE_INTERVAL)
-        .with_retries(KEEPALIVE_PROBES)
-}
-
-/// Leaves the interval and the number of probes to the system: some systems do not have
-/// these socket options.
-#[cfg(not(any(
-    target_os = "android",
-    target_os = "freebsd",
-    target_os = "linux",
-    target_os = "macos",
-    windows
-)))]
-fn keepalive() -> TcpKeepalive {
-    let _ = (KEEPALIVE_INTERVAL, KEEPALIVE_PROBES);
-    TcpKeepalive::new().with_time(KEEPALIVE_TIME)
+    let settings = TcpKeepalive::new().with_time(Duration::from_secs(10));
+    #[cfg(any(
+        target_os = "android",
+        target_os = "freebsd",
+        target_os = "linux",
+        target_os = "macos",
+        windows
+    ))]
+    let settings = settings.with_interval(Duration::from_secs(5)).with_retries(3);
+    settings
 }
 
 impl Port for TcpPort {
@@ -189,7 +169,7 @@ mod tests {
         #[cfg(target_os = "linux")]
         assert_eq!(
             (socket.tcp_keepalive_time()?, socket.tcp_keepalive_interval()?),
-            (KEEPALIVE_TIME, KEEPALIVE_INTERVAL)
+            (Duration::from_secs(10), Duration::from_secs(5))
         );
         Ok(())
     }

@@ -46,9 +46,9 @@ fn code(request: u64, step: usize) -> u16 {
 /// An emulated sensor whose scans each carry the number of the `G` they answer.
 pub(crate) fn truthful() -> EmulatorBuilder {
     limit::limit();
-    Emulator::builder().log_capacity(1 << 20).world(|look: WorldTime, codes: &mut Values| {
+    Emulator::builder().log_capacity(1 << 20).world(|time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
-            *slot = code(look.request, step);
+            *slot = code(time.request, step);
         }
     })
 }

@@ -319,8 +319,8 @@ async fn scans_are_merged_in_the_frame_of_the_vehicle() {
     assert_eq!(cloud.len(), 1);
     emulator.unplug();
     sleep(ms(500)).await;
-    let stale = merged::merge(&sensors, &mut cloud);
-    assert!(stale[0].starts_with("rear: ") && stale[0].contains("no port"), "{stale:?}");
+    let reasons = merged::merge(&sensors, &mut cloud);
+    assert!(reasons[0].starts_with("rear: ") && reasons[0].contains("no port"), "{reasons:?}");
     assert!(cloud.is_empty());
 }
 

@@ -119,13 +119,13 @@ async fn execute(
             assert!(woken.is_ok(), "{:?} wait for ever", waiting.collect::<Vec<_>>());
             continue;
         }
-        let turn = match ready.len() {
+        let chosen = match ready.len() {
             1 => 0,
             alternatives if enumerated.contains(&choices) => chooser.choose(alternatives),
             alternatives => choices % alternatives,
         };
         choices += usize::from(ready.len() > 1);
-        ready[turn].poll();
+        ready[chosen].poll();
         // Renews tokio's budget, and wakes those that yielded.
         yield_now().await;
     }

@@ -1,5 +1,5 @@
-//! A user whose look at the state takes long does not stop the driver: the driver writes the
-//! state only when it changes.
+//! A user who holds the state for long does not stop the driver: the driver writes the state only
+//! when it changes.
 
 use std::sync::mpsc;
 use std::thread;

@@ -38,13 +38,13 @@ impl<'a> From<&'a Scan> for Timed<'a> {
 
 impl SimulationTruth {
     pub(crate) fn world(&self) -> impl World + 'static {
-        let looks = Arc::clone(&self.0);
-        move |look: WorldTime, codes: &mut Values| {
-            let mut looks = looks.lock().unwrap();
-            assert_eq!(looks.len() as u64, look.request);
-            looks.push(Instant::now());
+        let requests = Arc::clone(&self.0);
+        move |time: WorldTime, codes: &mut Values| {
+            let mut requests = requests.lock().unwrap();
+            assert_eq!(requests.len() as u64, time.request);
+            requests.push(Instant::now());
             for (step, slot) in codes.iter_mut().enumerate() {
-                *slot = value(look.request, step);
+                *slot = value(time.request, step);
             }
         }
     }
@@ -73,10 +73,10 @@ impl SimulationTruth {
             let pairs = expected(request).zip(values);
             pairs.filter(|(expected, value)| *expected != Some(**value)).count()
         };
-        let looks = self.0.lock().unwrap();
+        let requests = self.0.lock().unwrap();
         // The scans that the sensor served between request and reply.
-        let from = looks.partition_point(|at| *at < sent);
-        let until = looks.partition_point(|at| *at <= received);
+        let from = requests.partition_point(|at| *at < sent);
+        let until = requests.partition_point(|at| *at <= received);
         let found = |range: std::ops::Range<usize>| {
             let wrongs = range.rev().map(|request| (request as u64, wrong(request as u64)));
             wrongs.into_iter().find(|(_, wrong)| *wrong <= flips)

@@ -23,12 +23,12 @@ pub(crate) const SCANS: usize = 30;
 pub(crate) async fn held(seed: u64) -> HashMap<Vec<u64>, u64> {
     let (sender, receiver) = mpsc::channel();
     let mut room = Room::new(seed);
-    let world = move |mut look: WorldTime, codes: &mut Values| {
+    let world = move |mut time: WorldTime, codes: &mut Values| {
         for revolution in 0..1500_u32 {
             let mut codes: Values = [19; STEPS];
-            look.revolution = revolution.into();
-            look.at = REVOLUTION * (revolution + 1);
-            room.measure(look, &mut codes);
+            time.revolution = revolution.into();
+            time.at = REVOLUTION * (revolution + 1);
+            room.measure(time, &mut codes);
             let values = codes[44..=725].iter().map(|&code| code.into()).collect();
             sender.send((values, u64::from(revolution))).unwrap();
         }

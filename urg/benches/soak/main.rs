@@ -96,7 +96,7 @@ async fn soak(span: Duration) -> bool {
             _ = tokio::signal::ctrl_c() => break,
         }
         let counts = library.report().await;
-        let [library, server] = [&library.process, &server.process].map(Sample::of);
+        let [library, server] = [&library.process, &server.process].map(Sample::from_process);
         let served = viewers.counts();
         let seconds = start.elapsed().as_secs();
         println!(

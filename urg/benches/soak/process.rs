@@ -104,7 +104,7 @@ impl Sample {
     pub(crate) const HEADER: &str = "    time  library: memory, files, threads  serve: memory, \
                                      files, threads  recorded, missed by streams  served";
 
-    pub(crate) fn of(process: &Child) -> Self {
+    pub(crate) fn from_process(process: &Child) -> Self {
         let folder = format!("/proc/{}", process.id().expect("a process that runs"));
         let status = std::fs::read_to_string(format!("{folder}/status")).unwrap();
         let figure = |name: &str| {

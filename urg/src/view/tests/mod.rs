@@ -120,7 +120,6 @@ async fn everything_is_there_in_80x24_and_in_160x50() {
             "^ far ",
             "~ weak ",
             "x none ",
-            "4 m",
             "?  help",
             "q  quit",
         ] {
