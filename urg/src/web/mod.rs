@@ -22,9 +22,12 @@ pub(crate) use self::server::serve;
 pub(crate) use self::source::SiteSource;
 use crate::interrupt::Interrupt;
 
+/// Maximum number of open connections. Each takes at most 40 KiB. A further connection takes the
+/// place of the oldest one that has not sent its request, or waits for a place.
+const MAX_CONNECTIONS: usize = 512;
 /// Maximum number of open streams of scans. They last, so they leave connections to short requests
 /// such as `/health`.
-const MAX_STREAMS: usize = server::MAX_CONNECTIONS - 64;
+const MAX_STREAMS: usize = MAX_CONNECTIONS - 64;
 
 #[derive(Debug)]
 pub(crate) struct Site {

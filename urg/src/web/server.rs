@@ -14,11 +14,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::task::{AbortHandle, JoinSet};
 use tokio_io_timeout::TimeoutWriter;
 
-use super::{Site, routes};
+use super::{MAX_CONNECTIONS, Site, routes};
 
-/// Maximum number of open connections. Each takes at most 40 KiB. A further connection takes the
-/// place of the oldest one that has not sent its request, or waits for a place.
-pub(super) const MAX_CONNECTIONS: usize = 512;
 const HEAD_TIMEOUT: Duration = Duration::from_secs(10);
 /// A client that takes no byte of its response for this time is disconnected.
 const STALL_TIMEOUT: Duration = Duration::from_secs(30);
