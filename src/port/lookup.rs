@@ -7,9 +7,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 use tokio::task::spawn_blocking;
 
-type Outcome = Result<Vec<SocketAddr>, Arc<io::Error>>;
+type LookupResult = Result<Vec<SocketAddr>, Arc<io::Error>>;
 /// Has a value once the lookup has ended.
-type Running = watch::Receiver<Option<Outcome>>;
+type Running = watch::Receiver<Option<LookupResult>>;
 
 /// Lookups of this process, by host.
 static RUNNING: Mutex<Vec<(String, Running)>> = Mutex::new(Vec::new());

@@ -36,14 +36,14 @@ struct Old {
 }
 
 /// Limits of a run.
-struct Limits {
+struct KeepLimits {
     split_duration: Option<Duration>,
     split_bytes: Option<u64>,
     keep_duration: Option<Duration>,
     keep_bytes: Option<u64>,
 }
 
-impl Limits {
+impl KeepLimits {
     fn draw(random: &mut Random) -> Self {
         let by_bytes = random.once_in(2);
         Self {
@@ -161,7 +161,7 @@ impl KeepHistory {
     fn run(&mut self) -> Result<bool, String> {
         let mut runtime = tokio::runtime::Builder::new_current_thread();
         let runtime = runtime.enable_time().start_paused(true).build().unwrap();
-        let limits = Limits::draw(&mut self.random);
+        let limits = KeepLimits::draw(&mut self.random);
         fs::create_dir_all(&self.twin).unwrap();
         let progress = runtime.block_on(record(
             &mut self.random,

@@ -66,9 +66,9 @@ impl File {
     }
 
     /// Opens the file on a disk, so that its index can be read, or as a pipe.
-    fn input(&self, is_on_disk: bool) -> Input {
+    fn input(&self, is_on_disk: bool) -> HistoryInput {
         if !is_on_disk {
-            return Input::Pipe(Cursor::new(self.bytes.clone()));
+            return HistoryInput::Pipe(Cursor::new(self.bytes.clone()));
         }
         let folder = own::folder(0);
         let path = folder.join("file.mcap");
@@ -76,35 +76,35 @@ impl File {
         let file = std::fs::File::open(&path).unwrap();
         // The open file stays.
         std::fs::remove_dir_all(folder).unwrap();
-        Input::Disk(file)
+        HistoryInput::Disk(file)
     }
 }
 
-enum Input {
+enum HistoryInput {
     Pipe(Cursor<Vec<u8>>),
     Disk(std::fs::File),
 }
 
 /// Copies a part of the inputs, all on a disk or none.
 fn copy(
-    inputs: Vec<Input>,
+    inputs: Vec<HistoryInput>,
     range: impl RangeBounds<Duration>,
     out: &mut Vec<u8>,
 ) -> Result<Copied, RecordingError> {
     let (mut pipes, mut files) = (Vec::new(), Vec::new());
     for input in inputs {
         match input {
-            Input::Pipe(pipe) => pipes.push(pipe),
-            Input::Disk(file) => files.push(file),
+            HistoryInput::Pipe(pipe) => pipes.push(pipe),
+            HistoryInput::Disk(file) => files.push(file),
         }
     }
     if files.is_empty() { cut(pipes, range, out) } else { cut(files, range, out) }
 }
 
-fn open(input: Input) -> Result<Recording, RecordingError> {
+fn open(input: HistoryInput) -> Result<Recording, RecordingError> {
     match input {
-        Input::Pipe(pipe) => Recording::read(pipe),
-        Input::Disk(file) => Recording::read(file),
+        HistoryInput::Pipe(pipe) => Recording::read(pipe),
+        HistoryInput::Disk(file) => Recording::read(file),
     }
 }
 
