@@ -196,17 +196,18 @@ becomes "return document.documentElement.scrollWidth" 320
 picture two-narrow
 stop other
 
-# Six sensors: no label covers another one, and none is cut off.
+# Six sensors: no label covers another one, none is cut off, and the outermost ring has its own.
 served front=emulated@0.3,0,0 rear=emulated@-0.3,0,180 left=emulated@0,1.2,90 right=emulated@0,-1.2,-90 \
     mast=emulated@0.1,0.1,45 gripper=emulated@-0.1,-0.1,-135
 status Live
-for width in 1280 390; do
-    size "$width" 844 2 "$([ "$width" = 390 ] && echo true || echo false)"
+for width in 1600 390; do
+    size "$width" 900 2 "$([ "$width" = 390 ] && echo true || echo false)"
     js "const context = $(element radar).getContext('2d'); window.boxes = []; const draw = Radar.prototype.draw;
         radar.draw = function () { window.boxes = []; draw.call(this); }; context.fillText = function (text, x, y) {
         const wide = this.measureText(text).width; const left = x - { left: 0, center: wide / 2, right: wide }[this.textAlign];
         window.boxes.push({ text, left, right: left + wide, top: y - 6, bottom: y + 6 }); };" >"$work/answer"
-    becomes "return ['front', 'rear', 'left', 'right', 'mast', 'gripper', '4 m'].every(text => boxes.some(box => box.text === text))" true
+    outermost=$([ "$width" = 390 ] && echo "4 m" || echo "5 m")
+    becomes "return ['front', 'rear', 'left', 'right', 'mast', 'gripper', '$outermost'].every(text => boxes.some(box => box.text === text))" true
     becomes "return boxes.filter((a, n) => boxes.slice(n + 1).some(b => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom)).length" 0
     becomes "return boxes.filter(b => b.left < 0 || b.top < 0 || b.right > radar.canvas.clientWidth || b.bottom > radar.canvas.clientHeight).length" 0
     js "delete radar.draw; delete $(element radar).getContext('2d').fillText" >"$work/answer"
@@ -231,10 +232,11 @@ if "$urg" record emulated "$work/run.mcap" --duration 3s 2>"$work/record"; then
     becomes "return $(element loop).getAttribute('aria-pressed')" '"true"'
     key " "
     status Playing
-    for width in 390 320; do
+    for width in 390 320 768 844; do
         size "$width" 844 2 true
         becomes "return document.documentElement.scrollWidth" "$width"
         becomes "return ['back', 'on'].every(id => document.getElementById(id).offsetTop === $(element play).offsetTop)" true
+        becomes "return $(element deck).scrollWidth <= $(element deck).clientWidth" true
         picture "recording-$width"
     done
     stop other

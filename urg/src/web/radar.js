@@ -213,15 +213,15 @@ class Radar {
     });
   }
 
-  // Labels each ring at its `spot`, or towards the middle of the canvas if a zoom has moved the
-  // spot out of sight.
+  // Labels each ring at its `spot`, or where the spot is out of sight, towards the middle of the
+  // canvas or to the left.
   ringLabels(view, origin, rings, spot) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const inside = ([x, y]) => x > 20 && x < width - 20 && y > 10 && y < height - 10;
     const [x, y] = this.place(origin, 0, 0, view);
     const middle = Math.atan2(x - width / 2, y - height / 2) - origin.pose.yaw;
     for (const ring of rings) {
-      const places = [spot(ring), this.place(origin, middle, ring, view)].filter(inside);
+      const places = [spot(ring), ...[middle, Math.PI / 2].map((angle) => this.place(origin, angle, ring, view))].filter(inside);
       this.label(2, `${Number(ring.toFixed(2))} m`, places);
     }
   }
