@@ -23,11 +23,11 @@ mod support;
 
 /// Runs of each row. The median counts.
 const ROUNDS: usize = 5;
-/// The scans that a row delivers at least, over all its consumers.
+/// Scans that a row delivers at least, over all its consumers.
 const SCANS: u64 = 20_000;
 const HZ: f64 = 10.0;
 
-/// The load of one row.
+/// Load of one row.
 #[derive(Debug, Clone, Copy)]
 struct Load {
     sensors: u64,

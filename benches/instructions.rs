@@ -15,7 +15,7 @@ use tokio_util::codec::{Decoder, Encoder};
 
 #[path = "../tests/common/instant_sensor.rs"]
 mod instant_sensor;
-// Private in the library. It needs no more of it than `stats`.
+// The module is private in the library. It needs no more of it than `stats`.
 #[allow(dead_code)]
 #[path = "../src/driver/motor_clock.rs"]
 mod motor_clock;
@@ -79,7 +79,7 @@ fn motor(scans: usize) {
     let revolution = Duration::from_nanos(99_760_500);
     let start = tokio::time::Instant::now();
     let mut clock = motor_clock::MotorClock::new(Duration::from_millis(100));
-    // The same number for any number of scans, so that they do not count.
+    // Their number is the same for any number of scans, so that they do not count.
     let arrivals = (1..=2000).map(|scan| {
         let end = revolution * scan;
         let late = if scan % 16 == 0 { Duration::from_millis(5) } else { Duration::ZERO };

@@ -1,7 +1,6 @@
 //! Many sensors at 10 Hz in one process: share of a core, lateness of polls, heap for each
-//! sensor. Once with emulated sensors on in-memory links, whose
-//! work counts too, and once with a peer that answers from memory, so that little is
-//! measured but the driver.
+//! sensor. It measures emulated sensors on in-memory links, whose work counts too, and a peer
+//! that answers from memory, so that little is measured but the driver.
 //!
 //! The runtime has one thread. `cargo bench --bench many -- emulated 8000` measures one
 //! row, `-- instant 10000 2` one with a runtime of two threads.
@@ -42,7 +41,7 @@ fn main() {
     row("instant", 10_000, 2);
 }
 
-/// The lateness of each poll, while it is recorded.
+/// Lateness of each poll, while it is recorded.
 type BenchLateness = Arc<Mutex<Option<Vec<Duration>>>>;
 
 fn row(kind: &str, sensors: usize, threads: usize) {

@@ -1,8 +1,8 @@
 //! Wake-ups, system calls, CPU time and latency of scans that arrive in pieces, as over a
 //! serial line, at the rate of a real sensor: on a pseudo-terminal, with the sensor in another
-//! process. Beside the driver the same without pauses, a floor, which only writes a
-//! command and reads, blocking, until the reply has ended, and the same loop on tokio and
-//! tokio-serial, with a deadline.
+//! process. The driver is compared with itself without pauses, with a floor, which only writes
+//! a command and reads, blocking, until the reply has ended, and with the same loop on tokio
+//! and tokio-serial, with a deadline.
 //!
 //! `cargo bench --bench pieces` prints a table, `-- usb 5 60` a table of one pattern, with five
 //! rounds of 60 scans for each poller. strace counts the system calls. With the arguments of one poller (`floor`, `tokio`,
@@ -36,7 +36,7 @@ const ROUNDS: usize = 5;
 const SCANS: usize = 30;
 /// Scans before the measured ones: the driver measures the first ones itself.
 const FIRST_SCANS: usize = 5;
-/// The bytes of the last two points and the end of a scan.
+/// Bytes of the last two points and the end of a scan.
 const END_BYTES: usize = 6;
 const POLLERS: [&str; 4] = ["floor", "tokio", "driver", "unpaused"];
 
@@ -50,7 +50,7 @@ struct Pattern {
     begins: Begins,
     /// Bytes a piece.
     piece: usize,
-    /// The time from piece to piece.
+    /// Time from piece to piece.
     interval: Duration,
     /// Scans a second, or `None` to poll as fast as the sensor answers.
     rate: Option<u32>,
@@ -59,7 +59,7 @@ struct Pattern {
 #[derive(Clone, Copy, PartialEq)]
 enum Begins {
     AtOnce,
-    /// 90 ms after its command.
+    /// It begins 90 ms after its command.
     Later,
     /// When the motor ends its revolution.
     WithTheMotor,
@@ -72,7 +72,7 @@ const PATTERNS: [Pattern; 8] = [
     // 375 kB a second.
     Pattern::new("usb", Begins::AtOnce, 64, 170_667, Some(10)),
     Pattern::new("usb-phase", Begins::Later, 64, 170_667, Some(10)),
-    // As a URG does: frames of 375 bytes, one each millisecond.
+    // A URG sends frames of 375 bytes, one each millisecond.
     Pattern::new("frames", Begins::WithTheMotor, 375, 1_000_000, Some(10)),
     Pattern::new("frames-max", Begins::WithTheMotor, 375, 1_000_000, None),
     Pattern::new("whole", Begins::AtOnce, 4096, 170_667, Some(10)),
@@ -122,7 +122,7 @@ const HEADER: &str = "pattern     poller    wake-ups/scan  calls/scan  CPU us/sc
 /// Prints the medians of some rounds of each poller.
 fn table(pattern: &Pattern, rounds: usize, scans: usize) {
     let server = Server::start(pattern.name);
-    // Side by side in each round: a load that disturbs one disturbs all.
+    // They run side by side in each round: a load that disturbs one disturbs all.
     let rounds: Vec<[Cost; 4]> = (0..rounds)
         .map(|_| POLLERS.map(|poller| poll(poller, &server.path, pattern, scans)))
         .collect();
@@ -162,12 +162,12 @@ fn calls(poller: &str, pattern: &Pattern) -> Option<f64> {
     Some((count(many)? as f64 - count(few)? as f64) / (many - few) as f64)
 }
 
-/// The cost of a number of scans.
+/// Cost of a number of scans.
 #[derive(Debug)]
 struct Cost {
     wake_ups: u64,
     cpu: Duration,
-    /// The time from just before the last piece was written until the scan was held.
+    /// Time from just before the last piece was written until the scan was held.
     latencies: Vec<Duration>,
 }
 

@@ -1,6 +1,6 @@
 //! Scans a second and CPU time a scan, polled as fast as a sensor answers, on a
-//! pseudo-terminal with the sensor in another process. Beside it a floor, which only
-//! writes a command and reads until the reply has ended.
+//! pseudo-terminal with the sensor in another process. It is compared with a floor, which
+//! only writes a command and reads until the reply has ended.
 //!
 //! `cargo bench --bench round_trip` prints a table. With the arguments of one poller
 //! (`floor`, `tokio`, `current` or `multi`) and one sensor (`instant` or `emulated`) it
@@ -28,7 +28,7 @@ mod support;
 
 const ROUNDS: usize = 15;
 
-/// The sensors in the other process, and the number of polls in a round.
+/// Sensors in the other process, and the number of polls in a round.
 const SENSORS: [(&str, usize); 2] = [("instant", 8_000), ("emulated", 200)];
 
 fn main() {
@@ -50,7 +50,7 @@ fn table() {
     for (sensor, polls) in SENSORS {
         let server = Server::start(sensor);
         let pollers = ["floor", "tokio", "current", "multi"];
-        // Side by side in each round: a load that disturbs one disturbs all.
+        // They run side by side in each round: a load that disturbs one disturbs all.
         let rounds: Vec<[RoundTripCost; 4]> =
             (0..ROUNDS).map(|_| pollers.map(|poller| poll(poller, &server.path, polls))).collect();
         for (index, poller) in pollers.into_iter().enumerate() {
@@ -71,7 +71,7 @@ fn table() {
     }
 }
 
-/// The time and CPU time of a number of scans.
+/// Time and CPU time of a number of scans.
 #[derive(Debug)]
 struct RoundTripCost {
     scans: usize,

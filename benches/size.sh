@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # The size of a service on this crate: dependencies, time of a clean release build,
-# size of the program. Beside it a program that opens the same port with tokio and
-# tokio-serial alone. Then its CPU time a scan, with cargo's defaults, with less code, and beside
-# both of `urg stream` if its path is given; what it keeps on the heap (needs valgrind and jq); and
-# the dependencies and the build time that each feature adds to this crate.
+# size of the program, compared with a program that opens the same port with tokio and
+# tokio-serial alone. Then it measures the CPU time a scan, with cargo's defaults and with less
+# code, and the CPU time of `urg stream` if its path is given; what the service keeps on the heap
+# (needs valgrind and jq); and the dependencies and the build time that each feature adds.
 # bash benches/size.sh [URG]
 set -euo pipefail
 urg=${1:+$(realpath "$1")}
@@ -117,7 +117,7 @@ if command -v valgrind >/dev/null && command -v jq >/dev/null; then
     CARGO_PROFILE_RELEASE_DEBUG=line-tables-only cargo build --quiet --release --offline --target-dir "$work/debug"
     valgrind --tool=dhat --read-inline-info=no --num-callers=30 --dhat-out-file=heap \
         "$work/debug/release/service" "$port" >/dev/null 2>&1
-    # By the first function of this crate that each block's allocation passed through.
+    # Groups blocks by the first function of this crate that their allocation passed through.
     jq -r '.ftbl as $names | .pps[] | select(.eb > 0) | .eb as $bytes |
         [.fs[] | $names[.] | capture("(?<name>tokio_scip::[^( ]*)").name][0] // empty |
         "\($bytes) \(.)"' heap |

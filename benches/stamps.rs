@@ -19,7 +19,7 @@ const REAL_TIME: Duration = Duration::from_secs(120);
 const WARM_UP: Duration = Duration::from_secs(10);
 /// Interval of USB's frames.
 const FRAME: Duration = Duration::from_millis(1);
-/// The part of a revolution between the first ray of the window and the rear.
+/// Part of a revolution between the first ray of the window and the rear.
 const TURNED: f64 = 1.0 - (128.0 + 44.0) / 1024.0;
 
 fn main() {
@@ -124,7 +124,7 @@ fn simulated(name: &str, sensor: EmulatorBuilder, rate: Rate, span: Duration, ju
         while start.elapsed() < span {
             row.add(&emulator, &scans.next().await.unwrap().unwrap());
             if jumps > 0 && Instant::now() >= next_jump {
-                // Any part of a revolution, never the same.
+                // Each jump falls on another part of a revolution.
                 let jump = (next_jump - start).as_millis() * 37 % 100;
                 emulator.delay_motor(Duration::from_millis(jump as u64));
                 next_jump += span / (jumps + 1);

@@ -127,7 +127,7 @@ fn serve_and_report(mut master: File) -> mpsc::Receiver<Instant> {
             master.write_all(rest).unwrap();
             std::thread::sleep(Duration::from_micros(300));
             let now = Instant::now();
-            // Without the fence that opens the port.
+            // The fence that opens the port does not count.
             if command.starts_with(b"G04") && report.send(now).is_err() {
                 return;
             }

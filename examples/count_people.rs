@@ -31,7 +31,7 @@ const POINTS: usize = 3;
 /// Number of scans in a row that must agree.
 const AGREE: usize = 3;
 
-/// The empty doorway.
+/// Empty doorway.
 #[derive(Default)]
 pub(crate) struct Doorway {
     reconnects: u64,

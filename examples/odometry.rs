@@ -40,7 +40,7 @@ impl Odometry {
     /// Returns the pose of a scan.
     pub(crate) fn add(&mut self, scan: &Scan) -> Pose {
         let guess = self.keyframe.inverse() * self.pose * self.motion;
-        // Each ray as seen from the place of the first one.
+        // Moves each ray to the place of the first one.
         let points: Vec<_> = scan.points().map(|point| steady(point, self.motion, scan)).collect();
         let matched = align(&self.reference, &points, guess);
         let pose = self.keyframe * matched;
@@ -92,7 +92,7 @@ fn align(reference: &[WallPoint], points: &[(f64, f64)], guess: Pose) -> Pose {
             let Some(wall) = nearest.filter(|wall| distance(wall) < gate * gate) else { continue };
             let (nx, ny) = wall.across;
             let error = nx * (wall.x - x) + ny * (wall.y - y);
-            // By a shift along x and y, and by a rotation around the sensor.
+            // A shift along x and y changes it, and a rotation around the sensor.
             let rotation = ny * (x - pose.x) - nx * (y - pose.y);
             let row = [nx, ny, rotation];
             for (line, a) in matrix.iter_mut().zip(row) {
@@ -143,7 +143,7 @@ pub(crate) mod emulated {
         Emulator::builder().world(furnished.sensor_on(path())).usb().build()
     }
 
-    /// The true pose of the latest scan, in the frame of the sensor's start.
+    /// Returns the true pose of the latest scan, in the frame of the sensor's start.
     pub(crate) fn truth(emulator: &Emulator) -> Option<Pose> {
         let first_ray = emulator.sent_scans().last()?.time.at_step(44);
         Some(path().pose(Duration::ZERO).inverse() * path().pose(first_ray))

@@ -68,7 +68,7 @@ impl Terms {
     }
 }
 
-/// The width of the smallest obstacle, in metres.
+/// Width of the smallest obstacle, in metres.
 pub(crate) const WIDTH: f64 = 0.1;
 /// The field must be clear for this time before the vehicle moves again.
 pub(crate) const RESTART: Duration = Duration::from_secs(1);
@@ -118,7 +118,7 @@ struct Guard {
     votes: [bool; 3],
     /// End of the permission to move.
     until: Instant,
-    /// Since when each scan has shown the protective field clear.
+    /// Time since which each scan has shown the protective field clear.
     clear_since: Option<Instant>,
     needs_reset: bool,
     is_reset: bool,

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// The modules from the top down: each may use the later ones in this list.
+/// Modules from the top down: each may use the later ones in this list.
 const ORDER: [&str; 12] = [
     "sensor", "stream", "driver", "state", "ring", "stats", "port", "codec", "scan", "rate",
     "error", "protocol",

@@ -403,7 +403,7 @@ async fn beside_refused(seed: u64) {
         let scans = stream.latest().map_or(0, |scan| scan.sequence() + 1);
         assert!(scans * 10 > share * 9, "seed {seed}: {scans} scans, its share is {share}");
     }
-    // After 0, 1, 3, 7, 15, 31, 61 and 91 seconds.
+    // It tries after 0, 1, 3, 7, 15, 31, 61 and 91 seconds.
     let (laser_on, fences) = (refusals.0.lock().unwrap().laser_on, sensor.stats().fences);
     assert!(laser_on <= 8 * refused, "seed {seed}: {laser_on} L1 for {refused} windows");
     assert!(fences <= 10 * refused, "seed {seed}: {fences} fences for {refused} windows");

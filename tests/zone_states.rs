@@ -63,7 +63,7 @@ fn an_obstacle_is_found_at_its_nearest_ray() {
     assert_eq!(zone.check(&with(298..=298, 20)), ZoneState::Clear);
     let mut values = vec![2000; 513];
     (values[172], values[260], values[300]) = (500, 400, 400);
-    // The first of two that are equally near.
+    // It is the first of two that are equally near.
     assert_eq!(obstacle(zone.check(&scan(half(), values))), 388);
 }
 

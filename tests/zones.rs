@@ -29,7 +29,7 @@ fn at(angle: f64, range: f64) -> Spot {
     (range * angle.cos(), range * angle.sin())
 }
 
-/// The area of a zone, by code that the library does not share.
+/// Area of a zone, by code that the library does not share.
 enum Area {
     Sector { from: f64, to: f64, near: f64, far: f64 },
     Polygon(Vec<Spot>),
@@ -71,7 +71,7 @@ impl Area {
                 *near <= range && range <= *far && *from <= angle && angle <= *to
             }
             Self::Polygon(corners) => {
-                // By the angles that the corners make around the place.
+                // Adds up the angles that the corners make around the place.
                 let angle = |corner: Spot| (corner.1 - place.1).atan2(corner.0 - place.0);
                 let next = corners.iter().skip(1).chain(corners.first());
                 let turns = corners.iter().zip(next).map(|(a, b)| angle(*b) - angle(*a));
@@ -90,7 +90,7 @@ impl Area {
     }
 }
 
-/// Something straight that returns light, or only weak light.
+/// Straight object that returns light, or only weak light.
 struct Wall {
     ends: [Spot; 2],
     is_weak: bool,
@@ -179,7 +179,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
             let width = width * between(random, 1.0..=1.5);
             let angle = match random.once_in(2) {
                 true => between(random, -2.3..=2.3),
-                // Close to where the zone begins or ends, which is in the middle of a cluster.
+                // The rays are close to where the zone begins or ends, in the middle of a cluster.
                 false => {
                     let inwards = width / range * between(random, 0.5..=0.7);
                     *random.pick(&[edges[0] + inwards, edges[1] - inwards])

@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 /// Dropping it ends the process.
 pub(crate) struct Server {
     process: Child,
-    /// The path of its pseudo-terminal, which the process prints.
+    /// Path of its pseudo-terminal, which the process prints.
     pub(crate) path: PathBuf,
 }
 

@@ -27,7 +27,7 @@ const PARTS: [&[u8]; 16] = [
     b"L",
 ];
 
-/// The expected replies of a sensor on USB that measures 1234 mm everywhere.
+/// Expected replies of a sensor on USB that measures 1234 mm everywhere.
 struct Model {
     firmware: Firmware,
     empty: EmptyCommand,

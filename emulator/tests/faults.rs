@@ -129,7 +129,7 @@ async fn a_reset_restores_baud_rate_and_laser() {
         link.write_all(b"G04472501\n").await.unwrap();
         let mut part = vec![0; after];
         link.read_exact(&mut part).await.unwrap();
-        // Silent while it starts, then at another baud rate.
+        // It is silent while it starts, then answers at another baud rate.
         link.write_all(b"V\n").await.unwrap();
         sleep(2 * S).await;
         assert_eq!(emulator.baud_rate(), Some(BaudRate::B19200));

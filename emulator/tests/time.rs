@@ -110,7 +110,7 @@ async fn a_scan_shows_the_revolution_finished_last() {
     sleep_until(start + 420 * MS).await;
     assert_eq!(ask(&mut link, "G00000001").await, "G00000001\n0\n1X\n\n");
 
-    // With this pace: the distances in the sensor's memory at that moment.
+    // At this pace it sends the distances in its memory at that moment.
     let mut link = Emulator::builder().pace(Pace::AtOnce).world(world).build().link();
     let start = Instant::now();
     sleep_until(start + 420 * MS).await;

@@ -109,7 +109,7 @@ fn a_room_is_the_same_on_every_machine() {
 fn sensors_at_two_places_measure_the_same_walls() {
     let room = || Room::sized(3, 5000, 4400, 0);
     let (x, y, yaw) = (0.5, -0.3, 90.0);
-    // In the room's frame, in metres.
+    // Places are in the room's frame, in metres.
     let places = |values: &Values, (x, y, yaw): (f64, f64, f64)| -> Vec<(f64, f64)> {
         let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
         let place = |(step, &value): (usize, &u16)| {
@@ -240,7 +240,7 @@ async fn sensors_with_the_same_seed_send_the_same_bytes() {
 
 #[tokio::test(start_paused = true)]
 async fn a_moving_sensor_measures_each_ray_in_time() {
-    // At 1 m/s towards a wall, turned to the left.
+    // The sensor moves at 1 m/s towards a wall, turned to the left.
     let pose = |x| Pose { x, y: 0.3, heading: 0.2 };
     let path = Path::new([(Duration::ZERO, pose(0.0)), (Duration::from_secs(2), pose(2.0))]);
     let wall = Scene::new(0).without_noise().wall((3.0, -5.0), (3.0, 5.0));

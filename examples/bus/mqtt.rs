@@ -11,7 +11,7 @@ use tokio_scip::{Rate, Sensor, Window};
 async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let port = std::env::args().nth(1).ok_or("expected a port, such as /dev/ttyACM0")?;
     let sensor = Sensor::builder().wait_for_sensor(true).open(port.as_str()).await?;
-    // No queue: only the scan in `publish` waits.
+    // There is no queue: only the scan in `publish` waits.
     let (bus, mut connection) =
         AsyncClient::new(MqttOptions::new("urg-front", "localhost", 1883), 0);
     tokio::spawn(async move {

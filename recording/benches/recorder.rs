@@ -72,7 +72,7 @@ fn report(place: &str, scans: u64, recorder: &Recorder) {
     println!("{place}: {scans} scans, {files} files, {gigabytes:.1} GB; resident {memory:.1} MiB");
 }
 
-/// The path of a part of the recording.
+/// Returns the path of a part of the recording.
 fn part(path: &Path, number: u64) -> PathBuf {
     match number {
         1 => path.to_owned(),

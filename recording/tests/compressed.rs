@@ -343,7 +343,7 @@ fn compressed_schemas_do_not_fill_the_memory() {
 #[test]
 fn a_small_chunk_may_have_a_window_of_8_mib() {
     let event = event(0);
-    // One block, the last, as it is.
+    // The only block is the last one, stored as it is.
     let records = [channel(), event].concat();
     let block = ((records.len() as u32) << 3) | 1;
     let frame =

@@ -61,7 +61,7 @@ async fn a_flipped_bit_costs_one_chunk() {
     let end_of_data = end_of(&[0x0f, 4, 0, 0, 0, 0, 0, 0, 0], &file) - 9;
     let largest = records.len() - 2;
     let (mut damaged, mut reported) = (0, 0);
-    // Every fifth bit: each place in a byte, and each field of a record.
+    // Every fifth bit hits each place in a byte, and each field of a record.
     for bit in (8 * 8..end_of_data * 8).step_by(5) {
         let mut changed = file.clone();
         changed[bit / 8] ^= 1 << (bit % 8);
@@ -147,7 +147,7 @@ struct Slow {
 impl Write for Slow {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if self.sink.bytes().len() > 1_000 {
-            // From the second chunk on. Once `go` is dropped, writes do not block.
+            // Writes block from the second chunk on, until `go` is dropped.
             let _ = self.hangs.send(());
             let _ = self.go.recv();
         }
@@ -167,8 +167,8 @@ async fn a_stalled_disk_costs_only_scans() {
     let mut recorder = Recorder::builder().write_to(slow).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();
     let item = sensor.scan(Window::DETECTION).await;
-    // Twice as many as the queue holds: this must not block. And again once the writer hangs
-    // and takes nothing from the queue.
+    // These are twice as many as the queue holds: recording them must not block,
+    // not even once the writer hangs and takes nothing from the queue.
     for _ in 0..12_000 {
         recorder.record(&item).unwrap();
     }
@@ -227,7 +227,7 @@ async fn ready_does_not_wait_for_a_full_disk() {
     }
 }
 
-/// A file that panics when more than so many bytes are written.
+/// File that panics when more bytes are written than it has room for.
 struct Panics(usize);
 
 impl Write for Panics {
@@ -289,7 +289,7 @@ async fn a_replay_that_ends_at_damage_reports_it() {
     record(sensor(), &sink, Window::DETECTION, 400).await;
     for damaged in [false, true] {
         let mut file = sink.bytes();
-        // In the second of its two chunks.
+        // The damage is in the second of two chunks.
         let late = file.len() / 8 * 7;
         file[late] ^= u8::from(damaged);
         let recording = Recording::read(io::Cursor::new(file)).unwrap();

@@ -163,7 +163,7 @@ fn events_stand_before_the_scan_that_follows_them() {
     assert_eq!(of(Err(closed())), [Event::Error { error: closed().to_string() }]);
     assert_eq!(of(scan(14)), [Event::Reconnected, Event::Missed { scans: 1 }]);
     assert_eq!(of(scan(15)), []);
-    // Of another stream, and of the first one again.
+    // Scans of another stream, and of the first one again, show no gap.
     assert_eq!((of(scan(0)), of(scan(1)), of(scan(16))), (vec![], vec![], vec![]));
 }
 

@@ -108,12 +108,12 @@ async fn a_part_keeps_its_times() {
     assert_eq!((outcome.damaged_parts, outcome.was_truncated), (0, false));
     let copied = times(&part);
     assert_eq!(outcome.messages as usize, copied.len());
-    // All but the sensor's version, which has the time of the beginning.
+    // The sensor's version differs: it has the time of the beginning.
     assert!(copied[1..].iter().all(|message| whole.contains(message)));
     assert_eq!((&copied[0].0, copied[0].2), (&"/scip/replies".to_owned(), copied[1].2));
     let span = copied.last().unwrap().2 - copied[0].2;
     assert!((2_800_000_000..3_000_000_000).contains(&span), "{span} ns");
-    // The same scans as in the part.
+    // The file has the same scans as the part.
     let open = |file: &[u8]| Recording::read(std::io::Cursor::new(file.to_vec())).unwrap();
     let scans = |recording: Recording| -> Vec<_> {
         let scans = recording.scans().map(Result::unwrap);

@@ -67,7 +67,7 @@ async fn a_foreign_copy_reads_as_the_original() {
                 .map(|message| (message.channel.topic.clone(), message.data.into_owned()))
                 .collect()
         };
-        // With the image.
+        // The image is among them.
         assert_eq!(messages(&repaired), messages(&copied));
         assert_eq!(messages(&repaired).len(), records.len() + 1);
     }

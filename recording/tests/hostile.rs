@@ -173,7 +173,7 @@ fn metadata_is_read_at_the_files_end() {
 #[test]
 fn the_first_16_damaged_places_are_kept() {
     let mut chunk = chunk_of(&event(0));
-    // A checksum, and it is wrong.
+    // The checksum is wrong.
     chunk[9 + 24] = 1;
     let file = [MAGIC, &chunk.repeat(20), &end()].concat();
     let outcome = repair(Cursor::new(file), &mut Vec::new()).unwrap();
@@ -182,7 +182,7 @@ fn the_first_16_damaged_places_are_kept() {
     assert_eq!(outcome.damaged_at, places);
 }
 
-/// Many channels with long names, and as many chunks as fit.
+/// The file has many channels with long names, and as many chunks as fit.
 #[test]
 fn a_repaired_file_stays_small() {
     let name = "x".repeat(1000);

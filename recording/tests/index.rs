@@ -38,7 +38,7 @@ fn messages(data: &[u8]) -> Vec<(u16, u64)> {
     messages
 }
 
-/// The content that an index must have, found by reading the file in front of it.
+/// Content that an index must have, found by reading the file in front of it.
 #[derive(Default)]
 struct Expected {
     statistics: Statistics,

@@ -32,7 +32,8 @@ fn last_scan(recording: Recording) -> Items {
 fn a_part_is_read_without_its_past() {
     let (whole, starts) = eight_chunks();
     let mut damaged = whole.clone();
-    // Those before the last one, except those with the first scan and what precedes it.
+    // Damages the chunks before the last one, except those with the first scan and what
+    // precedes it.
     let left_out = &starts[starts.len() - 7..starts.len() - 1];
     for start in left_out {
         damaged[start + 100] ^= 1;

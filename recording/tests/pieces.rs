@@ -6,7 +6,7 @@ use urg_recording::{Recording, RecordingError};
 
 use super::raw::{MAGIC, channel, chunk_of, end, event, of_kind, read, record};
 
-/// The bytes that are read at once.
+/// Bytes that are read at once.
 const READ_BYTES: usize = 64 << 10;
 
 /// Makes a record that readers skip and that ends `before` bytes before the end of the

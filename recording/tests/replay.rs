@@ -178,7 +178,7 @@ async fn a_replayed_sensor_answers_as_recorded() {
 async fn a_replay_has_the_first_real_version() {
     let sink = Sink::new();
     let emulator = sensor();
-    // After a fence. The line feed after the status is lost.
+    // A fence precedes it. The line feed after the status is lost.
     emulator.set_faults(Faults::none().at(1, Fault::Drop(3..4)));
     record(emulator, &sink, Window::DETECTION, 3).await;
     let first = sink.records().into_iter().find_map(|record| match record.entry {
@@ -223,7 +223,7 @@ async fn a_damaged_reply_is_never_replayed() {
     let end = "G04372501\n0\n".len() + 683 * 2 + 22;
     let last_point = end - 3..end - 1;
     let emulator = sensor();
-    // After a fence and two `V`s.
+    // A fence and two `V`s precede it.
     emulator.set_faults(Faults::none().at(3, Fault::Drop(last_point)));
     let sink = Sink::new();
     let recorded = record(emulator, &sink, wide, 5).await;

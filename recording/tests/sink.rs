@@ -14,7 +14,7 @@ use urg_recording::{Entry, Record, RecordedReply, Recorder, Recording, ReplayPac
 pub(crate) struct Sink {
     bytes: Arc<Mutex<Vec<u8>>>,
     room: usize,
-    /// The number of bytes written, to be awaited.
+    /// Number of bytes written, to be awaited.
     length: watch::Sender<usize>,
 }
 
@@ -59,7 +59,7 @@ impl Write for Sink {
         }
         file.extend_from_slice(&bytes[..fits]);
         let length = file.len();
-        // Unlocked first, because the woken task reads the file.
+        // Unlocks first, because the woken task reads the file.
         drop(file);
         self.length.send_replace(length);
         Ok(fits)

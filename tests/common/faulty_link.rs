@@ -24,7 +24,7 @@ pub(crate) enum Call {
     SetBaudRate,
 }
 
-/// The failure of a call on a [`FaultyLink`].
+/// Failure of a call on a [`FaultyLink`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum LinkFailure {
     /// Returns this error of the operating system, once. `LinkFailure::Errno(5)` is
@@ -50,7 +50,7 @@ impl LinkFailure {
     }
 }
 
-/// The number of calls on a [`FaultyLink`]. A handle: clones count the same link,
+/// Number of calls on a [`FaultyLink`]. A handle: clones count the same link,
 /// also after it was moved or dropped.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CallCounter(Arc<CallCounts>);

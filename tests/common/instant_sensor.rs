@@ -35,7 +35,7 @@ pub(crate) fn reply(command: &[u8], out: &mut Vec<u8>) {
     out.push(b'\n');
 }
 
-/// The stream to such a sensor.
+/// Stream to such a sensor.
 #[derive(Debug, Default)]
 pub(crate) struct InstantSensor {
     line: Vec<u8>,

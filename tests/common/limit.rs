@@ -9,7 +9,7 @@ use std::sync::{LazyLock, Mutex};
 use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
-/// Far more than any test takes between two calls of [`limit`], even on a machine with
+/// Time limit, far more than any test takes between two calls of [`limit`], even on a machine with
 /// ten times the usual load. An emulated processor needs more.
 static LIMIT: LazyLock<Duration> = LazyLock::new(|| {
     let minutes = std::env::var("SCIP_TEST_LIMIT_MINUTES");
@@ -18,7 +18,7 @@ static LIMIT: LazyLock<Duration> = LazyLock::new(|| {
 
 type Deadlines = Mutex<HashMap<ThreadId, (String, Instant)>>;
 
-/// The name and the deadline of each running test, by thread.
+/// Name and deadline of each running test, by thread.
 static DEADLINES: LazyLock<Deadlines> = LazyLock::new(|| {
     thread::spawn(watch);
     Mutex::default()

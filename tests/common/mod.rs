@@ -36,7 +36,7 @@ pub(crate) fn wire_time(baud_rate: BaudRate, bytes: usize) -> Duration {
     Duration::from_secs(10 * bytes as u64) / u32::from(baud_rate)
 }
 
-/// The value at `step`: one of three digits, base 4000, of the request's number. The
+/// Returns the value at `step`: one of three digits, base 4000, of the request's number. The
 /// digits repeat every three steps, so any window of three steps holds the whole number.
 fn code(request: u64, step: usize) -> u16 {
     let digits = [request % 4000, request / 4000 % 4000, request / 16_000_000];

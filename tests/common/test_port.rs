@@ -31,7 +31,7 @@ pub(crate) trait FarEnd: Send + Unpin + 'static {
     }
 }
 
-/// The port to a far end.
+/// Port to a far end.
 #[derive(Debug, Default)]
 pub(crate) struct TestPort<E>(pub(crate) E);
 

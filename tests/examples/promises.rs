@@ -40,15 +40,15 @@ impl World for Appearing {
 /// Figures of a run of the safety stop.
 #[derive(Debug, Default)]
 struct PromiseRun {
-    /// The longest time from an obstacle to the stop.
+    /// Longest time from an obstacle to the stop.
     reaction: Duration,
-    /// The age of the oldest good scan that permitted to move.
+    /// Age of the oldest good scan that permitted to move.
     age: Duration,
     /// Share of the time during which the field was clear and the vehicle could move.
     clear: f64,
 }
 
-/// The running guard of a sensor.
+/// Starts the guard of a sensor.
 async fn guarded(
     sensor: &Sensor,
     interlock: Option<Arc<Notify>>,
@@ -252,7 +252,7 @@ fn count(emulator: Emulator) -> impl AsyncFnMut() -> Result<usize, String> {
 #[tokio::test(start_paused = true)]
 async fn up_to_three_walkers_are_counted() {
     for seed in seeds("SCIP_WALKERS", 7) {
-        // At different distances, and never one in front of the other.
+        // They walk at different distances, and never one in front of the other.
         let walk = |from, to, start, speed| Walk::new(from, to).starting_at(ms(start)).speed(speed);
         let walks = [
             walk((0.8, -1.7), (2.2, -1.7), 3000, 0.10), // until 17 s

@@ -64,7 +64,7 @@ fn metrics_are_served_as_prometheus_reads_them() {
     assert_eq!(answer.matches("# TYPE urg_scans_total counter\n").count(), 1, "{answer}");
 }
 
-/// The messages that a program sends to systemd.
+/// Returns the messages that a program sends to systemd.
 #[cfg(unix)]
 fn notified(port: &str) -> impl Iterator<Item = String> {
     let path =
@@ -118,7 +118,7 @@ fn rate(line: &str) -> u64 {
 fn a_fleet_of_a_hundred_sensors_keeps_its_rate() {
     let mut example = Example::run("fleet", &["emulated", "100"]);
     let lines = std::iter::repeat_with(|| example.line_with("100 sensors, "));
-    // 1,000; fewer if the machine is busy.
+    // The rate is 1,000, or less if the machine is busy.
     assert!({ lines }.any(|line| rate(&line) > 500));
 }
 

@@ -2,12 +2,12 @@
 //! made once. A run asks it wherever more than one thing can happen, and is started
 //! again from the beginning for the next sequence.
 
-/// The choices of a run.
+/// Choices of a run.
 #[derive(Debug, Default)]
 pub(crate) struct Chooser {
     /// Each choice, and the number of its alternatives.
     path: Vec<(usize, usize)>,
-    /// The number of choices that this run has made.
+    /// Number of choices that this run has made.
     made: usize,
 }
 

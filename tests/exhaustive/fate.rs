@@ -1,6 +1,6 @@
 //! [`Fate`]: the possible outcomes of a command and its reply.
 
-/// The outcome of an exchange.
+/// Outcome of an exchange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Fate {
     OnTime,

@@ -21,7 +21,7 @@ use super::sensor::ModelSensor;
 use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::wire_time;
 
-/// The time from a command to its reply.
+/// Time from a command to its reply.
 const TURNAROUND: Duration = Duration::from_millis(20);
 /// Delay of a late reply after a later command: after its bytes, before its reply.
 const LAG: Duration = Duration::from_millis(6);
@@ -32,7 +32,7 @@ const SOON: Duration = Duration::from_millis(3);
 struct Packet {
     bytes: Vec<u8>,
     due: Due,
-    /// The baud rate at which the sensor sent them.
+    /// Baud rate at which the sensor sent them.
     baud_rate: Option<BaudRate>,
 }
 
@@ -40,34 +40,34 @@ struct Packet {
 #[derive(Clone, Copy)]
 enum Due {
     At(Instant),
-    /// After the command of this number.
+    /// A place after the command of this number.
     Command(u64),
 }
 
-/// The number of exchanges with a choice, and how many of them may have a fault.
+/// Number of exchanges with a choice, and how many of them may have a fault.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Depth {
     pub(crate) exchanges: usize,
     pub(crate) faults: usize,
 }
 
-/// The sensor, the line to it, and the choices.
+/// Sensor, the line to it, and the choices.
 pub(crate) struct LineState {
     pub(crate) chooser: Chooser,
     pub(crate) sensor: ModelSensor,
     fates: &'static [Fate],
-    /// The rest of the depth; 0 before the choices begin.
+    /// Rest of the depth; 0 before the choices begin.
     left: Depth,
     queue: VecDeque<Packet>,
-    /// The half of a command that was written.
+    /// Half of a command that was written.
     input: Vec<u8>,
-    /// The number of commands so far.
+    /// Number of commands so far.
     commands: u64,
-    /// The number of the open link.
+    /// Number of the open link.
     link: u64,
-    /// The number of places so far: each command and each packet is one.
+    /// Number of places so far: each command and each packet is one.
     places: watch::Sender<usize>,
-    /// The place at which the link is hung up, and true if packets are still delivered.
+    /// Place at which the link is hung up, and true if packets are still delivered.
     hang_up: Option<(usize, bool)>,
     reader: Option<Waker>,
     started_at: Instant,

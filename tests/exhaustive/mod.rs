@@ -1,4 +1,4 @@
-//! Every sequence, not a sample of them: the driver on the paused clock, against a
+//! Runs every sequence, not a sample of them: the driver on the paused clock, against a
 //! sensor and a line whose every choice is enumerated. README.md has the figures.
 
 mod chooser;
@@ -16,7 +16,7 @@ use self::fate::{FATES, Fate};
 use self::line::Depth;
 use self::scenario::{Deed, Scenario};
 
-/// Everything that may happen besides.
+/// Events that may happen besides.
 const DEEDS: &[Deed] =
     &[Deed::Scan, Deed::CancelledScan, Deed::Laser, Deed::BaudRate, Deed::Unplug, Deed::HangUp];
 
@@ -24,7 +24,7 @@ fn setting(name: &str) -> Option<usize> {
     std::env::var(name).ok().map(|text| text.parse().unwrap())
 }
 
-/// The number of exchanges with a choice, and how many of them may have a fault.
+/// Returns the number of exchanges with a choice, and how many of them may have a fault.
 fn depth() -> Depth {
     let exchanges = setting("SCIP_EXHAUSTIVE").unwrap_or(3);
     Depth { exchanges, faults: setting("SCIP_EXHAUSTIVE_FAULTS").unwrap_or(exchanges) }
@@ -33,7 +33,7 @@ fn depth() -> Depth {
 fn explore(scenario: &Scenario) {
     let Depth { exchanges, faults } = depth();
     let mut total = scenario.explore(depth(), None);
-    // With something more in each place, fewer faults.
+    // An event in each place multiplies the runs, so there are fewer faults.
     let depth = Depth { exchanges, faults: faults.saturating_sub(2).max(1) };
     for deed in scenario.deeds {
         for place in 1..=2 * exchanges {
@@ -52,12 +52,12 @@ fn can_differ() -> Window {
     window(300, 303, 1)
 }
 
-/// No room for another group on either side.
+/// Returns a window without room for another group on either side.
 fn cannot_differ() -> Window {
     window(44, 725, 45)
 }
 
-/// All fates but those that no driver survives where polls cannot differ: a copy that
+/// Returns all fates but those that no driver survives where polls cannot differ: a copy that
 /// comes after the next poll is equal to its reply.
 fn without_later_copies() -> &'static [Fate] {
     let (others, copies) = FATES.split_at(FATES.len() - 2);

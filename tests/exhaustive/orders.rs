@@ -1,4 +1,4 @@
-//! Every order in which the tasks around a driver run: the driver, calls of handles, a
+//! Runs every order of the tasks around a driver: the driver, calls of handles, a
 //! stream, and what ends them. Only the executor is a model; all else is the crate and
 //! tokio's channels.
 //!
@@ -24,12 +24,12 @@ use urg_emulator::{Emulator, Pace};
 use super::chooser::Chooser;
 use super::setting;
 
-/// Far longer than a run takes, on the paused clock.
+/// Time limit of a run, far longer than it takes on the paused clock.
 const LIMIT: Duration = Duration::from_secs(60);
 /// From this choice on no order is enumerated: the tasks have settled.
 const CHOICES: usize = 40;
 
-/// The end of the driver.
+/// End of the driver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum OrderEnd {
     /// A handle closes it.

@@ -19,7 +19,7 @@ const SCANS_AFTER: usize = 2;
 const OTHER_WINDOW: std::ops::RangeInclusive<u16> = 500..=501;
 const OTHER_BAUD_RATE: BaudRate = BaudRate::B115200;
 
-/// The fates, user actions and windows to enumerate.
+/// Fates, user actions and windows to enumerate.
 pub(crate) struct Scenario {
     pub(crate) name: &'static str,
     pub(crate) windows: Vec<Window>,
@@ -27,7 +27,7 @@ pub(crate) struct Scenario {
     /// `None` on USB.
     pub(crate) baud_rate: Option<BaudRate>,
     pub(crate) fates: &'static [Fate],
-    /// The actions besides, each in every place.
+    /// Actions besides, each in every place.
     pub(crate) deeds: &'static [Deed],
     /// True if the choices begin with opening, false if they begin with the streams.
     pub(crate) chooses_while_opening: bool,
@@ -39,16 +39,16 @@ pub(crate) enum Deed {
     Scan,
     /// A scan whose future is dropped at the next place.
     CancelledScan,
-    /// The laser is switched off and on.
+    /// Laser is switched off and on.
     Laser,
     BaudRate,
-    /// The cable is pulled and put back; what was on it is lost.
+    /// Cable is pulled and put back; what was on it is lost.
     Unplug,
-    /// The port is hung up, and the system keeps what comes for the next link.
+    /// Port is hung up, and the system keeps what comes for the next link.
     HangUp,
 }
 
-/// The figures of an enumeration.
+/// Figures of an enumeration.
 #[derive(Debug, Default)]
 pub(crate) struct SearchFigures {
     runs: u64,

@@ -7,7 +7,7 @@ use tokio::time::Instant;
 use tokio_scip::{BaudRate, Scan};
 
 const VERSION: &[u8] = b"V\n0\nVEND:Hokuyo\nPROD:Model\nFIRM:1\nPROT:1\nSERI:7\n\n";
-/// The new baud rate applies a revolution after `S`.
+/// New baud rate applies a revolution after `S`.
 const REVOLUTION: Duration = Duration::from_millis(100);
 
 pub(crate) struct ModelSensor {
@@ -15,7 +15,7 @@ pub(crate) struct ModelSensor {
     /// `None` on USB.
     pub(crate) baud_rate: Option<BaudRate>,
     next_baud_rate: Option<(Instant, BaudRate)>,
-    /// The times at which it measured; the numbers of its scans are the places.
+    /// Times at which it measured; the numbers of its scans are the places.
     measured: Vec<Instant>,
 }
 
@@ -88,7 +88,7 @@ impl ModelSensor {
     }
 }
 
-/// The value of a point of a scan: differs from scan to scan and from step to step.
+/// Returns the value of a point of a scan, which differs from scan to scan and from step to step.
 fn value(number: usize, step: u32) -> u16 {
     20 + ((number * 1009 + step as usize * 31) % 4000) as u16
 }

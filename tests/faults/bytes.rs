@@ -16,7 +16,7 @@ const WINDOW: Window = Window::DETECTION;
 /// Offset of the data, which follows echo, LF, status, LF.
 const DATA: usize = 12;
 
-/// The length of the second poll's reply. That poll asks for one step more.
+/// Returns the length of the second poll's reply. That poll asks for one step more.
 fn length() -> usize {
     reply_len(Window::new(43..=725).unwrap())
 }

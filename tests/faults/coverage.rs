@@ -9,7 +9,7 @@ const LIST: &str = include_str!("list.txt");
 /// A row of the list.
 struct CoverageRow<'a> {
     id: &'a str,
-    /// The reason why there is no test, where there cannot be one.
+    /// Reason why there is no test, where there cannot be one.
     absent: Option<&'a str>,
 }
 

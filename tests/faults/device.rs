@@ -198,7 +198,7 @@ async fn d14_a_stubborn_laser_is_reported_and_retried() {
         for part in ["laser", &format!("'{answer}'"), &format!("'{refusal}'")] {
             assert!(text.contains(part), "{text}");
         }
-        // After 0, 1 and 3 seconds, each twice where the status means success.
+        // It was sent after 0, 1 and 3 seconds, each twice where the status means success.
         assert!((3..=6).contains(&sent.load(Ordering::Relaxed)), "{sent:?}");
         assert!(sensor.stats().polls >= 50);
     }

@@ -40,10 +40,10 @@ pub(crate) fn wrong_scans(emulator: &Emulator, scans: &[Scan]) -> Vec<String> {
     scans.iter().filter_map(|scan| truth.check(scan).err()).collect()
 }
 
-/// The result of a stream whose second poll had a fault.
+/// Result of a stream whose second poll had a fault.
 #[derive(Debug)]
 pub(crate) struct Outcome {
-    /// The errors that the stream yielded.
+    /// Errors that the stream yielded.
     pub(crate) errors: Vec<ErrorKind>,
     /// True if a scan answers the poll that had the fault.
     pub(crate) accepted: bool,

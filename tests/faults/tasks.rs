@@ -161,7 +161,7 @@ async fn a17_closing_waits_for_two_commands_at_most() {
     // only the later ones.
     let from = |first| (first..100).fold(Faults::none(), |faults, n| faults.at(n, Fault::Lost));
     let (unconfirmed, accepted) = (from(1), from(2));
-    // Besides both deadlines the time of their bytes, 100 ms at most. An accepted change takes
+    // Both deadlines count, and the time of their bytes, 100 ms at most. An accepted change takes
     // 200 ms, and its fence 400 ms.
     for (faults, asked_before, limit) in
         [(silent.clone(), 0, 1600), (silent, 150, 1600), (unconfirmed, 0, 1200), (accepted, 0, 800)]

@@ -35,7 +35,7 @@ async fn t02_very_late_replies_lose_the_link() {
     let mut state = sensor.watch_state();
     let since = Instant::now();
     state.wait_for(|state| matches!(state, State::Recovering)).await.map(drop).unwrap();
-    // One poll and six fences, 500 ms each.
+    // It waits for one poll and six fences, 500 ms each.
     assert!(since.elapsed() < ms(100 + 7 * 510), "{:?}", since.elapsed());
     let stats = sensor.stats();
     assert_eq!(stats.timeouts - before.timeouts, 1);
@@ -73,7 +73,7 @@ async fn w12_a_reply_cut_after_its_echo_is_no_loopback() {
 
 #[tokio::test(start_paused = true)]
 async fn t03_an_immediate_copy_is_not_delivered() {
-    // At the highest rate, so that the driver is never idle between two polls, and with
+    // Polls at the highest rate, so that the driver is never idle between two polls, and with
     // the full window, where polls cannot differ.
     let emulator = instant_sensor().build();
     let (sensor, mut stream) = streaming(&emulator, Window::FULL, Rate::UNLIMITED).await;
@@ -271,7 +271,7 @@ async fn t05_half_a_stalled_command_is_terminated() {
             let connect = ConnectFn(move || {
                 let link = FaultyLink::new(inner.link()).partial_writes(1);
                 opened += 1;
-                // A fence of ten bytes, `V` LF twice, and then a `G`.
+                // The commands are a fence of ten bytes, `V` LF twice, and a `G`.
                 let stall = if opened == 1 { 14 + stalled_after } else { u64::MAX };
                 Ok(link.fail(Call::Write, stall, LinkFailure::Stall))
             });

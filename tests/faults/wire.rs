@@ -54,7 +54,7 @@ async fn w10_a_whole_lost_line_is_detected() {
 async fn w14_merged_replies_cost_one_scan() {
     let outcome = second_poll(WINDOW, &[Fault::Merged]).await;
     assert!(!outcome.accepted && outcome.errors.len() == 1);
-    // One at opening, and one whose reply was recognised after the merged replies.
+    // One was sent at opening, and one had its reply recognised after the merged replies.
     assert_eq!((outcome.stats.fences, outcome.stats.fence_timeouts), (2, 0));
 }
 
@@ -72,7 +72,7 @@ async fn w16_w18_a_scan_may_arrive_bytewise() {
 #[tokio::test(start_paused = true)]
 async fn w17_unrequested_replies_before_the_right_one_are_not_accepted() {
     let few = b"L1\n0\n\nV\n0\nVEND:x\n\nG00000001\n0\n00\n\n\n\nG04472501\n6\n\n";
-    // As many points as the second poll has, with another echo.
+    // The reply has as many points as the second poll, with another echo.
     let lines = ("0".repeat(64) + "\n").repeat(21) + &"0".repeat(22);
     let alike = format!("G04272401\n0\n{lines}\n\n");
     for others in [&few[..], alike.as_bytes()] {

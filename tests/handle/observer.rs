@@ -17,7 +17,7 @@ async fn the_observer_receives_valid_malformed_and_foreign_replies_and_fences() 
     });
     let sensor = builder.connect(emulator.clone()).await.unwrap();
     replies.lock().unwrap().clear();
-    // One in front of the scan's reply, one in front of the laser's.
+    // One goes before the scan's reply, one before the laser's.
     let foreign = Fault::Insert(0, b"X\n0\n\n".to_vec());
     emulator.set_faults(Faults::none().at(0, Fault::Drop(14..15)).at(3, foreign));
     let window = Window::new(384..=385).unwrap();

@@ -13,10 +13,10 @@ use tokio_scip::port::Connect;
 use tokio_scip::{Rate, Sensor, Window};
 use urg_emulator::{Emulator, Fixed, Pace};
 
-/// The limit for one sensor, including its task and streams.
+/// Limit for one sensor, including its task and streams.
 const LIMIT: u64 = 32 * 1024;
-/// The same for a sensor in service, with its scans in the usual window and a peer in
-/// memory, which takes 2 KiB.
+/// Limit for a sensor in service, with its scans in the usual window and a peer in memory,
+/// which takes 2 KiB.
 const SERVICE_LIMIT: u64 = 13 * 1024;
 
 fn runtime() -> Runtime {
@@ -103,7 +103,7 @@ fn a_sensor_in_service_takes_13_kib() {
             for _ in 0..SENSORS {
                 let sensor = Sensor::builder().attach(InstantSensor::new()).await.unwrap();
                 let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
-                // In a task of its own, as in a service.
+                // The consumer is a task of its own, as in a service.
                 let consuming = tokio::spawn(async move {
                     for _ in 0..20 {
                         stream.next().await.unwrap().unwrap();

@@ -126,7 +126,7 @@ async fn w25_a_damaged_serial_number_is_requested_again() {
         errors.push(error);
     }
     assert_eq!(emulator.fault_count(&Fault::Flip(0, 0)), 3);
-    // One for each time that the port was opened.
+    // Each opening of the port sends one.
     assert_eq!(sensor.stats().fences, 2);
     let [error] = &errors[..] else { panic!("{errors:?}") };
     assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
@@ -194,7 +194,7 @@ async fn no_flipped_bit_changes_the_motor_speed() {
     let speed = "V\n0\n".len() + firmware.find("600[").unwrap();
     for seed in 0..300 {
         let mut random = Random::new(seed);
-        // In one of the first three replies after the fence, mostly in the speed.
+        // The bit is in one of the first three replies after the fence, mostly in the speed.
         let mut flip = || {
             let at = match random.once_in(3) {
                 true => random.below(85) as usize,
@@ -223,8 +223,8 @@ async fn no_flipped_bit_changes_the_motor_speed() {
 #[tokio::test(start_paused = true)]
 async fn a_refused_baud_rate_is_not_expected_later() {
     let emulator = truthful().serial_number("H0000001").baud_rate(BaudRate::B19200).build();
-    // After the replies to a fence at the wrong baud rate and to one at the right one, to two
-    // `V` and another fence.
+    // Five replies precede it: to a fence at the wrong baud rate and to one at the right one, to
+    // two `V` and another fence.
     emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
     let builder = builder().wait_for_sensor(true).baud_rate(BaudRate::B115200);
     let (sensor, driver) = builder.build(emulator.clone());

@@ -118,7 +118,7 @@ async fn a_waiting_driver_logs_every_ten_minutes() {
         *level == Level::INFO && line.contains("waiting for the sensor")
     };
     let waiting = log.lines.iter().filter(is_waiting).count();
-    // Only at level debug and above, which the log collects.
+    // The log collects level debug and above.
     assert_eq!((waiting, log.lines.len()), (6, 6), "once, and every ten minutes: {:?}", log.lines);
 }
 
@@ -175,7 +175,7 @@ async fn flap(period: Duration, times: u32) -> [Vec<String>; 3] {
 #[tokio::test(start_paused = true)]
 async fn ever_fewer_losses_of_a_flapping_link_are_warnings() {
     let [warnings, infos, others] = flap(Duration::from_secs(2), 1800).await;
-    // After 0, 10, 30, 70, 150, 310, 630, 1270 and 2550 seconds.
+    // It warns after 0, 10, 30, 70, 150, 310, 630, 1270 and 2550 seconds.
     assert_eq!((warnings.len(), infos.len()), (9, 10), "{warnings:?}");
     assert!(others.len() >= 2 * (1800 - 9), "the others are at level debug");
     let counts = warnings.iter().filter_map(|line| line.split("losses=").nth(1)?.parse().ok());

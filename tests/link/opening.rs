@@ -416,7 +416,7 @@ struct Several {
     emulator: Emulator,
     left: usize,
     opens: bool,
-    /// The number of times that the right sensor was found.
+    /// Number of times that the right sensor was found.
     found: Arc<AtomicU64>,
 }
 

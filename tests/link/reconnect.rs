@@ -47,8 +47,8 @@ async fn a_stream_continues_after_a_replug() {
 async fn a_refused_baud_rate_fails_only_opening() {
     let (slow, fast) = (BaudRate::B19200, BaudRate::B115200);
     let emulator = truthful().baud_rate(slow).build();
-    // After those to a fence at the wrong baud rate and to one at the right one, to two `V`
-    // and another fence.
+    // Five replies precede it: to a fence at the wrong baud rate and to one at the right one, to
+    // two `V` and another fence.
     emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
     let error = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error:?}");
@@ -326,7 +326,7 @@ async fn a_visible_reset_leaves_no_laser_on() {
     emulator.inject(b"\0".as_slice());
     tokio::time::sleep(ms(1000)).await;
     assert!(!emulator.is_laser_on());
-    // Fences count as scans: one for the break, and those that confirm the laser.
+    // Fences count as scans: one follows the break, others confirm the laser.
     assert!(emulator.counts().scans - scans <= 2);
 }
 

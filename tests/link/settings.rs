@@ -131,7 +131,7 @@ async fn a_stubborn_laser_is_retried_after_scans() {
     let sensor = open(&emulator).await;
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
-    // Long enough for waits of eight seconds between two attempts.
+    // This is long enough for waits of eight seconds between two attempts.
     emulator.set_faults(Faults::none().every(Fault::Status(b'6')));
     stream.next().await.unwrap().unwrap_err();
     tokio::time::sleep(ms(10_000)).await;

@@ -21,13 +21,13 @@ use crate::common::random::{Random, seeds};
 use crate::common::test_port::{FarEnd, TestPort};
 use crate::common::{ConnectFn, builder, ms};
 
-/// The way in which the next scans arrive.
+/// Way in which the next scans arrive.
 #[derive(Debug, Clone, Copy)]
 struct Pieces {
-    /// Until the first piece.
+    /// Time until the first piece.
     latency: Duration,
     length: usize,
-    /// From piece to piece.
+    /// Time from piece to piece.
     interval: Duration,
     /// How long an adapter holds back the last piece, if it is not full.
     held_back: Duration,
@@ -40,24 +40,24 @@ const RS232: Pieces = Pieces {
     interval: Duration::from_micros(1215),
     held_back: Duration::ZERO,
 };
-/// The same line, and an adapter with packets of 62 bytes.
+/// Line at 115,200 baud, and an adapter with packets of 62 bytes.
 const ADAPTER: Pieces = Pieces { length: 62, interval: Duration::from_micros(5382), ..RS232 };
 /// 375 kB/s in packets of 64 bytes: 3.7 ms a scan.
 const USB: Pieces = Pieces { length: 64, interval: Duration::from_micros(171), ..RS232 };
 
-/// The state that the tests and the port share.
+/// State that the tests and the port share.
 struct Shared {
     pieces: Pieces,
     /// Changes the bytes of the next scans.
     alter: fn(&mut Vec<u8>),
     can_suspend: bool,
-    /// The number of reads that brought bytes.
+    /// Number of reads that brought bytes.
     reads: u64,
-    /// The time of the last byte of the latest scan.
+    /// Time of the last byte of the latest scan.
     end: Instant,
-    /// All such times.
+    /// Times of the last bytes of all scans.
     ends: Vec<Instant>,
-    /// The time at which the line is pulled.
+    /// Time at which the line is pulled.
     pulled: Option<Instant>,
     suspended: bool,
 }
@@ -364,7 +364,7 @@ async fn a_scan_whole_at_the_deadline_counts() {
     let slow = Pieces { interval: ms(21), ..ADAPTER };
     let mut rig = rig(slow, true).await;
     rig.learn().await;
-    // A little faster, and later: it ends before the deadline, the pause would not.
+    // The reply is a little faster, and later: it ends before the deadline, the pause would not.
     rig.set(|shared| {
         shared.pieces = Pieces { latency: ms(60), interval: ms(19), ..ADAPTER };
     });
@@ -428,7 +428,7 @@ impl Mix {
         Self { pieces, polled: polled.collect() }
     }
 
-    /// The median delay of the scans of each stream after its first 20.
+    /// Returns the median delay of the scans of each stream after its first 20.
     async fn delays(&self, can_suspend: bool) -> Vec<Duration> {
         let (shared, sensor) = open(self.pieces, can_suspend).await;
         let mut streams = Vec::new();

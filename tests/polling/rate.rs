@@ -60,7 +60,7 @@ fn an_invalid_rate_is_refused_with_the_valid_ones() {
 #[test]
 fn a_rate_as_text_is_the_same_rate_again() {
     let (shortest, longest) = (1_000_000_u64, DAY.as_nanos() as u64);
-    // All orders of magnitude from one end to the other, evenly.
+    // The rates cover all orders of magnitude from one end to the other, evenly.
     let between = (0..5000).map(|n| {
         let part = f64::from(n) / 5000.0;
         (shortest as f64 * (longest as f64 / shortest as f64).powf(part)) as u64

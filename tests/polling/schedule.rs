@@ -365,7 +365,7 @@ async fn the_state_reports_whether_scans_are_polled() {
 
 #[tokio::test(start_paused = true)]
 async fn dropping_the_last_stream_ends_streaming() {
-    // With and without a full queue of requests.
+    // The queue of requests is empty, then full.
     for requests in [0, 100] {
         let sensor = builder().connect(Emulator::default()).await.unwrap();
         let stream = sensor.scans(Window::FULL, Rate::hz(0.001)).await.unwrap();

@@ -23,7 +23,7 @@ async fn stream(emulator: &Emulator, rate: Rate) -> (Sensor, ScanStream) {
     (sensor, scans)
 }
 
-/// The errors of one scan in milliseconds: of its stamp, and of its arrival.
+/// Errors of one scan in milliseconds: of its stamp, and of its arrival.
 struct Errors {
     stamp: f64,
     arrival: f64,

@@ -31,7 +31,7 @@ struct Counts {
     opened: AtomicU64,
     /// A permit for each attempt to open the port that failed.
     refused: Semaphore,
-    /// The number of reads that reported the end of the port.
+    /// Number of reads that reported the end of the port.
     dead_reads: AtomicU64,
     flushes: AtomicU64,
 }

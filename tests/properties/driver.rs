@@ -56,9 +56,9 @@ struct User {
     sensor: Sensor,
     peer: Peer,
     stream: Option<ScanStream>,
-    /// The number of polls when the laser was certainly off.
+    /// Number of polls when the laser was certainly off.
     off: Option<u64>,
-    /// The last scan of the stream.
+    /// Last scan of the stream.
     last: Option<Scan>,
 }
 

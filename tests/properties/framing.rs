@@ -9,7 +9,7 @@ use super::script::Script;
 /// Longest reply, as the documentation of `Frame` states it.
 const MAX_FRAME: usize = 4096;
 
-/// The framing in its plainest form, without regard for speed or memory.
+/// Splits bytes into frames in the plainest way, without regard for speed or memory.
 fn reference(mut bytes: &[u8]) -> Vec<Frame> {
     let mut frames = Vec::new();
     loop {

@@ -33,22 +33,22 @@ pub(crate) struct PeerState {
     link: u64,
     ending: Option<PeerEnding>,
     refused: u8,
-    /// The time until which writes stall.
+    /// Time until which writes stall.
     stalled: Option<Instant>,
     reader: Option<Waker>,
-    /// The command line received so far, and whether it may be incomplete.
+    /// Command line received so far, and whether it may be incomplete.
     line: Vec<u8>,
     torn: bool,
     /// Bytes on their way to the host, in order.
     sent: VecDeque<(Instant, u8)>,
     bytes_sent: u64,
     bytes_read: u64,
-    /// The times at which each `G` that was answered with data arrived.
+    /// Times at which each `G` that was answered with data arrived.
     scans: Vec<Instant>,
     pub(crate) laser: bool,
-    /// The number of `G`s for more than one step, which no fence is.
+    /// Number of `G`s for more than one step, which no fence is.
     pub(crate) polls: u64,
-    /// The offset at which the reply to the last fence ends, if it was sent undamaged.
+    /// Offset at which the reply to the last fence ends, if it was sent undamaged.
     fence: Option<u64>,
 }
 
@@ -276,7 +276,7 @@ impl Connect for Peer {
 pub(crate) struct Wire {
     peer: Peer,
     link: u64,
-    /// For reading and for writing.
+    /// Timers for reading and for writing.
     timers: [Option<Pin<Box<Sleep>>>; 2],
 }
 

@@ -111,7 +111,7 @@ pub(crate) fn only_what_the_text_allows_is_accepted(script: &[u8]) {
         an_expected_scan_is_the_one_that_a_search_finds(window, &frame);
     }
 
-    // The same reply after other bytes.
+    // The reply is accepted after other bytes, too.
     let accepted = match command {
         // Echo and status, each with its LF, and blocks of 64 bytes.
         Command::Distances(window) => {

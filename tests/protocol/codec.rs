@@ -71,7 +71,7 @@ fn w19_a15_an_over_long_reply_is_an_item() {
 fn a_reply_of_the_greatest_length_is_a_reply() {
     let mut bytes = vec![b'x'; MAX_FRAME];
     bytes.extend_from_slice(b"\n\n");
-    // Also where a read ends between the two LFs.
+    // One size of chunk lets a read end between the two LFs.
     for chunk in [100, MAX_FRAME, MAX_FRAME + 1, bytes.len()] {
         let (frames, _) = decode(bytes.chunks(chunk));
         assert_eq!(frames, [reply(&bytes[..MAX_FRAME])], "in chunks of {chunk}");

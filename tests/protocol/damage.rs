@@ -42,7 +42,7 @@ fn w03_an_invalid_character_is_detected_wherever_it_stands() {
         let whole = frame("G04472501", &[value; 682]);
         let strays = (0..=255).filter(|byte| !(0x30..=0x6f).contains(byte));
         for stray in strays {
-            // In the first line, in the last one, alone, and twice.
+            // The damage is in the first line, in the last one, alone, and twice.
             for places in
                 [&[12][..], &[12, 13], &[77, 13], &[whole.len() - 1], &[12, whole.len() - 2]]
             {

@@ -4,7 +4,7 @@ use tokio_scip::protocol::{BaudRate, Command, Measurement, Text, Window};
 
 use crate::common::{reply_len, wire_time};
 
-/// The table of error codes, p. 7.
+/// Table of error codes, p. 7.
 const MEANINGS: [&str; 20] = [
     "Possibility of detected object is at 22m",
     "Reflected light has low intensity",

@@ -2,7 +2,7 @@
 
 use tokio_scip::protocol::{Command, Reply, Specification, Text, Version};
 
-/// The example in the text (p. 4).
+/// Example in the text (p. 4).
 const OF_THE_TEXT: &[u8] = b"V\n\
 0\n\
 VEND: Hokuyo Automatic Co., Ltd.\n\

@@ -16,7 +16,7 @@ use urg_emulator::{Faults, Link};
 use super::loss::{Loss, sensor};
 use super::truth::{SimulationTruth, Timed};
 
-/// The step that a client takes after a poll without a scan. Before each command all
+/// Step that a client takes after a poll without a scan. Before each command all
 /// clients drop the input that has arrived.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Remedy {
@@ -28,7 +28,7 @@ pub(crate) enum Remedy {
     Version,
 }
 
-/// The driver's deadline for a `G` on USB.
+/// Deadline of the driver for a `G` on USB.
 const G_TIMEOUT: Duration = Duration::from_millis(500);
 const V_TIMEOUT: Duration = Duration::from_secs(1);
 

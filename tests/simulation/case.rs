@@ -20,7 +20,7 @@ pub(crate) struct Case {
     pub(crate) speed: Option<BaudRate>,
     pub(crate) boot: Duration,
     pub(crate) faults: Faults,
-    /// The number of faults that can each change a value of a reply undetectably.
+    /// Number of faults that can each change a value of a reply undetectably.
     pub(crate) flips: usize,
     /// True if commands are refused.
     pub(crate) refuses: bool,
@@ -30,7 +30,7 @@ pub(crate) struct Case {
     pub(crate) torn: bool,
     /// True if the driver may have to send a command before a reply has ended.
     pub(crate) overlaps: bool,
-    /// The time by which an effect of these faults outlasts them.
+    /// Time by which an effect of these faults outlasts them.
     pub(crate) lingers: Duration,
     pub(crate) events: CaseEvents,
     pub(crate) truth: SimulationTruth,
@@ -169,7 +169,7 @@ impl Case {
     }
 }
 
-/// The behaviour of the ports that are opened to the sensor.
+/// Behaviour of the ports that are opened to the sensor.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LinkScript {
     reads: usize,
@@ -213,7 +213,7 @@ impl Connect for SimulatedConnect {
             ];
             port = port.fail(call, 1 + self.random.below(300), *self.random.pick(&failures));
         }
-        // Every other one, as serial ports of the system.
+        // Every other port behaves like a serial port of the system.
         Ok(if self.is_ready { ReadyPort::new(port) } else { ReadyPort::plain(port) })
     }
 }

@@ -9,7 +9,7 @@ use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
 use super::truth::{SimulationTruth, Timed};
 
-/// The counts after polling for some time.
+/// Counts after polling for some time.
 #[derive(Debug, Default)]
 pub(crate) struct Loss {
     /// `G`s sent for scans.
@@ -61,7 +61,7 @@ pub(crate) fn line_with_late_copies() -> Faults {
         .seed(2)
 }
 
-/// The sensor to poll. At [`Rate::UNLIMITED`] its motor sets the rate.
+/// Returns the sensor to poll. At [`Rate::UNLIMITED`] its motor sets the rate.
 pub(crate) fn sensor(truth: &SimulationTruth, rate: Rate) -> EmulatorBuilder {
     let pace = if rate == Rate::UNLIMITED { Pace::PerRevolution } else { Pace::AtOnce };
     Emulator::builder().world(truth.world()).pace(pace)

@@ -1,4 +1,4 @@
-//! One seed from start to end: users with faults, then users without faults, then no
+//! Runs one seed from start to end: users with faults, then users without faults, then no
 //! users.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -16,8 +16,8 @@ use super::coverage::Coverage;
 use super::users;
 use crate::common::random::Random;
 
-/// Longer than any call takes. Each user may have to wait for the exchanges of the
-/// others, and each exchange for six fences.
+/// Time limit of a call, longer than any takes. Each user may have to wait for the exchanges of
+/// the others, and each exchange for six fences.
 pub(crate) const CALL_LIMIT: Duration = Duration::from_secs(60);
 
 /// State that all tasks of a run share.
@@ -36,11 +36,11 @@ pub(crate) struct Run {
     start: Instant,
 }
 
-/// The result of a seed.
+/// Result of a seed.
 pub(crate) struct SimulationOutcome {
     pub(crate) simulated: Duration,
     pub(crate) trace: u64,
-    /// The time until scans came again, without what outlasts the faults, and whether the
+    /// Time until scans came again, without what outlasts the faults, and whether the
     /// sensor is on USB.
     pub(crate) recovery: (Duration, bool),
 }

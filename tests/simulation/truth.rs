@@ -6,7 +6,7 @@ use tokio::time::Instant;
 use tokio_scip::{Scan, Window};
 use urg_emulator::{Values, World, WorldTime};
 
-/// The times at which the sensor measured for each `G`.
+/// Times at which the sensor measured for each `G`.
 #[derive(Clone, Default)]
 pub(crate) struct SimulationTruth(Arc<Mutex<Vec<Instant>>>);
 

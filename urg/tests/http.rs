@@ -64,7 +64,7 @@ pub(crate) struct HttpResponse {
     headers: Vec<(String, String)>,
     stream: BufReader<TcpStream>,
     chunked: bool,
-    /// The bytes left of the body, or of its current chunk.
+    /// Bytes left of the body, or of its current chunk.
     left: usize,
 }
 

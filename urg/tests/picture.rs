@@ -8,7 +8,7 @@ use super::web::on_tcp;
 struct Element {
     name: String,
     attributes: Vec<(String, String)>,
-    /// The text right after the element's tag.
+    /// Text right after the element's tag.
     text: String,
 }
 

@@ -11,7 +11,7 @@ use super::program::{Scratch, run};
 use super::recorded::recording;
 use super::web::Served;
 
-/// The lines of the page's scans.
+/// Lines of the page's scans.
 struct Lines(super::http::HttpResponse);
 
 impl Lines {
@@ -19,7 +19,7 @@ impl Lines {
         serde_json::from_str(&self.0.line().unwrap()).unwrap()
     }
 
-    /// The next scan that `is_it`.
+    /// Returns the next scan that `is_it`.
     fn scan(&mut self, is_it: impl Fn(u64) -> bool) -> Value {
         loop {
             let line = self.next();
@@ -29,7 +29,7 @@ impl Lines {
         }
     }
 
-    /// The next status of the playback that has this.
+    /// Returns the next status of the playback that has this.
     fn status(&mut self, name: &str, value: impl Into<Value>) -> Value {
         let value = value.into();
         loop {
@@ -182,7 +182,7 @@ async fn setting_the_clock_keeps_a_recordings_length() {
     let file = Scratch::mcap("clock");
     recording(file.path(), Window::DETECTION, 100).await;
     with_times(file.path(), |messages| {
-        // Between two polls, so that a reply and its scan have the same stamp.
+        // The time is between two polls, so that a reply and its scan have the same stamp.
         let at = |place: usize| messages[place].log_time + 50_000_000;
         let (half, most) = (at(messages.len() / 2), at(messages.len() * 4 / 5));
         for message in messages.iter_mut().filter(|message| message.log_time > half) {

@@ -17,7 +17,7 @@ use crate::limit::limit;
 /// More than any step here takes.
 pub(crate) const STEP_LIMIT: Duration = Duration::from_secs(60);
 
-/// The commands that `urg help` lists.
+/// Commands that `urg help` lists.
 pub(crate) const COMMANDS: &[&str] = &[
     "list",
     "info",
@@ -83,7 +83,7 @@ pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
     command
 }
 
-/// The output of a program that ended with the expected exit code.
+/// Output of a program that ended with the expected exit code.
 pub(crate) struct ProgramOutput {
     pub(crate) stdout: String,
     pub(crate) stderr: String,
@@ -264,7 +264,7 @@ impl Scratch {
         Self(std::env::temp_dir().join(name))
     }
 
-    /// The path of a recording.
+    /// Returns a path for a recording.
     pub(crate) fn mcap(name: &str) -> Self {
         Self::new_with(name, ".mcap")
     }

@@ -9,7 +9,7 @@ fn refused(arguments: &[&str]) -> String {
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{arguments:?}: {error}");
     assert!(output.stdout.is_empty(), "{arguments:?}");
-    // No place of a source file.
+    // The message names no place in a source file.
     for path in [".rs:", ".cargo", env!("CARGO_MANIFEST_DIR")] {
         assert!(!error.contains(path), "{arguments:?}: {error}");
     }

@@ -211,7 +211,7 @@ async fn a_part_of_a_recording_can_be_streamed_and_cut_out() {
     }
 }
 
-/// Many more scans than streams keep.
+/// The recording has many more scans than streams keep.
 #[tokio::test(start_paused = true)]
 async fn a_replay_waits_for_a_reader_that_is_slow() {
     let file = Scratch::mcap("long");

@@ -85,7 +85,7 @@ async fn a_file_name_cannot_control_the_terminal() {
     let info = run(&format!("info {}", file.path()), 0);
     let scans = run(&format!("stream {} --format csv", file.path()), 0);
     let repaired = run(&format!("repair {}", file.path()), 0);
-    // As on a terminal, which clap writes colours to.
+    // clap writes colours, as to a terminal.
     let refused = urg("view \x1b[2J --rate 0").env("CLICOLOR_FORCE", "1").assert().code(2);
     let refused = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
     assert!(refused.contains("control characters"), "{refused:?}");
@@ -156,7 +156,7 @@ fn a_file_size_limit_is_a_write_failure() {
         format!("exec {urg} record emulated {} --rate max --duration 60s", file.path()),
         format!("exec {urg} stream emulated --rate max --duration 60s > {}", lines.path()),
     ] {
-        // In blocks of 512 or 1024 bytes.
+        // The shell counts blocks of 512 or 1024 bytes.
         let script = format!("ulimit -f 64; {command}");
         let output = Command::new("sh").args(["-c", &script]).output().unwrap();
         let stderr = String::from_utf8(output.stderr).unwrap();
@@ -169,7 +169,7 @@ fn a_file_size_limit_is_a_write_failure() {
     assert!(recording.is_truncated());
 }
 
-/// In one file or in several, joined in any order.
+/// The scans are in one file or in several, joined in any order.
 #[test]
 fn every_command_counts_the_same_scans() {
     let folder = Scratch::new("counts");

@@ -11,7 +11,7 @@ use super::program::{Emulated, STEP_LIMIT, Scratch, program, run, send};
 
 /// A terminal, and the program that draws on it.
 struct Terminal {
-    /// The end that a user sees and types on.
+    /// End that a user sees and types on.
     user: SerialStream,
     /// Held, so that the terminal stays when the program has ended.
     line: SerialStream,
@@ -334,7 +334,7 @@ async fn a_terminal_gets_short_lines() {
     assert_eq!(lines.len(), 3, "{lines:?}");
     assert!(lines.iter().all(|line| line.chars().count() <= 80), "{lines:?}");
 
-    // With `--format` NDJSON, also on a terminal.
+    // `--format` applies on a terminal, too.
     let mut terminal = Terminal::start("stream emulated --count 1 --format ndjson").await;
     terminal.until(&["{\"sequence\":0", "\"ranges\":[", "}"]).await;
 }

@@ -11,11 +11,11 @@ use super::formats::{check, event, scans, values};
 use super::program::{Emulated, Running, Scratch, run};
 use super::web::on_tcp;
 
-/// The argument for an emulated sensor with a fast motor, so that tests are fast.
+/// Argument for an emulated sensor with a fast motor, so that tests are fast.
 pub(crate) const FAST: &str = "--revolution 50ms";
 const REVOLUTION: Duration = Duration::from_millis(50);
 
-/// The number of scans compared with the sensor's.
+/// Number of scans compared with the sensor's.
 pub(crate) const SCANS: usize = 30;
 
 /// Returns the values of steps 44..=725 in each of the first revolutions of a [`FAST`]

@@ -33,7 +33,7 @@ fn a_client_that_closes_its_side_after_the_request_gets_its_response() {
     assert_eq!(scans.matches("\"sequence\":").count(), 3, "{scans}");
 }
 
-/// The longest times for `/health` and for a first scan.
+/// Longest times for `/health` and for a first scan.
 const HEALTH_LIMIT: Duration = Duration::from_secs(2);
 const SCAN_LIMIT: Duration = Duration::from_secs(5);
 

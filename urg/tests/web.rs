@@ -46,7 +46,7 @@ impl Served {
         serde_json::from_str(&self.get(path).text()).unwrap()
     }
 
-    /// The state of the first sensor.
+    /// Returns the state of the first sensor.
     pub(super) fn state(&self) -> Value {
         self.json("/state")["sensors"][0].take()
     }
@@ -257,7 +257,7 @@ fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
     let served = Served::start(&format!("{} --rate max", sensor.port));
     let mut slow = served.get("/scans");
     let first = scan(&slow.line().unwrap())["sequence"].as_u64().unwrap();
-    // Far more than the system buffers for it.
+    // The system buffers far fewer scans for it.
     let mut quick = served.get("/scans?max=1500");
     let mut last = 0;
     while let Some(line) = quick.line() {

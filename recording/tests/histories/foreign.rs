@@ -46,7 +46,7 @@ pub(super) fn bag(random: &mut Random) -> Bag {
     let mut channels = Vec::new();
     for number in 0..1 + random.below(4) {
         let (topic, name, encoding) = *random.pick(&TOPICS);
-        // Any numbers, mostly small ones, so that two bags have some in common.
+        // Numbers are mostly small, so that two bags have some in common.
         let any = |random: &mut Random, bound| 1 + number * 100 + random.below(bound);
         let schema = match name {
             "" => 0,
@@ -79,8 +79,8 @@ pub(super) fn bag(random: &mut Random) -> Bag {
     Bag { bytes: writer.into_inner().into_inner(), has_chunks, has_checksums }
 }
 
-/// Scan of a URG in any form of CDR that ROS writes: either byte order, with options, a time
-/// before 1970, or compressed as a whole.
+/// Returns a scan of a URG in any form of CDR that ROS writes: either byte order, with options, a
+/// time before 1970, or compressed as a whole.
 fn laser_scan(random: &mut Random) -> Vec<u8> {
     let is_big = random.once_in(4);
     let options = random.below(4) as u8 * u8::from(random.once_in(4));

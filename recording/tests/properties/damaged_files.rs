@@ -13,9 +13,9 @@ use urg_recording::Recorder;
 use super::script::Script;
 
 pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// The size of a chunk's header before its checksum: kind, length, start, end.
+/// Size of a chunk's header before its checksum: kind, length, start, end.
 const CHUNK_CRC: usize = 9 + 8 + 8 + 8;
-/// The checksum of the index, and the magic after it.
+/// Checksum of the index, and the magic after it.
 const INDEX_CRC: usize = 4 + 8;
 /// Lengths at and beyond the limits, which a careless reader would trust.
 const LENGTHS: [u64; 8] = [0, 1, 40, 0xffff_ffff, 0x1_0000_0000, 1 << 63, u64::MAX, u64::MAX - 8];

@@ -11,7 +11,7 @@ use urg_recording::{Entry, Record, Recording, RecordingError};
 use super::damaged_files::{damaged, of_eight_chunks, with_checksum_of_index, without_checksums};
 use super::script::Script;
 
-/// The part that a script asks for, from the first scan of the file on. The file has 14 s.
+/// Returns the part that a script asks for, from the first scan of the file on. The file has 14 s.
 fn range(script: &mut Script<'_>) -> std::ops::Range<Duration> {
     let tenths = |byte| Duration::from_millis(100 * u64::from(byte));
     let from = tenths(script.byte());

@@ -23,10 +23,10 @@ use crate::common::{builder, truthful};
 /// Set in the namespace.
 const INSIDE: &str = "SCIP_TEST_USB";
 
-/// The namespace, for unshare(1).
+/// Namespace, for unshare(1).
 const NAMESPACE: [&str; 3] = ["--user", "--map-root-user", "--mount"];
 
-/// The exit code of the script below where it may not mount.
+/// Exit code of the script below where it may not mount.
 const NOT_ALLOWED: i32 = 77;
 
 /// Makes the file systems, in a folder, and runs a program: FOLDER PROGRAM ARGUMENTS.

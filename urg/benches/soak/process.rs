@@ -10,7 +10,7 @@ use std::process::Stdio;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, Lines};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 
-/// The process of `library.rs`.
+/// Process of `library.rs`.
 pub(crate) struct Library {
     pub(crate) process: Child,
     requests: ChildStdin,
@@ -92,7 +92,7 @@ impl Server {
     }
 }
 
-/// The memory, file descriptors and threads of a process.
+/// Memory, file descriptors and threads of a process.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Sample {
     pub(crate) resident_kib: u64,

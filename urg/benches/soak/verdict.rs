@@ -24,10 +24,10 @@ const HOLDINGS: [Holding; 3] = [
 /// The samples of the first minute: buffers are not yet as large as they get.
 const WARM_UP: usize = 6;
 
-/// Everything that was counted.
+/// Counts of a run.
 #[derive(Default)]
 pub(crate) struct Outcome {
-    /// Of the library's process and of `urg serve`.
+    /// Samples of the library's process and of `urg serve`.
     pub(crate) samples: Vec<[Sample; 2]>,
     pub(crate) replugs: u64,
     pub(crate) counts: HashMap<String, u64>,

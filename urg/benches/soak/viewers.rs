@@ -12,7 +12,7 @@ use tokio::time::{Instant, sleep, timeout_at};
 
 const CLIENTS: u64 = 20;
 
-/// The clients. Dropping them closes their connections.
+/// Clients. Dropping them closes their connections.
 pub(crate) struct Viewers {
     counters: Arc<Counters>,
     _tasks: JoinSet<()>,
@@ -26,7 +26,7 @@ struct Counters {
     ended: AtomicU64,
 }
 
-/// The counts of all clients together.
+/// Counts of all clients together.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ViewerCounts {
     pub(crate) scans: u64,

@@ -14,7 +14,7 @@ class Recording:
         self.interval, self.folder = interval, pathlib.Path(f"/mnt/{letter}")
         self.counters = pathlib.Path(f"/sys/block/vd{letter}/stat")
         self.folder.mkdir()
-        # Without the zeroing of inode tables, which a new file system does in its first minutes.
+        # A new file system zeroes its inode tables in its first minutes: this mount does not.
         subprocess.run(["mount", "-o", "noinit_itable", f"/dev/vd{letter}", self.folder], check=True)
 
     def written(self):

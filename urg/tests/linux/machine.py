@@ -27,7 +27,7 @@ MODULES = [
     "dummy_hcd", "libcomposite", "usb_f_acm", "cdc-acm", "uhci-hcd", "ehci-pci", "ftdi_sio",
     "dm-flakey",
 ]
-# As many as the gadget driver has terminals.
+# The gadget driver has as many terminals.
 OPTIONS = {"dummy_hcd": "num=8"}
 
 

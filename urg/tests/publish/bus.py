@@ -128,7 +128,7 @@ def publishes_and_survives_its_server(bus, port):
         assert all(0 < gap < 0.45 for gap in gaps), gaps
         age = time.time() - scans[-1][0]
         assert 0 < age < 1.5, f"a scan is {age} s old"
-        # And later.
+        # It goes away later, too.
         stop(server)
         assert program.poll() is None
         server = start(*bus.server)

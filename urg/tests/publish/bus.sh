@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Builds the examples for NATS and MQTT (examples/bus), and runs them against nats-server and
-# mosquitto, on an emulated sensor: tests/publish/bus.sh PROGRAM. In a network namespace of its
-# own.
+# mosquitto, on an emulated sensor: tests/publish/bus.sh PROGRAM. It runs in a network namespace
+# of its own.
 set -euo pipefail
 crate=$(cd "$(dirname "$0")/../../.." && pwd)
 program=$(realpath "$1")

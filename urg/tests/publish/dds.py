@@ -21,7 +21,7 @@ from common import PROGRAM, RECORDING, Urg, compare, ok, wait
 
 LASER_SCAN_HASH = "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"
 
-# With a second argument: subscribes only after it has discovered another reader.
+# With a second argument it subscribes only after it has discovered another reader.
 READER = """
 import sys, time, rclpy
 from sensor_msgs.msg import LaserScan

@@ -42,7 +42,7 @@ print("ready", flush=True)
 time.sleep(3600)
 """
 
-# For a program whose multicast cannot be sent while a file exists.
+# Preloaded, it fails a program's multicast while a file exists.
 NO_MULTICAST = """
 #define _GNU_SOURCE
 #include <dlfcn.h>

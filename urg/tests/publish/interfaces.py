@@ -15,7 +15,7 @@ from namespaces import ROS_READER, Lines, Namespace, ip, use
 
 SEED = int(sys.argv[3]) if sys.argv[3:] else random.randrange(10**6)
 PLACES, TIMES = 4, 5
-# From the return of the interface, with the start of rclpy on a busy machine.
+# Limit from the return of the interface, with the start of rclpy on a busy machine.
 SECONDS = 30
 
 

@@ -239,7 +239,7 @@ def resident(process):
 
 
 def a_zenoh_reader_that_hangs(far):
-    # So much that the buffers of the hung reader's connection, some MB, are soon full.
+    # Forty sensors soon fill the buffers of the hung reader's connection, some MB.
     sensors = [f"s{number}=emulated" for number in range(40)]
     for mode in ("client", "peer"):
         options = ["--engine", "zenoh", "--router", "tcp/10.1.0.2:7447", "--mode", mode]

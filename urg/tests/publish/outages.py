@@ -149,7 +149,7 @@ def judge(reader, begin, end, depth, strict):
     new = lambda: [scan for scan in after() if scan[1] >= end - 0.2]
     wait("scans after the outage", lambda: len(new()) >= 30, 20)
     back = new()[0][0] - end
-    # Without those that a busy machine delays after the outage.
+    # Scans that a busy machine delays after the outage do not count.
     burst = [scan for scan in after() if scan[0] - scan[1] > 0.5 and scan[1] < end - 0.2]
     # `urg` may be stopped with one scan on its way.
     on_its_way = [scan for scan in burst if scan[1] < begin]

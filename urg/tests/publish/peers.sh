@@ -12,7 +12,7 @@ if [ -n "${URG_IN_NAMESPACE:-}" ]; then
     ip link set lo up
     ip link set lo multicast on
     ip route add 224.0.0.0/4 dev lo
-    # For a program that asks whether there is a network.
+    # Some programs ask whether there is a network.
     ip addr add 10.77.0.1/32 dev lo
     place=$(mktemp -d)
     trap 'rm -rf "$place"' EXIT
