@@ -89,7 +89,7 @@ mod tests {
     use crate::ros;
 
     #[test]
-    fn an_error_code_is_one_of_two_and_every_distance_is_itself() {
+    fn error_codes_become_two_and_distances_are_exact() {
         for (sent, expected) in [(0, 16), (6, 16), (16, 16), (4095, 16), (1, 19), (19, 19)] {
             assert_eq!(value(Measurement::from_value(sent).range()), expected, "{sent}");
         }

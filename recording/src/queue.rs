@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_file_is_written_before_a_disk_that_hangs_has_synced_it() {
+    async fn a_file_is_written_while_its_sync_hangs() {
         let (go, wait) = mpsc::channel();
         let settings = QueueSettings {
             limits: Limits::default(),

@@ -247,7 +247,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_log_runs_steadily_from_the_wall_clock_and_knows_what_was_before() {
+    fn the_log_starts_at_the_wall_clock_and_runs_steadily() {
         let wall = SystemTime::UNIX_EPOCH + Duration::from_secs(1_000);
         let steady = Instant::now();
         let clock = LogClock { began: Times { steady, wall } };
@@ -259,7 +259,7 @@ mod tests {
 
     /// A file can only be split at a scan, and grows until one comes.
     #[test]
-    fn a_file_that_is_split_because_of_its_chunks_still_has_an_index() {
+    fn a_file_split_by_its_chunks_has_an_index() {
         let folder = std::env::temp_dir().join(format!("scip-chunks-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let path = folder.join("run.mcap");

@@ -69,7 +69,7 @@ async fn a_recording_has_both_gaps_of_a_sensor_unplugged_twice() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
+async fn a_replay_has_the_recorded_gap() {
     let sink = Sink::new();
     let emulator = sensor();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
@@ -104,7 +104,7 @@ async fn a_replay_at_the_recorded_pace_has_the_gap_where_it_was() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn missed_scans_are_recorded_as_an_event_and_by_their_replies() {
+async fn missed_scans_have_an_event_and_replies() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().on_reply(recorder.observer()).connect(sensor()).await.unwrap();

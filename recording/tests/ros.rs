@@ -8,7 +8,7 @@ use urg_recording::ros::{
 };
 
 #[test]
-fn a_transform_is_seven_numbers_of_eight_bytes_aligned_behind_its_frames() {
+fn a_transform_is_seven_aligned_numbers() {
     let transform = Transform {
         parent: "base".to_owned(),
         child: "laser".to_owned(),

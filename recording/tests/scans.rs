@@ -45,7 +45,7 @@ async fn recorded_scans_are_those_that_the_driver_delivered() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_scans() {
+async fn refused_and_malformed_replies_are_skipped() {
     let sink = Sink::new();
     let emulator = sensor();
     emulator.set_faults(Faults::none().at(5, Fault::Drop(700..701)).at(9, Fault::Status(b'7')));
@@ -59,7 +59,7 @@ async fn refused_and_malformed_replies_are_skipped_and_a_missing_end_ends_the_sc
 }
 
 #[tokio::test(start_paused = true)]
-async fn recorded_scans_have_the_time_of_a_revolution_that_the_sensor_reports() {
+async fn recorded_scans_have_the_reported_revolution_time() {
     for (firmware, milliseconds) in [("FIRM:1(300[rpm])", 200), ("FIRM:1", 100)] {
         let time = Duration::from_millis(milliseconds);
         let lines = ["VEND:x", firmware, "SERI:42"];
@@ -73,7 +73,7 @@ async fn recorded_scans_have_the_time_of_a_revolution_that_the_sensor_reports() 
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_scans_of_a_file_without_its_end_are_read_and_the_missing_end_is_known() {
+async fn scans_of_a_file_without_its_end_are_read() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 10).await;
     let whole = sink.bytes();
@@ -86,7 +86,7 @@ async fn the_scans_of_a_file_without_its_end_are_read_and_the_missing_end_is_kno
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_is_debugged_by_its_metadata_and_its_scans_by_their_number() {
+async fn debug_output_is_short() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 3).await;
     let recording = sink.open();
@@ -98,7 +98,7 @@ async fn a_recording_is_debugged_by_its_metadata_and_its_scans_by_their_number()
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_recording_without_scans_is_an_error_and_not_an_empty_replay() {
+async fn a_replay_without_scans_is_an_error() {
     let sink = Sink::new();
     let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();
     let sensor = Sensor::builder().connect(sensor()).await.unwrap();
@@ -220,7 +220,7 @@ impl Read for PausedPipe {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_scans_that_a_pipe_has_are_returned_before_more_is_read() {
+async fn scans_in_a_pipe_come_without_further_bytes() {
     let sink = Sink::new();
     let (mut recorder, mut length) =
         (Recorder::builder().write_to(sink.clone()).unwrap(), sink.length());
@@ -260,7 +260,7 @@ async fn a_damaged_chunk_is_an_item_between_the_scans() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_recording_has_the_scans_of_its_time_and_no_others() {
+async fn a_part_has_exactly_the_scans_of_its_time() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 50).await;
     let all: Vec<Scan> = sink.open().scans().collect::<Result<_, _>>().unwrap();
@@ -284,7 +284,7 @@ fn scans_from(path: &Path, place: Duration) -> RecordedScans {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it() {
+async fn a_part_is_reached_through_the_index() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 600).await;
     let mut all = sink.open().scans();
@@ -317,7 +317,7 @@ async fn a_part_of_a_complete_file_is_reached_without_reading_what_is_before_it(
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_is_read_whole_where_the_file_is_no_longer_as_its_index_says() {
+async fn a_part_survives_an_outdated_index() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 200).await;
     // Ten bytes are missing before the part, and ten too many after its beginning.
@@ -338,7 +338,7 @@ async fn a_part_is_read_whole_where_the_file_is_no_longer_as_its_index_says() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_part_of_a_file_that_defines_its_channels_once_is_reached_through_its_index() {
+async fn a_part_finds_channels_defined_only_once() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 100).await;
     let options = mcap::WriteOptions::new().compression(None).chunk_size(Some(10_000));
@@ -368,7 +368,7 @@ async fn a_part_of_a_file_that_defines_its_channels_once_is_reached_through_its_
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_index_with_a_wrong_byte_or_without_a_checksum_is_not_believed() {
+async fn a_wrong_or_unchecked_index_is_ignored() {
     let sink = Sink::new();
     record(sensor(), &sink, Window::DETECTION, 30).await;
     let whole = sink.bytes();

@@ -54,7 +54,7 @@ fn scans(records: &[Record]) -> Vec<u32> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_split_recording_has_each_scan_once_with_its_reply_and_each_file_replays_alone() {
+async fn each_file_of_a_split_recording_replays_alone() {
     let folder = folder("split");
     for (name, builder, count) in [
         ("duration", Recorder::builder().split_duration(Duration::from_secs(10)), 4),
@@ -115,7 +115,7 @@ async fn no_file_is_overwritten_by_a_further_one() {
 }
 
 #[test]
-fn a_recording_is_not_begun_beside_the_further_files_of_another() {
+fn files_of_another_recording_prevent_a_new_one() {
     let path = folder("split-older").join("run.mcap");
     let taken = path.with_file_name("run_0003.mcap");
     fs::write(&taken, "precious").unwrap();
@@ -161,7 +161,7 @@ async fn an_old_file_that_cannot_be_removed_is_told() {
 /// The consumer is always one scan behind, so that a scan is outstanding at each place
 /// where the file could be split.
 #[tokio::test(start_paused = true)]
-async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
+async fn a_slow_consumer_does_not_prevent_splitting() {
     let path = folder("split-behind").join("run.mcap");
     let mut recorder =
         Recorder::builder().split_duration(Duration::from_secs(5)).create(&path).unwrap();
@@ -181,7 +181,7 @@ async fn a_slow_consumer_does_not_keep_a_recording_from_being_split() {
 
 /// Its name is too long.
 #[tokio::test(start_paused = true)]
-async fn a_further_file_that_cannot_be_created_ends_the_recording_behind_a_complete_file() {
+async fn the_last_file_is_complete_if_no_other_can_be_created() {
     let path = folder("split-long").join("x".repeat(248) + ".mcap");
     let mut recorder =
         Recorder::builder().split_duration(Duration::from_secs(1)).create(&path).unwrap();

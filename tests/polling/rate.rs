@@ -7,7 +7,7 @@ use tokio_scip::Rate;
 const DAY: Duration = Duration::from_secs(24 * 60 * 60);
 
 #[test]
-fn a_rate_lies_between_once_a_day_and_a_thousand_a_second() {
+fn rates_lie_between_a_day_and_a_millisecond() {
     let table = [
         (Rate::hz(10.0), Duration::from_millis(100)),
         (Rate::hz(1000.0), Duration::from_millis(1)),

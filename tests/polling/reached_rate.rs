@@ -41,7 +41,7 @@ async fn it_is_unknown_while_the_link_is_lost() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn it_is_unknown_while_the_driver_searches_for_a_silent_sensor() {
+async fn a_silent_sensor_has_no_known_rate() {
     let (emulator, sensor, _stream) = streaming(builder()).await;
     emulator.set_faults(Faults::none().every(Fault::Lost));
     wait_for(&sensor, |state| matches!(state, State::Recovering)).await;

@@ -12,7 +12,7 @@ fn fence(step: u16) -> (Command, Vec<u8>, Vec<u8>) {
 }
 
 #[test]
-fn w15_a_fence_is_found_behind_a_reply_truncated_at_every_length() {
+fn w15_a_fence_is_found_after_any_truncated_reply() {
     for before in [
         reply("G04472501", &spread(682)),
         reply("G00076801", &spread(769)),

@@ -73,7 +73,7 @@ fn an_interrupted_check_does_not_exit_with_success() {
 }
 
 #[test]
-fn replies_faster_than_the_baud_rate_show_that_the_port_ignores_it() {
+fn replies_faster_than_the_baud_rate_are_reported() {
     let link = Scratch::new("outrun");
     // A pseudo-terminal accepts any baud rate, and its emulated sensor ignores it.
     let sensor = Emulated::start(&format!("--revolution 20ms --link {}", link.path()));

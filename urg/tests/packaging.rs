@@ -15,7 +15,7 @@ fn completions_for_each_shell_know_every_command() {
 }
 
 #[test]
-fn the_manual_page_lists_every_command_and_each_has_its_own() {
+fn every_command_has_a_manual_page() {
     let program = run("man", 0).stdout;
     assert!(program.contains(".TH URG 1"), "{program}");
     assert!(program.contains("/dev/ttyACM0"), "{program}");

@@ -70,7 +70,7 @@ fn ranges(scan: &Value) -> Vec<Option<f32>> {
 }
 
 #[tokio::test]
-async fn a_recording_and_its_replay_have_the_scans_of_the_sensor() {
+async fn recording_and_replay_have_the_sensors_scans() {
     let (file, link) = (Scratch::mcap("held"), Scratch::new("recorded"));
     let sensor = Emulated::start(&format!("--link {} --seed 7 {FAST}", link.path()));
     let output =

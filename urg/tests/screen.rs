@@ -89,7 +89,7 @@ async fn stty(path: &str, arguments: &[&str]) -> String {
 }
 
 #[tokio::test]
-async fn keys_work_and_the_terminal_is_restored_when_the_user_quits() {
+async fn keys_work_and_quitting_restores_the_terminal() {
     let mut terminal = Terminal::start("view emulated").await;
     terminal.until_each(&["URG-04LX", "quit"]).await;
     terminal.user.write_all(b"?").await.unwrap();
@@ -161,7 +161,7 @@ async fn a_missing_sensor_shares_the_screen() {
 }
 
 #[tokio::test]
-async fn the_terminal_is_restored_on_ctrl_c_and_on_a_signal() {
+async fn ctrl_c_and_signals_restore_the_terminal() {
     let mut terminal = Terminal::start("view emulated --rate max").await;
     terminal.until(&["URG-04LX"]).await;
     // In raw mode Ctrl-C is an ordinary key.

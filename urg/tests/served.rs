@@ -86,7 +86,7 @@ async fn scans_over_tcp_are_those_of_the_sensor() {
 }
 
 #[tokio::test]
-async fn scans_at_115200_baud_from_a_sensor_that_starts_at_19200() {
+async fn a_sensor_at_19200_baud_serves_at_115200() {
     let link = Scratch::new("faster");
     let sensor = Emulated::start(&format!("--link {} --baud 19200 --seed 9 {FAST}", link.path()));
     let output = run(&format!("{} --baud 115200", stream(&sensor.port)), 0);

@@ -20,7 +20,7 @@ fn half_closed(served: &Served, path: &str) -> String {
 }
 
 #[test]
-fn a_client_that_closes_its_side_after_the_request_gets_its_response() {
+fn a_half_closed_client_gets_its_response() {
     let served = Served::start("emulated");
     served.health(200);
     for _ in 0..20 {
@@ -59,7 +59,7 @@ fn is_served_in_time(served: &Served) {
 }
 
 #[test]
-fn clients_that_send_their_request_byte_by_byte_block_no_other() {
+fn clients_that_send_byte_by_byte_block_no_other() {
     let served = Served::start("emulated");
     served.health(200);
     let mut slow: Vec<_> = (0..300).map(|_| TcpStream::connect(&served.address).unwrap()).collect();
@@ -93,7 +93,7 @@ fn is_small(served: &Served) {
 }
 
 #[test]
-fn a_burst_of_connections_waits_for_a_server_that_has_no_time() {
+fn a_burst_of_connections_waits_for_the_server() {
     let served = Served::start("emulated");
     served.running.signal("STOP");
     let address = served.address.parse().unwrap();

@@ -73,7 +73,7 @@ pub(super) fn scan(line: &str) -> Value {
 }
 
 #[test]
-fn the_page_contains_all_it_needs_and_refers_to_no_other_address() {
+fn the_page_refers_to_no_other_address() {
     let served = Served::start("emulated");
     let response = served.get("/");
     assert_eq!(
@@ -123,7 +123,7 @@ fn scans_come_as_urg_stream_writes_them() {
 }
 
 #[test]
-fn the_state_has_the_motor_and_the_rate_from_the_second_scan_on() {
+fn the_state_has_a_rate_after_two_scans() {
     let served = Served::start("emulated");
     let mut response = served.get("/scans");
     (0..2).for_each(|_| drop(scan(&response.line().unwrap())));
@@ -170,7 +170,7 @@ fn two_viewers_get_the_same_scans_and_cost_one() {
 }
 
 #[test]
-fn health_and_streams_report_a_sensor_that_is_unplugged_and_comes_back() {
+fn health_and_streams_report_a_replug() {
     let link = Scratch::new("health");
     let sensor = Emulated::start(&format!("--link {}", link.path()));
     let served = Served::start(link.path());
@@ -212,7 +212,7 @@ pub(super) fn on_tcp(emulator: Emulator) -> (Runtime, String) {
 }
 
 #[test]
-fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() {
+fn health_fails_while_every_reply_is_malformed() {
     let emulator = Emulator::default();
     let (_runtime, port) = on_tcp(emulator.clone());
     let served = Served::start(&port);
@@ -235,7 +235,7 @@ fn health_fails_while_every_reply_is_malformed_though_the_sensor_is_connected() 
 }
 
 #[test]
-fn a_page_that_waits_for_its_sensor_is_there_before_it() {
+fn the_page_is_served_before_its_sensor_exists() {
     let link = Scratch::new("serve-waits");
     let served = Served::start(&format!("{} --wait", link.path()));
     let health = served.health(503);
@@ -251,7 +251,7 @@ fn a_page_that_waits_for_its_sensor_is_there_before_it() {
 }
 
 #[test]
-fn a_slow_client_delays_no_other_and_gets_the_newest_scans() {
+fn a_slow_client_gets_the_newest_scans() {
     let link = Scratch::new("slow");
     let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
     let served = Served::start(&format!("{} --rate max", sensor.port));
@@ -301,7 +301,7 @@ fn a_request_for_another_host_is_refused() {
 }
 
 #[test]
-fn requests_and_addresses_that_cannot_be_served_are_refused_with_the_reason() {
+fn refused_requests_get_the_reason() {
     let served = Served::start("emulated");
     assert_eq!(served.get("/nothing").status, 404);
     for query in ["max=none", "max=0", "max=-1", "max=", "maximum=3", "max=1&rate=2"] {
@@ -337,7 +337,7 @@ fn an_interrupt_ends_open_connections_and_the_program() {
 }
 
 #[test]
-fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
+fn a_client_that_never_reads_does_not_delay_the_end() {
     let link = Scratch::new("unread-http");
     let sensor = Emulated::start(&format!("--revolution 5ms --link {}", link.path()));
     let served = Served::start(&format!("{} --rate max", sensor.port));
@@ -350,7 +350,7 @@ fn a_client_that_never_reads_cannot_keep_the_program_from_ending() {
 }
 
 #[test]
-fn a_page_for_the_network_warns_and_accepts_the_names_given() {
+fn a_network_page_accepts_only_given_names() {
     let mut running = Running::start("serve emulated --listen 0.0.0.0:0 --host robot.example");
     let notice = running.notice();
     let (_, port) = notice.split_once("http://0.0.0.0:").unwrap_or_else(|| panic!("{notice}"));
@@ -382,7 +382,7 @@ fn streams_and_silent_clients_leave_places_to_short_requests() {
 }
 
 #[test]
-fn metrics_are_text_for_prometheus_and_count_what_the_driver_counts() {
+fn metrics_count_what_the_driver_counts() {
     let served = Served::start("emulated");
     served.health(200);
     let response = served.get("/metrics");

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn the_speed_of_the_motor_is_measured_and_late_scans_are_weak() {
+    async fn motor_speed_is_measured_and_late_scans_are_weak() {
         let turning = || Emulator::builder().revolution(Duration::from_micros(99_760));
         let (bad, text) = test(turning(), Faults::none(), 60).await;
         assert_eq!(bad, [], "{text}");

@@ -69,7 +69,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_has_the_time_the_size_and_what_is_missing() {
+    fn a_line_has_time_size_and_losses() {
         let mut totals = RecordTotals::default();
         (totals.progress.scans, totals.progress.bytes) = (598, 2_345_678);
         assert_eq!(totals.after(Duration::from_secs(61)), "598 scans in 1:01, 2.3 MB, none lost");

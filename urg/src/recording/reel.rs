@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_jump_forward_finds_its_scan_without_reading_those_before_it() {
+    async fn a_jump_forward_reads_no_scans_between() {
         let path = std::env::temp_dir().join(format!("urg-reel-{}.mcap", std::process::id()));
         let recorded = recorded(&path, 2000).await;
         let all: Vec<_> = recorded.open().unwrap().scans().map(Result::unwrap).collect();

@@ -182,7 +182,7 @@ async fn a_point_is_where_it_was_measured() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn error_codes_are_marked_at_the_rim_as_what_they_are() {
+async fn error_codes_are_marked_at_the_rim() {
     let mut sight = [0; STEPS];
     sight[300..500].fill(3);
     sight[600..].fill(19);

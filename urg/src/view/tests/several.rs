@@ -183,7 +183,7 @@ async fn a_small_screen_shows_the_selected_sensor_and_trouble() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
+async fn a_missing_sensor_is_named() {
     for (argument, expected) in [
         ("rear=/dev/ttyACM1", "rear: cannot open /dev/ttyACM1: "),
         ("/dev/ttyACM1", "cannot open /dev/ttyACM1: "),
@@ -203,7 +203,7 @@ async fn the_message_about_a_sensor_that_is_missing_has_its_name() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_window_that_is_requested_while_the_sensor_is_opened_stays() {
+async fn a_window_requested_during_opening_stays() {
     for is_open_first in [true, false] {
         let sensor = Sensor::builder().connect(ahead()).await.unwrap();
         let mut viewer = Viewer::from_sensors(vec![(source("/dev/ttyACM0"), sensor)]);
