@@ -145,8 +145,8 @@ fn table(pattern: &Pattern, rounds: usize, scans: usize) {
     }
 }
 
-/// System calls a scan of the thread that polls, or `None` without strace. The difference of two
-/// runs: the start of the program is in both.
+/// Returns the system calls a scan of the thread that polls, or `None` without strace. Counts the
+/// difference of two runs: the start of the program is in both.
 fn calls(poller: &str, pattern: &Pattern) -> Option<f64> {
     let (few, many) = (10, 40);
     let count = |scans: usize| {

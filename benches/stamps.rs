@@ -46,7 +46,7 @@ fn main() {
     simulated("a day, drift 0.1 % an hour, 50 jumps", drifting, Rate::UNLIMITED, 24 * HOUR, 50);
 }
 
-/// Emulated sensor whose motor turns as fast as in the capture. tokio's timers deliver its bytes
+/// Emulates a sensor whose motor turns as fast as in the capture. tokio's timers deliver its bytes
 /// in whole milliseconds, as USB does.
 fn turning() -> EmulatorBuilder {
     let revolution = Duration::from_nanos(99_760_500);

@@ -54,7 +54,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     }
 }
 
-/// What a service does with each scan. Errors are in the freshness.
+/// Handles each scan, as your service would. Errors are in the freshness.
 async fn consume(name: String, scans: ScanStream) {
     let mut scans = scans.filter_map(|item| ready(item.ok()));
     while let Some(scan) = scans.next().await {

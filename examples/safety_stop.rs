@@ -57,12 +57,12 @@ pub(crate) const TERMS: Terms = Terms {
 };
 
 impl Terms {
-    /// Longest time from an obstacle's appearance to the output "stop".
+    /// Returns the longest time from an obstacle's appearance to the output "stop".
     pub(crate) fn response(&self) -> Duration {
         self.revolution + self.reply + self.limit
     }
 
-    /// `S`: how far the protective field reaches, in metres.
+    /// Returns `S`: how far the protective field reaches, in metres.
     pub(crate) fn distance(&self) -> f64 {
         self.approach * (self.response() + self.braking).as_secs_f64() + self.supplement
     }

@@ -380,7 +380,7 @@ fn a_sensor_is_as_wished_and_described() {
     }
 }
 
-/// Share of each stream beside refused ones, and what the refusals cost.
+/// Checks the share of each stream beside refused ones, and what the refusals cost.
 async fn beside_refused(seed: u64) {
     let mut random = Random::new(seed);
     let emulator = Emulator::builder().world(Fixed::filled(1000)).build();

@@ -31,7 +31,7 @@ fn tolerant(zone: &Zone, rays: usize) -> Zone {
     zone.clone().smallest_obstacle(2.0 * 0.6 * (angle / 2.0).tan()).unwrap()
 }
 
-/// Number of consecutive unknown rays that a zone tolerates ahead.
+/// Returns the number of consecutive unknown rays that a zone tolerates ahead.
 fn tolerated(zone: &Zone, window: Window) -> usize {
     let from = (384 - 128) / usize::from(window.cluster_count());
     let is_clear = |rays: &usize| {

@@ -81,7 +81,7 @@ impl Area {
         }
     }
 
-    /// Largest distance of the area from the sensor.
+    /// Returns the largest distance of the area from the sensor.
     fn reach(&self) -> f64 {
         match self {
             Self::Sector { far, .. } => *far,
@@ -134,7 +134,7 @@ fn angle(step: u16) -> f64 {
     (f64::from(step) - 384.0) * TAU / 1024.0
 }
 
-/// What the sensor sends for a step: the nearest wall there, or a code.
+/// Returns what the sensor sends for a step: the nearest wall there, or a code.
 fn value(walls: &[Wall], step: u16, random: &mut Random) -> u16 {
     let angle = angle(step);
     let hits = walls.iter().filter_map(|wall| Some((wall.distance(angle)?, wall.is_weak)));

@@ -23,7 +23,7 @@ use proptest::prelude::*;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use urg_emulator::{Emulator, EmulatorBuilder, Fixed, Pace, RepeatedLaser};
 
-/// A sensor that answers at once and always measures 1,234 mm.
+/// Returns a sensor that answers at once and always measures 1,234 mm.
 fn instant_sensor() -> EmulatorBuilder {
     limit::limit();
     // The status of a repeated `L` then shows the state that the laser is in.

@@ -14,12 +14,12 @@ use super::{ask, instant_sensor, listen};
 
 const MS: Duration = Duration::from_millis(1);
 
-/// Time that bytes take at a baud rate: ten bits each.
+/// Returns the time that bytes take at a baud rate: ten bits each.
 fn wire_time(baud_rate: BaudRate, bytes: u32) -> Duration {
     Duration::from_secs(10) * bytes / u32::from(baud_rate)
 }
 
-/// A sensor on USB, which serves one command a revolution.
+/// Returns a sensor on USB, which serves one command a revolution.
 fn turning(revolution: Duration) -> Emulator {
     Emulator::builder().revolution(revolution).world(Fixed::filled(1234)).build()
 }

@@ -15,7 +15,7 @@ use urg_recording::{Recorder, Recording, RecordingError};
 
 const SCANS: usize = 20;
 
-/// Fraction of the rays that meet something within two metres.
+/// Returns the fraction of the rays that meet something within two metres.
 pub(crate) fn crowded(scan: &Scan) -> f64 {
     scan.points().filter(|point| point.range < 2.0).count() as f64 / scan.len() as f64
 }

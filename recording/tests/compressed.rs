@@ -17,7 +17,7 @@ use super::raw::{
 };
 use super::sink::{Sink, record, replayed, sensor, window};
 
-/// Chunk with this compression, which claims `size` bytes and has no checksum.
+/// Returns a chunk with this compression, which claims `size` bytes and has no checksum.
 fn compressed_chunk(compression: &str, size: u64, bytes: &[u8]) -> Vec<u8> {
     let head = [&[0; 16][..], &size.to_le_bytes(), &[0; 4], &text(compression)].concat();
     of_kind(0x06, &[&head[..], &(bytes.len() as u64).to_le_bytes(), bytes].concat())
@@ -114,7 +114,7 @@ async fn recorded(window: Window, scans: usize) -> (Sink, [Vec<u8>; 2]) {
     (sink, forms)
 }
 
-/// File in the folder for tests' files.
+/// Writes a file in the folder for tests' files.
 fn written(name: &str, bytes: &[u8]) -> PathBuf {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, bytes).unwrap();
@@ -272,7 +272,7 @@ fn zstd_of_zeros(blocks: usize, window: u8) -> Vec<u8> {
     [&head[..], &block(0).repeat(blocks - 1), &block(1)].concat()
 }
 
-/// 32 KiB that become 1 GiB.
+/// Returns 32 KiB that become 1 GiB.
 fn zstd_bomb(window: u8) -> Vec<u8> {
     zstd_of_zeros(8192, window)
 }

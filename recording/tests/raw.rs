@@ -22,7 +22,7 @@ pub(super) fn claims(length: u32) -> [u8; 4] {
     length.to_le_bytes()
 }
 
-/// Length, then text.
+/// Returns the length, then the text.
 pub(super) fn text(text: &str) -> Vec<u8> {
     [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
 }

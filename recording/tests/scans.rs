@@ -15,7 +15,7 @@ use urg_recording::{
 use super::file::Folder;
 use super::sink::{Sink, next, record, replayed, sensor, values, window};
 
-/// An example of a function that is written for live scans.
+/// Stands for a function that is written for live scans.
 fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, Duration, bool) {
     let values = scan.values().to_vec();
     (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
@@ -109,7 +109,7 @@ async fn a_replay_without_scans_is_an_error() {
     assert!(matches!(sink.open().replay(ReplayPace::Max), Err(RecordingError::NoScans { .. })));
 }
 
-/// Sensor whose scans have distances and, in every seventh step, an error code.
+/// Returns a sensor whose scans have distances and, in every seventh step, an error code.
 fn with_errors() -> Emulator {
     let world = |time: WorldTime, values: &mut Values| {
         for (step, value) in values.iter_mut().enumerate() {

@@ -19,7 +19,7 @@ pub(crate) struct Sink {
 }
 
 impl Sink {
-    /// A file on a disk that holds this many bytes.
+    /// Returns a file on a disk that holds this many bytes.
     pub(crate) fn with_room(room: usize) -> Self {
         Self { bytes: Arc::default(), room, length: watch::Sender::new(0) }
     }
@@ -28,7 +28,7 @@ impl Sink {
         Self::with_room(usize::MAX)
     }
 
-    /// A file of these bytes.
+    /// Returns a file of these bytes.
     pub(crate) fn with_bytes(bytes: &[u8]) -> Self {
         Self { bytes: Arc::new(Mutex::new(bytes.to_vec())), ..Self::new() }
     }
@@ -70,7 +70,7 @@ impl Write for Sink {
     }
 }
 
-/// A sensor whose scans all differ.
+/// Returns a sensor whose scans all differ.
 pub(crate) fn sensor() -> Emulator {
     let world = |time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {

@@ -20,18 +20,18 @@ use tokio_scip::state::Freshness;
 use tokio_scip::{BaudRate, Error, Scan, Sensor, SensorBuilder, Window};
 use urg_emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTime};
 
-/// Why the last scan of a sensor is too old.
+/// Returns why the last scan of a sensor is too old.
 pub(crate) fn reason(freshness: &Freshness) -> Error {
     freshness.check(Duration::ZERO).unwrap_err().source.unwrap()
 }
 
-/// Length of the reply to a `G` for this window, terminator included.
+/// Returns the length of the reply to a `G` for this window, terminator included.
 pub(crate) fn reply_len(window: Window) -> usize {
     let data = 2 * window.points();
     "G04472501\n0\n".len() + data + data.div_ceil(64) + 1
 }
 
-/// Time that bytes take at a baud rate: ten bits each.
+/// Returns the time that bytes take at a baud rate: ten bits each.
 pub(crate) fn wire_time(baud_rate: BaudRate, bytes: usize) -> Duration {
     Duration::from_secs(10 * bytes as u64) / u32::from(baud_rate)
 }
@@ -43,7 +43,7 @@ fn code(request: u64, step: usize) -> u16 {
     20 + digits[step % 3] as u16
 }
 
-/// An emulated sensor whose scans each carry the number of the `G` they answer.
+/// Returns an emulated sensor whose scans each carry the number of the `G` they answer.
 pub(crate) fn truthful() -> EmulatorBuilder {
     limit::limit();
     Emulator::builder().log_capacity(1 << 20).world(|time: WorldTime, codes: &mut Values| {
@@ -108,7 +108,7 @@ impl Truth {
     }
 }
 
-/// A builder with a fixed seed for its jitter, so that tests are repeatable.
+/// Returns a builder with a fixed seed for its jitter, so that tests are repeatable.
 pub(crate) fn builder() -> SensorBuilder {
     limit::limit();
     Sensor::builder().jitter_seed(7)

@@ -10,7 +10,7 @@ pub(crate) fn seeds(name: &str, usual: u64) -> Range<u64> {
     first..first + number(name).unwrap_or(times() * usual)
 }
 
-/// How many times the usual seeds to run: `SCIP_TIMES`, which CI sets, or once.
+/// Returns how many times the usual seeds to run: `SCIP_TIMES`, which CI sets, or once.
 pub(crate) fn times() -> u64 {
     number("SCIP_TIMES").unwrap_or(1)
 }

@@ -102,7 +102,7 @@ async fn run(
     run
 }
 
-/// An obstacle of the smallest width at `distance`, facing the sensor.
+/// Returns an obstacle of the smallest width at `distance`, facing the sensor.
 fn obstacle(distance: f64) -> Scene {
     let width = safety_stop::WIDTH;
     let end = |left: f64| {
@@ -172,7 +172,7 @@ fn the_protective_field_follows_from_its_terms() {
     assert!((TERMS.distance() - 0.6).abs() < 1e-9);
 }
 
-/// A room with an obstacle in the revolutions for which `is_there` returns true.
+/// Returns a room with an obstacle in the revolutions for which `is_there` returns true.
 fn sensor_with(distance: f64, is_there: impl Fn(u64) -> bool + Send + 'static) -> Emulator {
     limit();
     let (mut blocked, mut clear) = (obstacle(distance), Fixed::filled(3000));

@@ -131,7 +131,7 @@ async fn execute(
     }
 }
 
-/// A run: a driver, two calls in turn, a call that is dropped, a stream that is cloned,
+/// Runs tasks: a driver, two calls in turn, a call that is dropped, a stream that is cloned,
 /// someone who watches the state, and the end. Without a stream nothing but a request wakes
 /// the driver.
 async fn run(chooser: &mut Chooser, enumerated: Range<usize>, end: OrderEnd, is_streaming: bool) {

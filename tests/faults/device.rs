@@ -158,7 +158,7 @@ async fn d13_a_poll_refused_with_any_status_switches_the_laser_on() {
     }
 }
 
-/// A sensor that answers each command but `V` at once with what `reply` returns.
+/// Returns a sensor that answers each command but `V` at once with what `reply` returns.
 fn peer(reply: impl Fn(&str) -> &'static str + Send + 'static) -> tokio::io::DuplexStream {
     use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, duplex, split};
     let (near, far) = duplex(4096);

@@ -5,7 +5,7 @@ use urg_emulator::{Emulator, EmulatorBuilder, Fault, Faults, Pace};
 
 use crate::common::{Truth, builder, truthful};
 
-/// A sensor on USB that answers at once, and writes each request's number into its data.
+/// Returns a sensor on USB that answers at once, and writes each request's number into its data.
 pub(crate) fn instant_sensor() -> EmulatorBuilder {
     truthful().pace(Pace::AtOnce)
 }

@@ -182,7 +182,7 @@ async fn o12_a_port_without_baud_rates_is_reported() {
     assert!(emulator.log().is_empty(), "commands were sent at an unknown baud rate");
 }
 
-/// A connector whose first link is the faulty one that `rig` makes; all later links
+/// Returns a connector whose first link is the faulty one that `rig` makes; all later links
 /// have no fault.
 fn first_faulty(
     emulator: &Emulator,

@@ -18,7 +18,7 @@ use crate::common::{ConnectFn, builder, ms, request_of};
 
 const WINDOW: Window = Window::DETECTION;
 
-/// A runtime with a paused clock.
+/// Returns a runtime with a paused clock.
 fn runtime() -> tokio::runtime::Runtime {
     Builder::new_current_thread().enable_all().start_paused(true).build().unwrap()
 }

@@ -7,7 +7,7 @@ use tokio_scip::port::UsbId;
 use tokio_scip::{Endpoint, Error, Measurement, Rate, Scan, Sensor, State, Window};
 use urg_emulator::{Emulator, Values, WorldTime};
 
-/// A distance, an error code for nothing in range, one for no echo, and saturation.
+/// Returns a sensor that measures a distance, two error codes and saturation.
 async fn sensor() -> (Sensor, Emulator) {
     let emulator = Emulator::builder()
         .world(|_: WorldTime, codes: &mut Values| {

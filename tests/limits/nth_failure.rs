@@ -13,7 +13,7 @@ use tokio_scip::port::Connect;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Sensor, Window};
 use urg_emulator::{Emulator, Pace};
 
-/// A small window, whose reply arrives in few reads.
+/// Returns a small window, whose reply arrives in few reads.
 fn window() -> Window {
     Window::new(300..=320).unwrap()
 }

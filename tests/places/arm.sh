@@ -6,7 +6,7 @@
 #
 # Needs on Debian: qemu-user, gcc-arm-linux-gnueabihf and libc6-dev-armhf-cross, or
 # gcc-aarch64-linux-gnu and libc6-dev-arm64-cross. Where CI is set
-# they are installed if they can be. Without them: `skipped: NAME`, and success. Before
+# they are installed if they can be. Without them it prints `skipped: NAME` and succeeds. Before
 # QEMU 11 there are no pseudo-terminals; QEMU=FOLDER selects another one than PATH does.
 set -euo pipefail
 cd "$(dirname "$0")/../.."

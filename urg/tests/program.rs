@@ -269,7 +269,7 @@ impl Scratch {
         Self::new_with(name, ".mcap")
     }
 
-    /// A pipe with the name of a recording.
+    /// Makes a pipe with the name of a recording.
     pub(crate) fn pipe(name: &str) -> Self {
         let pipe = Self::mcap(name);
         assert!(Command::new("mkfifo").arg(pipe.path()).status().unwrap().success());

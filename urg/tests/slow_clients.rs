@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::program::STEP_LIMIT;
 use super::web::{Served, scan};
 
-/// A client that sends its request, closes its side, and reads to the end.
+/// Sends a request, closes that side, and reads to the end.
 fn half_closed(served: &Served, path: &str) -> String {
     let mut client = TcpStream::connect(&served.address).unwrap();
     client.set_read_timeout(Some(STEP_LIMIT)).unwrap();

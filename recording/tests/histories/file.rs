@@ -63,7 +63,7 @@ impl Message {
         name(self) == name(other)
     }
 
-    /// Command that a reply of a sensor answers, with its NUL.
+    /// Returns the command that a reply of a sensor answers, with its NUL.
     fn label(&self) -> Option<&[u8]> {
         let data = Some(&self.data).filter(|_| self.topic.starts_with("/scip/replies cdr "))?;
         let length = u32::from_le_bytes(data.get(8..12)?.try_into().ok()?) as usize;
@@ -186,7 +186,7 @@ impl Layout {
     }
 }
 
-/// Length of a complete file up to the end of its last chunk: without its index.
+/// Returns the length of a complete file up to the end of its last chunk: without its index.
 pub(super) fn chunks_end(file: &[u8]) -> usize {
     let (mut at, mut end) = (MAGIC.len(), 0);
     while at < file.len() - MAGIC.len() {

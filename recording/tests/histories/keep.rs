@@ -119,7 +119,7 @@ async fn record(
     [kept.finish().await.unwrap(), twin.finish().await.unwrap()]
 }
 
-/// Name of a recording without its ending: on Linux any bytes.
+/// Returns the name of a recording without its ending: on Linux any bytes.
 fn stem(random: &mut Random) -> OsString {
     #[cfg(target_os = "linux")]
     if random.once_in(4) {
@@ -128,7 +128,7 @@ fn stem(random: &mut Random) -> OsString {
     "run".into()
 }
 
-/// Name of a part, as the documentation has it.
+/// Returns the name of a part, as the documentation has it.
 fn part(stem: &OsStr, number: u64) -> OsString {
     let mut name = stem.to_owned();
     name.push(if number == 1 { ".mcap".to_owned() } else { format!("_{number:04}.mcap") });
