@@ -30,7 +30,8 @@ impl Text {
         std::str::from_utf8(&self.0).ok()
     }
 
-    pub(crate) fn is_empty(&self) -> bool {
+    /// Returns true if the text has no bytes.
+    pub fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 

@@ -14,7 +14,7 @@ use tokio_scip::{BaudRate, Rate, Window};
 
 use self::fate::{FATES, Fate};
 use self::line::Depth;
-use self::scenario::{Deed, Scenario};
+use self::scenario::{Begin, Deed, Scenario};
 
 /// Events that may happen besides.
 const DEEDS: &[Deed] =
@@ -73,21 +73,31 @@ fn on_a_grid(name: &'static str, windows: &[Window]) -> Scenario {
         baud_rate: None,
         fates: FATES,
         deeds: &[],
-        chooses_while_opening: false,
+        choices_begin: Begin::Streams,
     }
 }
 
 #[test]
 fn opening() {
     let scenario = on_a_grid("opening", &[can_differ()]);
-    explore(&Scenario { chooses_while_opening: true, ..scenario });
+    explore(&Scenario { choices_begin: Begin::Opening, ..scenario });
 }
 
 #[test]
 fn opening_on_a_serial_line() {
     let scenario = on_a_grid("opening on a serial line", &[can_differ()]);
     let baud_rate = Some(BaudRate::B19200);
-    explore(&Scenario { chooses_while_opening: true, baud_rate, ..scenario });
+    explore(&Scenario { choices_begin: Begin::Opening, baud_rate, ..scenario });
+}
+
+#[test]
+fn confirmation_of_the_sensor() {
+    let scenario = on_a_grid("confirmation of the sensor", &[can_differ()]);
+    explore(&Scenario {
+        choices_begin: Begin::Confirmation,
+        deeds: &[Deed::Laser, Deed::Unplug],
+        ..scenario
+    });
 }
 
 #[test]

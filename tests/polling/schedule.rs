@@ -24,7 +24,9 @@ async fn is_silent(stream: &mut ScanStream) -> bool {
 }
 
 async fn open(emulator: &Emulator) -> Sensor {
-    builder().connect(emulator.clone()).await.unwrap()
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    sensor.version().await.unwrap();
+    sensor
 }
 
 #[tokio::test(start_paused = true)]
