@@ -80,7 +80,6 @@ async fn an_older_version_begins_the_recording() {
 #[tokio::test(start_paused = true)]
 async fn two_recorders_record_one_sensor() {
     let sensor = Sensor::builder().depth(100).connect(Emulator::default()).await.unwrap();
-    sensor.version().await.unwrap();
     let (long, short) = (Sink::new(), Sink::new());
     let mut recorders = [&long, &short].map(|sink| {
         let mut recorder = Recorder::builder().write_to(sink.clone()).unwrap();

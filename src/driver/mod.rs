@@ -9,7 +9,6 @@ mod backoff;
 mod baud_rate;
 mod config;
 mod failure;
-mod identity;
 mod laser;
 mod motor_clock;
 mod observers;

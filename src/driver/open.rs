@@ -9,20 +9,26 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 use super::baud_rate;
 use super::config::Config;
 use super::failure::{ExchangeError, LinkError};
-use super::identity::Identity;
 use super::laser::Laser;
 use super::session::{Leftovers, Session, UniqueRequests};
 use crate::port::{AnyConnect, Port};
-use crate::protocol::Text;
-use crate::state::Telemetry;
+use crate::protocol::{Text, Version};
+use crate::state::{Telemetry, VersionReply};
 use crate::{BaudRate, Error, ErrorChain, ErrorKind};
 
+/// One revolution of a URG's motor, and the revolutions a minute.
+const REVOLUTION: Duration = Duration::from_millis(100);
+const NOMINAL_SPEED: u16 = 600;
 /// Number of candidates to try before backing off. No machine has as many ports, but a
 /// [`Connect`](crate::port::Connect) may always promise another one.
 const MAX_CANDIDATES: usize = 64;
 /// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
 /// [`MAX_CANDIDATES`] times this is longer.
 const CANDIDATE_TIME: Duration = Duration::from_millis(40);
+/// Number of times to ask a sensor for its version until two answers in a row agree. If they
+/// never do, the last serial number counts, and no motor speed.
+const IDENTITY_TRIES: usize = 4;
+
 /// Opens the port, and restores the settings of the sensor behind it.
 pub(crate) struct Opener {
     connect: Box<dyn AnyConnect>,
@@ -36,9 +42,22 @@ pub(crate) struct Opener {
     is_reported: bool,
     /// Baud rate of the sensor when it was last found.
     found: Option<BaudRate>,
-    identity: Identity,
+    /// Expected sensor: the one asked for, or the first one found.
+    identity: Option<Text>,
+    /// Serial number of the sensor that was last found.
+    serial_number: Option<Text>,
     leftovers: Leftovers,
     opened: bool,
+    /// Motor speed on which two replies have agreed, which may be that the sensor tells none.
+    motor_speed: Option<Option<u16>>,
+    scan_time: Duration,
+}
+
+/// Reply to `V`, and what of it is certain: known before, or the same twice.
+struct Identified {
+    reply: VersionReply,
+    serial_is_certain: bool,
+    speed_is_certain: bool,
 }
 
 impl Opener {
@@ -48,27 +67,39 @@ impl Opener {
         telemetry: Arc<Telemetry>,
     ) -> Self {
         let asked = connect.hints().and_then(|hints| hints.expected_serial_number());
-        let expected = config.serial_number.clone().or(asked.map(Text::from));
+        let asked = asked.map(Text::from);
         Self {
             laser: Laser::new(config.seed(), Arc::clone(&telemetry)),
             baud_rate: config.baud_rate,
             is_reported: false,
             found: None,
-            identity: Identity::new(expected, config.any_sensor),
+            serial_number: None,
+            identity: config.serial_number.clone().or(asked),
             leftovers: Leftovers {
                 unique_requests: UniqueRequests::starting(config.seed()),
                 interrupted: false,
             },
             opened: false,
+            motor_speed: None,
+            scan_time: REVOLUTION,
             connect,
             config,
             telemetry,
         }
     }
 
-    /// Returns the laser, the sensor's identity, and the baud rate to restore.
-    pub(crate) fn settings(&mut self) -> (&mut Laser, &mut Identity, &mut Option<BaudRate>) {
-        (&mut self.laser, &mut self.identity, &mut self.baud_rate)
+    /// Returns the laser, and the baud rate to restore.
+    pub(crate) fn settings(&mut self) -> (&mut Laser, &mut Option<BaudRate>) {
+        (&mut self.laser, &mut self.baud_rate)
+    }
+
+    pub(crate) fn serial_number(&self) -> Text {
+        self.serial_number.clone().unwrap_or_default()
+    }
+
+    /// Time of one revolution of the motor, from the sensor's version.
+    pub(crate) fn scan_time(&self) -> Duration {
+        self.scan_time
     }
 
     /// Opens the port and finds the sensor. If there are several ports, tries one after
@@ -156,16 +187,40 @@ impl Opener {
         limit: Duration,
     ) -> Result<(), LinkError> {
         baud_rate::find(session, &self.baud_rates(), Instant::now() + limit).await?;
-        self.identity.find(session).await?;
+        let identified = self.identify(session).await?;
         self.restore_baud_rate(session).await?;
         self.laser.restore(session, laser).await?;
-        self.identity.accept(&self.telemetry);
+        self.accept(identified);
+        self.found = session.transport.baud_rate();
+        Ok(())
+    }
+
+    /// Accepts the sensor, now that it has the service's settings. From now on expects no
+    /// other sensor.
+    fn accept(&mut self, identified: Identified) {
+        let Identified { reply, serial_is_certain, speed_is_certain } = identified;
+        let now = &reply.version.serial_number;
+        if serial_is_certain && !self.config.any_sensor {
+            self.identity.get_or_insert_with(|| now.clone());
+        }
+        let before = self.serial_number.replace(now.clone());
+        let is_another = before.as_ref().is_some_and(|before| before != now);
+        if let Some(before) = before.filter(|_| is_another) {
+            tracing::warn!(%before, %now, "another sensor has taken its place");
+        }
+        // A flipped bit changes the motor speed of no sensor.
+        if speed_is_certain || is_another {
+            let motor_speed = motor_speed(&reply.version).filter(|_| speed_is_certain);
+            self.motor_speed = speed_is_certain.then_some(motor_speed);
+            self.scan_time = motor_speed.map_or(REVOLUTION, |revolutions_per_minute| {
+                Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1))
+            });
+        }
+        self.telemetry.set_version(reply);
         if let Some(hints) = self.connect.hints() {
             hints.found();
         }
         self.opened = true;
-        self.found = session.transport.baud_rate();
-        Ok(())
     }
 
     /// Lists all six baud rates, likeliest first.
@@ -178,6 +233,49 @@ impl Opener {
             }
         }
         baud_rates
+    }
+
+    /// Reads the sensor's version, and fails if it is another sensor.
+    async fn identify(&mut self, session: &mut Session) -> Result<Identified, ExchangeError> {
+        let identified = self.confirm_identity(session).await?;
+        let found = &identified.reply.version.serial_number;
+        if let Some(expected) = self.identity.as_ref().filter(|expected| *expected != found) {
+            let (expected, found) = (expected.clone(), found.clone());
+            let error = ErrorKind::AnotherSensor { expected, found };
+            return Err(LinkError::Lost(error).into());
+        }
+        Ok(identified)
+    }
+
+    /// Reads the version until its serial number and motor speed are known or repeat, up to
+    /// [`IDENTITY_TRIES`] times. No checksum protects them: one flipped bit must neither reject
+    /// a sensor, nor become the expected number, nor move the times of a session.
+    async fn confirm_identity(
+        &mut self,
+        session: &mut Session,
+    ) -> Result<Identified, ExchangeError> {
+        let mut before: Option<Version> = None;
+        let mut tries = 0;
+        loop {
+            tries += 1;
+            let reply = session.version().await?;
+            let (number, speed) = (&reply.version.serial_number, motor_speed(&reply.version));
+            // An empty serial number never confirms an expected one. A serial number with
+            // unprintable bytes is malformed, even if it repeats.
+            let counts = number.is_printable() && (self.identity.is_none() || !number.is_empty());
+            let is_known = self.identity.as_ref() == Some(number);
+            let repeats = before.as_ref().is_some_and(|before| before.serial_number == *number);
+            let is_settled = is_known || counts && repeats;
+            // A flipped bit in another speed hardly ever makes the nominal one.
+            let speed_is_certain = [self.motor_speed, Some(Some(NOMINAL_SPEED))]
+                .contains(&Some(speed))
+                || before.as_ref().is_some_and(|before| motor_speed(before) == speed);
+            if is_settled && speed_is_certain || tries == IDENTITY_TRIES {
+                let serial_is_certain = is_settled && !number.is_empty();
+                return Ok(Identified { reply, serial_is_certain, speed_is_certain });
+            }
+            before = Some(reply.version);
+        }
     }
 
     async fn restore_baud_rate(&mut self, session: &mut Session) -> Result<(), ExchangeError> {
@@ -200,6 +298,10 @@ impl Opener {
         }
         Ok(())
     }
+}
+
+fn motor_speed(version: &Version) -> Option<u16> {
+    version.specification.as_ref().and_then(|specification| specification.motor_speed)
 }
 
 /// Logs the error of an attempt, at trace: the default back-off makes one attempt a

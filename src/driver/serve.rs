@@ -8,7 +8,6 @@ use tokio::time::Instant;
 
 use super::baud_rate;
 use super::failure::{ExchangeError, LinkError};
-use super::identity::Identity;
 use super::laser::{Laser, Refusal};
 use super::motor_clock::{MotorClock, Revolution};
 use super::request::{Abandoned, Request, RequestQueue, Responder};
@@ -72,10 +71,10 @@ pub(crate) struct Service<'a> {
     pub(crate) queue: &'a mut RequestQueue,
     pub(crate) schedules: &'a mut Schedules,
     pub(crate) laser: &'a mut Laser,
-    pub(crate) identity: &'a mut Identity,
     /// Baud rate to restore.
     pub(crate) baud_rate: &'a mut Option<BaudRate>,
     pub(crate) telemetry: &'a Telemetry,
+    pub(crate) scan_time: Duration,
     /// Silence after which an idle link is probed with a fence, if it is.
     pub(crate) probe_interval: Option<Duration>,
     pub(crate) motor_clock: MotorClock,
@@ -151,8 +150,7 @@ impl Service<'_> {
                 return Ok(());
             }
         }
-        let wishes = self.laser.retry_at().into_iter().chain(self.identity.confirm_at);
-        let wake = due.into_iter().chain(probe).chain(wishes).min();
+        let wake = due.into_iter().chain(probe).chain(self.laser.retry_at()).min();
         poll_fn(|cx| {
             if let Poll::Ready(outcome) = session.transport.poll_idle(cx) {
                 return Poll::Ready(ignore_command_errors(outcome));
@@ -176,9 +174,7 @@ impl Service<'_> {
     /// Returns true if there is a wish to apply.
     fn has_wish(&self) -> bool {
         let wishes = &self.queue.wishes;
-        wishes.baud_rate.is_some()
-            || self.laser.is_due(wishes.laser)
-            || self.identity.confirm_at.is_some_and(|at| at <= Instant::now())
+        wishes.baud_rate.is_some() || self.laser.is_due(wishes.laser)
     }
 
     /// Returns true if there was a wish to apply.
@@ -186,10 +182,8 @@ impl Service<'_> {
         if self.apply_laser(session).await? {
             return Ok(true);
         }
-        match self.queue.wishes.baud_rate {
-            Some(baud_rate) => self.apply_baud_rate(session, baud_rate).await?,
-            None => ignore_command_errors(self.identity.confirm(session).await)?,
-        }
+        let Some(baud_rate) = self.queue.wishes.baud_rate else { return Ok(false) };
+        Box::pin(self.apply_baud_rate(session, baud_rate)).await?;
         Ok(true)
     }
 
@@ -215,12 +209,9 @@ impl Service<'_> {
     async fn answer(&mut self, session: &mut Session, request: Request) -> Result<(), Stop> {
         match request {
             Request::Version(responder) => {
-                if self.identity.confirm_at.is_some()
-                    && let Err(failure) = self.identity.confirm(session).await
-                {
-                    return Self::respond(responder, Err(failure));
-                }
-                let _ = responder.send(self.telemetry.version().ok_or(ErrorKind::Closed));
+                // The version was read when the sensor was found.
+                let known = self.telemetry.version().ok_or(ErrorKind::Closed);
+                let _ = responder.send(known);
                 Ok(())
             }
             Request::Laser { on, responder } => {
@@ -469,7 +460,7 @@ impl Service<'_> {
             stamp: timing.stamp,
             lateness: revolution.lateness,
             repeat: false,
-            scan_time: revolution.period.unwrap_or(self.identity.scan_time),
+            scan_time: revolution.period.unwrap_or(self.scan_time),
             reconnects: self.reconnects,
         };
         Scan::new(window, values, first, meta)

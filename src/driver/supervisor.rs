@@ -126,20 +126,21 @@ impl Supervisor {
 
     async fn serve(&mut self, session: &mut Session) -> Stop {
         let baud_rate = session.transport.baud_rate();
-        let (laser, identity, restored) = self.opener.settings();
-        let serial_number = identity.known.clone().unwrap_or_default();
+        let serial_number = self.opener.serial_number();
         self.telemetry.enter(State::Connected { baud_rate, streaming: false, serial_number });
+        let scan_time = self.opener.scan_time();
         let probe_interval = self.config.idle_probe.interval(session.transport.can_die_silently());
         let reconnects = self.telemetry.stats().reconnects;
+        let (laser, baud_rate) = self.opener.settings();
         let mut service = Service {
             queue: &mut self.offline.queue,
             laser,
-            motor_clock: MotorClock::new(identity.scan_time),
-            identity,
-            baud_rate: restored,
+            baud_rate,
             schedules: &mut self.offline.schedules,
             telemetry: &self.telemetry,
+            scan_time,
             probe_interval,
+            motor_clock: MotorClock::new(scan_time),
             poll_delay: Duration::ZERO,
             reconnects,
             streaming: false,

@@ -30,8 +30,7 @@ impl Text {
         std::str::from_utf8(&self.0).ok()
     }
 
-    /// Returns true if the text has no bytes.
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
 

@@ -72,8 +72,8 @@ impl Sensor {
     }
 
     /// Identity of the sensor, as the driver read it when it opened the link (`V`, p. 4 of the
-    /// protocol text C-42-3320-A). Sends no command once the serial number is confirmed, so the
-    /// `STAT:` line may be outdated. Waits for a link if there is none.
+    /// protocol text C-42-3320-A). Sends no command, so the `STAT:` line may be outdated. Waits for
+    /// a link if there is none.
     pub async fn version(&self) -> Result<Version, Error> {
         match self.client.telemetry().version() {
             Some(version) => Ok(version),
@@ -167,8 +167,8 @@ impl Sensor {
     /// Observes every reply from now on, to record or log the bytes of a sensor that is open
     /// already.
     ///
-    /// Before this method returns, it calls your observer with the latest reply to `V`, if the sensor
-    /// is [identified](Self::version). From then on the driver calls it in its task, as it calls the observers of
+    /// Before this method returns, it calls your observer with the latest reply to `V`, if there is
+    /// a link. From then on the driver calls it in its task, as it calls the observers of
     /// [`on_reply`](SensorBuilder::on_reply). Drop the observation to end it. A call that has begun
     /// on another thread may return after that.
     ///

@@ -37,9 +37,8 @@ pub enum State {
         baud_rate: Option<BaudRate>,
         /// True if scans are polled: a stream is open, and the laser is not switched off.
         streaming: bool,
-        /// Serial number, as in the sensor's `SERI:` line. Empty for about the first second of a
-        /// driver, unless you set it: two replies have to agree on it. It changes when another
-        /// sensor replaces this one, if you allow that with
+        /// Serial number, as in the sensor's `SERI:` line. It changes when another sensor
+        /// replaces this one, if you allow that with
         /// [`any_sensor`](crate::SensorBuilder::any_sensor).
         serial_number: Text,
     },

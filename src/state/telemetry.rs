@@ -264,19 +264,7 @@ impl Telemetry {
         lock(&self.version).clone()
     }
 
-    /// Records the identity of the sensor, which may be polled already.
     pub(crate) fn set_version(&self, reply: VersionReply) {
-        let now = &reply.version.serial_number;
-        let is_polled = self.state.send_if_modified(|state| match state {
-            State::Connected { serial_number, .. } => {
-                serial_number.clone_from(now);
-                true
-            }
-            _ => false,
-        });
-        if is_polled {
-            tracing::info!(serial_number = %now, "identified");
-        }
         *lock(&self.version) = Some(reply);
     }
 }

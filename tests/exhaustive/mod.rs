@@ -14,7 +14,7 @@ use tokio_scip::{BaudRate, Rate, Window};
 
 use self::fate::{FATES, Fate};
 use self::line::Depth;
-use self::scenario::{Begin, Deed, Scenario};
+use self::scenario::{Deed, Scenario};
 
 /// Events that may happen besides.
 const DEEDS: &[Deed] =
@@ -73,31 +73,21 @@ fn on_a_grid(name: &'static str, windows: &[Window]) -> Scenario {
         baud_rate: None,
         fates: FATES,
         deeds: &[],
-        choices_begin: Begin::Streams,
+        chooses_while_opening: false,
     }
 }
 
 #[test]
 fn opening() {
     let scenario = on_a_grid("opening", &[can_differ()]);
-    explore(&Scenario { choices_begin: Begin::Opening, ..scenario });
+    explore(&Scenario { chooses_while_opening: true, ..scenario });
 }
 
 #[test]
 fn opening_on_a_serial_line() {
     let scenario = on_a_grid("opening on a serial line", &[can_differ()]);
     let baud_rate = Some(BaudRate::B19200);
-    explore(&Scenario { choices_begin: Begin::Opening, baud_rate, ..scenario });
-}
-
-#[test]
-fn confirmation_of_the_sensor() {
-    let scenario = on_a_grid("confirmation of the sensor", &[can_differ()]);
-    explore(&Scenario {
-        choices_begin: Begin::Confirmation,
-        deeds: &[Deed::Laser, Deed::Unplug],
-        ..scenario
-    });
+    explore(&Scenario { chooses_while_opening: true, baud_rate, ..scenario });
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::fmt;
 use std::time::Duration;
 
 use tokio::runtime::Runtime;
-use tokio::time::{Instant, sleep, timeout};
+use tokio::time::{Instant, timeout};
 use tokio_scip::{BaudRate, Error, Rate, ScanStream, Sensor, Window};
 
 use super::chooser::Chooser;
@@ -29,16 +29,8 @@ pub(crate) struct Scenario {
     pub(crate) fates: &'static [Fate],
     /// Actions besides, each in every place.
     pub(crate) deeds: &'static [Deed],
-    pub(crate) choices_begin: Begin,
-}
-
-/// When the choices begin.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Begin {
-    Opening,
-    Streams,
-    /// Shortly before the driver confirms who the sensor is, a second after it was found.
-    Confirmation,
+    /// True if the choices begin with opening, false if they begin with the streams.
+    pub(crate) chooses_while_opening: bool,
 }
 
 /// An action of a user, or with the cable, done once.
@@ -154,19 +146,16 @@ impl ScenarioRun<'_> {
         let builder = Sensor::builder().jitter_seed(1).wait_for_sensor(true).depth(256);
         let (sensor, driver) = builder.build(self.line.clone());
         let driver = tokio::spawn(driver);
-        if scenario.choices_begin == Begin::Opening {
+        if scenario.chooses_while_opening {
             self.begin();
         }
         sensor.watch_state().connected().await.map_err(|error| format!("not opened: {error}"))?;
-        if scenario.choices_begin == Begin::Confirmation {
-            sleep(Duration::from_millis(950)).await;
-        }
         let mut streams = Vec::new();
         for window in &scenario.windows {
             let stream = sensor.scans(*window, scenario.rate).await;
             streams.push(stream.map_err(|error| format!("no stream: {error}"))?);
         }
-        if scenario.choices_begin != Begin::Opening {
+        if !scenario.chooses_while_opening {
             self.begin();
         }
         let (scans, ()) = tokio::try_join!(self.read(streams), self.act(&sensor))?;

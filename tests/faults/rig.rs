@@ -21,7 +21,6 @@ pub(crate) async fn streaming(
     rate: Rate,
 ) -> (Sensor, ScanStream) {
     let sensor = open(emulator).await;
-    sensor.version().await.unwrap();
     let stream = sensor.scans(window, rate).await.unwrap();
     (sensor, stream)
 }

@@ -271,8 +271,8 @@ async fn t05_half_a_stalled_command_is_terminated() {
             let connect = ConnectFn(move || {
                 let link = FaultyLink::new(inner.link()).partial_writes(1);
                 opened += 1;
-                // The commands are a fence of ten bytes, `V` LF, and a `G`.
-                let stall = if opened == 1 { 12 + stalled_after } else { u64::MAX };
+                // The commands are a fence of ten bytes, `V` LF twice, and a `G`.
+                let stall = if opened == 1 { 14 + stalled_after } else { u64::MAX };
                 Ok(link.fail(Call::Write, stall, LinkFailure::Stall))
             });
             let sensor = builder().connect(connect).await.unwrap();

@@ -75,7 +75,6 @@ async fn observers_receive_every_reply_in_order() {
 #[tokio::test(start_paused = true)]
 async fn an_observation_begins_with_the_version() {
     let sensor = Sensor::builder().connect(Emulator::default()).await.unwrap();
-    sensor.version().await.unwrap();
     let window = Window::new(384..=385).unwrap();
     sensor.scan(window).await.unwrap();
     let commands = Arc::new(Mutex::new(Vec::new()));
@@ -105,9 +104,6 @@ async fn an_observation_keeps_no_driver_running() {
     let mut driver = tokio::spawn(driver);
     first.watch_state().connected().await.unwrap();
     let second = builder.connect(Emulator::default()).await.unwrap();
-    for sensor in [&first, &second] {
-        sensor.version().await.unwrap();
-    }
     let counts = Arc::new(Mutex::new([0, 0]));
     let count = |sensor: usize| {
         let counts = Arc::clone(&counts);

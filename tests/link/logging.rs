@@ -238,7 +238,6 @@ async fn a_spare_sensor_is_logged_and_the_same_sensor_is_not() {
     let _guard = crate::common::logs::collect(log.clone());
     let emulator = Emulator::builder().serial_number("H0000001").build();
     let sensor = builder().any_sensor(true).connect(emulator.clone()).await.unwrap();
-    sensor.version().await.unwrap();
     let mut state = sensor.watch_state();
     let mut replug = async |serial_number: &str| {
         emulator.unplug();

@@ -7,11 +7,8 @@ use tokio::time::Instant;
 use tokio_scip::{BaudRate, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults, Pace};
 
-/// Opens a sensor, and waits until its serial number is confirmed.
 pub(crate) async fn open(emulator: &Emulator) -> Sensor {
-    let sensor = builder().connect(emulator.clone()).await.unwrap();
-    sensor.version().await.unwrap();
-    sensor
+    builder().connect(emulator.clone()).await.unwrap()
 }
 
 #[tokio::test(start_paused = true)]
@@ -50,14 +47,13 @@ async fn a_stream_continues_after_a_replug() {
 async fn a_refused_baud_rate_fails_only_opening() {
     let (slow, fast) = (BaudRate::B19200, BaudRate::B115200);
     let emulator = truthful().baud_rate(slow).build();
-    // Four replies precede it: to a fence at the wrong baud rate and to one at the right one, to
-    // `V` and another fence.
-    emulator.set_faults(Faults::none().at(4, Fault::Status(b'1')));
+    // Five replies precede it: to a fence at the wrong baud rate and to one at the right one, to
+    // two `V` and another fence.
+    emulator.set_faults(Faults::none().at(5, Fault::Status(b'1')));
     let error = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap_err();
     assert!(matches!(error.kind(), ErrorKind::Refused { .. }), "{error:?}");
 
     let sensor = builder().baud_rate(fast).connect(emulator.clone()).await.unwrap();
-    sensor.version().await.unwrap();
     let mut state = sensor.watch_state();
     emulator.unplug();
     state.wait_for(|state| matches!(state, State::Disconnected { .. })).await.map(drop).unwrap();

@@ -101,7 +101,6 @@ async fn open(pieces: Pieces, can_suspend: bool) -> (Arc<Mutex<Shared>>, Sensor)
         Ok(TestPort(Trickle { shared, command, coming, wake: None }))
     };
     let sensor = builder().reconnect(false).connect(ConnectFn(connect)).await.unwrap();
-    sensor.version().await.unwrap();
     (shared, sensor)
 }
 

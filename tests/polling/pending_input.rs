@@ -30,7 +30,6 @@ async fn pending_bytes_are_read_once_a_poll() {
         Ok(Hooked { port, hooks: CountReads(Arc::clone(&count)) })
     });
     let sensor = builder().connect(connect).await.unwrap();
-    sensor.version().await.unwrap();
     let mut stream = sensor.scans(Window::DETECTION, Rate::hz(10.0)).await.unwrap();
     stream.next().await.unwrap().unwrap();
     let before = reads.load(Relaxed);

@@ -125,12 +125,7 @@ async fn simulate(seed: u64, coverage: &Arc<Mutex<Coverage>>) -> SimulationOutco
         healthy: Arc::clone(&run.healthy),
     };
     let builder = Sensor::builder().jitter_seed(seed).wait_for_sensor(true);
-    let builder = builder.depth(1 + random.below(3) as usize);
-    // Damage of the same byte in two replies could make another number the expected one.
-    let builder = match case.events.other_sensor || random.once_in(2) {
-        true => builder.serial_number(SERIAL_NUMBER),
-        false => builder.any_sensor(true),
-    };
+    let builder = builder.depth(1 + random.below(3) as usize).serial_number(SERIAL_NUMBER);
     let builder = match random.once_in(2) {
         true => builder.baud_rate(*random.pick(&tokio_scip::BaudRate::ALL)),
         false => builder,

@@ -73,7 +73,7 @@ pub(crate) struct Session {
     is_outrun: bool,
     unique_requests: UniqueRequests,
     observers: Arc<ReplyObservers>,
-    pub(crate) telemetry: Arc<Telemetry>,
+    telemetry: Arc<Telemetry>,
 }
 
 impl Session {
