@@ -25,8 +25,8 @@ const MAX_CANDIDATES: usize = 64;
 /// Least time per candidate, for a very short open timeout. A search retries busy ports for 2 s:
 /// [`MAX_CANDIDATES`] times this is longer.
 const CANDIDATE_TIME: Duration = Duration::from_millis(40);
-/// Number of times to ask a sensor for its version until two answers in a row agree. If they
-/// never do, the last serial number counts, and no motor speed.
+/// Number of times to ask a sensor for its version until two replies agree. If no two do, the last
+/// serial number counts, and no motor speed.
 const IDENTITY_TRIES: usize = 4;
 
 /// Opens the port, and restores the settings of the sensor behind it.
@@ -57,7 +57,8 @@ pub(crate) struct Opener {
 struct Identified {
     reply: VersionReply,
     serial_is_certain: bool,
-    speed_is_certain: bool,
+    /// Motor speed, if it is certain: perhaps that the sensor tells none.
+    speed: Option<Option<u16>>,
 }
 
 impl Opener {
@@ -198,7 +199,7 @@ impl Opener {
     /// Accepts the sensor, now that it has the service's settings. From now on expects no
     /// other sensor.
     fn accept(&mut self, identified: Identified) {
-        let Identified { reply, serial_is_certain, speed_is_certain } = identified;
+        let Identified { reply, serial_is_certain, speed } = identified;
         let now = &reply.version.serial_number;
         if serial_is_certain && !self.config.any_sensor {
             self.identity.get_or_insert_with(|| now.clone());
@@ -209,10 +210,9 @@ impl Opener {
             tracing::warn!(%before, %now, "another sensor has taken its place");
         }
         // A flipped bit changes the motor speed of no sensor.
-        if speed_is_certain || is_another {
-            let motor_speed = motor_speed(&reply.version).filter(|_| speed_is_certain);
-            self.motor_speed = speed_is_certain.then_some(motor_speed);
-            self.scan_time = motor_speed.map_or(REVOLUTION, |revolutions_per_minute| {
+        if speed.is_some() || is_another {
+            self.motor_speed = speed;
+            self.scan_time = speed.flatten().map_or(REVOLUTION, |revolutions_per_minute| {
                 Duration::from_secs(60) / u32::from(revolutions_per_minute.max(1))
             });
         }
@@ -254,27 +254,30 @@ impl Opener {
         &mut self,
         session: &mut Session,
     ) -> Result<Identified, ExchangeError> {
-        let mut before: Option<Version> = None;
-        let mut tries = 0;
+        let mut replies: Vec<VersionReply> = Vec::new();
         loop {
-            tries += 1;
-            let reply = session.version().await?;
-            let (number, speed) = (&reply.version.serial_number, motor_speed(&reply.version));
-            // An empty serial number never confirms an expected one. A serial number with
-            // unprintable bytes is malformed, even if it repeats.
-            let counts = number.is_printable() && (self.identity.is_none() || !number.is_empty());
-            let is_known = self.identity.as_ref() == Some(number);
-            let repeats = before.as_ref().is_some_and(|before| before.serial_number == *number);
-            let is_settled = is_known || counts && repeats;
-            // A flipped bit in another speed hardly ever makes the nominal one.
-            let speed_is_certain = [self.motor_speed, Some(Some(NOMINAL_SPEED))]
-                .contains(&Some(speed))
-                || before.as_ref().is_some_and(|before| motor_speed(before) == speed);
-            if is_settled && speed_is_certain || tries == IDENTITY_TRIES {
-                let serial_is_certain = is_settled && !number.is_empty();
-                return Ok(Identified { reply, serial_is_certain, speed_is_certain });
+            let latest = session.version().await?;
+            replies.push(latest.clone());
+            let settled = replies.iter().find(|reply| {
+                let number = &reply.version.serial_number;
+                // An empty serial number never confirms an expected one. A serial number with
+                // unprintable bytes is malformed, even if it repeats.
+                let counts =
+                    number.is_printable() && (self.identity.is_none() || !number.is_empty());
+                let same = replies.iter().filter(|one| one.version.serial_number == *number);
+                self.identity.as_ref() == Some(number) || counts && same.count() > 1
+            });
+            let speeds = || replies.iter().map(|reply| motor_speed(&reply.version));
+            let speed = speeds().find(|speed| {
+                // A flipped bit in another speed hardly ever makes the nominal one.
+                [self.motor_speed, Some(Some(NOMINAL_SPEED))].contains(&Some(*speed))
+                    || speeds().filter(|one| one == speed).count() > 1
+            });
+            if settled.is_some() && speed.is_some() || replies.len() == IDENTITY_TRIES {
+                let is_certain = settled.is_some_and(|it| !it.version.serial_number.is_empty());
+                let reply = settled.cloned().unwrap_or(latest);
+                return Ok(Identified { reply, serial_is_certain: is_certain, speed });
             }
-            before = Some(reply.version);
         }
     }
 

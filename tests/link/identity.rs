@@ -132,11 +132,42 @@ async fn w25_a_damaged_serial_number_is_requested_again() {
     assert!(matches!(error.kind(), ErrorKind::Disconnected { .. }), "{error:?}");
 }
 
+/// Number of times that the sensor was asked for its version.
+fn requests(emulator: &Emulator) -> usize {
+    emulator.log().iter().filter(|received| received.line.starts_with(b"V")).count()
+}
+
+/// Opens a sensor some of whose replies to `V` have a serial number with a flipped bit, each another
+/// one. Returns the serial number of the sensor, and how often it was asked.
+async fn serial_number_after(damaged: &[bool]) -> (String, usize) {
+    // The first command is the fence. The fifth line of a `V` is the serial number.
+    let flips = (0..).zip(damaged).filter(|(_, damaged)| **damaged);
+    let faults = flips.fold(Faults::none(), |faults, (reply, _)| {
+        faults.at(reply + 1, Fault::Flip(160, 1 << reply))
+    });
+    let emulator = truthful().faults(faults).pace(Pace::AtOnce).build();
+    let sensor = builder().connect(emulator.clone()).await.unwrap();
+    let version = sensor.version().await.unwrap();
+    (version.serial_number.to_string(), requests(&emulator))
+}
+
+#[tokio::test(start_paused = true)]
+async fn any_two_equal_serial_numbers_settle() {
+    for (damaged, count) in [
+        (&[false][..], 2),
+        (&[false, true, false, true], 3),
+        (&[true, false, false], 3),
+        (&[false, true, true, false], 4),
+        (&[true, false, true, false], 4),
+        (&[true, true, false, false], 4),
+    ] {
+        let found = serial_number_after(damaged).await;
+        assert_eq!(found, ("H0713090".to_owned(), count), "{damaged:?}");
+    }
+}
+
 #[tokio::test(start_paused = true)]
 async fn a_serial_number_is_requested_twice() {
-    let requests = |emulator: &Emulator| {
-        emulator.log().iter().filter(|received| received.line.starts_with(b"V")).count()
-    };
     let nameless = truthful().serial_number("").build();
     builder().connect(nameless.clone()).await.unwrap();
     let other = truthful().serial_number("H0000001").build();
