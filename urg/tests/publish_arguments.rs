@@ -142,9 +142,11 @@ fn a_file_without_parameters_of_ros_is_refused() {
         ("a: b", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
         ("a: {ros__parameters: 1}", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
         ("[a]: {}", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
+        ("{a: b}: {}", "expected `NODE: {ros__parameters: {NAME: VALUE}}`"),
         ("a: [", "invalid YAML"),
-        ("a: {}\na: {}", "invalid YAML"),
-        ("/**: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
+        ("/**: {ros__parameters: {depth: [{a: 1}, 2]}}", "expected one value for depth"),
+        ("/**: {ros__parameters: {depth: 5, depth: 0}}", "0 is not in 1..=1000"),
+        ("/**: {ros__parameters: {other: [a: {}], depth: 0}}", "0 is not in 1..=1000"),
         ("/*: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
         ("urg_node: {ros__parameters: {depth: 0}}", "0 is not in 1..=1000"),
     ] {

@@ -4,8 +4,7 @@
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 
-use saphyr::{ScalarStyle, YamlLoader, YamlOwned};
-use saphyr_parser::{Event, Parser, SpannedEventReceiver};
+use saphyr_parser::{Event, Parser, ScalarStyle};
 
 use super::names::NodeNames;
 use crate::failure::Failure;
@@ -14,8 +13,11 @@ use crate::output::notice::notice;
 const BEGIN: &str = "--ros-args";
 const END: &str = "--";
 
+/// Key in a file that separates the names of nodes from their parameters.
+const PARAMETERS: &str = "ros__parameters";
+
 /// Maximum depth of YAML, which is walked by recursion.
-const MAX_DEPTH: u32 = 50;
+const MAX_DEPTH: usize = 50;
 
 /// Replaces all arguments between `--ros-args` and `--` with options of `urg publish` that come
 /// last, because the last one applies. `nodes` parses a command line for the names of its nodes;
@@ -47,35 +49,29 @@ pub(crate) fn as_options(
 struct RosArgs {
     /// Pairs of `-r FROM:=TO`.
     remappings: Vec<(String, String)>,
-    sources: Vec<Source>,
-}
-
-/// Origin of parameters, for messages, and what it sets.
-struct Source {
-    text: String,
-    parameters: Vec<Parameter>,
+    /// Origin of parameters, for messages, and what it sets.
+    sources: Vec<(String, Vec<Parameter>)>,
 }
 
 struct Parameter {
     /// Full name of the node. `*` stands for a part, and `**` for any number of parts.
     node: String,
     name: String,
-    value: YamlOwned,
+    /// `None` unless it is one value.
+    value: Option<String>,
 }
 
 impl RosArgs {
     /// Separates the arguments of ROS from all others.
     fn split(arguments: &[OsString]) -> Result<(Vec<OsString>, Self), Failure> {
-        let mut ros = Self::default();
-        let mut parts = arguments.split(|argument| argument == BEGIN);
-        let mut plain = parts.next().unwrap_or_default().to_vec();
-        for part in parts {
-            let end = part.iter().position(|argument| argument == END).unwrap_or(part.len());
-            let (inside, after) = part.split_at(end);
-            plain.extend(after.iter().skip(1).cloned());
-            let mut inside = inside.iter().cloned();
-            while let Some(flag) = inside.next() {
-                ros.add(&flag.to_string_lossy(), &mut inside)?;
+        let (mut ros, mut plain, mut is_ros) = (Self::default(), Vec::new(), false);
+        let mut arguments = arguments.iter().cloned();
+        while let Some(argument) = arguments.next() {
+            match is_ros {
+                _ if argument == BEGIN => is_ros = true,
+                true if argument == END => is_ros = false,
+                true => ros.add(&argument.to_string_lossy(), &mut arguments)?,
+                false => plain.push(argument),
             }
         }
         Ok((plain, ros))
@@ -104,18 +100,13 @@ impl RosArgs {
             "-p" | "--param" => {
                 let text = value("NAME:=VALUE")?;
                 let (node, name, yaml) = assignment(&text, "NAME:=VALUE")?;
-                let value = load(yaml).map_err(|why| usage(format!("`{text}`: {why}")))?;
-                let (node, name) = (node.unwrap_or("/**").to_owned(), name.to_owned());
-                let parameters = vec![Parameter { node, name, value }];
-                self.sources.push(Source { text: text.trim().to_owned(), parameters });
+                self.read(text.trim(), yaml, &[node.unwrap_or("/**"), PARAMETERS, name])?;
             }
             "--params-file" => {
-                let (text, mut parameters) = (value("a file")?, Vec::new());
-                std::fs::read_to_string(&text)
-                    .map_err(|error| error.to_string())
-                    .and_then(|yaml| collect("", &load(&yaml)?, &mut parameters))
-                    .map_err(|why| usage(format!("cannot use --params-file {text}: {why}")))?;
-                self.sources.push(Source { text, parameters });
+                let path = value("a file")?;
+                let yaml = std::fs::read_to_string(&path)
+                    .map_err(|error| usage(format!("cannot use --params-file {path}: {error}")))?;
+                self.read(&path, &yaml, &[])?;
             }
             _ if flag.starts_with("--log-") => {
                 unused(&format!("{flag} {}", value("a value")?));
@@ -128,6 +119,22 @@ impl RosArgs {
                 )));
             }
         }
+        Ok(())
+    }
+
+    /// Reads the parameters in the first document of `yaml`, which is below `keys`. `text` stands
+    /// for it in messages.
+    fn read(&mut self, text: &str, yaml: &str, keys: &[&str]) -> Result<(), Failure> {
+        let mut events = Parser::new_from_str(yaml);
+        let mut next = || match events.next_event().ok_or("it is empty")? {
+            Ok((event, _)) => Ok(event),
+            Err(error) => Err(format!("invalid YAML: {error}")),
+        };
+        let mut parameters = Vec::new();
+        // After the starts of the stream and of the document.
+        (next().and_then(|_| next()).and_then(|_| collect(&mut next, keys, &mut parameters)))
+            .map_err(|why| usage(format!("`{text}`: {why}")))?;
+        self.sources.push((text.to_owned(), parameters));
         Ok(())
     }
 
@@ -161,57 +168,37 @@ impl RosArgs {
     /// Options for the parameters of `nodes`, in their order: the last one applies.
     fn parameters(&self, nodes: &[NodeNames]) -> Result<Vec<String>, Failure> {
         let mut options = Vec::new();
-        for Source { text, parameters } in &self.sources {
-            let nodes: Vec<_> = nodes.iter().map(NodeNames::full_name).collect();
+        let nodes: Vec<_> = nodes.iter().map(NodeNames::full_name).collect();
+        for (text, parameters) in &self.sources {
             let is_ours = |it: &&Parameter| nodes.iter().any(|node| matches(&it.node, node));
-            let ours: Vec<_> = parameters.iter().filter(is_ours).collect();
-            if ours.is_empty() {
+            let mut ours = parameters.iter().filter(is_ours).peekable();
+            if ours.peek().is_none() {
                 notice(format_args!("`{text}` has no parameter for {}", nodes.join(" or ")));
             }
-            for parameter in ours {
-                options.extend(parameter.option(text)?);
+            for Parameter { name, value, .. } in ours {
+                match &**name {
+                    "frame" | "frame_id" | "qos" | "depth" | "time_offset" | "domain"
+                    | "interface" | "rate" | "start" | "end" | "from" | "to" | "cluster" | "tf"
+                    | "engine" | "router" | "mode" | "listen" | "topic" => {
+                        let why = || usage(format!("`{text}`: expected one value for {name}"));
+                        let value = value.as_ref().ok_or_else(why)?;
+                        options.push(format!("--{}={value}", name.replace('_', "-")));
+                    }
+                    "use_sim_time" => {
+                        let value = value.as_deref().map(str::to_ascii_lowercase);
+                        let Some("false" | "no" | "off" | "n") = value.as_deref() else {
+                            let why = "a sensor measures in the system's time";
+                            return Err(usage(format!("use_sim_time is not supported: {why}")));
+                        };
+                    }
+                    _ => notice(format_args!(
+                        "the parameter {name} of `{text}` changes nothing: urg publish has none \
+                         of this name"
+                    )),
+                }
             }
         }
         Ok(options)
-    }
-}
-
-impl Parameter {
-    fn option(&self, text: &str) -> Result<Option<String>, Failure> {
-        let name = &*self.name;
-        let option = match name {
-            // Usual name in other drivers.
-            "frame_id" => "frame".to_owned(),
-            "use_sim_time" => String::new(),
-            "frame" | "qos" | "depth" | "time_offset" | "domain" | "interface" | "rate"
-            | "start" | "end" | "from" | "to" | "cluster" | "tf" | "engine" | "router" | "mode"
-            | "listen" | "topic" => name.replace('_', "-"),
-            _ => {
-                notice(format_args!(
-                    "the parameter {name} of `{text}` changes nothing: urg publish has none of \
-                     this name"
-                ));
-                return Ok(None);
-            }
-        };
-        let value = match &self.value {
-            YamlOwned::Representation(value, style, _)
-                if *style != ScalarStyle::Plain || !["", "~", "null"].contains(&&**value) =>
-            {
-                value
-            }
-            _ => return Err(usage(format!("`{text}`: expected one value for {name}"))),
-        };
-        if option.is_empty() {
-            return match &*value.to_ascii_lowercase() {
-                "false" | "no" | "off" | "n" => Ok(None),
-                _ => Err(usage(
-                    "use_sim_time is not supported: a sensor measures in the system's time"
-                        .to_owned(),
-                )),
-            };
-        }
-        Ok(Some(format!("--{option}={value}")))
     }
 }
 
@@ -232,46 +219,49 @@ fn assignment<'a>(
     Ok((node, name, value))
 }
 
-/// Loads the first document, with each scalar as it was written.
-fn load(text: &str) -> Result<YamlOwned, String> {
-    let invalid = |error| format!("invalid YAML: {error}");
-    let mut loader = YamlLoader::<YamlOwned>::default();
-    loader.early_parse(false);
-    let mut depth = 0;
-    for event in Parser::new_from_str(text) {
-        let (event, span) = event.map_err(|error| invalid(error.to_string()))?;
-        match event {
-            Event::MappingStart(..) | Event::SequenceStart(..) => depth += 1,
-            Event::MappingEnd | Event::SequenceEnd => depth -= 1,
-            _ => {}
-        }
-        if depth > MAX_DEPTH {
-            return Err(invalid(format!("expected at most {MAX_DEPTH} levels")));
-        }
-        loader.on_event(event, span);
-    }
-    if let Some(error) = loader.error() {
-        return Err(invalid(error.to_string()));
-    }
-    loader.into_documents().into_iter().next().ok_or_else(|| "it is empty".to_owned())
-}
-
-/// Collects the parameters in a file: names of nodes, which may be nested, and in each
-/// `ros__parameters`.
-fn collect(node: &str, yaml: &YamlOwned, parameters: &mut Vec<Parameter>) -> Result<(), String> {
+/// Collects the parameters in the next value, which is below `keys`: names of nodes, which may be
+/// nested, then [`PARAMETERS`], then the name of the parameter.
+fn collect<'a>(
+    next: &mut dyn FnMut() -> Result<Event<'a>, String>,
+    keys: &[&str],
+    parameters: &mut Vec<Parameter>,
+) -> Result<(), String> {
     let expected = || "expected `NODE: {ros__parameters: {NAME: VALUE}}`".to_owned();
-    for (key, value) in yaml.as_mapping().ok_or_else(expected)? {
-        let YamlOwned::Representation(key, ..) = key else { return Err(expected()) };
-        if key != "ros__parameters" {
-            collect(&format!("{node}/{}", key.trim_matches('/')), value, parameters)?;
-            continue;
+    let value = match next()? {
+        Event::MappingStart(..) if keys.len() == MAX_DEPTH => {
+            return Err(format!("invalid YAML: expected at most {MAX_DEPTH} levels"));
         }
-        for (name, value) in value.as_mapping().ok_or_else(expected)? {
-            let YamlOwned::Representation(name, ..) = name else { return Err(expected()) };
-            let (node, name) = (node.to_owned(), name.clone());
-            parameters.push(Parameter { node, name, value: value.clone() });
+        Event::MappingStart(..) => loop {
+            match next()? {
+                Event::MappingEnd => return Ok(()),
+                Event::Scalar(key, ..) => collect(next, &[keys, &[&key]].concat(), parameters)?,
+                _ => return Err(expected()),
+            }
+        },
+        Event::SequenceStart(..) => {
+            let mut depth = 1;
+            while depth > 0 {
+                depth += match next()? {
+                    Event::SequenceStart(..) | Event::MappingStart(..) => 1,
+                    Event::SequenceEnd | Event::MappingEnd => -1,
+                    _ => 0,
+                };
+            }
+            None
         }
+        Event::Scalar(text, style, ..) => {
+            let is_null = style == ScalarStyle::Plain && ["", "~", "null"].contains(&&*text);
+            (!is_null).then(|| text.into_owned())
+        }
+        _ => None,
+    };
+    let mut parts = keys.splitn(2, |key| *key == PARAMETERS);
+    let (nodes, names) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
+    if names.is_empty() {
+        return Err(expected());
     }
+    let node = nodes.iter().map(|name| format!("/{}", name.trim_matches('/'))).collect();
+    parameters.push(Parameter { node, name: names.join("."), value });
     Ok(())
 }
 
