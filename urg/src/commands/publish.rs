@@ -102,7 +102,7 @@ const HELP: &str = "\
 Topics:
   scan          sensor_msgs/msg/LaserScan, stamped with the time of its first ray
   /diagnostics  diagnostic_msgs/msg/DiagnosticArray, once a second
-  /tf_static    tf2_msgs/msg/TFMessage, with --tf
+  /tf_static    tf2_msgs/msg/TFMessage, with --tf, twice a second
 
 Names: `--namespace robot` moves the node and `scan`: /robot/scan. `front=PORT` is the
 node /front/urg_node with the topic /front/scan in the frame front_laser. All sensors

@@ -27,33 +27,31 @@ impl Condition {
         rate: Rate,
         outlet: &Outlet,
     ) -> DiagnosticStatus {
-        let stats = self.sensor.as_ref().map(Sensor::stats).unwrap_or_default();
+        let sensor = self.sensor.as_ref();
+        let stats = sensor.map(Sensor::stats).unwrap_or_default();
         let reached = schedule(&stats, window).and_then(|schedule| schedule.reached);
-        let health = SensorHealth::from_sensor(self.sensor.as_ref(), window, rate);
-        let link = health.link;
-        let (level, message) = self.judge(health, rate, reached);
-        let baud_rate =
-            self.sensor.as_ref().and_then(|sensor| sensor.watch_state().get().baud_rate());
-        let age = self.sensor.as_ref().and_then(|sensor| sensor.freshness().age());
-        let counted = outlet.counts().lock().clone();
+        let state = sensor.map(|sensor| sensor.watch_state().get());
+        let age = sensor.and_then(|sensor| sensor.freshness().age());
+        let health = SensorHealth::from_sensor(sensor, window, rate);
+        let link = health.link.to_owned();
+        let (level, message) = self.judge(health, state.as_ref(), age.is_some(), rate, reached);
+        let counted = outlet.counts.lock().clone();
         let version = self.version.as_ref();
         let serial_number = shown(version.map(|version| &version.serial_number));
+        let last_published = counted.last_published.map(|at| seconds(at.elapsed()));
         let mut values = vec![
-            ("State", link.to_owned()),
+            ("State", link),
             ("Product", shown(version.map(|version| &version.product))),
             ("Serial number", serial_number.clone()),
             ("Firmware", shown(version.map(|version| &version.firmware))),
-            ("Baud rate", shown(baud_rate)),
-            ("Rate requested (Hz)", rate.period().map_or_else(|| "max".to_owned(), hertz)),
+            ("Baud rate", shown(state.and_then(|state| state.baud_rate()))),
+            ("Rate requested (Hz)", rate.to_string().replace(" Hz", "")),
             ("Rate reached (Hz)", shown(reached.map(|rate| format!("{rate:.2}")))),
             ("Age of the last scan (s)", shown(age.map(seconds))),
             ("Scans published", counted.published.to_string()),
             ("Scans dropped", counted.dropped.to_string()),
             ("Scans possibly lost", counted.possibly_lost.to_string()),
-            (
-                "Age of the last published scan (s)",
-                shown(counted.last_published.map(|at| seconds(at.elapsed()))),
-            ),
+            ("Age of the last published scan (s)", shown(last_published)),
             ("Readers", shown(counted.readers)),
             ("Engine restarts", counted.restarts.to_string()),
         ];
@@ -81,34 +79,25 @@ impl Condition {
     fn judge(
         &self,
         health: SensorHealth,
+        state: Option<&State>,
+        has_scans: bool,
         rate: Rate,
         reached: Option<f64>,
     ) -> (DiagnosticLevel, String) {
         use DiagnosticLevel::{Error, Ok, Warn};
-        if let Some(reason) = &self.ended {
-            return (Error, reason.clone());
-        }
-        let has_scans = self.sensor.as_ref().is_some_and(|it| it.freshness().age().is_some());
-        let state = self.sensor.as_ref().map(|sensor| sensor.watch_state().get());
-        let is_connected = matches!(state, Some(State::Connected { .. }));
-        match (health.why, reached) {
-            _ if has_scans && matches!(state, Some(State::Connected { streaming: false, .. })) => {
+        match (&self.ended, health.why, state) {
+            (Some(reason), ..) => (Error, reason.clone()),
+            (_, _, Some(State::Connected { streaming: false, .. })) if has_scans => {
                 (Warn, "the laser is off".to_owned())
             }
-            (Some(why), _) if is_connected && !has_scans => (Warn, why),
-            (Some(why), _) => (Error, why),
-            (None, Some(reached)) if !rate.is_reached_by(reached) => {
-                (Warn, format!("{reached:.1} scans a second, {rate} requested"))
-            }
-            (None, _) => (Ok, "scans flow".to_owned()),
+            (_, Some(why), Some(State::Connected { .. })) if !has_scans => (Warn, why),
+            (_, Some(why), _) => (Error, why),
+            _ => match reached.filter(|reached| !rate.is_reached_by(*reached)) {
+                Some(reached) => (Warn, format!("{reached:.1} scans a second, {rate} requested")),
+                None => (Ok, "scans flow".to_owned()),
+            },
         }
     }
-}
-
-fn hertz(period: Duration) -> String {
-    // Rounded to 10 instead of 10.000000000000002.
-    let rate = 1.0 / period.as_secs_f64();
-    ((rate * 1000.0).round() / 1000.0).to_string()
 }
 
 fn seconds(duration: Duration) -> String {

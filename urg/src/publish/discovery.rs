@@ -54,21 +54,23 @@ impl Discovery {
                  machines, such as 192.168.1.10;robot.local"
             )));
         }
-        // ROS ignores static peers if the older variable is set.
-        if variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1") {
-            return Ok(Self { range: Range::Localhost, static_peers: Vec::new() });
-        }
-        match variable("ROS_AUTOMATIC_DISCOVERY_RANGE").as_deref() {
-            None | Some("" | "SUBNET") => Ok(Self { range: Range::Subnet, static_peers }),
-            Some("LOCALHOST") => Ok(Self { range: Range::Localhost, static_peers }),
-            // ROS ignores static peers in these two ranges.
-            Some("SYSTEM_DEFAULT") => Ok(Self { range: Range::Subnet, static_peers: Vec::new() }),
-            Some("OFF") => Ok(Self { range: Range::Off, static_peers: Vec::new() }),
-            Some(other) => Err(Failure::Usage(format!(
-                "invalid ROS_AUTOMATIC_DISCOVERY_RANGE {other:?}: expected SUBNET, LOCALHOST, \
-                 OFF or SYSTEM_DEFAULT"
-            ))),
-        }
+        let is_local = variable("ROS_LOCALHOST_ONLY").as_deref() == Some("1");
+        let range = variable("ROS_AUTOMATIC_DISCOVERY_RANGE");
+        // ROS ignores static peers in some cases.
+        let (range, has_peers) = match range.as_deref() {
+            _ if is_local => (Range::Localhost, false),
+            None | Some("" | "SUBNET") => (Range::Subnet, true),
+            Some("LOCALHOST") => (Range::Localhost, true),
+            Some("SYSTEM_DEFAULT") => (Range::Subnet, false),
+            Some("OFF") => (Range::Off, false),
+            Some(other) => {
+                return Err(Failure::Usage(format!(
+                    "invalid ROS_AUTOMATIC_DISCOVERY_RANGE {other:?}: expected SUBNET, LOCALHOST, \
+                     OFF or SYSTEM_DEFAULT"
+                )));
+            }
+        };
+        Ok(Self { range, static_peers: if has_peers { static_peers } else { Vec::new() } })
     }
 }
 

@@ -3,15 +3,16 @@
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::time::SystemTime;
+use std::sync::mpsc::Sender;
+use std::time::{Instant, SystemTime};
 
 use clap::ValueEnum;
-use parking_lot::RwLock;
+use parking_lot::{Mutex, RwLock};
 use urg_recording::ros::{self, MessageType, Transform};
 
-use super::counts::Counts;
 use super::discovery::Discovery;
 use super::names::NodeNames;
+use super::send_queue::SendQueue;
 
 /// Number of diagnostics kept for readers that missed some.
 const DIAGNOSTICS_DEPTH: usize = 10;
@@ -80,19 +81,43 @@ pub(super) struct Topic {
     pub(super) message: MessageType,
     pub(super) qos: Qos,
     pub(super) depth: usize,
-    /// Whether late readers get the last message (transient local).
-    pub(super) is_kept: bool,
+    /// Only message of the topic, which late readers get too (transient local). It is published
+    /// again at regular intervals, because only DDS keeps it.
+    pub(super) kept: Option<Vec<u8>>,
     pub(super) counts: Arc<Counts>,
 }
 
-impl Topic {
-    pub(super) fn has_scans(&self) -> bool {
-        self.message == MessageType::LASER_SCAN
-    }
+/// Counters that any thread updates.
+pub(crate) type Counts = Mutex<Counted>;
 
-    /// Depth and counters of the topic in a queue.
-    pub(super) fn queue(&self) -> (usize, Arc<Counts>) {
-        (self.depth, Arc::clone(&self.counts))
+/// Published, dropped and lost messages.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Counted {
+    /// Number of messages passed to the network.
+    pub(super) published: u64,
+    /// When the last message was passed to the network.
+    pub(super) last_published: Option<Instant>,
+    /// Number of messages dropped because the network was away or too slow.
+    pub(super) dropped: u64,
+    /// Number of messages in transit when the network was lost. Some of them may have arrived.
+    pub(super) possibly_lost: u64,
+    /// Number of readers, if the engine knows it.
+    pub(super) readers: Option<usize>,
+    /// Number of times that the engine was opened again.
+    pub(super) restarts: u64,
+}
+
+impl Counted {
+    pub(super) fn add_published(&mut self) {
+        self.published += 1;
+        self.last_published = Some(Instant::now());
+    }
+}
+
+impl Topic {
+    pub(super) fn new(node: usize, name: &str, message: MessageType, depth: usize) -> Self {
+        let (qos, kept, counts) = (Qos::Reliable, None, Arc::default());
+        Self { node, name: name.to_owned(), message, qos, depth, kept, counts }
     }
 }
 
@@ -100,34 +125,20 @@ impl EngineSettings {
     /// Lists the topics: scans and diagnostics of each node in turn, then the static transforms
     /// of all sensors, if there are any, as a topic of the first node.
     pub(super) fn topics(&self) -> Vec<Topic> {
-        let topic = |node, name: &str, message| Topic {
-            node,
-            name: name.to_owned(),
-            message,
-            qos: Qos::Reliable,
-            depth: 1,
-            is_kept: false,
-            counts: Arc::default(),
-        };
         let mut topics = Vec::new();
         for (node, names) in self.nodes.iter().enumerate() {
-            let scans = topic(node, &names.topic, MessageType::LASER_SCAN);
-            topics.push(Topic { qos: self.qos, depth: self.depth, ..scans });
-            let diagnostics = topic(node, "/diagnostics", MessageType::DIAGNOSTIC_ARRAY);
-            topics.push(Topic { depth: DIAGNOSTICS_DEPTH, ..diagnostics });
+            let scans = Topic::new(node, &names.topic, MessageType::LASER_SCAN, self.depth);
+            topics.push(Topic { qos: self.qos, ..scans });
+            let diagnostics = MessageType::DIAGNOSTIC_ARRAY;
+            topics.push(Topic::new(node, "/diagnostics", diagnostics, DIAGNOSTICS_DEPTH));
         }
         if !self.transforms.is_empty() {
-            let transforms = topic(0, "/tf_static", MessageType::TF_MESSAGE);
-            topics.push(Topic { is_kept: true, ..transforms });
+            let mut message = Vec::new();
+            ros::write_transforms(&mut message, SystemTime::now(), &self.transforms);
+            let transforms = Topic::new(0, "/tf_static", MessageType::TF_MESSAGE, 1);
+            topics.push(Topic { kept: Some(message), ..transforms });
         }
         topics
-    }
-
-    /// Encodes the static transforms, the only message of a topic that is kept.
-    pub(super) fn static_transforms(&self) -> Vec<u8> {
-        let mut message = Vec::new();
-        ros::write_transforms(&mut message, SystemTime::now(), &self.transforms);
-        message
     }
 }
 
@@ -156,65 +167,49 @@ impl From<String> for Unavailable {
     }
 }
 
-pub(super) trait Engine: Send {
-    /// Opens the engine. Blocks.
-    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine
-    where
-        Self: Sized;
+/// Opens an engine, passes it to `opened`, and sends the messages of the queue until the queue is
+/// closed and empty. Then removes the nodes from the ROS graph and closes the engine. Blocks.
+pub(super) type Run = fn(&Arc<EngineSettings>, &Arc<SendQueue>, &Opened) -> Result<(), Unavailable>;
 
-    /// Whether another engine may be opened while this one hangs in `close`.
+/// Receiver of an engine that is open, or of the reason why it cannot be opened.
+pub(super) type Opened = Sender<Result<Box<dyn Engine>, Unavailable>>;
+
+/// Open engine, as seen from outside the thread that sends.
+pub(super) trait Engine: Send {
+    /// Whether another engine may be opened while this one hangs as it closes.
     fn may_overlap(&self) -> bool {
         false
     }
 
-    /// Checks from outside whether the engine works. Called at regular intervals. May block for
-    /// a few seconds. If it cannot reach some readers, returns a line that tells the user what
-    /// happens to the scans.
+    /// Checks whether the engine works. Called at regular intervals. May block for a few
+    /// seconds. If it cannot reach some readers, returns a line that tells the user what happens
+    /// to the scans.
     fn check(&mut self) -> Result<Option<String>, Reopen>;
-
-    /// Removes the nodes from the ROS graph, and stops the engine. Blocks. The caller drops the
-    /// publisher first.
-    fn close(self: Box<Self>);
 }
 
-pub(super) trait Publisher: Send + Sync {
-    /// Publishes or drops an encoded message on the topic with this index, and counts the
-    /// outcome. Does not block.
-    fn publish(&self, topic: usize, message: Vec<u8>);
-}
-
-/// Engine that was opened, and its publisher.
-pub(super) type Opened = (Box<dyn Engine>, Arc<dyn Publisher>);
-
-pub(super) type OpenedEngine = Result<Opened, Unavailable>;
-
-/// Publisher of the engine; `None` while it is not open.
-pub(super) type Shared = Arc<RwLock<Option<Arc<dyn Publisher>>>>;
+/// Queue of the engine; `None` while it is not open.
+pub(super) type Shared = Arc<RwLock<Option<Arc<SendQueue>>>>;
 
 /// Publisher of one node that survives reopening of the engine. Drops messages while the engine
 /// is not open: old scans are useless.
 #[derive(Clone)]
 pub(crate) struct Outlet {
     node: usize,
-    publisher: Shared,
-    counts: Arc<Counts>,
+    queue: Shared,
+    pub(super) counts: Arc<Counts>,
 }
 
 impl Outlet {
-    pub(super) fn new(node: usize, publisher: &Shared, counts: &Arc<Counts>) -> Self {
-        Self { node, publisher: Arc::clone(publisher), counts: Arc::clone(counts) }
+    pub(super) fn new(scans: &Topic, queue: &Shared) -> Self {
+        Self { node: scans.node, queue: Arc::clone(queue), counts: Arc::clone(&scans.counts) }
     }
 
     /// Publishes an encoded message on one of the node's topics.
     pub(crate) fn publish(&self, topic: NodeTopic, message: Vec<u8>) {
-        match (&*self.publisher.read(), topic) {
-            (Some(publisher), _) => publisher.publish(2 * self.node + topic as usize, message),
+        match (&*self.queue.read(), topic) {
+            (Some(queue), _) => queue.publish(2 * self.node + topic as usize, message),
             (None, NodeTopic::Scans) => self.counts.lock().dropped += 1,
             (None, NodeTopic::Diagnostics) => {}
         }
-    }
-
-    pub(crate) fn counts(&self) -> &Counts {
-        &self.counts
     }
 }

@@ -1,11 +1,10 @@
 //! `urg publish`: publishes scans as ROS 2 messages. The library encodes the messages
 //! (`urg_recording::ros`); no other module knows the engines.
 //!
-//! - `engine` defines the interface of engines. `dds`, `zenoh` and `foxglove` implement it.
+//! - `engine` defines what `dds`, `zenoh` and `foxglove` implement, their topics and counters.
 //! - `running` keeps an engine open, and reopens it after errors.
 //! - `backoff` limits how often an engine is reopened.
 //! - `send_queue` buffers messages for slow links, and detects links that are stuck.
-//! - `counts` counts published, dropped and lost scans.
 //! - `source` publishes one sensor, and `diagnostics` describes its condition.
 //! - `names` are nodes, topics and frames.
 //! - `ros_args` and `discovery` read the arguments and environment variables of ROS 2.
@@ -15,7 +14,6 @@
 )]
 
 mod backoff;
-mod counts;
 #[cfg(feature = "dds")]
 mod dds;
 mod diagnostics;
@@ -26,7 +24,6 @@ mod foxglove;
 mod names;
 pub(crate) mod ros_args;
 mod running;
-#[cfg(any(feature = "dds", feature = "zenoh"))]
 mod send_queue;
 mod source;
 #[cfg(feature = "zenoh")]

@@ -1,27 +1,25 @@
-//! Thread that opens an engine, watches it, reopens it if it stops working, and closes it.
-//!
-//! It is a thread because opening and closing block, and zenoh refuses both inside tokio's
-//! current-thread runtime.
+//! Two threads: one runs an engine, which opens, sends and closes. The other one watches it, and
+//! runs it again if it stops working. Both block, which zenoh refuses in tokio's runtime.
 
 use std::net::{IpAddr, UdpSocket};
 use std::sync::Arc;
-use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError};
+use std::sync::mpsc::{self as std_mpsc, RecvTimeoutError, TryRecvError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::mpsc;
+use urg_recording::ros::MessageType;
 
 use super::backoff::Backoff;
 #[cfg(feature = "dds")]
-use super::dds::Dds;
+use super::dds;
 use super::engine::{
-    Engine, EngineName, EngineSettings, Opened, OpenedEngine, Outlet, Reopen, Shared, Topic,
-    Unavailable,
+    Engine, EngineName, EngineSettings, Outlet, Reopen, Run, Shared, Topic, Unavailable,
 };
 #[cfg(feature = "foxglove")]
-use super::foxglove::Foxglove;
-use super::names::NodeNames;
+use super::foxglove;
+use super::send_queue::SendQueue;
 #[cfg(feature = "zenoh")]
-use super::zenoh::Zenoh;
+use super::zenoh;
 use crate::failure::Failure;
 use crate::output::notice::notice;
 
@@ -30,19 +28,21 @@ const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 /// Pause between two checks of an open engine.
 const WATCH_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Checks until a reopened engine counts as working: one minute.
-const WORKING_CHECKS: u32 = 120;
-
 /// Maximum number of consecutive restarts. After that, only the user can help.
 const MAX_RESTARTS: u32 = 5;
 
-/// Time that an engine has to close.
+/// Time after which an engine that dies has worked.
+const WORKING_TIME: Duration = Duration::from_secs(60);
+
+/// Time that an engine has to open. Zenoh needs up to 10 s, and the system half a minute for
+/// each lookup of a name.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(180);
+
+/// Time that an engine has to send what waits, and to close.
 const CLOSE_TIMEOUT: Duration = Duration::from_millis(if cfg!(test) { 100 } else { 10_000 });
 
 /// The same, if another engine may be opened meanwhile.
 const OVERLAP_TIMEOUT: Duration = Duration::from_secs(2);
-
-type Open = fn(&Arc<EngineSettings>, &Arc<[Topic]>) -> OpenedEngine;
 
 /// Engine on its own thread. Dropping it closes the engine without waiting.
 #[derive(Debug)]
@@ -61,13 +61,19 @@ impl RunningEngine {
     ) -> Result<(Self, Vec<Outlet>), Failure> {
         match engine {
             #[cfg(feature = "dds")]
-            EngineName::Dds => start(Dds::open, settings),
+            EngineName::Dds => start(dds::run, settings),
             #[cfg(feature = "zenoh")]
-            EngineName::Zenoh => start(Zenoh::open, settings),
+            EngineName::Zenoh => start(zenoh::run, settings),
             #[cfg(feature = "foxglove")]
-            EngineName::Foxglove => start(Foxglove::open, settings),
+            EngineName::Foxglove => start(foxglove::run, settings),
             #[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
-            other => Err(not_built_in(other)),
+            other => {
+                let feature = format!("{other:?}").to_lowercase();
+                Err(Failure::Usage(format!(
+                    "`--engine {feature}` needs an urg that was built with the feature \
+                     `{feature}`: `cargo install --path urg --features {feature}`"
+                )))
+            }
         }
     }
 
@@ -78,32 +84,31 @@ impl RunningEngine {
         self.failures.recv().await.unwrap_or_else(ended)
     }
 
-    /// Removes the nodes from the ROS graph, and waits until the thread ends.
+    /// Removes the nodes from the ROS graph. Gives up if the engine hangs.
     pub(crate) async fn close(mut self) {
         drop(self.stop);
-        while self.failures.recv().await.is_some() {}
+        let ended = async { while self.failures.recv().await.is_some() {} };
+        let _ = tokio::time::timeout(2 * CLOSE_TIMEOUT, ended).await;
     }
 }
 
-#[cfg(not(all(feature = "dds", feature = "zenoh", feature = "foxglove")))]
-fn not_built_in(engine: EngineName) -> Failure {
-    let feature = format!("{engine:?}").to_lowercase();
-    Failure::Usage(format!(
-        "`--engine {feature}` needs an urg that was built with the feature `{feature}`: \
-         `cargo install --path urg --features {feature}`"
-    ))
-}
-
-fn start(open: Open, settings: EngineSettings) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
+fn start(run: Run, settings: EngineSettings) -> Result<(RunningEngine, Vec<Outlet>), Failure> {
     let topics = settings.topics();
     let shared = Shared::default();
-    let scans = topics.iter().filter(|topic| topic.has_scans());
-    let outlets = scans.map(|topic| Outlet::new(topic.node, &shared, &topic.counts)).collect();
+    let scans = topics.iter().filter(|topic| topic.message == MessageType::LASER_SCAN);
+    let outlets = scans.map(|topic| Outlet::new(topic, &shared)).collect();
     let (stop, stopped) = std_mpsc::channel();
     let (fail, failures) = mpsc::channel(1);
+    let names = match &*settings.nodes {
+        [first, .., last] => {
+            format!("{} topics, {} to {}", settings.nodes.len(), first.topic, last.topic)
+        }
+        nodes => nodes.iter().map(|node| node.topic.as_str()).collect(),
+    };
     let mut engine = Watched {
-        open,
-        network: NetworkNotices::for_nodes(&settings.nodes),
+        run,
+        names,
+        away: None,
         settings: Arc::new(settings),
         topics: topics.into(),
         shared,
@@ -124,12 +129,15 @@ fn start(open: Open, settings: EngineSettings) -> Result<(RunningEngine, Vec<Out
 }
 
 struct Watched {
-    open: Open,
+    run: Run,
     settings: Arc<EngineSettings>,
     topics: Arc<[Topic]>,
     shared: Shared,
     stop: std_mpsc::Receiver<()>,
-    network: NetworkNotices,
+    /// Names of the topics of scans, for the user.
+    names: String,
+    /// Why the network was away at the last notice; `None` before the first.
+    away: Option<Option<String>>,
     restarts: u32,
     backoff: Backoff,
 }
@@ -138,11 +146,11 @@ impl Watched {
     /// Runs the engine until it is stopped. Reopens it after the network has changed or the
     /// engine has died. The error is permanent: reopening did not help.
     fn run(&mut self) -> Result<(), Failure> {
-        while let Some((mut engine, publisher)) = self.open()? {
-            *self.shared.write() = Some(publisher);
-            let watched = self.watch(&mut *engine);
+        while let Some(mut session) = self.open()? {
+            *self.shared.write() = Some(Arc::clone(&session.queue));
+            let watched = self.watch(&mut session);
             *self.shared.write() = None;
-            let is_closed = close(engine);
+            let is_closed = session.close();
             let Err(reason) = watched else { break };
             self.count(&reason, is_closed)?;
         }
@@ -150,18 +158,19 @@ impl Watched {
     }
 
     /// Retries until the engine opens. `None` if it was stopped meanwhile.
-    fn open(&mut self) -> Result<Option<Opened>, Failure> {
+    fn open(&mut self) -> Result<Option<Session>, Failure> {
         loop {
             let opened = match missing_address(self.settings.interface) {
                 Some(why) => Err(Unavailable::Now(why)),
-                None => (self.open)(&self.settings, &self.topics),
+                None => self.session(),
             };
             match opened {
-                Ok(opened) => return Ok(Some(opened)),
+                Ok(session) => return Ok(Some(session)),
                 Err(Unavailable::Permanently(why)) => return Err(Failure::Failed(why)),
-                Err(Unavailable::Now(why)) => self
-                    .network
-                    .report(Some(format!("{why}; waiting for it, scans are dropped until then"))),
+                Err(Unavailable::Now(why)) => {
+                    let text = "waiting for it, scans are dropped until then";
+                    self.report(Some(format!("{why}; {text}")));
+                }
             }
             if self.is_stopped(RETRY_INTERVAL) {
                 return Ok(None);
@@ -169,19 +178,42 @@ impl Watched {
         }
     }
 
+    /// Opens the engine on a thread of its own.
+    fn session(&self) -> Result<Session, Unavailable> {
+        let queue = Arc::new(SendQueue::new(&self.topics));
+        let (opened, events) = std_mpsc::channel();
+        let (run, settings, messages) = (self.run, Arc::clone(&self.settings), Arc::clone(&queue));
+        std::thread::Builder::new()
+            .name("sender".to_owned())
+            .spawn(move || {
+                if let Err(why) = run(&settings, &messages, &opened) {
+                    // The receiver is gone during shutdown.
+                    let _ = opened.send(Err(why));
+                }
+            })
+            .map_err(|error| format!("cannot start the thread that sends: {error}"))?;
+        match events.recv_timeout(OPEN_TIMEOUT) {
+            Ok(engine) => Ok(Session { engine: engine?, queue, events }),
+            // A second engine beside one that hangs would publish twice.
+            Err(_) => Err(Unavailable::Permanently("the engine does not open".to_owned())),
+        }
+    }
+
     /// Checks the engine at regular intervals, until the user stops it or it has to be
     /// reopened.
-    fn watch(&mut self, engine: &mut dyn Engine) -> Result<(), Reopen> {
-        let mut checks = 0;
+    fn watch(&mut self, session: &mut Session) -> Result<(), Reopen> {
+        let working = Instant::now() + WORKING_TIME;
         loop {
-            match engine.check() {
-                Ok(unreachable) => self.network.report(unreachable),
+            match session.check() {
+                Ok(unreachable) => self.report(unreachable),
                 Err(Reopen::Wanted(_)) if !self.backoff.allows(Instant::now()) => {}
                 Err(reason) => return Err(reason),
             }
-            checks += 1;
-            if checks == WORKING_CHECKS {
+            if Instant::now() > working {
                 self.restarts = 0;
+            }
+            for (index, topic) in self.topics.iter().enumerate() {
+                topic.kept.iter().for_each(|message| session.queue.publish(index, message.clone()));
             }
             if self.is_stopped(WATCH_INTERVAL) {
                 return Ok(());
@@ -212,22 +244,56 @@ impl Watched {
         Ok(())
     }
 
+    /// Tells the user that the state of the network has changed.
+    fn report(&mut self, unreachable: Option<String>) {
+        let before = self.away.replace(unreachable.clone());
+        match (before, unreachable) {
+            (Some(before), now) if before == now => {}
+            (_, Some(why)) => notice(why),
+            (Some(_), None) => notice("the network is back: scans are published"),
+            (None, None) => {
+                notice(format_args!("scans are published on {}; Ctrl-C stops", self.names));
+            }
+        }
+    }
+
     /// Waits for at most `wait`. Returns true if the engine was stopped meanwhile.
     fn is_stopped(&self, wait: Duration) -> bool {
         !matches!(self.stop.recv_timeout(wait), Err(RecvTimeoutError::Timeout))
     }
 }
 
-/// Closes an engine on a separate thread. Returns false if it hangs, unless it may.
-fn close(engine: Box<dyn Engine>) -> bool {
-    let may_hang = engine.may_overlap();
-    let timeout = if may_hang { OVERLAP_TIMEOUT } else { CLOSE_TIMEOUT };
-    let (end, ended) = std_mpsc::channel();
-    let closing = std::thread::Builder::new().name("closing".to_owned()).spawn(move || {
-        engine.close();
-        let _ = end.send(());
-    });
-    closing.is_ok() && (ended.recv_timeout(timeout) != Err(RecvTimeoutError::Timeout) || may_hang)
+/// Open engine and its thread.
+struct Session {
+    engine: Box<dyn Engine>,
+    queue: Arc<SendQueue>,
+    /// Disconnected when the thread ends.
+    events: std_mpsc::Receiver<Result<Box<dyn Engine>, Unavailable>>,
+}
+
+impl Session {
+    fn check(&mut self) -> Result<Option<String>, Reopen> {
+        let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
+        match self.events.try_recv() {
+            Err(TryRecvError::Empty) if self.queue.is_stuck() => dead("the engine sends nothing"),
+            Err(TryRecvError::Empty) => self.engine.check(),
+            _ => dead("the engine has ended"),
+        }
+    }
+
+    /// Waits until the engine is closed. Returns false if it hangs, unless it may.
+    fn close(self) -> bool {
+        let may_hang = self.engine.may_overlap();
+        self.queue.close();
+        let timeout = if may_hang { OVERLAP_TIMEOUT } else { CLOSE_TIMEOUT };
+        let hangs = self
+            .events
+            .recv_timeout(timeout)
+            .is_err_and(|error| error == RecvTimeoutError::Timeout);
+        // Otherwise it would send later what waits now.
+        self.queue.set_connected(false);
+        !hangs || may_hang
+    }
 }
 
 /// Checks that an interface has the address of `--interface`, and explains if not.
@@ -238,78 +304,37 @@ fn missing_address(address: Option<IpAddr>) -> Option<String> {
     Some(format!("cannot use the address {address} of --interface: {error}"))
 }
 
-/// Notices for the user about the state of the network, printed only when it changes.
-#[derive(Debug)]
-struct NetworkNotices {
-    topics: String,
-    /// Why the network was away at the last notice; `None` before the first.
-    away: Option<Option<String>>,
-}
-
-impl NetworkNotices {
-    fn for_nodes(nodes: &[NodeNames]) -> Self {
-        let topics = match nodes {
-            [first, .., last] => {
-                format!("{} topics, {} to {}", nodes.len(), first.topic, last.topic)
-            }
-            _ => nodes.iter().map(|node| node.topic.as_str()).collect(),
-        };
-        Self { topics, away: None }
-    }
-
-    fn report(&mut self, unreachable: Option<String>) {
-        if let Some(line) = self.change(unreachable) {
-            notice(line);
-        }
-    }
-
-    /// Updates the state. Returns a line for the user if it changed.
-    fn change(&mut self, unreachable: Option<String>) -> Option<String> {
-        let before = self.away.replace(unreachable.clone());
-        match (before, unreachable) {
-            (Some(before), now) if before == now => None,
-            (_, Some(why)) => Some(why),
-            (Some(_), None) => Some("the network is back: scans are published".to_owned()),
-            (None, None) => Some(format!("scans are published on {}; Ctrl-C stops", self.topics)),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::engine::Publisher;
-    use super::super::{Discovery, Mode, Qos};
+    use super::super::engine::Opened;
+    use super::super::{Discovery, Mode, NodeNames, Qos};
     use super::*;
 
-    /// Engine that is dead at once. If `hangs`, it is outdated instead, and cannot be closed.
-    struct Faulty {
-        hangs: bool,
-    }
+    /// Engine of the domain: 0 is dead at once, 1 outdated and cannot be closed, 2 never opens.
+    struct Faulty(u16);
 
-    impl Publisher for Faulty {
-        fn publish(&self, _: usize, _: Vec<u8>) {}
+    fn run(
+        settings: &Arc<EngineSettings>,
+        queue: &Arc<SendQueue>,
+        opened: &Opened,
+    ) -> Result<(), Unavailable> {
+        if settings.domain == 2 {
+            return Err(Unavailable::Permanently("it can never open".to_owned()));
+        }
+        opened.send(Ok(Box::new(Faulty(settings.domain)))).unwrap();
+        while queue.pop().is_some() {}
+        if settings.domain == 1 {
+            std::thread::sleep(Duration::MAX);
+        }
+        Ok(())
     }
 
     impl Engine for Faulty {
-        fn open(settings: &Arc<EngineSettings>, _: &Arc<[Topic]>) -> OpenedEngine {
-            let hangs = settings.domain == 1;
-            match settings.domain {
-                2 => Err(Unavailable::Permanently("it can never open".to_owned())),
-                _ => Ok((Box::new(Self { hangs }), Arc::new(Self { hangs }))),
-            }
-        }
-
         fn check(&mut self) -> Result<Option<String>, Reopen> {
-            Err(match self.hangs {
-                true => Reopen::Outdated("the network has changed".to_owned()),
-                false => Reopen::Dead("the engine is dead".to_owned()),
+            Err(match self.0 {
+                0 => Reopen::Dead("the engine is dead".to_owned()),
+                _ => Reopen::Outdated("the network has changed".to_owned()),
             })
-        }
-
-        fn close(self: Box<Self>) {
-            if self.hangs {
-                std::thread::sleep(Duration::MAX);
-            }
         }
     }
 
@@ -332,25 +357,10 @@ mod tests {
                 mode: Mode::Client,
                 listen: ([127, 0, 0, 1], 0).into(),
             };
-            let (mut running, outlets) = start(Faulty::open, settings).unwrap();
+            let (mut running, outlets) = start(run, settings).unwrap();
             assert_eq!(running.failed().await.line(), line);
-            assert_eq!(outlets[0].counts().lock().restarts, restarts, "{line}");
+            assert_eq!(outlets[0].counts.lock().restarts, restarts, "{line}");
             running.close().await;
         }
-    }
-
-    #[test]
-    fn a_change_of_the_network_is_reported_once() {
-        let mut network = NetworkNotices { topics: "/scan".to_owned(), away: None };
-        let said =
-            [None, None, Some("no router"), Some("no router"), Some("no address"), None, None]
-                .map(|why| network.change(why.map(str::to_owned)));
-        let expected = [
-            "scans are published on /scan; Ctrl-C stops",
-            "no router",
-            "no address",
-            "the network is back: scans are published",
-        ];
-        assert_eq!(said.into_iter().flatten().collect::<Vec<_>>(), expected);
     }
 }

@@ -7,8 +7,7 @@ use std::time::SystemTime;
 
 use parking_lot::{Condvar, Mutex};
 
-use super::counts::Counts;
-use super::engine::Publisher;
+use super::engine::{Counts, Topic};
 
 /// Checks without progress before an engine counts as stuck: 10 s. Counting checks instead of
 /// time avoids false alarms after the process was stopped or the machine slept.
@@ -27,13 +26,15 @@ pub(super) struct Message {
 
 /// Bounded queue with several topics, which take turns. Counts the messages that it drops.
 pub(super) struct SendQueue {
+    pub(super) topics: Arc<[Topic]>,
     state: Mutex<QueueState>,
     changed: Condvar,
 }
 
 #[derive(Default)]
 struct QueueState {
-    topics: Vec<TopicQueue>,
+    /// One for each topic.
+    queues: Vec<TopicQueue>,
     /// Topics with pending messages, each once, in the order of their turns.
     turns: VecDeque<usize>,
     /// Whether no message can be sent.
@@ -43,25 +44,17 @@ struct QueueState {
     silent_checks: u32,
 }
 
+#[derive(Default)]
 struct TopicQueue {
-    depth: usize,
     waiting: VecDeque<Message>,
     sequence: i64,
-    counts: Arc<Counts>,
 }
 
 impl SendQueue {
-    /// Creates an empty queue for topics with these depths and counters.
-    pub(super) fn new(topics: impl IntoIterator<Item = (usize, Arc<Counts>)>) -> Self {
-        let topic = |(depth, counts): (usize, _)| TopicQueue {
-            depth: depth.max(1),
-            waiting: VecDeque::new(),
-            sequence: 0,
-            counts,
-        };
-        let topics = topics.into_iter().map(topic).collect();
-        let state = Mutex::new(QueueState { topics, ..QueueState::default() });
-        Self { state, changed: Condvar::new() }
+    pub(super) fn new(topics: &Arc<[Topic]>) -> Self {
+        let queues = topics.iter().map(|_| TopicQueue::default()).collect();
+        let state = Mutex::new(QueueState { queues, ..QueueState::default() });
+        Self { topics: Arc::clone(topics), state, changed: Condvar::new() }
     }
 
     /// Waits for a message, and removes it: the oldest message of the next topic. `None` once
@@ -72,7 +65,7 @@ impl SendQueue {
         self.changed.wait_while(&mut guard, is_idle);
         let state = &mut *guard;
         let turn = state.turns.pop_front()?;
-        let waiting = &mut state.topics.get_mut(turn)?.waiting;
+        let waiting = &mut state.queues.get_mut(turn)?.waiting;
         let message = waiting.pop_front();
         if !waiting.is_empty() {
             state.turns.push_back(turn);
@@ -95,7 +88,7 @@ impl SendQueue {
         state.is_cut = !is_connected;
         if state.is_cut {
             state.turns.clear();
-            let waiting = state.topics.iter_mut().flat_map(|topic| topic.waiting.drain(..));
+            let waiting = state.queues.iter_mut().flat_map(|queue| queue.waiting.drain(..));
             waiting.for_each(|message| message.counts.lock().dropped += 1);
         }
     }
@@ -105,14 +98,13 @@ impl SendQueue {
         self.state.lock().is_closed = true;
         self.changed.notify_all();
     }
-}
 
-impl Publisher for SendQueue {
-    /// Queues the message. If the topic is full, drops its oldest message.
-    fn publish(&self, topic: usize, payload: Vec<u8>) {
+    /// Queues the message. If the topic is full, drops its oldest message. Does not block.
+    pub(super) fn publish(&self, index: usize, payload: Vec<u8>) {
         let mut guard = self.state.lock();
         let state = &mut *guard;
-        let Some(TopicQueue { depth, waiting, sequence, counts }) = state.topics.get_mut(topic)
+        let (Some(Topic { depth, counts, .. }), Some(TopicQueue { waiting, sequence })) =
+            (self.topics.get(index), state.queues.get_mut(index))
         else {
             return;
         };
@@ -121,7 +113,7 @@ impl Publisher for SendQueue {
             return counts.lock().dropped += 1;
         }
         waiting.push_back(Message {
-            topic,
+            topic: index,
             payload,
             sequence: *sequence,
             published_at: SystemTime::now(),
@@ -131,7 +123,7 @@ impl Publisher for SendQueue {
             waiting.pop_front();
             counts.lock().dropped += 1;
         } else if waiting.len() == 1 {
-            state.turns.push_back(topic);
+            state.turns.push_back(index);
             self.changed.notify_one();
         }
     }
@@ -139,46 +131,14 @@ impl Publisher for SendQueue {
 
 #[cfg(test)]
 mod tests {
+    use urg_recording::ros::MessageType;
+
     use super::*;
-
-    fn queue<const N: usize>(depths: [usize; N]) -> (SendQueue, [Arc<Counts>; N]) {
-        let topics = depths.map(|depth| (depth, Arc::<Counts>::default()));
-        (SendQueue::new(topics.clone()), topics.map(|(_, counts)| counts))
-    }
-
-    fn text(message: Message) -> (usize, i64, String) {
-        (message.topic, message.sequence, String::from_utf8(message.payload).unwrap())
-    }
-
-    #[test]
-    fn a_full_topic_drops_its_oldest_message_and_topics_take_turns() {
-        let (queue, counts) = queue([2, 1]);
-        for (topic, message) in [(0, "a1"), (0, "a2"), (1, "b1"), (0, "a3"), (1, "b2")] {
-            queue.publish(topic, message.into());
-        }
-        queue.close();
-        queue.publish(0, "late".into());
-        let left: Vec<_> = std::iter::from_fn(|| queue.pop()).map(text).collect();
-        let expected = [(0, 2, "a2"), (1, 2, "b2"), (0, 3, "a3")];
-        assert_eq!(left, expected.map(|(topic, number, text)| (topic, number, text.to_owned())));
-        assert_eq!(counts.map(|counts| counts.lock().dropped), [2, 1]);
-    }
-
-    #[test]
-    fn messages_are_dropped_but_numbered_without_a_connection() {
-        let (queue, [counts]) = queue([3]);
-        queue.publish(0, "waits".into());
-        queue.set_connected(false);
-        queue.publish(0, "away".into());
-        queue.set_connected(true);
-        queue.publish(0, "back".into());
-        assert_eq!(queue.pop().map(text), Some((0, 3, "back".to_owned())));
-        assert_eq!(counts.lock().dropped, 2);
-    }
 
     #[test]
     fn a_queue_is_stuck_when_messages_wait_and_none_is_taken() {
-        let (queue, _) = queue([100]);
+        let topic = Topic::new(0, "/t", MessageType::LASER_SCAN, 100);
+        let queue = SendQueue::new(&[topic].into());
         (0..=MAX_SILENT_CHECKS).for_each(|_| assert!(!queue.is_stuck(), "nothing waits"));
         queue.publish(0, Vec::new());
         for _ in 0..=MAX_SILENT_CHECKS {

@@ -100,9 +100,8 @@ impl Source {
     }
 
     fn message(&self, scan: &Scan) -> Vec<u8> {
-        let stamp = shifted(scan.first_ray_stamp(), self.time_offset);
         let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
-        ros::write_scan(&mut message, scan, stamp, &self.names.frame);
+        ros::write_scan(&mut message, scan, self.stamp(scan), &self.names.frame);
         message
     }
 
@@ -117,39 +116,39 @@ impl Source {
         let ahead = u64::try_from(periods * period.as_nanos()).unwrap_or(u64::MAX);
         first + Duration::from_nanos(ahead)
     }
-}
 
-fn shifted(stamp: SystemTime, offset: f64) -> SystemTime {
-    let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
-    let shifted = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
-    shifted.unwrap_or(stamp)
+    fn stamp(&self, scan: &Scan) -> SystemTime {
+        let (stamp, offset) = (scan.first_ray_stamp(), self.time_offset);
+        let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
+        let moved = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
+        moved.unwrap_or(stamp)
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
 
+    use urg_recording::ros::MessageType;
+
     use super::*;
-    use crate::publish::engine::{Publisher, Shared};
-
-    /// Publisher that keeps the time of each message: of scans, and of diagnostics.
-    #[derive(Default)]
-    struct Instants([Mutex<Vec<Instant>>; 2]);
-
-    impl Publisher for Instants {
-        fn publish(&self, topic: usize, _: Vec<u8>) {
-            self.0[topic % 2].lock().push(Instant::now());
-        }
-    }
+    use crate::publish::engine::{Shared, Topic};
+    use crate::publish::send_queue::SendQueue;
 
     #[tokio::test(start_paused = true)]
     async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {
         const COUNT: u32 = 10;
-        let published = Arc::new(Instants::default());
+        let scans_and_diagnostics = [MessageType::LASER_SCAN, MessageType::DIAGNOSTIC_ARRAY];
+        let topics: Arc<[Topic]> = (0..COUNT as usize)
+            .flat_map(|node| scans_and_diagnostics.map(|kind| Topic::new(node, "/t", kind, 1)))
+            .collect();
+        let queue = Arc::new(SendQueue::new(&topics));
+        // Each message is dropped and counted.
+        queue.set_connected(false);
         let shared = Shared::default();
-        *shared.write() = Some(published.clone());
+        *shared.write() = Some(queue);
         let epoch = Instant::now();
-        for place in 0..COUNT {
+        for (place, scans) in topics.iter().step_by(2).enumerate() {
             let source = Source {
                 port: "emulated".parse().unwrap(),
                 link: LinkArgs::default(),
@@ -157,35 +156,32 @@ mod tests {
                 rate: Rate::hz(10.0),
                 names: NodeNames::default(),
                 time_offset: 0.0,
-                outlet: Outlet::new(place as usize, &shared, &Arc::default()),
+                outlet: Outlet::new(scans, &shared),
                 epoch,
-                phase: f64::from(place) / f64::from(COUNT),
+                phase: place as f64 / f64::from(COUNT),
                 condition: Mutex::default(),
             };
             tokio::spawn(async move {
                 tokio::join!(source.publish_scans(), source.publish_diagnostics())
             });
         }
-        tokio::time::sleep(Duration::from_secs(5)).await;
-
-        for (period, instants) in [0.1, 1.0].into_iter().zip(&published.0) {
-            let mut instants = instants.lock().clone();
-            instants.retain(|at| *at - epoch > Duration::from_secs(2));
-            assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
-            let (even, slack) = (period / f64::from(COUNT), 0.003);
-            for pair in instants.windows(2) {
-                let gap = (pair[1] - pair[0]).as_secs_f64();
-                assert!((gap - even).abs() < slack, "{gap} s between two of {COUNT} sensors");
+        tokio::time::sleep(Duration::from_secs(2)).await;
+        let mut counted: Vec<_> = topics.iter().map(|it| it.counts.lock().dropped).collect();
+        let mut instants = [Vec::new(), Vec::new()];
+        while epoch.elapsed() < Duration::from_secs(5) {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+            for (number, topic) in topics.iter().enumerate() {
+                let now = topic.counts.lock().dropped;
+                let new = now - std::mem::replace(&mut counted[number], now);
+                (0..new).for_each(|_| instants[number % 2].push(epoch.elapsed().as_secs_f64()));
             }
         }
-    }
-
-    #[test]
-    fn a_stamp_can_be_moved_both_ways() {
-        let stamp = SystemTime::UNIX_EPOCH + Duration::from_secs(10);
-        let after = |offset| shifted(stamp, offset).duration_since(SystemTime::UNIX_EPOCH).unwrap();
-        assert_eq!(after(1.5), Duration::from_millis(11_500));
-        assert_eq!(after(-1.5), Duration::from_millis(8_500));
-        assert_eq!(after(f64::MAX), Duration::from_secs(10));
+        for (period, instants) in [0.1, 1.0].into_iter().zip(instants) {
+            assert!(instants.len() >= (2.5 / period) as usize * COUNT as usize, "{instants:?}");
+            for pair in instants.windows(2) {
+                let (gap, even) = (pair[1] - pair[0], period / f64::from(COUNT));
+                assert!((gap - even).abs() < 0.003, "{gap} s between two of {COUNT} sensors");
+            }
+        }
     }
 }

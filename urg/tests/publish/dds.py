@@ -89,15 +89,17 @@ def values_of(message):
 
 
 def values_are_the_same():
-    for qos, reader_qos in [("reliable", RELIABLE), ("sensor", qos_profile_sensor_data)]:
+    for qos, reader_qos, offset in [("reliable", RELIABLE, 1.5), ("sensor", qos_profile_sensor_data, -1.5)]:
         topic = f"/{qos}/scan"
         reader = Reader(LaserScan, topic, reader_qos)
         other = Reader(LaserScan, topic, RELIABLE)
-        with Urg("publish", RECORDING, "--topic", topic, "--qos", qos, "--frame", "f") as urg:
+        options = ["--topic", topic, "--qos", qos, "--frame", "f", "--time-offset", offset]
+        with Urg("publish", RECORDING, *options) as urg:
             until("the recording ends", lambda: urg.process.poll() is not None, 60)
             for _ in range(10):
                 spin()
-        compare(f"{qos} reader", reader.scans())
+        moved = [(stamp - round(offset * 1e9), ranges) for stamp, ranges in reader.scans()]
+        compare(f"{qos} reader", moved)
         assert all(m.header.frame_id == "f" for m in reader.got)
         first = reader.got[0]
         assert abs(first.angle_increment - 0.006135923) < 1e-8 and first.scan_time == 0.10000000149011612

@@ -188,6 +188,12 @@ def zenoh_with_another_address():
         reader.more()
         took = time.monotonic() - begin
         assert took < 8, f"20 scans after {took:.1f} s"
+        # The first session closes for 10 s, beside the second one: it must send nothing more.
+        reader.more(120)
+        publishers = [publisher for publisher, _ in reader.lines]
+        changes = sum(a != b for a, b in zip(publishers, publishers[1:]))
+        assert changes == 1, f"{changes} changes between {set(publishers)}"
+        assert len({tuple(line) for line in reader.lines}) == len(reader.lines), "a scan came twice"
         assert "this machine has another address" in urg.stop()
     for each in (reader, router, near):
         each.process.kill()

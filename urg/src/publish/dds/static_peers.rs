@@ -20,35 +20,30 @@ const LOOKUP_INTERVAL: Duration = Duration::from_secs(10);
 /// Hosts that get the participant's announcements.
 pub(super) struct StaticPeers {
     peers: Vec<Peer>,
-    /// Ports of the participants of the domain.
-    ports: Vec<u16>,
+    /// Port of the first participant of a machine.
+    first_port: u16,
 }
 
 struct Peer {
     host: String,
     socket: UdpSocket,
-    address: Arc<Mutex<Address>>,
+    address: Arc<Mutex<Lookup>>,
 }
 
-/// Address of a peer. A failed lookup does not remove an earlier address.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Address {
-    Unknown,
-    Missing,
-    Known(Ipv4Addr),
-}
+/// `None` before the first lookup, `Some(None)` without an address. A failed lookup does not remove
+/// an earlier address.
+type Lookup = Option<Option<Ipv4Addr>>;
 
 impl StaticPeers {
     /// Starts the lookups of names. `only` restricts the sender to one local address.
     pub(super) fn new(hosts: &[String], domain: u16, only: Option<IpAddr>) -> io::Result<Self> {
         // A domain of ROS ends below port 65,536.
-        let index_0 = 7410_u16.saturating_add(domain.saturating_mul(250));
-        let ports = (0..=MAX_PEER_INDEX).map(|n| index_0.saturating_add(2 * n)).collect();
+        let first_port = 7410_u16.saturating_add(domain.saturating_mul(250));
         let peer = |host: &String| {
             let socket = UdpSocket::bind((only.unwrap_or(Ipv4Addr::UNSPECIFIED.into()), 0))?;
             socket.set_nonblocking(true)?;
-            let known = host.parse().ok().map(Address::Known);
-            let address = Arc::new(Mutex::new(known.unwrap_or(Address::Unknown)));
+            let known = host.parse().ok().map(Some);
+            let address = Arc::new(Mutex::new(known));
             if known.is_none() {
                 let (host, address) = (host.clone(), Arc::downgrade(&address));
                 let thread = std::thread::Builder::new().name("lookup".to_owned());
@@ -56,45 +51,42 @@ impl StaticPeers {
             }
             Ok(Peer { host: host.clone(), socket, address })
         };
-        Ok(Self { peers: hosts.iter().map(peer).collect::<io::Result<_>>()?, ports })
+        Ok(Self { peers: hosts.iter().map(peer).collect::<io::Result<_>>()?, first_port })
     }
 
     /// Sends an announcement to all peers with an address. Does not block.
     pub(super) fn announce(&self, announcement: &[u8]) {
         for peer in &self.peers {
-            let Address::Known(address) = *peer.address.lock() else { continue };
-            for port in &self.ports {
+            let Some(Some(address)) = *peer.address.lock() else { continue };
+            for index in 0..=MAX_PEER_INDEX {
+                let port = self.first_port.saturating_add(2 * index);
                 // A host that is down, or a full buffer: the next announcement tries again.
-                let _ = peer.socket.send_to(announcement, (address, *port));
+                let _ = peer.socket.send_to(announcement, (address, port));
             }
         }
     }
 
     /// First peer whose name has no address.
     pub(super) fn missing(&self) -> Option<&str> {
-        let is_missing = |peer: &&Peer| *peer.address.lock() == Address::Missing;
+        let is_missing = |peer: &&Peer| *peer.address.lock() == Some(None);
         self.peers.iter().find(is_missing).map(|peer| peer.host.as_str())
     }
 }
 
 /// Looks up a name again and again until nobody needs its address. Each call to the system may
 /// block for half a minute.
-fn look_up(host: &str, address: &Weak<Mutex<Address>>) {
+fn look_up(host: &str, address: &Weak<Mutex<Lookup>>) {
     loop {
-        let found = (host, 0).to_socket_addrs().ok().and_then(|mut found| {
-            found.find_map(|found| match found.ip() {
-                IpAddr::V4(address) => Some(address),
-                IpAddr::V6(_) => None,
-            })
+        let mut found = (host, 0).to_socket_addrs().into_iter().flatten();
+        let found = found.find_map(|found| match found.ip() {
+            IpAddr::V4(address) => Some(address),
+            IpAddr::V6(_) => None,
         });
-        match (address.upgrade(), found) {
-            (None, _) => return,
-            (Some(address), Some(found)) => *address.lock() = Address::Known(found),
-            (Some(address), None) if *address.lock() == Address::Unknown => {
-                *address.lock() = Address::Missing;
-            }
-            _ => {}
-        }
+        let Some(address) = address.upgrade() else { return };
+        let mut lookup = address.lock();
+        *lookup = Some(found.or(lookup.flatten()));
+        drop(lookup);
+        drop(address);
         std::thread::sleep(LOOKUP_INTERVAL);
     }
 }

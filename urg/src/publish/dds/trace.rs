@@ -27,7 +27,7 @@ const MAX_FORGOTTEN: usize = 10_000;
 pub(super) struct Trace {
     /// Why the participant is outdated.
     returned: Arc<Mutex<Option<String>>>,
-    checked: (Instant, SystemTime),
+    checked: SystemTime,
     /// Open until Cyclone has opened the pipe by its path.
     writer: PipeWriter,
 }
@@ -40,8 +40,7 @@ impl Trace {
         std::thread::Builder::new()
             .name("trace".to_owned())
             .spawn(move || read(BufReader::new(reader), &found))?;
-        let checked = (Instant::now(), SystemTime::now());
-        Ok(Self { returned, checked, writer })
+        Ok(Self { returned, checked: SystemTime::now(), writer })
     }
 
     /// Path of the pipe for Cyclone, on systems that have one.
@@ -56,17 +55,18 @@ impl Trace {
     }
 
     /// Checks whether a forgotten participant is back, or this process itself, after it was
-    /// stopped or the machine slept. Returns a line for the user. Call it at regular intervals.
+    /// stopped or the machine slept. From then on, always returns a line for the user. Call it at
+    /// regular intervals.
     pub(super) fn returned(&mut self) -> Option<String> {
-        let (now, clock) = (Instant::now(), SystemTime::now());
-        let (before, clock_before) = std::mem::replace(&mut self.checked, (now, clock));
         // Only the wall clock includes the time that the machine slept.
-        let slept = clock.duration_since(clock_before).unwrap_or_default();
-        let stopped = slept.max(now - before);
+        let now = SystemTime::now();
+        let before = std::mem::replace(&mut self.checked, now);
+        let stopped = now.duration_since(before).unwrap_or_default();
+        let mut returned = self.returned.lock();
         if stopped > OWN_LEASE {
-            return Some(format!("this program was stopped for {} s", stopped.as_secs()));
+            *returned = Some(format!("this program was stopped for {} s", stopped.as_secs()));
         }
-        self.returned.lock().take()
+        returned.clone()
     }
 }
 
@@ -74,8 +74,7 @@ fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
     let mut forgotten = HashMap::new();
     for line in trace.split(b'\n').map_while(Result::ok) {
         let line = String::from_utf8_lossy(&line);
-        let words: Vec<_> = text(&line).split(' ').collect();
-        match words[..] {
+        match text(&line).split(' ').collect::<Vec<_>>()[..] {
             ["lease", "expired:", "l", _, "guid", guid, ..] => {
                 if forgotten.len() >= MAX_FORGOTTEN {
                     forgotten.clear();
@@ -83,36 +82,13 @@ fn read(trace: impl BufRead, returned: &Mutex<Option<String>>) {
                 forgotten.insert(guid.to_owned(), Instant::now());
             }
             ["SPDP", "ST0", guid, "bes", _, "NEW", ..] => {
-                let Some(since) = forgotten.remove(guid).map(|at| at.elapsed().as_secs()) else {
-                    continue;
-                };
-                *returned.lock() =
-                    Some(format!("a reader is back that was forgotten {since} s ago"));
+                if let Some(at) = forgotten.remove(guid) {
+                    let since = at.elapsed().as_secs();
+                    let why = format!("a reader is back that was forgotten {since} s ago");
+                    *returned.lock() = Some(why);
+                }
             }
             _ => {}
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_participant_that_was_forgotten_is_back_once() {
-        let returned = Mutex::default();
-        let back = |trace: &str| {
-            read(trace.as_bytes(), &returned);
-            returned.lock().take()
-        };
-        let (new, expired) = (
-            "1.2 [7]  recv: SPDP ST0 110ab:1:2:1c1 bes 3f NEW QOS={}\n",
-            "1.2 [7]  gc: lease expired: l 0x7f guid 110ab:1:2:1c1 tend 5 < now 6\n",
-        );
-        assert_eq!(back(&[new, new].concat()), None);
-        assert_eq!(back(expired), None);
-        let why = "a reader is back that was forgotten 0 s ago";
-        assert_eq!(back(&[new, expired, new].concat()).as_deref(), Some(why));
-        assert_eq!(back(&[expired, &new.replace("ab", "cd")].concat()), None, "another one");
     }
 }

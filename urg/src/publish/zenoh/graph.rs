@@ -16,16 +16,13 @@ pub(super) struct GraphNode<'a> {
 }
 
 impl GraphNode<'_> {
-    /// Entity ids are unique in the session: four per node.
-    fn token(&self, entity: usize, kind: &str) -> String {
+    /// Formats the token of the node itself (0, `NN`) or of one of its publishers (`MP`). Entity
+    /// ids are unique in the session: four per node.
+    pub(super) fn token(&self, entity: usize, kind: &str) -> String {
         let Self { domain, session_id, number, names } = self;
         let (node, entity) = (number * 4, number * 4 + entity);
         let (namespace, name) = (mangled(&names.namespace), &names.node);
         format!("@ros2_lv/{domain}/{session_id}/{node}/{entity}/{kind}/%/{namespace}/{name}")
-    }
-
-    pub(super) fn node_token(&self) -> String {
-        self.token(0, "NN")
     }
 
     /// `entity` is the number of the topic on this node, from 1.
@@ -38,7 +35,7 @@ impl GraphNode<'_> {
             Qos::Reliable => "",
             Qos::Sensor => "2",
         };
-        let durability = if topic.is_kept { "1" } else { "" };
+        let durability = if topic.kept.is_some() { "1" } else { "" };
         format!(
             "{token}/{name}/{message}/{hash}/{reliability}:{durability}:,{}:,:,:,,",
             topic.depth
@@ -66,11 +63,6 @@ pub(super) fn gid(token: &str) -> Gid {
 pub(super) fn attachment(sequence: i64, time: SystemTime, gid: Gid) -> Vec<u8> {
     let since_1970 = time.duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let nanos = i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX);
-    let mut bytes = Vec::with_capacity(33);
-    bytes.extend_from_slice(&sequence.to_le_bytes());
-    bytes.extend_from_slice(&nanos.to_le_bytes());
-    // Length of the GID.
-    bytes.push(16);
-    bytes.extend_from_slice(&gid);
-    bytes
+    let gid_length = [16];
+    [&sequence.to_le_bytes()[..], &nanos.to_le_bytes(), &gid_length, &gid].concat()
 }

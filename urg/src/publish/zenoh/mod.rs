@@ -1,21 +1,17 @@
 //! Zenoh engine, compatible with `rmw_zenoh`: one session, with liveliness tokens that add each
 //! node and topic to the ROS graph.
 //!
-//! zenoh drops messages silently, so `put` blocks until the link has room, on a thread of its
-//! own, and messages are dropped and counted in our own queue.
+//! zenoh drops messages silently, so `put` blocks until the link has room, and messages are
+//! dropped and counted in our own queue.
 //!
 //! - `graph` formats keys, tokens and metadata.
 //! - `router` checks whether the router answers.
-//! - `kept` serves the static transforms to late readers.
 
 mod graph;
-mod kept;
 mod router;
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
-use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub;
@@ -23,9 +19,8 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Config, Session, Wait};
 
 use self::graph::{Gid, GraphNode, attachment, gid};
-use self::kept::Kept;
 use self::router::InTransit;
-use super::engine::{Engine, EngineSettings, Mode, OpenedEngine, Reopen, Topic, Unavailable};
+use super::engine::{Engine, EngineSettings, Mode, Opened, Reopen, Topic, Unavailable};
 use super::send_queue::SendQueue;
 
 /// Setting for how long a put waits for room, in microseconds.
@@ -35,54 +30,58 @@ const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/
 /// keep-alives in that time.
 const LEASE: u32 = 2_000;
 
-/// Time for the last messages when the session is closed. On a dead link a `put` waits longer.
-const DRAIN_TIMEOUT: Duration = Duration::from_secs(1);
+pub(super) fn run(
+    settings: &Arc<EngineSettings>,
+    queue: &Arc<SendQueue>,
+    opened: &Opened,
+) -> Result<(), Unavailable> {
+    let config = config(settings)
+        .map_err(|error| Unavailable::Permanently(format!("cannot set up zenoh: {error}")))?;
+    let local_address = router::local_address(&settings.router);
+    let session = zenoh::open(config)
+        .wait()
+        .map_err(|_| format!("no zenoh router answers at {}", settings.router))?;
+    let (tokens, publishers) = declare(&session, settings, &queue.topics)
+        .map_err(|error| format!("cannot publish over zenoh: {error}"))?;
+    let zenoh = Zenoh {
+        settings: Arc::clone(settings),
+        session: session.clone(),
+        local_address,
+        queue: Arc::clone(queue),
+        in_transit: queue.topics.iter().map(|topic| InTransit::new(&topic.counts)).collect(),
+    };
+    // An error means that the program ends.
+    let _ = opened.send(Ok(Box::new(zenoh)));
+    while let Some(message) = queue.pop() {
+        let Some((publisher, gid)) = publishers.get(message.topic) else { continue };
+        // Counted before `put`, so that a scan waiting there counts as in transit.
+        message.counts.lock().add_published();
+        let metadata = attachment(message.sequence, message.published_at, *gid);
+        // Fails only after the session has ended.
+        let _ = publisher.put(message.payload).attachment(metadata).wait();
+    }
+    drop(publishers);
+    for token in tokens {
+        // An error means that the session has ended.
+        let _ = token.undeclare().wait();
+    }
+    let _ = session.close().wait();
+    Ok(())
+}
 
-pub(super) struct Zenoh {
+struct Zenoh {
     settings: Arc<EngineSettings>,
     session: Session,
     /// Address of the link to the router, when the session was opened.
     local_address: Option<IpAddr>,
-    tokens: Vec<LivelinessToken>,
-    /// Serves late readers until dropped.
-    _transforms: Option<Kept>,
     queue: Arc<SendQueue>,
-    thread: JoinHandle<()>,
     in_transit: Vec<InTransit>,
 }
 
 impl Engine for Zenoh {
-    fn open(settings: &Arc<EngineSettings>, topics: &Arc<[Topic]>) -> OpenedEngine {
-        let config = config(settings)
-            .map_err(|error| Unavailable::Permanently(format!("cannot set up zenoh: {error}")))?;
-        let local_address = router::local_address(&settings.router);
-        let session = zenoh::open(config)
-            .wait()
-            .map_err(|_| format!("no zenoh router answers at {}", settings.router))?;
-        let Declared { tokens, publishers, transforms } = declare(&session, settings, topics)
-            .map_err(|error| format!("cannot publish over zenoh: {error}"))?;
-        let queue = Arc::new(SendQueue::new(topics.iter().map(Topic::queue)));
-        let sending = Arc::clone(&queue);
-        let thread = std::thread::Builder::new()
-            .name("sender".to_owned())
-            .spawn(move || send(&sending, &publishers))
-            .map_err(|error| format!("cannot start the thread that sends: {error}"))?;
-        let zenoh = Self {
-            settings: Arc::clone(settings),
-            session,
-            local_address,
-            tokens,
-            _transforms: transforms,
-            queue: Arc::clone(&queue),
-            thread,
-            in_transit: topics.iter().map(|topic| InTransit::new(&topic.counts)).collect(),
-        };
-        Ok((Box::new(zenoh), queue))
-    }
-
     /// zenoh closes a link with `SO_LINGER`: on a dead link that takes 10 s. By the time another
-    /// session is opened, this one sends nothing more: its queue and the session are closed, and
-    /// the router has dropped the silent link.
+    /// session is opened, this one sends nothing more: its queue is closed and empty, and the
+    /// router has dropped the silent link.
     fn may_overlap(&self) -> bool {
         true
     }
@@ -109,82 +108,42 @@ impl Engine for Zenoh {
         if self.session.is_closed() {
             return Err(Reopen::Dead("the zenoh session has ended".to_owned()));
         }
-        if self.queue.is_stuck() {
-            return Err(Reopen::Dead("zenoh no longer takes scans".to_owned()));
-        }
         let router = &self.settings.router;
         Ok(consequence.map(|text| format!("no zenoh router answers at {router}; {text}")))
     }
-
-    fn close(mut self: Box<Self>) {
-        self.queue.close();
-        let end = Instant::now() + DRAIN_TIMEOUT;
-        while !self.thread.is_finished() && Instant::now() < end {
-            std::thread::sleep(DRAIN_TIMEOUT / 100);
-        }
-        // No answer confirms the last scans.
-        self.in_transit.iter_mut().for_each(InTransit::lose);
-        if self.thread.is_finished() {
-            for token in self.tokens {
-                // An error means that the session is already closed.
-                let _ = token.undeclare().wait();
-            }
-        }
-        let _ = self.session.close().wait();
-    }
 }
 
-#[derive(Default)]
-struct Declared {
-    tokens: Vec<LivelinessToken>,
-    /// Publishers of the topics that are published all the time, in order.
-    publishers: Vec<(pubsub::Publisher<'static>, Gid)>,
-    transforms: Option<Kept>,
-}
+type Publisher = (pubsub::Publisher<'static>, Gid);
 
+/// Declares nodes and publishers. Returns a publisher for each of `topics`, in their order.
 fn declare(
     session: &Session,
     settings: &EngineSettings,
     topics: &[Topic],
-) -> zenoh::Result<Declared> {
-    let mut declared = Declared::default();
+) -> zenoh::Result<(Vec<LivelinessToken>, Vec<Publisher>)> {
+    let mut tokens = Vec::new();
     let token = |key: &str| session.liveliness().declare_token(key.to_owned()).wait();
     let session_id = &session.zid().to_string();
-    for (number, names) in settings.nodes.iter().enumerate() {
-        let node = GraphNode { domain: settings.domain, session_id, number, names };
-        declared.tokens.push(token(&node.node_token())?);
-        let own = topics.iter().filter(|topic| topic.node == number);
-        for (topic, entity) in own.zip(1..) {
-            let key = node.key(topic);
-            let publisher_token = node.publisher_token(topic, entity);
-            let gid = gid(&publisher_token);
-            if topic.is_kept {
-                declared.tokens.push(token(&publisher_token)?);
-                let message = settings.static_transforms();
-                declared.transforms = Some(Kept::publish(session, key, message, gid)?);
-                continue;
-            }
-            let publisher = session
-                .declare_publisher(key)
-                // With `Block`, the router would also wait for a reader that hangs.
-                .congestion_control(CongestionControl::Drop)
-                .wait()?;
-            declared.tokens.push(token(&publisher_token)?);
-            declared.publishers.push((publisher, gid));
+    let mut publishers = Vec::new();
+    for (index, topic) in topics.iter().enumerate() {
+        let Some(names) = settings.nodes.get(topic.node) else { continue };
+        let node = GraphNode { domain: settings.domain, session_id, number: topic.node, names };
+        // Topics of a node are numbered from 1.
+        let earlier = topics.iter().take(index).filter(|other| other.node == topic.node);
+        let entity = earlier.count() + 1;
+        if entity == 1 {
+            tokens.push(token(&node.token(0, "NN"))?);
         }
+        let publisher_token = node.publisher_token(topic, entity);
+        let publisher = session
+            .declare_publisher(node.key(topic))
+            // With `Block`, the router would also wait for a reader that hangs.
+            .congestion_control(CongestionControl::Drop)
+            .wait()?;
+        tokens.push(token(&publisher_token)?);
+        publishers.push((publisher, gid(&publisher_token)));
     }
-    Ok(declared)
-}
-
-fn send(queue: &SendQueue, publishers: &[(pubsub::Publisher<'static>, Gid)]) {
-    while let Some(message) = queue.pop() {
-        let Some((publisher, gid)) = publishers.get(message.topic) else { continue };
-        // Counted before `put`, so that a scan waiting there counts as in transit.
-        message.counts.lock().add_published();
-        let metadata = attachment(message.sequence, message.published_at, *gid);
-        // Fails only after the session is closed.
-        let _ = publisher.put(message.payload).attachment(metadata).wait();
-    }
+    Ok((tokens, publishers))
 }
 
 /// Builds a configuration with the relevant defaults of `rmw_zenoh`. Uses no multicast. A peer

@@ -9,7 +9,7 @@ use std::time::Duration;
 use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
-use crate::publish::counts::Counts;
+use crate::publish::engine::Counts;
 
 /// Key that no program serves. Other programs' `**` does not match keys that start with `@`.
 const PROBE_KEY: &str = "@urg/probe";
@@ -67,22 +67,9 @@ impl InTransit {
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_was_published_since_the_answer_before_the_last_is_possibly_lost_once() {
-        let counts = Arc::new(Counts::default());
-        let publish = |scans| (0..scans).for_each(|_| counts.lock().add_published());
-        publish(100);
-        let mut transit = InTransit::new(&counts);
-        publish(10);
-        transit.confirm();
-        publish(5);
-        transit.confirm();
-        publish(3);
-        (0..2).for_each(|_| transit.lose());
-        assert_eq!(counts.lock().possibly_lost, 8);
+impl Drop for InTransit {
+    /// No answer confirms the last scans.
+    fn drop(&mut self) {
+        self.lose();
     }
 }
