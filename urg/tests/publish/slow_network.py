@@ -137,14 +137,16 @@ def a_router_that_hangs():
             router.send_signal(signal.SIGCONT)
             wait("scans again", lambda: reader.count() > before + 40)
             reader.settled(1)
-            dropped = reader.total("Scans dropped")
-            assert reader.missing() == dropped, (reader.missing(), reader.values)
+            dropped, possibly = reader.total("Scans dropped"), reader.total("Scans possibly lost")
+            # A router that was silent for longer than its lease of 2 s may close the link, with
+            # the scans in it.
+            assert seconds > 2 or possibly == 0, reader.values
+            assert dropped <= reader.missing() <= dropped + possibly, (reader.missing(), reader.values)
         assert 10 < dropped < 60, f"{dropped} dropped"
         assert urg.read().count("network is back") == 1, urg.said
         ok(f"a router that hangs is noticed after {noticed:.1f} s, and {dropped} scans are dropped and counted")
 
         # It hangs, and never returns: nobody knows what it had got.
-        possibly = reader.total("Scans possibly lost")
         router.send_signal(signal.SIGSTOP)
         wait("the loss", lambda: urg.read().count("no zenoh router") == 2)
         router.kill(), router.wait()
