@@ -36,12 +36,16 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let (window, rate) = (recording.window(), recording.rate());
     let baud_rate = recording.metadata().get("baud_rate").map(|rate| rate.parse().ok());
     let mut times = ScanTimes::new(rate);
+    let mut in_window = 0;
     let mut damaged_at = Vec::new();
     // Same scans as in a replay.
     let mut recorded = recording.scans();
     while let Some(scan) = recorded.next() {
         match scan {
-            Ok(scan) => times.add(recorded.position(), scan.stamp()),
+            Ok(scan) => {
+                in_window += u64::from(window == Some(scan.window()));
+                times.add(recorded.position(), scan.stamp());
+            }
             Err(RecordingError::Damaged { offset, .. }) => damaged_at.push(offset),
             // The sensor may have been away for the whole recording.
             Err(RecordingError::NoScans { .. }) if recorded.version() != Version::default() => {}
@@ -51,7 +55,12 @@ pub(crate) fn read(path: Option<&Path>, recording: Recording) -> Result<Contents
     let losses = recorded.failed_polls();
     let complete = !recorded.is_truncated() && damaged_at.is_empty();
     let ScanTimes { scans, gaps, clock_steps, .. } = &times;
-    let asked = window.map(|window| format!(" of {window}")).unwrap_or_default();
+    let asked = match window {
+        // A part of joined recordings may have another window.
+        Some(window) if in_window < *scans => format!(", {in_window} of them of {window}"),
+        Some(window) => format!(" of {window}"),
+        None => String::new(),
+    };
     let asked = rate.map(|rate| format!("{asked}, asked for at {rate}")).unwrap_or(asked);
     let mut end = Vec::new();
     if recorded.is_truncated() {
