@@ -1,8 +1,6 @@
 //! `urg cut`: copies a part of a recording, or joins the files of a split recording. Times
 //! stay as recorded.
 
-use std::collections::HashSet;
-use std::fs;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -43,16 +41,6 @@ impl Cut {
         let Self { mut files, range } = self;
         let Some(out) = files.pop() else { return Ok(()) };
         let name = out.display().to_string();
-        let mut known = HashSet::new();
-        let mut is_known =
-            |file: &&PathBuf| fs::canonicalize(file).is_ok_and(|path| !known.insert(path));
-        if let Some(file) = files.iter().find(|file| is_known(file)) {
-            let text = format!(
-                "{}: named twice, so the output would have each scan twice",
-                file.display()
-            );
-            return Err(Failure::Usage(text));
-        }
         let bounds = range.bounds();
         let copy = move |inputs, output: &mut dyn Write| cut(inputs, bounds, output);
         let is_kept = |copied: &Copied| copied.messages > 0;
