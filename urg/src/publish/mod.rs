@@ -1,7 +1,7 @@
 //! `urg publish`: publishes scans as ROS 2 messages. The library encodes the messages
 //! (`urg_recording::ros`); no other module knows the engines.
 //!
-//! - `engine` defines what `dds`, `zenoh` and `foxglove` implement, their topics and counters.
+//! - `engine` defines what `dds`, `zenoh` and `foxglove` implement; `topic` has topics and counters.
 //! - `running` keeps an engine open, and reopens it after errors.
 //! - `backoff` limits how often an engine is reopened.
 //! - `send_queue` buffers messages for slow links, and detects links that are stuck.
@@ -26,11 +26,13 @@ pub(crate) mod ros_args;
 mod running;
 mod send_queue;
 mod source;
+mod topic;
 #[cfg(feature = "zenoh")]
 mod zenoh;
 
 pub(crate) use self::discovery::Discovery;
-pub(crate) use self::engine::{EngineName, EngineSettings, Mode, Qos};
+pub(crate) use self::engine::{EngineName, EngineSettings, Mode};
 pub(crate) use self::names::{NameArgs, NodeNames};
 pub(crate) use self::running::RunningEngine;
 pub(crate) use self::source::Source;
+pub(crate) use self::topic::Qos;

@@ -12,12 +12,11 @@ use urg_recording::ros::MessageType;
 use super::backoff::Backoff;
 #[cfg(feature = "dds")]
 use super::dds;
-use super::engine::{
-    Engine, EngineName, EngineSettings, Outlet, Reopen, Run, Shared, Topic, Unavailable,
-};
+use super::engine::{Engine, EngineName, EngineSettings, Outlet, Reopen, Run, Shared, Unavailable};
 #[cfg(feature = "foxglove")]
 use super::foxglove;
 use super::send_queue::SendQueue;
+use super::topic::Topic;
 #[cfg(feature = "zenoh")]
 use super::zenoh;
 use crate::failure::Failure;

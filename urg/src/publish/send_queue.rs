@@ -7,7 +7,7 @@ use std::time::SystemTime;
 
 use parking_lot::{Condvar, Mutex};
 
-use super::engine::{Counts, Topic};
+use super::topic::{Counts, Topic};
 
 /// Checks without progress before an engine counts as stuck: 10 s. Counting checks instead of
 /// time avoids false alarms after the process was stopped or the machine slept.

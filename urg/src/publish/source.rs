@@ -132,8 +132,9 @@ mod tests {
     use urg_recording::ros::MessageType;
 
     use super::*;
-    use crate::publish::engine::{Shared, Topic};
+    use crate::publish::engine::Shared;
     use crate::publish::send_queue::SendQueue;
+    use crate::publish::topic::Topic;
 
     #[tokio::test(start_paused = true)]
     async fn scans_and_diagnostics_of_several_sensors_are_spread_over_their_periods() {

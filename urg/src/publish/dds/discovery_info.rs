@@ -5,8 +5,8 @@ use cyclonedds::Topicable;
 use serde::{Deserialize, Serialize};
 
 use super::pulse::Prefix;
-use crate::publish::engine::Topic;
 use crate::publish::names::NodeNames;
+use crate::publish::topic::Topic;
 
 /// Name of the topic. Unlike other ROS topics, it has no prefix in DDS.
 pub(super) const TOPIC: &str = "ros_discovery_info";

@@ -13,8 +13,9 @@ use serde::ser::{Serialize, SerializeTuple, Serializer};
 
 use super::discovery_info::{self, DiscoveryInfo};
 use super::pulse::Prefix;
-use crate::publish::engine::{EngineSettings, Qos, Topic as RosTopic, Unavailable};
+use crate::publish::engine::{EngineSettings, Unavailable};
 use crate::publish::send_queue::SendQueue;
+use crate::publish::topic::{Qos, Topic as RosTopic};
 
 // The binding prepends a header with this machine's byte order to our little-endian messages.
 const _: () = assert!(cfg!(target_endian = "little"), "DDS needs a little-endian machine");

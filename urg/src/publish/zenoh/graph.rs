@@ -5,8 +5,8 @@ use std::time::SystemTime;
 
 use twox_hash::XxHash3_128;
 
-use crate::publish::engine::{Qos, Topic};
 use crate::publish::names::NodeNames;
+use crate::publish::topic::{Qos, Topic};
 
 pub(super) struct GraphNode<'a> {
     pub(super) domain: u16,

@@ -20,8 +20,9 @@ use zenoh::{Config, Session, Wait};
 
 use self::graph::{Gid, GraphNode, attachment, gid};
 use self::router::InTransit;
-use super::engine::{Engine, EngineSettings, Mode, Opened, Reopen, Topic, Unavailable};
+use super::engine::{Engine, EngineSettings, Mode, Opened, Reopen, Unavailable};
 use super::send_queue::SendQueue;
+use super::topic::Topic;
 
 /// Setting for how long a put waits for room, in microseconds.
 const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/wait_before_drop";

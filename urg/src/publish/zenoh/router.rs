@@ -9,7 +9,7 @@ use std::time::Duration;
 use zenoh::qos::Priority;
 use zenoh::{Session, Wait};
 
-use crate::publish::engine::Counts;
+use crate::publish::topic::Counts;
 
 /// Key that no program serves. Other programs' `**` does not match keys that start with `@`.
 const PROBE_KEY: &str = "@urg/probe";
