@@ -7,7 +7,8 @@
 //! `cargo bench --bench pieces` prints a table, `-- usb 5 60` a table of one pattern, with five
 //! rounds of 60 scans for each poller. strace counts the system calls. With the arguments of one poller (`floor`, `tokio`,
 //! `driver` or `unpaused`), one pattern (the first column) and a number of
-//! scans it runs only these, for `strace` and `.ci/system_calls`.
+//! scans it runs only these, for `strace` and `.ci/system_calls`. With `serve` and a pattern it
+//! plays the sensor for another program, and prints the path of its terminal.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::indexing_slicing)]
 
