@@ -39,7 +39,7 @@ impl Condition {
         let version = self.version.as_ref();
         let serial_number = shown(version.map(|version| &version.serial_number));
         let last_published = counted.last_published.map(|at| seconds(at.elapsed()));
-        let mut values = vec![
+        let values = vec![
             ("State", link),
             ("Product", shown(version.map(|version| &version.product))),
             ("Serial number", serial_number.clone()),
@@ -54,19 +54,16 @@ impl Condition {
             ("Age of the last published scan (s)", shown(last_published)),
             ("Readers", shown(counted.readers)),
             ("Engine restarts", counted.restarts.to_string()),
+            ("Polls", stats.polls.to_string()),
+            ("Scans", stats.scans.to_string()),
+            ("Timeouts", stats.timeouts.to_string()),
+            ("Refused", stats.refused.to_string()),
+            ("Malformed", stats.malformed.total().to_string()),
+            ("Skipped", stats.polls_skipped.to_string()),
+            ("Missed", stats.missed.to_string()),
+            ("Disconnects", stats.disconnects.to_string()),
+            ("Reconnects", stats.reconnects.to_string()),
         ];
-        let losses = [
-            ("Polls", stats.polls),
-            ("Scans", stats.scans),
-            ("Timeouts", stats.timeouts),
-            ("Refused", stats.refused),
-            ("Malformed", stats.malformed.total()),
-            ("Skipped", stats.polls_skipped),
-            ("Missed", stats.missed),
-            ("Disconnects", stats.disconnects),
-            ("Reconnects", stats.reconnects),
-        ];
-        values.extend(losses.map(|(name, count)| (name, count.to_string())));
         DiagnosticStatus {
             level,
             name: format!("{}: Hardware Status", node.trim_start_matches('/')),

@@ -12,24 +12,19 @@ use crate::port::named::{NamedPort, token};
 const MAX_NAME: usize = 240;
 
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "ROS")]
 pub(crate) struct NameArgs {
     /// Topic of the scans: `scan` is in the namespace, `/scan` in none, `~/scan` in the node
-    #[arg(long, value_name = "NAME", default_value = "scan", help_heading = "ROS")]
+    #[arg(long, value_name = "NAME", default_value = "scan")]
     topic: String,
     /// Name of the node
-    #[arg(long, value_name = "NAME", default_value = "urg_node", help_heading = "ROS")]
+    #[arg(long, value_name = "NAME", default_value = "urg_node")]
     node: String,
     /// Namespace of the node
-    #[arg(long, value_name = "NAME", default_value = "/", help_heading = "ROS")]
+    #[arg(long, value_name = "NAME", default_value = "/")]
     namespace: String,
     /// Coordinate frame of the scans
-    #[arg(
-        long,
-        visible_alias = "frame-id",
-        value_name = "NAME",
-        default_value = "laser",
-        help_heading = "ROS"
-    )]
+    #[arg(long, visible_alias = "frame-id", value_name = "NAME", default_value = "laser")]
     frame: String,
 }
 

@@ -108,9 +108,7 @@ impl RosArgs {
                     .map_err(|error| usage(format!("cannot use --params-file {path}: {error}")))?;
                 self.read(&path, &yaml, &[])?;
             }
-            _ if flag.starts_with("--log-") => {
-                unused(&format!("{flag} {}", value("a value")?));
-            }
+            _ if flag.starts_with("--log-") => unused(&format!("{flag} {}", value("a value")?)),
             _ if flag.starts_with("--enable-") || flag.starts_with("--disable-") => unused(flag),
             _ => {
                 return Err(usage(format!(

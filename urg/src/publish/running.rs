@@ -159,11 +159,7 @@ impl Watched {
     /// Retries until the engine opens. `None` if it was stopped meanwhile.
     fn open(&mut self) -> Result<Option<Session>, Failure> {
         loop {
-            let opened = match missing_address(self.settings.interface) {
-                Some(why) => Err(Unavailable::Now(why)),
-                None => self.session(),
-            };
-            match opened {
+            match self.session() {
                 Ok(session) => return Ok(Some(session)),
                 Err(Unavailable::Permanently(why)) => return Err(Failure::Failed(why)),
                 Err(Unavailable::Now(why)) => {
@@ -179,6 +175,7 @@ impl Watched {
 
     /// Opens the engine on a thread of its own.
     fn session(&self) -> Result<Session, Unavailable> {
+        check_address(self.settings.interface)?;
         let queue = Arc::new(SendQueue::new(&self.topics));
         let (opened, events) = std_mpsc::channel();
         let (run, settings, messages) = (self.run, Arc::clone(&self.settings), Arc::clone(&queue));
@@ -217,7 +214,7 @@ impl Watched {
             if self.is_stopped(WATCH_INTERVAL) {
                 return Ok(());
             }
-            if missing_address(self.settings.interface).is_some() {
+            if check_address(self.settings.interface).is_err() {
                 return Err(Reopen::Outdated("the address of --interface is gone".to_owned()));
             }
         }
@@ -285,22 +282,19 @@ impl Session {
         let may_hang = self.engine.may_overlap();
         self.queue.close();
         let timeout = if may_hang { OVERLAP_TIMEOUT } else { CLOSE_TIMEOUT };
-        let hangs = self
-            .events
-            .recv_timeout(timeout)
-            .is_err_and(|error| error == RecvTimeoutError::Timeout);
+        let end = self.events.recv_timeout(timeout);
         // Otherwise it would send later what waits now.
         self.queue.set_connected(false);
-        !hangs || may_hang
+        may_hang || !matches!(end, Err(RecvTimeoutError::Timeout))
     }
 }
 
-/// Checks that an interface has the address of `--interface`, and explains if not.
-fn missing_address(address: Option<IpAddr>) -> Option<String> {
-    let address = address?;
+/// Checks that an interface has the address of `--interface`.
+fn check_address(address: Option<IpAddr>) -> Result<(), String> {
+    let Some(address) = address else { return Ok(()) };
     // Binding a socket checks the address.
-    let error = UdpSocket::bind((address, 0)).err()?;
-    Some(format!("cannot use the address {address} of --interface: {error}"))
+    let bound = UdpSocket::bind((address, 0)).map(drop);
+    bound.map_err(|error| format!("cannot use the address {address} of --interface: {error}"))
 }
 
 #[cfg(test)]

@@ -100,8 +100,11 @@ impl Source {
     }
 
     fn message(&self, scan: &Scan) -> Vec<u8> {
+        let (stamp, offset) = (scan.first_ray_stamp(), self.time_offset);
+        let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
+        let moved = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
         let mut message = Vec::with_capacity(128 + self.names.frame.len() + 4 * scan.len());
-        ros::write_scan(&mut message, scan, self.stamp(scan), &self.names.frame);
+        ros::write_scan(&mut message, scan, moved.unwrap_or(stamp), &self.names.frame);
         message
     }
 
@@ -115,13 +118,6 @@ impl Source {
         let periods = behind.div_ceil(period.as_nanos());
         let ahead = u64::try_from(periods * period.as_nanos()).unwrap_or(u64::MAX);
         first + Duration::from_nanos(ahead)
-    }
-
-    fn stamp(&self, scan: &Scan) -> SystemTime {
-        let (stamp, offset) = (scan.first_ray_stamp(), self.time_offset);
-        let by = Duration::try_from_secs_f64(offset.abs()).unwrap_or_default();
-        let moved = if offset < 0.0 { stamp.checked_sub(by) } else { stamp.checked_add(by) };
-        moved.unwrap_or(stamp)
     }
 }
 

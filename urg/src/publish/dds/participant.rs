@@ -76,7 +76,7 @@ pub(super) fn run(
     let never = |error| Unavailable::Permanently(format!("cannot create a DDS topic: {error}"));
     let topics = &queue.topics;
     let domain = Domain::new_with_xml_config(settings.domain.into(), config).map_err(failed)?;
-    // Same as ROS 2's own participants. Without it, ROS 2 Kilted shows endpoints without names.
+    // Same as ROS 2's own participants.
     let participant = Participant::builder(&domain)
         .with_qos(&user_data(QoS::new(), "enclave=/;"))
         .build()
@@ -128,10 +128,7 @@ fn user_data(qos: QoS, text: &str) -> QoS {
 fn qos(qos: Qos, depth: usize, is_kept: bool) -> QoS {
     let depth = i32::try_from(depth).unwrap_or(i32::MAX);
     QoS::new()
-        .with_durability(match is_kept {
-            true => Durability::TransientLocal,
-            false => Durability::Volatile,
-        })
+        .with_durability(if is_kept { Durability::TransientLocal } else { Durability::Volatile })
         .with_history(History::KeepLast { depth })
         .with_reliability(match qos {
             Qos::Reliable => Reliability::Reliable { max_blocking_time: WRITE_TIMEOUT },

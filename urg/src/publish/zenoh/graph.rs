@@ -31,15 +31,10 @@ impl GraphNode<'_> {
         let name = mangled(&topic.name);
         let (message, hash) = (topic.message.dds_name(), topic.message.hash());
         // The key contains only differences from the ROS default, which is reliable.
-        let reliability = match topic.qos {
-            Qos::Reliable => "",
-            Qos::Sensor => "2",
-        };
+        let reliability = if topic.qos == Qos::Reliable { "" } else { "2" };
         let durability = if topic.kept.is_some() { "1" } else { "" };
-        format!(
-            "{token}/{name}/{message}/{hash}/{reliability}:{durability}:,{}:,:,:,,",
-            topic.depth
-        )
+        let depth = topic.depth;
+        format!("{token}/{name}/{message}/{hash}/{reliability}:{durability}:,{depth}:,:,:,,")
     }
 
     pub(super) fn key(&self, topic: &Topic) -> String {
