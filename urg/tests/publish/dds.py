@@ -134,7 +134,8 @@ def the_graph():
         until("both topics", lambda: {"/robot/front/scan", "/robot/rear/scan", "/diagnostics"} <= set(topics()))
         assert topics()["/robot/front/scan"] == ["sensor_msgs/msg/LaserScan"]
         until("a publisher", lambda: node.count_publishers("/robot/front/scan") == 1)
-        # Kilted looks for the node in a field that Cyclone DDS does not send. Elsewhere this shows
+        # Kilted looks for the node by PID_PARTICIPANT_GUID of the writer, which Cyclone DDS sends for
+        # no node, and which Fast DDS of Jazzy derives from the writer. Elsewhere this shows
         # that writers have the numbers that `discovery_info` assumes.
         if "kilted" not in sys.prefix:
             writers = {("/robot/front/scan", "/robot/front"), ("/diagnostics", "/robot/front")}
