@@ -43,14 +43,17 @@ def ip(command, inside=()):
 
 
 class Namespace:
-    """Another network namespace, for as long as its process lives."""
+    """Another machine: a network, and shared memory, in which Fast DDS reports an error if
+    readers of two networks open the same port. Lives as long as its process."""
 
     def __init__(self):
-        self.process = subprocess.Popen(["unshare", "-n", "sleep", "infinity"])
+        shared_memory = "mount -t tmpfs none /dev/shm && exec sleep infinity"
+        self.process = subprocess.Popen(["unshare", "-nm", "sh", "-c", shared_memory])
         own = os.readlink("/proc/self/ns/net")
         theirs = f"/proc/{self.process.pid}/ns/net"
-        wait("a namespace", lambda: os.readlink(theirs) != own)
-        self.enter = ("nsenter", "-t", str(self.process.pid), "-n")
+        comm = f"/proc/{self.process.pid}/comm"
+        wait("a namespace", lambda: os.readlink(theirs) != own and open(comm).read() == "sleep\n")
+        self.enter = ("nsenter", "-t", str(self.process.pid), "-n", "-m")
         ip("link set lo up", self.enter)
 
     def link(self, name, address):
@@ -72,7 +75,8 @@ class Lines:
         enter = namespace.enter if namespace else ()
         command = ["env", *settings, *enter, python, "-c", program, *arguments]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert self.process.stdout.readline() == "ready\n"
+        first = self.process.stdout.readline()
+        assert first == "ready\n", f"instead of ready: {first!r}"
         self.lines = []
         threading.Thread(target=self.collect, daemon=True).start()
 
