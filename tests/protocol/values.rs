@@ -95,6 +95,7 @@ fn a_text_keeps_every_byte() {
     assert_eq!((Text::from(&same), Text::from(same)), (text.clone(), text.clone()));
     assert!(text != "H0713091" && &text != "H071309" && text != Text::default());
     assert_eq!(Text::from(""), Text::default());
+    assert_eq!(Text::from(&b"H\xff\0"[..]).as_ref(), b"H\xff\0");
 }
 
 #[test]
