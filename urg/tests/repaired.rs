@@ -197,3 +197,25 @@ fn every_command_counts_the_same_scans() {
     assert!(stderr.contains(&format!(": {scans} scans, complete")), "{stderr}");
     fs::remove_dir_all(folder.path()).unwrap();
 }
+
+/// Many recordings end while a scan is on its way from the driver: its reply is in the file.
+#[test]
+fn a_recording_tells_the_last_scan_whenever_it_ends() {
+    let ends_at_any_time = |sensor: u64| {
+        let (file, link) = (format!("last-{sensor}"), format!("last-link-{sensor}"));
+        let (file, link) = (Scratch::mcap(&file), Scratch::new(&link));
+        let sensor = Emulated::start(&format!("--revolution 10ms --link {}", link.path()));
+        for milliseconds in 101..=115 {
+            let record = format!("record {} {} --force --rate max", sensor.port, file.path());
+            let told = run(&format!("{record} --duration {milliseconds}ms"), 0).stderr;
+            let (told, _) = told.split_once(" scans in ").unwrap();
+            let (_, told) = told.rsplit_once(' ').unwrap();
+            let info = run(&format!("info {} --format json", file.path()), 0).stdout;
+            let info: Value = serde_json::from_str(&info).unwrap();
+            assert_eq!(info["scans"].to_string(), told, "after {milliseconds} ms");
+        }
+    };
+    std::thread::scope(|scope| {
+        (0..8).for_each(|sensor| drop(scope.spawn(move || ends_at_any_time(sensor))))
+    });
+}

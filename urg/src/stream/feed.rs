@@ -83,6 +83,11 @@ impl Feed {
         self.next().now_or_never().flatten()
     }
 
+    /// Makes this the next update again.
+    pub(crate) fn put_back(&mut self, update: Update) {
+        self.next.push_front(update);
+    }
+
     /// Waits for the next update, until the stream ends. Cancel-safe.
     pub(crate) async fn next(&mut self) -> Option<Update> {
         if self.next.is_empty() {

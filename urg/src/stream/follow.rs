@@ -40,6 +40,7 @@ pub(crate) async fn follow(
         };
         match update {
             Some(Update::Scan(scan)) if ended.is_some_and(|(_, at)| scan.received_at() > at) => {
+                feed.put_back(Update::Scan(scan));
                 break;
             }
             Some(update) => {
