@@ -18,7 +18,7 @@ pub(crate) enum StreamEnd {
 }
 
 /// Passes each update to `take` until the end. A slow `take` still gets every update
-/// received before the end.
+/// received before the end; the next scan stays in the feed.
 pub(crate) async fn follow(
     feed: &mut Feed,
     pace: &PaceArgs,
