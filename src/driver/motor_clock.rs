@@ -106,7 +106,7 @@ const SHARE_REPLIES: f64 = 128.0;
 /// Number of fitting replies before a line is used: at the start, and after a jump. These add up to
 /// [`MOST_DOUBT`], and until then each misfit adds [`DOUBT_BY_MISFIT`]. A move by less than
 /// [`EARLY`] casts all: the line may follow frames, and moves again.
-const DOUBT_AT_START: u32 = 128;
+const DOUBT_AT_START: u32 = 256;
 const DOUBT: u32 = 512;
 const DOUBT_BY_MISFIT: u32 = 2;
 const MOST_DOUBT: u32 = 4 * DOUBT;

@@ -248,13 +248,15 @@ impl Opener {
     }
 
     /// Reads the version until its serial number and motor speed are known or repeat, up to
-    /// [`IDENTITY_TRIES`] times. No checksum protects them: one flipped bit must neither reject
-    /// a sensor, nor become the expected number, nor move the times of a session.
+    /// [`IDENTITY_TRIES`] times, unless the port delivers all bytes intact. No checksum of SCIP
+    /// protects them: one flipped bit must neither reject a sensor, nor become the expected number,
+    /// nor move the times of a session.
     async fn confirm_identity(
         &mut self,
         session: &mut Session,
     ) -> Result<Identified, ExchangeError> {
         let mut replies: Vec<VersionReply> = Vec::new();
+        let enough = if session.transport.delivers_intact() { 1 } else { 2 };
         loop {
             let latest = session.version().await?;
             replies.push(latest.clone());
@@ -265,13 +267,13 @@ impl Opener {
                 let counts =
                     number.is_printable() && (self.identity.is_none() || !number.is_empty());
                 let same = replies.iter().filter(|one| one.version.serial_number == *number);
-                self.identity.as_ref() == Some(number) || counts && same.count() > 1
+                self.identity.as_ref() == Some(number) || counts && same.count() >= enough
             });
             let speeds = || replies.iter().map(|reply| motor_speed(&reply.version));
             let speed = speeds().find(|speed| {
                 // A flipped bit in another speed hardly ever makes the nominal one.
                 [self.motor_speed, Some(Some(NOMINAL_SPEED))].contains(&Some(*speed))
-                    || speeds().filter(|one| one == speed).count() > 1
+                    || speeds().filter(|one| one == speed).count() >= enough
             });
             if settled.is_some() && speed.is_some() || replies.len() == IDENTITY_TRIES {
                 let is_certain = settled.is_some_and(|it| !it.version.serial_number.is_empty());

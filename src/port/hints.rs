@@ -60,6 +60,16 @@ pub trait PortHints {
         false
     }
 
+    /// Returns true if every byte arrives as the sensor sent it, as on the sensor's own USB port,
+    /// whose packets have a checksum. The driver then reads the serial number of a new sensor once,
+    /// otherwise twice. Default: `false`.
+    ///
+    /// If you wrongly return `true`, the driver may expect a damaged serial number from then on. If
+    /// you wrongly return `false`, the first scan comes one revolution later.
+    fn delivers_intact(&mut self) -> bool {
+        false
+    }
+
     /// Returns true if the link has ended permanently, for example at the end of a recording. The
     /// driver asks after a read or a write has failed or the stream has ended. If you return true,
     /// it stops instead of reconnecting: with `Ok` after the end of the stream, otherwise with the

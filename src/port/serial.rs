@@ -151,6 +151,11 @@ impl PortHints for SerialPort {
         !self.is_usb_sensor
     }
 
+    /// Returns true for the sensor's own USB port, whose packets have a checksum.
+    fn delivers_intact(&mut self) -> bool {
+        self.is_usb_sensor
+    }
+
     #[cfg(unix)]
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
         Some(self.inner.try_read(buffer))

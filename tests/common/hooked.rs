@@ -31,6 +31,10 @@ pub(crate) trait Hooks: Send + Unpin + 'static {
         port_can
     }
 
+    fn delivers_intact(&self) -> bool {
+        false
+    }
+
     fn wall_clock(&self) -> Option<SystemTime> {
         None
     }
@@ -97,6 +101,10 @@ impl<P: Port, H: Hooks> PortHints for Hooked<P, H> {
     fn can_die_silently(&mut self) -> bool {
         let port_can = self.port.hints().is_some_and(|hints| hints.can_die_silently());
         self.hooks.can_die_silently(port_can)
+    }
+
+    fn delivers_intact(&mut self) -> bool {
+        self.hooks.delivers_intact()
     }
 
     fn is_over(&mut self) -> bool {

@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use super::reconnect::open;
+use crate::common::hooked::{Hooked, Hooks};
 use crate::common::random::Random;
 use crate::common::{ConnectFn, builder, truthful};
 use tokio::time::Instant;
@@ -176,11 +177,22 @@ async fn a_serial_number_is_requested_twice() {
     assert_eq!((requests(&nameless), requests(&other)), (2, 2));
 }
 
-/// On USB a sensor answers once a revolution: a fence, `V` and `G`, and `V` once more unless the
-/// serial number is expected.
+/// Hooks of a port that delivers all bytes intact, as a sensor's own USB port does.
+struct Intact;
+
+impl Hooks for Intact {
+    fn delivers_intact(&self) -> bool {
+        true
+    }
+}
+
+/// On USB a sensor answers once a revolution: a fence, `V` and `G`, and `V` once more if its serial
+/// number is new and could be damaged.
 #[tokio::test(start_paused = true)]
-async fn the_first_scan_of_an_expected_sensor_comes_after_three_replies() {
-    for (is_expected, limit) in [(true, 270), (false, 370)] {
+async fn the_first_scan_comes_after_three_replies_where_the_first_serial_number_is_certain() {
+    for (is_expected, is_intact, limit) in
+        [(true, false, 270), (false, true, 270), (false, false, 370)]
+    {
         let mut times = Vec::new();
         for phase in 0..20 {
             let emulator = truthful().serial_number("H0000001").usb().build();
@@ -188,12 +200,36 @@ async fn the_first_scan_of_an_expected_sensor_comes_after_three_replies() {
             let begin = Instant::now();
             let builder = builder();
             let builder = if is_expected { builder.serial_number("H0000001") } else { builder };
-            builder.connect(emulator).await.unwrap().scan(Window::DETECTION).await.unwrap();
+            let sensor = if is_intact {
+                let port = move || Ok(Hooked { port: emulator.link(), hooks: Intact });
+                builder.connect(ConnectFn(port)).await
+            } else {
+                builder.connect(emulator).await
+            };
+            sensor.unwrap().scan(Window::DETECTION).await.unwrap();
             times.push(begin.elapsed());
         }
         times.sort();
         assert!(times[10] <= Duration::from_millis(limit), "{times:?}");
     }
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_intact_serial_number_is_expected_after_one_reply() {
+    let emulator = truthful().serial_number("H0000001").build();
+    let plugged_in = emulator.clone();
+    let port = move || Ok(Hooked { port: plugged_in.link(), hooks: Intact });
+    let sensor = builder().connect(ConnectFn(port)).await.unwrap();
+    assert_eq!(requests(&emulator), 1);
+    emulator.unplug();
+    emulator.set_serial_number("H0000002");
+    emulator.plug_in();
+    let mut state = sensor.watch_state();
+    let is_refused = |state: &State| {
+        matches!(state, State::Disconnected { error, .. }
+            if matches!(error.kind(), ErrorKind::AnotherSensor { .. }))
+    };
+    state.wait_for(is_refused).await.unwrap();
 }
 
 #[tokio::test(start_paused = true)]

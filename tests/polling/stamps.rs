@@ -81,7 +81,7 @@ async fn stamps_rest_on_the_motor_and_its_period_is_measured() {
 async fn late_replies_do_not_move_the_stamps() {
     let emulator = turning().faults(Faults::none().late(0.2, ms(30))).build();
     let (_sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;
-    next_errors(&emulator, &mut scans, 500).await;
+    next_errors(&emulator, &mut scans, 1000).await;
     let later = next_errors(&emulator, &mut scans, 1000).await;
     assert!(worst(&later, |errors| errors.arrival) > 25.0);
     let mut stamps: Vec<_> = later.iter().map(|errors| errors.stamp.abs()).collect();
@@ -109,7 +109,7 @@ async fn a_sensor_that_answers_at_once_has_stamps_of_arrival() {
     for (pace, rate) in [(Pace::AtOnce, Rate::UNLIMITED), (Pace::AtOnce, Rate::hz(10.0))] {
         let emulator = turning().pace(pace).build();
         let (sensor, mut scans) = stream(&emulator, rate).await;
-        for _ in 0..200 {
+        for _ in 0..400 {
             let scan = scans.next().await.unwrap().unwrap();
             assert_eq!(scan.stamp_quality(), StampQuality::Arrival);
             assert_eq!(scan.scan_time(), ms(100));
@@ -137,7 +137,7 @@ async fn on_a_serial_line_the_stamps_rest_on_the_motor_too() {
 async fn a_sensor_that_is_found_again_is_measured_anew() {
     let emulator = turning().build();
     let (sensor, mut scans) = stream(&emulator, Rate::UNLIMITED).await;
-    next_errors(&emulator, &mut scans, 200).await;
+    next_errors(&emulator, &mut scans, 400).await;
     assert!(sensor.stats().motor.is_some());
     emulator.unplug();
     assert!(scans.next().await.unwrap().is_err());
@@ -149,7 +149,7 @@ async fn a_sensor_that_is_found_again_is_measured_anew() {
         }
     };
     assert_eq!(scan.stamp_quality(), StampQuality::Arrival);
-    next_errors(&emulator, &mut scans, 200).await;
+    next_errors(&emulator, &mut scans, 400).await;
     assert_eq!(scans.next().await.unwrap().unwrap().stamp_quality(), StampQuality::Motor);
 }
 

@@ -19,6 +19,10 @@ impl Transport {
         self.port.hints().is_some_and(PortHints::can_die_silently)
     }
 
+    pub(crate) fn delivers_intact(&mut self) -> bool {
+        self.port.hints().is_some_and(PortHints::delivers_intact)
+    }
+
     pub(crate) fn baud_rate(&self) -> Option<BaudRate> {
         self.port.baud_rate()
     }
