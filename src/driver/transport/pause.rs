@@ -20,6 +20,9 @@ const RECENT: usize = 8;
 /// Smallest number of missing bytes worth measuring. For fewer bytes, the wake-ups at both
 /// ends take most of the time.
 const MIN_BYTES: usize = 256;
+/// Smallest number of missing pieces worth a pause, if they are as large as the first. A URG on USB
+/// sends its scans in four frames, and to suspend and resume the wake-ups costs more than three.
+const MIN_PIECES: usize = 4;
 /// Number of reply lengths to remember. A program polls a few windows.
 const LENGTHS: usize = 8;
 /// Lengths that differ by at most this number of bytes count as the same: the driver adds points to a
@@ -105,6 +108,9 @@ impl Pauses {
         let first = Current { since: now, missing, length, paused_until: None };
         let current = self.current.get_or_insert(first);
         self.lateness.end_pause(current.paused_until.take(), now);
+        if current.missing < MIN_PIECES * (length - current.missing) {
+            return None;
+        }
         // Counts from the first piece, because the last piece takes no time once it is
         // complete.
         let transfers = self.transfers.iter().find(|transfers| transfers.is_for(length))?;
@@ -261,6 +267,17 @@ mod tests {
         pauses.begin_reply();
         let pause = next(&mut pauses, REST).unwrap();
         assert!(pause > REST_TIME - 3 * TIMER_DELAY && pause < REST_TIME, "{pause:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn scans_in_few_pieces_are_read_piecewise() {
+        let mut pauses = measured().await;
+        for (piece, pauses_there) in [(64, true), (279, true), (280, false), (375, false)] {
+            pauses.begin_reply();
+            let deadline = Instant::now() + Duration::from_secs(10);
+            let until = pauses.next(piece, PIECE + REST - piece, deadline);
+            assert_eq!(until.is_some(), pauses_there, "{piece}");
+        }
     }
 
     /// Receives a scan whose pauses end late by `late`, piece by piece while the driver is
