@@ -17,8 +17,8 @@ pub(crate) enum StreamEnd {
     ByItself,
 }
 
-/// Passes each update to `take` until the end. A slow `take` still gets every update
-/// received before the end; the next scan stays in the feed.
+/// Passes each update to `take` until the end, and those received before the end also after it. The
+/// next scan stays in the feed.
 pub(crate) async fn follow(
     feed: &mut Feed,
     pace: &PaceArgs,
@@ -69,5 +69,41 @@ async fn end(pace: &PaceArgs, interrupt: &Interrupt) -> (StreamEnd, Instant) {
     tokio::select! {
         at = complete => (StreamEnd::Complete, at),
         at = interrupt.requested() => (StreamEnd::Interrupted, at),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use tokio_scip::{Rate, Sensor, Window};
+    use urg_emulator::Emulator;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn the_first_scan_after_the_end_stays_in_the_feed() {
+        let sensor = Sensor::builder().connect(Emulator::default()).await.unwrap();
+        let port = "emulated".parse().unwrap();
+        let mut feed =
+            Feed::open(&port, &sensor, Window::DETECTION, Rate::UNLIMITED).await.unwrap();
+        let (begin, duration) = (Instant::now(), Duration::from_millis(250));
+        let pace = PaceArgs { rate: None, count: None, duration: Some(duration) };
+        let interrupt = Interrupt::listen(false).unwrap();
+        let mut taken = Vec::new();
+        let slowly = async |update| {
+            if let Update::Scan(scan) = update {
+                taken.push(scan.sequence());
+                tokio::time::sleep(2 * duration).await;
+            }
+            Ok(())
+        };
+        assert_eq!(
+            follow(&mut feed, &pace, &interrupt, slowly).await.unwrap(),
+            StreamEnd::Complete
+        );
+        let Some(Update::Scan(next)) = feed.ready() else { panic!("no scan after {taken:?}") };
+        assert!(next.received_at() > begin + duration);
+        assert_eq!(taken, [0]);
     }
 }
