@@ -210,8 +210,9 @@ fn a_recording_counts_its_last_scan_whenever_it_ends() {
             let stderr = run(&format!("{record} --duration {milliseconds}ms"), 0).stderr;
             let info = run(&format!("info {} --format json", file.path()), 0).stdout;
             let info: Value = serde_json::from_str(&info).unwrap();
-            let scans = format!(": {} scans in ", info["scans"]);
-            assert!(stderr.contains(&scans), "{scans}after {milliseconds} ms: {stderr}");
+            let scans = info["scans"].as_u64().unwrap();
+            let told = format!(": {scans} scan{} in ", if scans == 1 { "" } else { "s" });
+            assert!(stderr.contains(&told), "{told}after {milliseconds} ms: {stderr}");
         }
     };
     std::thread::scope(|scope| {

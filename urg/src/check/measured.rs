@@ -171,7 +171,7 @@ impl Measured {
     fn motor(&self) -> Finding {
         let lateness: Vec<_> = self.scans.iter().filter_map(|seen| seen.lateness).collect();
         let Some(motor) = self.after.motor.filter(|_| !lateness.is_empty()) else {
-            return Finding::ok("motor", "not known yet: `--duration 1m` measures it");
+            return Finding::ok("motor", "not known yet: `--duration 2m` measures it");
         };
         let speed = motor.revolution.map_or_else(
             || "speed not known yet".to_owned(),
