@@ -18,6 +18,7 @@ mod publish;
 mod record;
 mod recording;
 mod stream;
+#[cfg_attr(not(feature = "view"), path = "commands/view_absent.rs")]
 mod view;
 mod wait;
 mod web;

@@ -52,7 +52,8 @@ pub(crate) fn show(line: impl FnOnce() -> String) {
         let line = line();
         let _ = QUEUE.try_send(Box::new(move || {
             HAS_PROGRESS.store(true, Ordering::Relaxed);
-            let width = crossterm::terminal::size().map_or(0, |(width, _)| width);
+            let width =
+                terminal_size::terminal_size_of(io::stderr()).map_or(0, |(width, _)| width.0);
             // Leaves the cursor at the start of the line, for other programs' output.
             write_now(format!("\r{}\x1b[K\r", fitted(&line, width)).as_bytes());
         }));
@@ -63,7 +64,7 @@ pub(crate) fn show(line: impl FnOnce() -> String) {
 /// a Windows console, which otherwise prints them as text.
 pub(crate) fn accepts_escape_codes() -> bool {
     #[cfg(windows)]
-    let is_interpreted = crossterm::ansi_support::supports_ansi;
+    let is_interpreted = || anstyle_query::windows::enable_ansi_colors().unwrap_or(false);
     #[cfg(not(windows))]
     let is_interpreted = || std::env::var_os("TERM").is_none_or(|term| term != "dumb");
     io::stderr().is_terminal() && is_interpreted()
