@@ -16,7 +16,7 @@ use urg_emulator::{Emulator, EmulatorBuilder, Faults, Fixed, Pty};
 const HOUR: Duration = Duration::from_secs(3600);
 /// Measuring time on a pseudo-terminal. The driver finds the motor during `WARM_UP` before it.
 const REAL_TIME: Duration = Duration::from_secs(120);
-const WARM_UP: Duration = Duration::from_secs(10);
+const WARM_UP: Duration = Duration::from_secs(30);
 /// Interval of USB's frames.
 const FRAME: Duration = Duration::from_millis(1);
 /// Part of a revolution between the first ray of the window and the rear.
