@@ -104,7 +104,7 @@ fn others(topics: &[String]) -> String {
 fn remedy(compression: &str) -> &'static str {
     match compression {
         "zstd" | "lz4" => {
-            "build with the feature `compression` of tokio-scip, or remove the compression with `mcap decompress in.mcap -o out.mcap`"
+            "build with the feature `compression`, or remove the compression with `mcap decompress in.mcap -o out.mcap`"
         }
         _ => {
             "expected `zstd`, `lz4` or no compression; copy the file with the program that wrote it, without compression"
