@@ -1,6 +1,9 @@
 //! `urg`: use a URG sensor from the command line. This file parses the arguments, runs the
 //! command, and maps its outcome to an exit code.
 
+// A build without one of these commands has code that only they use.
+#![cfg_attr(not(all(feature = "serve", feature = "view")), allow(dead_code))]
+
 mod args;
 mod check;
 mod commands;
@@ -9,7 +12,9 @@ mod failure;
 mod format;
 mod interrupt;
 mod output;
+#[cfg(any(feature = "serve", feature = "view"))]
 mod picture;
+#[cfg(any(feature = "serve", feature = "view"))]
 mod playback;
 mod plot;
 mod port;
@@ -21,6 +26,7 @@ mod stream;
 #[cfg_attr(not(feature = "view"), path = "commands/view_absent.rs")]
 mod view;
 mod wait;
+#[cfg(feature = "serve")]
 mod web;
 
 use std::ffi::OsString;

@@ -14,4 +14,5 @@ pub(crate) mod packaging;
 pub(crate) mod publish;
 pub(crate) mod repair;
 pub(crate) mod scan;
+#[cfg_attr(not(feature = "serve"), path = "serve_absent.rs")]
 pub(crate) mod serve;

@@ -114,7 +114,6 @@ impl Sector {
         (Place { right: right + distance * cos, ahead: ahead + distance * sin }, anchor)
     }
 
-    #[cfg(feature = "view")]
     /// Iterates along an arc, right to left, in steps of at most `spacing` metres.
     pub(crate) fn arc(self, radius: f64, spacing: f64) -> impl Iterator<Item = Place> {
         let length = radius * (self.to - self.from);
