@@ -23,7 +23,7 @@ mod publish;
 mod record;
 mod recording;
 mod stream;
-#[cfg_attr(not(feature = "view"), path = "commands/view_absent.rs")]
+#[cfg(feature = "view")]
 mod view;
 mod wait;
 #[cfg(feature = "serve")]
@@ -39,6 +39,12 @@ use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::check::Check;
+#[cfg(not(any(feature = "dds", feature = "zenoh", feature = "foxglove")))]
+use crate::commands::absent::Publish;
+#[cfg(not(feature = "serve"))]
+use crate::commands::absent::Serve;
+#[cfg(not(feature = "view"))]
+use crate::commands::absent::View;
 use crate::commands::baud::Baud;
 use crate::commands::cut::Cut;
 use crate::commands::emulate::Emulate;
@@ -46,9 +52,11 @@ use crate::commands::info::Info;
 use crate::commands::laser::Laser;
 use crate::commands::list::List;
 use crate::commands::packaging::{Completions, Manual};
+#[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 use crate::commands::publish::Publish;
 use crate::commands::repair::Repair;
 use crate::commands::scan::ScanOnce;
+#[cfg(feature = "serve")]
 use crate::commands::serve::Serve;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -56,6 +64,7 @@ use crate::output::notice::{escaped, notice};
 use crate::output::stderr;
 use crate::record::Record;
 use crate::stream::command::Stream;
+#[cfg(feature = "view")]
 use crate::view::View;
 
 /// Use Hokuyo URG laser range sensors that speak SCIP 1.1.

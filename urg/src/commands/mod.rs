@@ -1,5 +1,11 @@
 //! Commands, one file each. `check`, `record`, `stream` and `view` have their own modules.
 
+#[cfg(not(all(
+    feature = "serve",
+    feature = "view",
+    any(feature = "dds", feature = "zenoh", feature = "foxglove")
+)))]
+pub(crate) mod absent;
 pub(crate) mod baud;
 pub(crate) mod cut;
 pub(crate) mod emulate;
@@ -7,12 +13,9 @@ pub(crate) mod info;
 pub(crate) mod laser;
 pub(crate) mod list;
 pub(crate) mod packaging;
-#[cfg_attr(
-    not(any(feature = "dds", feature = "zenoh", feature = "foxglove")),
-    path = "publish_absent.rs"
-)]
+#[cfg(any(feature = "dds", feature = "zenoh", feature = "foxglove"))]
 pub(crate) mod publish;
 pub(crate) mod repair;
 pub(crate) mod scan;
-#[cfg_attr(not(feature = "serve"), path = "serve_absent.rs")]
+#[cfg(feature = "serve")]
 pub(crate) mod serve;
