@@ -75,27 +75,28 @@ pub(crate) fn shell(script: &str) -> Command {
     command
 }
 
-/// Returns the program with these arguments, to be run to its end.
-pub(crate) fn urg(arguments: &str) -> assert_cmd::Command {
-    prepare();
-    let mut command = assert_cmd::Command::new(URG);
-    command.args(arguments.split_whitespace()).env_remove("RUST_LOG").timeout(STEP_LIMIT);
-    command
-}
-
-/// Output of a program that ended with the expected exit code.
+/// Output of a program that has ended.
 pub(crate) struct ProgramOutput {
+    pub(crate) code: Option<i32>,
     pub(crate) stdout: String,
     pub(crate) stderr: String,
 }
 
-/// Runs the program to its end.
-pub(crate) fn run(arguments: &str, exit_code: i32) -> ProgramOutput {
-    let output = urg(arguments).assert().code(exit_code).get_output().clone();
+/// Runs the program to its end, without input.
+pub(crate) fn output_of(mut command: Command) -> ProgramOutput {
+    let output = command.stdin(Stdio::null()).output().unwrap();
     ProgramOutput {
+        code: output.status.code(),
         stdout: String::from_utf8(output.stdout).unwrap(),
         stderr: String::from_utf8(output.stderr).unwrap(),
     }
+}
+
+/// Runs the program, which must end with this exit code.
+pub(crate) fn run(arguments: &str, exit_code: i32) -> ProgramOutput {
+    let output = output_of(program(arguments));
+    assert_eq!(output.code, Some(exit_code), "{arguments}: {}", output.stderr);
+    output
 }
 
 /// Runs the program, which must fail, and returns its one line of error.
@@ -236,6 +237,8 @@ fn all(lines: &Receiver<String>) -> Vec<String> {
 
 /// An emulated sensor in its own process, and its PORT.
 pub(crate) struct Emulated {
+    /// Declared, and so dropped, before the program.
+    _link: PortLink,
     pub(crate) running: Running,
     pub(crate) port: String,
 }
@@ -247,7 +250,19 @@ impl Emulated {
         let notice = running.notice();
         let (_, port) = notice.rsplit_once(", on ").unwrap_or_else(|| panic!("{notice}"));
         let port = port.to_owned();
-        Self { running, port }
+        Self { _link: PortLink(port.clone()), running, port }
+    }
+}
+
+/// Link to a terminal, which a killed program leaves behind. A program that still looks for the
+/// sensor would find the next terminal of that number there, which is another test's.
+struct PortLink(String);
+
+impl Drop for PortLink {
+    fn drop(&mut self) {
+        if std::fs::symlink_metadata(&self.0).is_ok_and(|link| link.is_symlink()) {
+            let _ = std::fs::remove_file(&self.0);
+        }
     }
 }
 

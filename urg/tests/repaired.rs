@@ -9,7 +9,7 @@ use tokio_scip::Window;
 use urg_recording::{Entry, Recording};
 
 use super::formats::scans;
-use super::program::{Emulated, Scratch, failure, run, urg};
+use super::program::{Emulated, Scratch, failure, output_of, program, run};
 use super::recorded::recording;
 
 fn count(path: &str) -> usize {
@@ -86,8 +86,9 @@ async fn a_file_name_cannot_control_the_terminal() {
     let scans = run(&format!("stream {} --format csv", file.path()), 0);
     let repaired = run(&format!("repair {}", file.path()), 0);
     // clap writes colours, as to a terminal.
-    let refused = urg("view \x1b[2J --rate 0").env("CLICOLOR_FORCE", "1").assert().code(2);
-    let refused = String::from_utf8_lossy(&refused.get_output().stderr).into_owned();
+    let mut refused = program("view \x1b[2J --rate 0");
+    refused.env("CLICOLOR_FORCE", "1");
+    let refused = output_of(refused).stderr;
     assert!(refused.contains("control characters"), "{refused:?}");
     for text in [info.stdout, info.stderr, scans.stderr, repaired.stderr, refused] {
         assert!(!text.contains('\x1b'), "{text:?}");

@@ -1,6 +1,6 @@
 //! Help, invalid command lines, and ports that cannot be opened.
 
-use super::program::{COMMANDS, Emulated, Scratch, failure, program, run, urg};
+use super::program::{COMMANDS, Emulated, Scratch, failure, output_of, program, run};
 
 #[test]
 fn every_command_has_help_on_standard_output() {
@@ -118,9 +118,9 @@ fn a_port_in_use_is_reported_as_such() {
     let mut stream = super::program::Running::start(&format!("stream {}", sensor.port));
     stream.line();
     // Root may open it nevertheless.
-    let output = urg(&format!("info {}", sensor.port)).assert().get_output().clone();
-    let stderr = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() || stderr.contains("is in use"), "{stderr}");
+    let output = output_of(program(&format!("info {}", sensor.port)));
+    let is_told = output.stderr.contains("is in use");
+    assert!(output.code == Some(0) || is_told, "{}", output.stderr);
 }
 
 #[test]
@@ -136,10 +136,11 @@ fn an_emulated_sensor_that_cannot_be_served_is_a_failure() {
 
 #[test]
 fn logs_come_on_standard_error_and_only_when_asked_for() {
-    let quiet = urg("info emulated").assert().success().get_output().clone();
+    let quiet = run("info emulated", 0);
     assert!(quiet.stderr.is_empty());
-    let asked = urg("info emulated").env("RUST_LOG", "debug").assert().success();
-    let asked = asked.get_output().clone();
+    let mut asked = program("info emulated");
+    asked.env("RUST_LOG", "debug");
+    let asked = output_of(asked);
     assert!(!asked.stderr.is_empty());
     assert_eq!(asked.stdout, quiet.stdout);
 }
