@@ -368,7 +368,7 @@ fn paused() -> tokio::runtime::Runtime {
 
 #[test]
 fn a_sensor_is_as_wished_and_described() {
-    for seed in seeds("SCIP_WISHES", 100) {
+    for seed in seeds("SCIP_WISHES", 35) {
         paused().block_on(async {
             let mut history = History::new(seed).await;
             for _ in 0..12 {
@@ -411,7 +411,7 @@ async fn beside_refused(seed: u64) {
 
 #[test]
 fn a_stream_keeps_its_share_beside_refused_ones() {
-    for seed in seeds("SCIP_WISHES", 10) {
+    for seed in seeds("SCIP_WISHES", 4) {
         paused().block_on(beside_refused(seed));
     }
 }

@@ -236,7 +236,7 @@ fn is_beyond(wall: &Wall, reach: f64) -> bool {
 
 #[test]
 fn a_clear_zone_has_no_obstacle() {
-    let seeds = seeds("SCIP_ZONES", 1_400);
+    let seeds = seeds("SCIP_ZONES", 500);
     let worlds = seeds.end - seeds.start;
     let (mut clear, mut open, mut blocked) = (0_u64, 0_u64, 0_u64);
     for seed in seeds {

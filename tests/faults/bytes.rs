@@ -1,5 +1,5 @@
-//! Exhaustive tests: each single damage at each place of a reply, through the whole
-//! driver; and at each place of a full scan, through the codec.
+//! Exhaustive tests: each single damage at each place of a reply of five lines, through the
+//! whole driver; and at each place of a full scan, through the codec.
 
 use bytes::BytesMut;
 use tokio_scip::codec::{Frame, ScipCodec};
@@ -12,13 +12,17 @@ use super::rig::{Outcome, instant_sensor, scans, second_poll, streaming, wrong_s
 use crate::common::faulty_link::FaultyLink;
 use crate::common::{builder, reply_len, request_of};
 
-const WINDOW: Window = Window::DETECTION;
 /// Offset of the data, which follows echo, LF, status, LF.
 const DATA: usize = 12;
 
+/// Four whole lines of data, and a part of one.
+fn window() -> Window {
+    Window::new(300..=440).unwrap()
+}
+
 /// Returns the length of the second poll's reply. That poll asks for one step more.
 fn length() -> usize {
-    reply_len(Window::new(43..=725).unwrap())
+    reply_len(Window::new(299..=440).unwrap())
 }
 
 /// Asserts that the poll brought no scan, and exactly one error.
@@ -36,7 +40,7 @@ fn assert_unharmed(outcome: &Outcome, what: &str) {
 #[tokio::test(start_paused = true)]
 async fn w01_w05_w06_w11_each_byte_lost() {
     for at in 0..length() {
-        let outcome = second_poll(WINDOW, &[Fault::Drop(at..at + 1)]).await;
+        let outcome = second_poll(window(), &[Fault::Drop(at..at + 1)]).await;
         assert_refused(&outcome, &format!("without byte {at}"));
     }
 }
@@ -44,7 +48,7 @@ async fn w01_w05_w06_w11_each_byte_lost() {
 #[tokio::test(start_paused = true)]
 async fn w02_w07_w12_each_byte_doubled() {
     for at in 0..length() {
-        let outcome = second_poll(WINDOW, &[Fault::Repeat(at..at + 1)]).await;
+        let outcome = second_poll(window(), &[Fault::Repeat(at..at + 1)]).await;
         // One more LF after the two that end a reply is harmless.
         let check = if at < length() - 2 { assert_refused } else { assert_unharmed };
         check(&outcome, &format!("byte {at} twice"));
@@ -55,7 +59,7 @@ async fn w02_w07_w12_each_byte_doubled() {
 async fn w02_w07_w12_w18_a_byte_inserted_at_each_place() {
     for byte in [b'\n', 0, 0xff] {
         for at in 0..=length() {
-            let outcome = second_poll(WINDOW, &[Fault::Insert(at, vec![byte])]).await;
+            let outcome = second_poll(window(), &[Fault::Insert(at, vec![byte])]).await;
             // A NUL before a reply is skipped; a byte after it is dropped before the next poll.
             let harmless = at == length()
                 || at == length() - 1 && byte == b'\n'
@@ -70,7 +74,7 @@ async fn w02_w07_w12_w18_a_byte_inserted_at_each_place() {
 #[tokio::test(start_paused = true)]
 async fn w15_a_reply_cut_at_each_length() {
     for kept in 0..length() {
-        let outcome = second_poll(WINDOW, &[Fault::Cut(kept)]).await;
+        let outcome = second_poll(window(), &[Fault::Cut(kept)]).await;
         assert_refused(&outcome, &format!("{kept} bytes of it"));
         // The fence's reply is recognised after the remains of the damaged one.
         assert_eq!(outcome.stats.fence_timeouts, 0, "{kept} bytes of it");
@@ -82,7 +86,7 @@ async fn w10_each_block_of_64_bytes_lost_or_doubled() {
     for start in (DATA..length() - 1).step_by(65) {
         let block = start..(start + 65).min(length() - 1);
         for fault in [Fault::Drop(block.clone()), Fault::Repeat(block.clone())] {
-            let outcome = second_poll(WINDOW, std::slice::from_ref(&fault)).await;
+            let outcome = second_poll(window(), std::slice::from_ref(&fault)).await;
             assert_refused(&outcome, &format!("{fault:?}"));
             assert!(matches!(outcome.errors[..], [ErrorKind::Malformed { .. }]), "{fault:?}");
         }
@@ -98,14 +102,14 @@ async fn w16_a_reply_split_at_each_place() {
         let counter = link.counter();
         let sensor = builder().attach(link).await.unwrap();
         let before = counter.bytes_read();
-        let scan = sensor.scan(WINDOW).await.unwrap();
+        let scan = sensor.scan(window()).await.unwrap();
         assert_eq!(wrong_scans(&emulator, &[scan]), [""; 0]);
         let stats = sensor.stats();
         assert_eq!((stats.timeouts, stats.malformed.total(), stats.fences), (0, 0, 1));
         before
     };
     let before = stream(Vec::new()).await;
-    for at in 1..reply_len(WINDOW) as u64 {
+    for at in 1..reply_len(window()) as u64 {
         assert_eq!(stream(vec![before + at]).await, before);
     }
 }
@@ -165,8 +169,9 @@ async fn w13_a_j_that_becomes_a_line_feed_at_each_place() {
     // 26 * 64 + 26 is sent as "JJ", and one flipped bit makes an LF of a 'J'.
     let emulator =
         Emulator::builder().world(Fixed::filled(26 * 64 + 26)).pace(Pace::AtOnce).build();
-    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
-    for at in DATA..length() - 2 {
+    let (sensor, mut stream) = streaming(&emulator, window(), Rate::hz(10.0)).await;
+    // A poll may ask for no step more.
+    for at in DATA..reply_len(window()) - 2 {
         scans(&mut stream, 1).await;
         let before = sensor.stats().scans;
         emulator.set_faults(Faults::none().at(0, Fault::Flip(at, b'J' ^ b'\n')));
@@ -202,13 +207,13 @@ fn w16_w17_a_scan_may_be_split_anywhere() {
     let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
     let one = [&b"G00076801\n0\n"[..], &lines, b"\n\n"].concat();
     assert_eq!(one.len(), 1576);
-    let three = one.repeat(3);
-    assert_eq!(accepted(&command, [&three[..]]), 3);
-    for at in 0..=three.len() {
-        assert_eq!(accepted(&command, [&three[..at], &three[at..]]), 3, "split at {at}");
+    let two = one.repeat(2);
+    assert_eq!(accepted(&command, [&two[..]]), 2);
+    for at in 0..=two.len() {
+        assert_eq!(accepted(&command, [&two[..at], &two[at..]]), 2, "split at {at}");
     }
     for size in 1..=one.len() {
-        assert_eq!(accepted(&command, three.chunks(size)), 3, "in pieces of {size}");
+        assert_eq!(accepted(&command, two.chunks(size)), 2, "in pieces of {size}");
     }
     for at in 0..one.len() {
         let damaged = [&one[..at], &one[at + 1..], &one].concat();
@@ -220,7 +225,7 @@ fn w16_w17_a_scan_may_be_split_anywhere() {
 async fn w09_a_lost_and_an_added_byte_shift_points() {
     // No driver can detect this. The test shows its effect, and that it has no other.
     let emulator = instant_sensor().build();
-    let (sensor, mut stream) = streaming(&emulator, WINDOW, Rate::hz(10.0)).await;
+    let (sensor, mut stream) = streaming(&emulator, Window::DETECTION, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     let faults = urg_emulator::Faults::none();
     // Two places in the same line, 20 bytes or ten points apart.
@@ -245,7 +250,7 @@ fn emulator_number(scan: &tokio_scip::Scan) -> u64 {
 
 #[tokio::test(start_paused = true)]
 async fn a_malformed_reply_is_reported_with_its_place() {
-    let outcome = second_poll(WINDOW, &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
+    let outcome = second_poll(window(), &[Fault::Drop(DATA + 65 * 3 + 5..DATA + 65 * 3 + 6)]).await;
     let [ErrorKind::Malformed { source, .. }] = &outcome.errors[..] else { panic!("{outcome:?}") };
     assert_eq!(*source, MalformedError::LineLength { line: 3, expected: 64, found: 63 });
 }

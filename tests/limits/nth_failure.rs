@@ -18,11 +18,9 @@ fn window() -> Window {
     Window::new(300..=320).unwrap()
 }
 
-/// EIO, ENXIO, EBADF, ENODEV, and kinds of errors; the end of input; no response.
-const FAILURES: [LinkFailure; 9] = [
+/// EIO, ENODEV, and kinds of errors; the end of input; no response.
+const FAILURES: [LinkFailure; 7] = [
     LinkFailure::Errno(5),
-    LinkFailure::Errno(6),
-    LinkFailure::Errno(9),
     LinkFailure::Errno(19),
     LinkFailure::Kind(io::ErrorKind::ConnectionReset),
     LinkFailure::Kind(io::ErrorKind::Interrupted),
@@ -175,6 +173,10 @@ async fn every_call_fails_once(scenario: FailureScenario) {
         let totals = with_failure(scenario, writes, None, reconnect).await;
         for (call, total) in [Call::Read, Call::Write, Call::SetBaudRate].into_iter().zip(totals) {
             assert!(total > 0);
+            // Writes in part fail no other calls than whole ones.
+            if writes < usize::MAX && !matches!(call, Call::Write) {
+                continue;
+            }
             for n in 0..total {
                 for failure in FAILURES {
                     with_failure(scenario, writes, Some((call, n, failure)), reconnect).await;

@@ -7,7 +7,7 @@ use tokio_scip::{Rate, ScanStream, Sensor, Window};
 use urg_emulator::{Emulator, Fixed, Pace};
 
 /// A day takes minutes without optimization.
-const MINUTES: u32 = if cfg!(debug_assertions) { 60 } else { 24 * 60 };
+const MINUTES: u32 = if cfg!(debug_assertions) { 10 } else { 24 * 60 };
 const POLLS: u32 = MINUTES * 600;
 
 async fn stream(pace: Pace) -> (Sensor, ScanStream) {

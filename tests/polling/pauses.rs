@@ -462,7 +462,7 @@ impl Mix {
 
 #[tokio::test(start_paused = true)]
 async fn pauses_delay_no_mix_of_windows_on_any_line() {
-    for seed in seeds("SCIP_LINES", 10) {
+    for seed in seeds("SCIP_LINES", 4) {
         let mix = Mix::draw(seed);
         let with = mix.delays(true).await;
         let without = mix.delays(false).await;

@@ -251,7 +251,7 @@ fn history(seed: u64) -> Result<bool, String> {
 
 #[test]
 fn what_is_kept_is_the_newest_that_fits() {
-    let seeds = seeds("URG_KEEPS", 500);
+    let seeds = seeds("URG_KEEPS", 150);
     let (count, mut busy, mut wrong) = (seeds.end - seeds.start, 0, Vec::new());
     for seed in seeds {
         match history(seed) {

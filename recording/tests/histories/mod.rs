@@ -424,7 +424,7 @@ impl History {
 
 #[test]
 fn histories_lose_nothing_and_mix_nothing() {
-    let seeds = seeds("URG_HISTORIES", 2_000);
+    let seeds = seeds("URG_HISTORIES", 700);
     let count = seeds.end - seeds.start;
     let mut wrong: BTreeMap<String, (u64, u64, String)> = BTreeMap::new();
     let mut steps = BTreeMap::new();
