@@ -187,6 +187,17 @@ async fn o09_a_lost_reply_to_s_does_not_lose_the_sensor() {
 }
 
 #[tokio::test(start_paused = true)]
+async fn o09_two_lost_replies_after_s_do_not_lose_the_sensor() {
+    let emulator = truthful().baud_rate(BaudRate::B19200).pace(Pace::AtOnce).build();
+    let sensor = open(&emulator).await;
+    emulator.set_faults(Faults::none().at(2, Fault::Lost).at(3, Fault::Lost));
+    sensor.set_baud_rate(BaudRate::B115200).await.unwrap();
+    assert_eq!(emulator.baud_rate(), Some(BaudRate::B115200));
+    let stats = sensor.stats();
+    assert_eq!((stats.fence_timeouts, stats.reconnects), (2, 0), "{stats:?}");
+}
+
+#[tokio::test(start_paused = true)]
 async fn a_refused_baud_rate_changes_neither_side() {
     let emulator = truthful().baud_rate(BaudRate::B19200).build();
     let sensor = open(&emulator).await;
