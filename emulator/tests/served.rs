@@ -87,9 +87,10 @@ async fn tcp_clients_are_served_one_after_the_other() {
 #[cfg(all(unix, feature = "pty"))]
 mod terminal {
     use std::path::{Path, PathBuf};
+    use std::time::Instant;
 
     use tokio::task::JoinHandle;
-    use tokio_serial::{SerialPort, SerialStream};
+    use tokio_serial::{ErrorKind, SerialPort, SerialStream};
     use urg_emulator::{Emulator, Pty, Received};
 
     use super::*;
@@ -105,8 +106,17 @@ mod terminal {
     }
 
     fn open(path: &Path, baud_rate: u32) -> SerialStream {
-        // With an exclusive lock, as the crate's own ports have.
-        SerialStream::open(&tokio_serial::new(path.to_str().unwrap(), baud_rate)).unwrap()
+        // With an exclusive lock, as the crate's own ports have. A program that another test starts
+        // has a copy of each open port until it begins, also of one that was closed meanwhile.
+        let deadline = Instant::now() + Duration::from_secs(10);
+        loop {
+            match SerialStream::open(&tokio_serial::new(path.to_str().unwrap(), baud_rate)) {
+                Err(error) if error.kind() == ErrorKind::NoDevice && Instant::now() < deadline => {
+                    std::thread::yield_now();
+                }
+                outcome => return outcome.unwrap(),
+            }
+        }
     }
 
     /// Returns a path that is used by one test only, with nothing there.
