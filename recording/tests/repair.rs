@@ -173,7 +173,7 @@ async fn a_damaged_kind_of_chunk_is_reported() {
     }
 }
 
-/// Makes a file of several chunks, 20 kB.
+/// Makes a file of several chunks, 10 kB.
 async fn two_chunks() -> Vec<u8> {
     let sink = Sink::new();
     record(sensor(), &sink, window(300, 310, 1), 20).await;

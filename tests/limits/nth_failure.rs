@@ -173,7 +173,7 @@ async fn every_call_fails_once(scenario: FailureScenario) {
         let totals = with_failure(scenario, writes, None, reconnect).await;
         for (call, total) in [Call::Read, Call::Write, Call::SetBaudRate].into_iter().zip(totals) {
             assert!(total > 0);
-            // Writes in part fail no other calls than whole ones.
+            // Partial writes change no other calls.
             if writes < usize::MAX && !matches!(call, Call::Write) {
                 continue;
             }

@@ -82,9 +82,18 @@ pub(crate) struct ProgramOutput {
     pub(crate) stderr: String,
 }
 
-/// Runs the program to its end, without input.
+/// Runs a command to its end, without input, for as long as a step may take.
 pub(crate) fn output_of(mut command: Command) -> ProgramOutput {
-    let output = command.stdin(Stdio::null()).output().unwrap();
+    let piped = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = piped.spawn().unwrap();
+    let id = child.id();
+    let (sender, ended) = channel();
+    thread::spawn(move || sender.send(child.wait_with_output()));
+    let Ok(output) = ended.recv_timeout(STEP_LIMIT) else {
+        send(id, "KILL");
+        panic!("{command:?} does not end");
+    };
+    let output = output.unwrap();
     ProgramOutput {
         code: output.status.code(),
         stdout: String::from_utf8(output.stdout).unwrap(),

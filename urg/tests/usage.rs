@@ -141,6 +141,7 @@ fn logs_come_on_standard_error_and_only_when_asked_for() {
     let mut asked = program("info emulated");
     asked.env("RUST_LOG", "debug");
     let asked = output_of(asked);
+    assert_eq!(asked.code, Some(0));
     assert!(!asked.stderr.is_empty());
     assert_eq!(asked.stdout, quiet.stdout);
 }

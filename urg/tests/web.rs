@@ -345,7 +345,7 @@ fn a_client_that_never_reads_does_not_delay_the_end() {
     let served = Served::start(&format!("{} --rate max", sensor.port));
     let _stuck = served.get("/scans");
     // When this one has ended, the other one's buffers have long been full.
-    served.get("/scans?max=500").text();
+    served.get("/scans?max=1000").text();
     served.running.signal("INT");
     let (status, _) = served.running.end();
     assert_eq!(status.code(), Some(0));
