@@ -4,6 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
+use crate::Error;
+
 /// Resolution of the timer: a millisecond.
 const SHORTEST_PERIOD: Duration = Duration::from_millis(1);
 const LONGEST_PERIOD: Duration = Duration::from_secs(24 * 60 * 60);
@@ -107,6 +109,12 @@ impl fmt::Display for Rate {
 #[error("invalid rate {found:?}: expected more than 0 and at most 1000 Hz, such as 10, or max")]
 pub struct RateError {
     found: String,
+}
+
+impl From<RateError> for Error {
+    fn from(error: RateError) -> Self {
+        Self::other(error)
+    }
 }
 
 /// Parses scans per second with or without the unit, such as `10`, `10Hz` or `0.5 Hz`, or

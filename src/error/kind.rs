@@ -154,6 +154,14 @@ impl ErrorKind {
         matches!(
             self,
             Self::NoSuchPort { .. }
+    /// Error of another type of this crate, such as
+    /// [`WindowError`](crate::protocol::WindowError), which `?` has converted.
+    #[error(transparent)]
+    #[non_exhaustive]
+    Other {
+        /// That error.
+        source: Arc<dyn std::error::Error + Send + Sync>,
+    },
                 | Self::NoSuchSensor { .. }
                 | Self::Busy { .. }
                 | Self::Open { .. }
@@ -295,3 +303,4 @@ fn is_urg_04lx(model: &Text) -> bool {
     let is_part = |c: char| c.is_ascii_alphanumeric() || c == '-';
     model.to_string().split(|c| !is_part(c)).any(|word| word == "URG-04LX")
 }
+            ErrorKind::Other { source } => source.fmt(f),

@@ -11,6 +11,7 @@ use std::sync::Arc;
 pub use self::chain::ErrorChain;
 pub use self::kind::ErrorKind;
 use self::kind::Sentence;
+use crate::protocol::{BaudRateError, MalformedError, ReplyError, WindowError};
 
 /// Why an operation failed, and what to do about it.
 ///
@@ -53,6 +54,11 @@ impl Error {
     /// Creates an [`ErrorKind::Open`], for a [`Connect`](crate::port::Connect) of your own.
     pub fn open(port: impl Into<String>, source: io::Error) -> Self {
         ErrorKind::Open { port: port.into(), source: Arc::new(source) }.into()
+    }
+
+    /// Wraps an error of another type of this crate.
+    pub(crate) fn other(source: impl std::error::Error + Send + Sync + 'static) -> Self {
+        ErrorKind::Other { source: Arc::new(source) }.into()
     }
 
     /// What failed.
@@ -129,6 +135,19 @@ impl From<ErrorKind> for Error {
 }
 
 impl From<std::convert::Infallible> for Error {
+/// `?` converts every error type of this crate. The other conversions are beside their types.
+macro_rules! convert {
+    ($($error:ty),+) => {
+        $(impl From<$error> for Error {
+            fn from(error: $error) -> Self {
+                Self::other(error)
+            }
+        })+
+    };
+}
+
+convert!(BaudRateError, MalformedError, ReplyError, WindowError);
+
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
     }

@@ -6,6 +6,7 @@ use std::time::{Duration, SystemTime};
 use tokio::time::Instant;
 
 use super::{Scan, ScanMeta};
+use crate::Error;
 use crate::protocol::Window;
 
 /// Largest 12-bit value.
@@ -141,6 +142,12 @@ pub enum ScanError {
         /// Value.
         found: u16,
     },
+}
+
+impl From<ScanError> for Error {
+    fn from(error: ScanError) -> Self {
+        Self::other(error)
+    }
 }
 
 #[cfg(test)]

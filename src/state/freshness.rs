@@ -107,6 +107,12 @@ pub struct StaleError {
     pub source: Option<Error>,
 }
 
+impl From<StaleError> for Error {
+    fn from(error: StaleError) -> Self {
+        Self::other(error)
+    }
+}
+
 /// Writes the error and its cause, as [`Error`] does.
 impl fmt::Debug for StaleError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

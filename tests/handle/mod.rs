@@ -3,6 +3,7 @@
 mod auto_traits;
 mod borrowed_state;
 mod cancel;
+mod errors;
 mod names;
 mod observer;
 mod panics;

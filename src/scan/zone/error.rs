@@ -1,5 +1,7 @@
 //! [`ZoneError`]: why values make no zone.
 
+use crate::Error;
+
 /// Error for values that make no [`Zone`](super::Zone).
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -80,4 +82,10 @@ pub enum ZoneError {
         /// Smallest possible width in metres.
         least: f64,
     },
+}
+
+impl From<ZoneError> for Error {
+    fn from(error: ZoneError) -> Self {
+        Self::other(error)
+    }
 }
