@@ -67,7 +67,8 @@ pub(crate) async fn find(
                     session.transport.is_adjustable() && session.transport.baud_rate().is_some();
                 let baud_rate = session.transport.baud_rate().filter(|_| !searched);
                 let bytes = session.transport.received() - before;
-                let silence = ErrorKind::NoAnswer { baud_rate, searched, bytes };
+                let words = session.transport.words();
+                let silence = ErrorKind::NoAnswer { baud_rate, searched, bytes, words };
                 return Err(LinkError::Silent(malformed.unwrap_or(silence)).into());
             }
         }

@@ -67,6 +67,17 @@ pub enum ErrorKind {
         searched: bool,
         /// Number of received bytes that are not part of a reply.
         bytes: u64,
+        /// Text that came in place of replies, such as a server's banner.
+        words: Option<Text>,
+    },
+    /// The other end sent text in place of a reply, and closed the port: a serial server that
+    /// cannot serve you.
+    #[non_exhaustive]
+    Rejected {
+        /// Its text, such as `Port already in use`.
+        words: Text,
+        /// Error of the port, if there was one.
+        source: Option<Arc<io::Error>>,
     },
     /// The port sends back what the driver writes to it.
     Loopback,
@@ -143,6 +154,14 @@ pub enum ErrorKind {
     },
     /// The driver has ended: it was closed, or its task was dropped.
     Closed,
+    /// Error of another type of this crate, such as
+    /// [`WindowError`](crate::protocol::WindowError), which `?` has converted.
+    #[error(transparent)]
+    #[non_exhaustive]
+    Other {
+        /// That error.
+        source: Arc<dyn std::error::Error + Send + Sync>,
+    },
 }
 
 impl ErrorKind {
@@ -154,18 +173,11 @@ impl ErrorKind {
         matches!(
             self,
             Self::NoSuchPort { .. }
-    /// Error of another type of this crate, such as
-    /// [`WindowError`](crate::protocol::WindowError), which `?` has converted.
-    #[error(transparent)]
-    #[non_exhaustive]
-    Other {
-        /// That error.
-        source: Arc<dyn std::error::Error + Send + Sync>,
-    },
                 | Self::NoSuchSensor { .. }
                 | Self::Busy { .. }
                 | Self::Open { .. }
                 | Self::NoAnswer { .. }
+                | Self::Rejected { .. }
                 | Self::Disconnected { .. }
                 | Self::Timeout { .. }
                 | Self::Malformed { .. }
@@ -214,17 +226,30 @@ impl fmt::Display for Sentence<'_> {
                 f,
                 "no sensor with serial number {serial_number} on any port: plug it in, and stop other programs that have its port open (busy ports are skipped)"
             ),
-            ErrorKind::NoAnswer { searched, bytes, .. } => {
+            ErrorKind::NoAnswer { baud_rate, searched, bytes, words } => {
                 write!(f, "{sensor} does not answer")?;
                 f.write_str(if *searched { " at any baud rate" } else { "" })?;
                 f.write_str(
                     ": check its power and the wiring (after power-up it is silent for some seconds)",
                 )?;
-                match bytes {
-                    0 => Ok(()),
-                    _ => write!(f, "; found {bytes} bytes that are not a reply of SCIP 1.1"),
+                if let Some(baud_rate) = baud_rate {
+                    write!(
+                        f,
+                        ", and the baud rate of the serial server ({baud_rate} in its address): it must be the sensor's, which is 19200 after power-up"
+                    )?;
+                }
+                match (bytes, words) {
+                    (0, _) => Ok(()),
+                    (_, Some(words)) => write!(f, "; found the text \"{words}\""),
+                    (_, None) => {
+                        write!(f, "; found {bytes} bytes that are not a reply of SCIP 1.1")
+                    }
                 }
             }
+            ErrorKind::Rejected { words, .. } => write!(
+                f,
+                "{sensor} cannot be reached: its serial server says \"{words}\" and closes the connection"
+            ),
             ErrorKind::Loopback => write!(
                 f,
                 "{sensor} returns what is written to it, as a loopback plug, a terminal with echo or crossed wires do: connect a sensor to the port"
@@ -295,6 +320,7 @@ impl fmt::Display for Sentence<'_> {
                 write!(f, "the driver of {sensor} has panicked: {message}")
             }
             ErrorKind::Closed => write!(f, "the driver of {sensor} has ended"),
+            ErrorKind::Other { source } => source.fmt(f),
         }
     }
 }
@@ -303,4 +329,3 @@ fn is_urg_04lx(model: &Text) -> bool {
     let is_part = |c: char| c.is_ascii_alphanumeric() || c == '-';
     model.to_string().split(|c| !is_part(c)).any(|word| word == "URG-04LX")
 }
-            ErrorKind::Other { source } => source.fmt(f),

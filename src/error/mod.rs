@@ -82,6 +82,7 @@ impl Error {
     /// or the next scan may be whole. This applies to [`NoSuchPort`](ErrorKind::NoSuchPort),
     /// [`NoSuchSensor`](ErrorKind::NoSuchSensor), [`Busy`](ErrorKind::Busy),
     /// [`Open`](ErrorKind::Open), [`NoAnswer`](ErrorKind::NoAnswer),
+    /// [`Rejected`](ErrorKind::Rejected),
     /// [`Disconnected`](ErrorKind::Disconnected), [`Timeout`](ErrorKind::Timeout),
     /// [`Malformed`](ErrorKind::Malformed) and [`NotConfirmed`](ErrorKind::NotConfirmed). For the
     /// others, change the machine, the sensor or the program first. A driver that has ended stays
@@ -134,7 +135,6 @@ impl From<ErrorKind> for Error {
     }
 }
 
-impl From<std::convert::Infallible> for Error {
 /// `?` converts every error type of this crate. The other conversions are beside their types.
 macro_rules! convert {
     ($($error:ty),+) => {
@@ -148,6 +148,7 @@ macro_rules! convert {
 
 convert!(BaudRateError, MalformedError, ReplyError, WindowError);
 
+impl From<std::convert::Infallible> for Error {
     fn from(never: std::convert::Infallible) -> Self {
         match never {}
     }
@@ -167,7 +168,8 @@ mod tests {
         let (command, baud_rate) = (Command::LaserOn, BaudRate::B115200);
         let kinds = [
             ErrorKind::disconnected(None),
-            ErrorKind::NoAnswer { baud_rate: None, searched: true, bytes: 0 },
+            ErrorKind::NoAnswer { baud_rate: None, searched: true, bytes: 0, words: None },
+            ErrorKind::Rejected { words: "busy".into(), source: None },
             ErrorKind::Loopback,
             ErrorKind::Timeout { command, after: Duration::from_millis(500) },
             ErrorKind::Refused { command, status: Status::OK },

@@ -252,7 +252,8 @@ impl Telemetry {
 
     /// Why there is no link. While none of the attempts has failed yet, the sensor is silent.
     pub(crate) fn link_error(&self) -> ErrorKind {
-        let no_answer = ErrorKind::NoAnswer { baud_rate: None, searched: false, bytes: 0 };
+        let no_answer =
+            ErrorKind::NoAnswer { baud_rate: None, searched: false, bytes: 0, words: None };
         self.stats().link_error.as_ref().map_or(no_answer, |error| error.kind().clone())
     }
 

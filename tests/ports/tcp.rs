@@ -119,3 +119,47 @@ async fn a_sensor_opened_in_the_background_may_come_later() {
     let invalid = Sensor::builder().open_in_background("tcp://nowhere").unwrap_err();
     assert!(matches!(invalid.kind(), ErrorKind::InvalidEndpoint { .. }), "{invalid}");
 }
+
+/// Accepts connections, writes `words` to each and closes it with unread input, so that the client
+/// gets a reset.
+async fn reject(server: TcpListener, words: &'static [u8]) {
+    while let Ok((mut peer, _)) = server.accept().await {
+        peer.write_all(words).await.unwrap();
+        peer.readable().await.unwrap();
+    }
+}
+
+#[tokio::test]
+async fn an_error_quotes_the_servers_words() {
+    let busy = &b"Port already in use\r\n"[..];
+    let telnet = &b"\xff\xfb\x03\xff\xfd,Device open failure: Value or file not found\r\n"[..];
+    for (text, quoted) in [
+        (busy, "\"Port already in use\""),
+        (telnet, "\"Device open failure: Value or file not found\""),
+    ] {
+        let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+        let address = format!("tcp://{}", server.local_addr().unwrap());
+        let task = tokio::spawn(reject(server, text));
+        let error = Sensor::open(&address).await.unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::Rejected { .. }), "{error:?}");
+        assert!(error.to_string().contains(quoted), "{error}");
+        assert!(error.is_transient());
+        task.abort();
+    }
+}
+
+#[tokio::test]
+async fn a_silent_server_is_told_its_baud_rate() {
+    let server = TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+    let address = format!("tcp://{}?baud=57600", server.local_addr().unwrap());
+    let banner = tokio::spawn(async move {
+        let (mut peer, _) = server.accept().await.unwrap();
+        peer.write_all(b"\r\nser2net port 2000 device /dev/ttyS0\r\n\r\n").await.unwrap();
+        peer.read_to_end(&mut Vec::new()).await
+    });
+    let builder = Sensor::builder().open_timeout(Duration::from_millis(200));
+    let text = builder.open(&address).await.unwrap_err().to_string();
+    assert!(text.contains("serial server (57600 in its address)"), "{text}");
+    assert!(text.contains("\"ser2net port 2000 device /dev/ttyS0\""), "{text}");
+    banner.await.unwrap().unwrap();
+}

@@ -2,6 +2,7 @@
 //! arrive while it is idle.
 
 use std::io;
+use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -11,7 +12,7 @@ use super::super::failure::{ExchangeError, LinkError};
 use super::pause::Pauses;
 use super::{Timing, Transport, promptly};
 use crate::port::PortHints;
-use crate::protocol::Command;
+use crate::protocol::{Command, Text};
 use crate::{BaudRate, ErrorKind};
 
 impl Transport {
@@ -73,10 +74,15 @@ impl Transport {
         self.latest_at
     }
 
-    /// Returns true if the first two bytes ever received were a telnet command, as from a
-    /// server that begins by negotiating options.
+    /// Returns true if a telnet command came first, as from a server that begins by negotiating
+    /// options.
     pub(crate) fn began_as_telnet(&self) -> bool {
-        matches!(self.first_bytes, [0xff, 0xfb..=0xfe])
+        self.greeting.is_telnet()
+    }
+
+    /// Text that came before any reply, if there is one.
+    pub(crate) fn words(&self) -> Option<Text> {
+        self.latest_at.is_none().then(|| self.greeting.words()).flatten()
     }
 
     /// Received bytes that belong to no frame yet.
@@ -113,7 +119,10 @@ impl Transport {
     pub(super) fn lost(&mut self, error: Option<io::Error>) -> ExchangeError {
         let is_over = self.port.hints().is_some_and(PortHints::is_over);
         match (is_over, error) {
-            (false, error) => LinkError::Lost(ErrorKind::disconnected(error)),
+            (false, error) => LinkError::Lost(match self.words() {
+                Some(words) => ErrorKind::Rejected { words, source: error.map(Arc::new) },
+                None => ErrorKind::disconnected(error),
+            }),
             (true, None) => LinkError::Ended(ErrorKind::Closed),
             (true, error) => LinkError::Ended(ErrorKind::disconnected(error)),
         }

@@ -3,6 +3,7 @@
 //!
 //! The codec finds a frame, and `pause` decides when to sleep while one arrives.
 
+mod greeting;
 mod link;
 mod pause;
 #[cfg(test)]
@@ -21,6 +22,7 @@ use tokio::io::{AsyncReadExt, AsyncWrite};
 use tokio::task::coop::{consume_budget, has_budget_remaining, unconstrained};
 use tokio::time::{Instant, Sleep, sleep_until};
 
+use self::greeting::Greeting;
 use self::pause::Pauses;
 use super::failure::ExchangeError;
 use crate::ErrorKind;
@@ -59,8 +61,7 @@ pub(crate) struct Transport {
     /// Number of bytes received so far, and before the latest command was written.
     received: u64,
     received_before: u64,
-    /// First two bytes ever received.
-    first_bytes: [u8; 2],
+    greeting: Greeting,
     /// Number of frames since the latest command.
     frames: usize,
     /// When the latest frame arrived.
@@ -129,7 +130,7 @@ impl Transport {
             input: BytesMut::with_capacity(READ_BUFFER_BYTES),
             received: 0,
             received_before: 0,
-            first_bytes: [0; 2],
+            greeting: Greeting::default(),
             frames: 0,
             latest_at: None,
             output: BytesMut::with_capacity(WRITE_BUFFER_BYTES),
@@ -286,7 +287,11 @@ impl Transport {
                 Poll::Ready(Ok(0)) => {
                     return Poll::Ready(Err(self.lost(Some(io::ErrorKind::WriteZero.into()))));
                 }
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(self.lost(Some(error)))),
+                Poll::Ready(Err(error)) => {
+                    // What a server wrote before it closed the connection is still readable.
+                    while let Poll::Ready(Ok(1..)) = self.poll_read(cx) {}
+                    return Poll::Ready(Err(self.lost(Some(error))));
+                }
                 Poll::Pending => return self.poll_deadline(cx),
             }
         }
@@ -358,7 +363,8 @@ impl Transport {
         let read = ready!(again_if_interrupted(outcome, &mut self.retry_timer, cx))?;
         let before = self.input.len().saturating_sub(read);
         let fresh = self.input.get(before..).unwrap_or_default();
-        count(fresh, &mut self.received, &mut self.first_bytes);
+        self.received += read as u64;
+        self.greeting.add(fresh);
         Poll::Ready(self.check_flood().map(|()| read))
     }
 
@@ -376,7 +382,8 @@ impl Transport {
                 Ok(0) => return Some(Err(self.lost(None))),
                 Ok(read) => {
                     let fresh = scratch.get(..read).unwrap_or_default();
-                    count(fresh, &mut self.received, &mut self.first_bytes);
+                    self.received += read as u64;
+                    self.greeting.add(fresh);
                     if let Err(flood) = self.check_flood() {
                         return Some(Err(self.lost(Some(flood))));
                     }
@@ -444,13 +451,6 @@ impl Drop for ReceivedFrame<'_> {
             self.input.clear();
         }
     }
-}
-
-/// Counts received bytes, and keeps the `first` two.
-fn count(fresh: &[u8], received: &mut u64, first: &mut [u8; 2]) {
-    let unset = first.iter_mut().skip((*received).min(2) as usize);
-    unset.zip(fresh).for_each(|(first, byte)| *first = *byte);
-    *received += fresh.len() as u64;
 }
 
 /// Error for a line that sends far more than any sensor does.

@@ -1,0 +1,106 @@
+//! [`Greeting`]: the first bytes that a port delivers. A serial server writes its own words there,
+//! such as "Port already in use", and closes the connection.
+
+use crate::protocol::Text;
+
+/// Longest greeting: telnet's options and a line of text.
+const CAPACITY: usize = 160;
+/// Telnet's escape byte, and the commands after it that matter here (RFC 854).
+const IAC: u8 = 0xff;
+const SE: u8 = 0xf0;
+const SB: u8 = 0xfa;
+const WILL: u8 = 0xfb;
+const DONT: u8 = 0xfe;
+
+/// First bytes received on a port, one more than the longest greeting has.
+#[derive(Debug, Default)]
+pub(super) struct Greeting(Vec<u8>);
+
+impl Greeting {
+    /// Adds received bytes while there is room.
+    pub(super) fn add(&mut self, fresh: &[u8]) {
+        let room = (CAPACITY + 1).saturating_sub(self.0.len());
+        self.0.extend(fresh.iter().take(room));
+    }
+
+    /// Returns true if a telnet command came first, as from a server that begins by negotiating
+    /// options.
+    pub(super) fn is_telnet(&self) -> bool {
+        matches!(self.0[..], [IAC, WILL..=DONT, ..])
+    }
+
+    /// Returns the text in the greeting, without telnet commands and with its lines joined by
+    /// blanks. `None` if there is none: it is longer than a greeting, something is not printable,
+    /// or the bytes can be part of a scan.
+    pub(super) fn words(&self) -> Option<Text> {
+        let text = without_telnet(&self.0);
+        let text = text.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        let text = text.collect::<Vec<_>>().join(&b' ');
+        let is_printable = text.iter().all(|byte| matches!(byte, b' '..=b'~'));
+        // The characters of a scan end at `o`.
+        let is_text = text.iter().any(|byte| matches!(byte, b'p'..=b'z'));
+        (is_printable && is_text && self.0.len() <= CAPACITY).then(|| text.as_slice().into())
+    }
+}
+
+/// Removes telnet commands: two bytes, three with an option, or up to the end of a subnegotiation.
+fn without_telnet(mut bytes: &[u8]) -> Vec<u8> {
+    let mut text = Vec::new();
+    loop {
+        bytes = match bytes {
+            [] | [IAC] => return text,
+            [IAC, SB, rest @ ..] => {
+                let end = rest.windows(2).position(|pair| pair == [IAC, SE]);
+                end.and_then(|end| rest.get(end + 2..)).unwrap_or_default()
+            }
+            [IAC, WILL..=DONT, _, rest @ ..] => rest,
+            [IAC, _, rest @ ..] => rest,
+            [byte, rest @ ..] => {
+                text.push(*byte);
+                rest
+            }
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_are_text_without_telnet() {
+        // As ser2net 4.3.11 sends them; the last option is a comma.
+        let options =
+            b"\xff\xfb\x03\xff\xfd\x03\xff\xfb\x01\xff\xfe\x01\xff\xfd\x00\xff\xfb\x00\xff\xfd,";
+        let busy = &b"Port already in use\r\n"[..];
+        let negotiated = [&b"\xff\xfa\x2c\x01text\xff\xf0"[..], busy].concat();
+        let scan = b"0C0D0o0a\n0C0D";
+        for (bytes, words, is_telnet) in [
+            (busy, Some("Port already in use"), false),
+            (&[&options[..], busy].concat(), Some("Port already in use"), true),
+            (&negotiated, Some("Port already in use"), false),
+            (b"\r\nport 2000\r\n\r\nbusy\r\n", Some("port 2000 busy"), false),
+            (options, None, true),
+            (scan, None, false),
+            (b"\xff", None, false),
+            (b"p\x80", None, false),
+            (b"", None, false),
+        ] {
+            let mut greeting = Greeting::default();
+            bytes.iter().for_each(|byte| greeting.add(&[*byte]));
+            let found = greeting.words().map(|words| words.to_string());
+            assert_eq!(found.as_deref(), words, "{bytes:?}");
+            assert_eq!(greeting.is_telnet(), is_telnet, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn a_flood_is_no_greeting() {
+        for (length, is_greeting) in [(CAPACITY, true), (CAPACITY + 1, false), (1000, false)] {
+            let mut greeting = Greeting::default();
+            greeting.add(&vec![b's'; length]);
+            greeting.add(b"");
+            assert_eq!(greeting.words().is_some(), is_greeting, "{length}");
+        }
+    }
+}
