@@ -111,6 +111,8 @@ fn scans_come_as_urg_stream_writes_them() {
     let served = Served::start("emulated --from -90deg --to 90deg --cluster 2");
     let mut response = served.get("/scans?max=3");
     assert_eq!((response.status, response.header("content-type")), (200, "application/x-ndjson"));
+    // Otherwise nginx holds each scan until the next one. `proxy.py` measures it.
+    assert_eq!(response.header("x-accel-buffering"), "no");
     let mut next = None;
     for _ in 0..3 {
         let scan = scan(&response.line().unwrap());

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures_util::stream::{self, BoxStream, SelectAll, StreamExt};
 use http_body_util::StreamBody;
 use hyper::body::Frame;
-use hyper::header::{self, HeaderMap, HeaderValue};
+use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
 use hyper::{Request, StatusCode};
 use tokio::sync::OwnedSemaphorePermit;
 
@@ -19,6 +19,8 @@ use crate::interrupt::Interrupt;
 /// A silent stream sends a keepalive after this time. Proxies then keep it open, and the
 /// server notices when the client is gone.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(15);
+/// Without it, nginx keeps what fills none of its buffers (4 KiB) until the next scan comes.
+const UNBUFFERED: HeaderName = HeaderName::from_static("x-accel-buffering");
 /// Media type of server-sent events.
 const EVENTS: &str = "text/event-stream";
 
@@ -43,7 +45,10 @@ pub(super) fn scans<B>(site: &Site, request: &Request<B>) -> Response {
     let body = StreamBody::new(bytes.map(|bytes| Ok(Frame::data(bytes))));
     let mut response =
         response(StatusCode::OK, if has_events { EVENTS } else { "application/x-ndjson" }, body);
-    response.headers_mut().insert(header::VARY, HeaderValue::from_static("accept"));
+    response.headers_mut().extend([
+        (header::VARY, HeaderValue::from_static("accept")),
+        (UNBUFFERED, HeaderValue::from_static("no")),
+    ]);
     response
 }
 
