@@ -40,7 +40,7 @@
 //!   settings.
 //! - [`ScanStream`] is a `Stream` of [`Scan`]s of a [`Window`] at a [`Rate`].
 //! - [`Scan`] has values, measurements, ranges, rays and points. Methods named after the fields of
-//!   ROS's `sensor_msgs/LaserScan` return these fields. [`scan`] also has poses and zones.
+//!   ROS's `sensor_msgs/LaserScan` return these fields. [`scan`] also has poses.
 //! - [`State`] is the state of the connection, [`Stats`] counts what happens on it, and
 //!   [`Freshness`] is the age of the last good scan, for a health check. [`Error`] states what
 //!   failed and what to do about it.
@@ -84,10 +84,10 @@
 //! change at any time.
 //!
 //! Types that may grow are `#[non_exhaustive]`: all errors, [`State`], [`Endpoint`], the
-//! counters, [`Version`], [`RawReply`], [`scan::Ray`] and [`scan::ZoneState`]. So are the variants
-//! that only the crate constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a
-//! test. [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes,
-//! [`Point`], [`scan::Pose`] and [`scan::CountsAs`] are exhaustive.
+//! counters, [`Version`], [`RawReply`] and [`scan::Ray`]. So are the variants that only the crate
+//! constructs. You can construct the other variants, for a [`Connect`](port::Connect) or a test.
+//! [`protocol::Command`], [`BaudRate`] and [`Measurement`], which the protocol fixes, [`Point`] and
+//! [`scan::Pose`] are exhaustive.
 //!
 //! Types of `tokio`, `tokio-util`, `futures-core`, `bytes` and `serde` in the API are part of it.
 //!

@@ -19,5 +19,3 @@ mod properties;
 mod protocol;
 mod simulation;
 mod wishes;
-mod zone_states;
-mod zones;

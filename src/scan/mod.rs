@@ -1,7 +1,6 @@
 //! Scans: the values of one reply to `G`, with their geometry and times.
 //!
-//! Rays and points come from the scan itself. A [`Pose`] moves points to another frame, and a
-//! [`Zone`] tells whether a scan shows an area clear.
+//! Rays and points come from the scan itself. A [`Pose`] moves points to another frame.
 //!
 //! The driver makes a [`Scan`]. To test a function that takes a `&Scan`, make one from
 //! any values with a [`ScanBuilder`].
@@ -24,7 +23,6 @@ mod ray;
 #[expect(clippy::module_inception, reason = "it is named after its type")]
 mod scan;
 mod times;
-mod zone;
 
 pub use self::builder::{ScanBuilder, ScanError};
 pub use self::pose::Pose;
@@ -35,4 +33,3 @@ pub use self::ray::Ray;
 pub use self::scan::Scan;
 pub(crate) use self::scan::ScanMeta;
 pub use self::times::StampQuality;
-pub use self::zone::{CountsAs, Zone, ZoneError, ZoneState};

@@ -5,3 +5,4 @@ mod example;
 mod programs;
 mod promises;
 mod run;
+mod zones;

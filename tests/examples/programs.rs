@@ -14,5 +14,5 @@ pub(super) mod odometry;
 #[cfg(unix)]
 #[path = "../../examples/own_transport.rs"]
 pub(super) mod own_transport;
-#[path = "../../examples/safety_stop.rs"]
+#[path = "../../examples/safety_stop/main.rs"]
 pub(super) mod safety_stop;

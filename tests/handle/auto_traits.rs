@@ -6,7 +6,6 @@ use std::fmt::Debug;
 use futures::stream::{FusedStream, Stream};
 use tokio_scip::port::Connect;
 use tokio_scip::port::StreamPort;
-use tokio_scip::scan::Zone;
 use tokio_scip::state::StateWatch;
 use tokio_scip::stream::StreamBuilder;
 use tokio_scip::{
@@ -29,7 +28,6 @@ fn handles_streams_and_data_are_shared_between_threads() {
     shared::<StreamBuilder>();
     shared::<Scan>();
     shared::<Point>();
-    shared::<Zone>();
     shared::<Window>();
     shared::<Rate>();
     shared::<Version>();

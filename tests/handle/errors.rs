@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use tokio_scip::protocol::{BaudRateError, Command, MalformedError, Reply, ReplyError};
 use tokio_scip::protocol::{Window, WindowError};
-use tokio_scip::scan::{ScanError, Zone, ZoneError};
+use tokio_scip::scan::ScanError;
 use tokio_scip::state::StaleError;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Scan};
 use urg_emulator::Emulator;
@@ -51,7 +51,6 @@ async fn every_error_converts_with_question_mark() {
         convert::<ReplyError>(Reply::parse(&Command::Version, b"L1\n0").unwrap_err()),
         convert::<MalformedError>(MalformedError::NoData),
         convert::<StaleError>(stale),
-        convert::<ZoneError>(Zone::polygon([]).unwrap_err()),
     ];
     let mut public = BTreeSet::new();
     error_types(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut public);

@@ -19,7 +19,9 @@
 //! returns no light looks like free space if it may be out of range. Use it in addition to
 //! a bumper that stops the vehicle for certain.
 
+#[path = "../port/mod.rs"]
 mod port;
+pub(crate) mod zone;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -27,8 +29,9 @@ use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::sync::{Notify, watch};
 use tokio::time::{Instant, sleep_until};
-use tokio_scip::scan::{CountsAs, Zone};
 use tokio_scip::{Rate, Scan, ScanStream, Sensor, SensorBuilder};
+
+use self::zone::Zone;
 
 /// Terms of the minimum distance `S = K x T + C` of ISO 13855.
 pub(crate) struct Terms {
@@ -73,7 +76,7 @@ pub(crate) const WIDTH: f64 = 0.1;
 /// The field must be clear for this time before the vehicle moves again.
 pub(crate) const RESTART: Duration = Duration::from_secs(1);
 /// How far the fields reach to each side, in degrees.
-const SIDE: f64 = 30.0;
+const SIDE: i32 = 30;
 
 /// With the default of 500 ms for a reply, each lost reply would stop the vehicle. The
 /// sensor answers at the end of a revolution, so after at most 100 ms.
@@ -89,18 +92,20 @@ pub(crate) enum Motion {
     Drive,
 }
 
-/// The two fields. In a real room half of the rays have no distance: they count only if an
-/// obstacle could hide behind them. Error codes that mean "beyond the range" count as free.
+/// The two fields, ahead of the sensor. In a real room half of the rays have no distance: they count
+/// only if an obstacle could hide behind them.
 pub(crate) struct Fields {
     protective: Zone,
     warning: Zone,
 }
 
 impl Fields {
-    pub(crate) fn new() -> Result<Self, Box<dyn std::error::Error>> {
-        let field = |metres| -> Result<Zone, Box<dyn std::error::Error>> {
-            let zone = Zone::sector(-SIDE..=SIDE, 0.0..=metres)?;
-            Ok(zone.smallest_obstacle(WIDTH)?.beyond_range(CountsAs::Free))
+    pub(crate) fn new() -> Result<Self, String> {
+        let field = |metres: f64| {
+            let arc = (-SIDE..=SIDE).map(|degrees| f64::from(degrees).to_radians());
+            let arc = arc.map(|angle| (metres * angle.cos(), metres * angle.sin()));
+            let outline: Vec<_> = std::iter::once((0.0, 0.0)).chain(arc).collect();
+            Zone::new(&outline, WIDTH)
         };
         let reach = TERMS.distance();
         Ok(Self { protective: field(reach)?, warning: field(2.0 * reach)? })
@@ -127,8 +132,7 @@ struct Guard {
 
 impl Guard {
     fn take(&mut self, scan: &Scan) -> Motion {
-        let (received, is_clear) =
-            (scan.received_at(), self.fields.protective.check(scan).is_clear());
+        let (received, is_clear) = (scan.received_at(), self.fields.protective.check(scan).is_ok());
         self.votes = [self.votes[1], self.votes[2], is_clear];
         if is_clear {
             self.until = received + TERMS.limit;
@@ -147,7 +151,7 @@ impl Guard {
             return self.stop();
         }
         self.is_moving = true;
-        if self.fields.warning.check(scan).is_clear() { Motion::Drive } else { Motion::Slow }
+        if self.fields.warning.check(scan).is_ok() { Motion::Drive } else { Motion::Slow }
     }
 
     /// A reset counts for the next start only, and while the field is clear.

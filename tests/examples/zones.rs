@@ -1,6 +1,5 @@
-//! Zones in random worlds, which are finer than a step: a zone that says clear has no obstacle of
-//! the promised size, and one without anything in it says clear. The truth is computed from the
-//! walls alone.
+//! The zones of `safety_stop`. In random worlds, which are finer than a step, a clear zone has no
+//! obstacle of the promised size, and an empty one is clear. Only walls and outlines make the truth.
 //!
 //! `SCIP_ZONES=1000000 cargo test --release --test it zones:: -- --nocapture` takes a minute;
 //! `SCIP_ZONES_FIRST=1000000` draws others.
@@ -8,9 +7,9 @@
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
 
-use tokio_scip::scan::{CountsAs, Zone, ZoneState};
 use tokio_scip::{Scan, Window};
 
+use super::programs::safety_stop::zone::Zone;
 use crate::common::random::{Random, seeds};
 
 type Spot = (f64, f64);
@@ -29,65 +28,40 @@ fn at(angle: f64, range: f64) -> Spot {
     (range * angle.cos(), range * angle.sin())
 }
 
-/// Area of a zone, by code that the library does not share.
-enum Area {
-    Sector { from: f64, to: f64, near: f64, far: f64 },
-    Polygon(Vec<Spot>),
+/// Draws the outline of a path from the sensor on, or of a star around a place farther away than the
+/// star is large.
+fn outline(random: &mut Random) -> Vec<Spot> {
+    if random.once_in(2) {
+        let (heading, side) = (between(random, -0.7..=0.7), between(random, 0.05..=1.5));
+        let far = between(random, 0.1..=3.5);
+        let turned = |(x, y): Spot| {
+            let (sin, cos) = heading.sin_cos();
+            (x * cos - y * sin, x * sin + y * cos)
+        };
+        return [(0.0, -side), (far, -side), (far, side), (0.0, side)].map(turned).into();
+    }
+    let distance = between(random, 0.4..=2.0);
+    let middle = at(between(random, -1.5..=1.5), distance);
+    let corners = 3 + random.below(7);
+    let corner = |n| {
+        let (x, y) = at(TAU * n as f64 / corners as f64, distance * between(random, 0.3..=0.95));
+        (middle.0 + x, middle.1 + y)
+    };
+    (0..corners).map(corner).collect()
 }
 
-impl Area {
-    fn draw(random: &mut Random) -> Self {
-        if random.once_in(2) {
-            let (a, b) = (between(random, -2.3..=2.3), between(random, -2.3..=2.3));
-            let near = if random.once_in(2) { 0.0 } else { between(random, 0.1..=1.0) };
-            let far = (near + between(random, 0.1..=3.2)).min(4.09);
-            return Self::Sector { from: a.min(b), to: a.max(b), near, far };
-        }
-        // A star around a place that is farther away than the star is large.
-        let distance = between(random, 0.4..=2.0);
-        let middle = at(between(random, -1.5..=1.5), distance);
-        let corners = 3 + random.below(7);
-        let corner = |n| {
-            let (x, y) =
-                at(TAU * n as f64 / corners as f64, distance * between(random, 0.3..=0.95));
-            (middle.0 + x, middle.1 + y)
-        };
-        Self::Polygon((0..corners).map(corner).collect())
-    }
+/// Adds up the angles that the corners make around the place.
+fn contains(outline: &[Spot], place: Spot) -> bool {
+    let angle = |corner: Spot| (corner.1 - place.1).atan2(corner.0 - place.0);
+    let next = outline.iter().cycle().skip(1);
+    let turns = outline.iter().zip(next).map(|(a, b)| angle(*b) - angle(*a));
+    let turned: f64 = turns.map(|turn| turn - TAU * (turn / TAU).round()).sum();
+    turned.abs() > 1.0
+}
 
-    fn zone(&self) -> Option<Zone> {
-        match self {
-            Self::Sector { from, to, near, far } => {
-                Zone::sector(from.to_degrees()..=to.to_degrees(), *near..=*far).ok()
-            }
-            Self::Polygon(corners) => Zone::polygon(corners.iter().copied()).ok(),
-        }
-    }
-
-    fn contains(&self, place: Spot) -> bool {
-        match self {
-            Self::Sector { from, to, near, far } => {
-                let (range, angle) = (place.0.hypot(place.1), place.1.atan2(place.0));
-                *near <= range && range <= *far && *from <= angle && angle <= *to
-            }
-            Self::Polygon(corners) => {
-                // Adds up the angles that the corners make around the place.
-                let angle = |corner: Spot| (corner.1 - place.1).atan2(corner.0 - place.0);
-                let next = corners.iter().skip(1).chain(corners.first());
-                let turns = corners.iter().zip(next).map(|(a, b)| angle(*b) - angle(*a));
-                let turned: f64 = turns.map(|turn| turn - TAU * (turn / TAU).round()).sum();
-                turned.abs() > 1.0
-            }
-        }
-    }
-
-    /// Returns the largest distance of the area from the sensor.
-    fn reach(&self) -> f64 {
-        match self {
-            Self::Sector { far, .. } => *far,
-            Self::Polygon(corners) => corners.iter().map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max),
-        }
-    }
+/// Returns the largest distance of the outline from the sensor.
+fn reach(outline: &[Spot]) -> f64 {
+    outline.iter().map(|(x, y)| x.hypot(*y)).fold(0.0, f64::max)
 }
 
 /// Straight object that returns light, or only weak light.
@@ -117,15 +91,15 @@ impl Wall {
         (along > 0.0 && (0.0..=1.0).contains(&share)).then_some(along)
     }
 
-    /// Returns true if all of the wall lies in the area, a little more than a rounded distance
+    /// Returns true if all of the wall lies in the outline, a little more than a rounded distance
     /// from its edge.
-    fn is_within(&self, area: &Area) -> bool {
+    fn is_within(&self, outline: &[Spot]) -> bool {
         let [(ax, ay), (bx, by)] = self.ends;
         (0..=40).map(|n| f64::from(n) / 40.0).all(|share| {
             let (x, y) = (ax + share * (bx - ax), ay + share * (by - ay));
             let moved = |share: f64| (x * (1.0 + share), y * (1.0 + share));
             let margin = 0.002 / x.hypot(y);
-            [-margin, 0.0, margin].iter().all(|share| area.contains(moved(*share)))
+            [-margin, 0.0, margin].iter().all(|share| contains(outline, moved(*share)))
         })
     }
 }
@@ -147,7 +121,7 @@ fn value(walls: &[Wall], step: u16, random: &mut Random) -> u16 {
 
 /// One world: what the zone says, and what is true.
 struct ZoneCase {
-    state: ZoneState,
+    checked: Result<(), String>,
     has_obstacle: bool,
     /// Nothing stands in the zone or before it, and no code hides a distance.
     is_open: bool,
@@ -155,13 +129,12 @@ struct ZoneCase {
 
 fn case(seed: u64) -> Option<ZoneCase> {
     let random = &mut Random::new(seed);
-    let area = Area::draw(random);
-    let least = area.reach() * TAU / 1024.0;
+    let outline = outline(random);
+    let reach = reach(&outline);
+    let least = reach * TAU / 1024.0;
     let more = if random.once_in(2) { 0.3 } else { 0.2 * least };
     let width = between(random, least * 1.01..=least * 1.01 + more);
-    let mut zone = area.zone()?.smallest_obstacle(width).unwrap();
-    let counts_as = if random.once_in(4) { CountsAs::Unknown } else { CountsAs::Free };
-    zone = zone.beyond_range(counts_as);
+    let zone = Zone::new(&outline, width).ok()?;
     let cluster = if !random.once_in(3) { 1 } else { 1 + random.below(99) as u8 };
 
     // Walls anywhere, dropouts, and mostly an obstacle of the promised size or larger.
@@ -186,7 +159,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
                 }
             };
             let middle = at(angle, range);
-            Some(Wall::facing(middle, width, is_weak)).filter(|wall| wall.is_within(&area))
+            Some(Wall::facing(middle, width, is_weak)).filter(|wall| wall.is_within(&outline))
         });
         has_obstacle = wall.is_some();
         walls.extend(wall);
@@ -218,12 +191,12 @@ fn case(seed: u64) -> Option<ZoneCase> {
 
     let covers = window.start().number() <= first && last <= window.end().number();
     let has_code = raw.iter().any(|value| *value < 20);
-    let no_code_counts = cluster == 1 && counts_as == CountsAs::Free && dropouts == 0;
+    let no_code_counts = cluster == 1 && dropouts == 0;
     let is_open = covers
-        && walls.iter().all(|wall| !wall.is_weak && is_beyond(wall, area.reach()))
+        && walls.iter().all(|wall| !wall.is_weak && is_beyond(wall, reach))
         && (no_code_counts || !has_code);
-    let state = zone.check(&Scan::builder(window, values).build().unwrap());
-    Some(ZoneCase { state, has_obstacle, is_open })
+    let checked = zone.check(&Scan::builder(window, values).build().unwrap());
+    Some(ZoneCase { checked, has_obstacle, is_open })
 }
 
 /// Returns true if all of a wall is farther away than `reach`.
@@ -240,14 +213,79 @@ fn a_clear_zone_has_no_obstacle() {
     let worlds = seeds.end - seeds.start;
     let (mut clear, mut open, mut blocked) = (0_u64, 0_u64, 0_u64);
     for seed in seeds {
-        let Some(ZoneCase { state, has_obstacle, is_open }) = case(seed) else { continue };
-        assert!(!(state.is_clear() && has_obstacle), "seed {seed}: clear with an obstacle in it");
-        assert!(state.is_clear() || !is_open, "seed {seed}: open, but {state}");
-        clear += u64::from(state.is_clear());
+        let Some(ZoneCase { checked, has_obstacle, is_open }) = case(seed) else { continue };
+        assert!(!(checked.is_ok() && has_obstacle), "seed {seed}: clear with an obstacle in it");
+        assert!(checked.is_ok() || !is_open, "seed {seed}: open, but {checked:?}");
+        clear += u64::from(checked.is_ok());
         open += u64::from(is_open);
         blocked += u64::from(has_obstacle);
     }
     println!("{worlds} worlds: {blocked} with an obstacle, {clear} clear, {open} of them open");
     // The worlds are of all kinds.
     assert!(blocked > worlds / 5 && clear > worlds / 10 && open > worlds / 20);
+}
+
+/// Returns what a zone of 0.6 m ahead, 0.3 m to each side, finds: all rays measure 2 m, but `rays` of
+/// them `value`, in clusters of `cluster` steps.
+fn check(rays: RangeInclusive<usize>, value: u16, cluster: u8) -> Result<(), String> {
+    let zone = Zone::new(&[(0.0, -0.3), (0.6, -0.3), (0.6, 0.3), (0.0, 0.3)], 0.1).unwrap();
+    // Steps 128..=640, 180 degrees ahead.
+    let window = zone.window().with_cluster_count(cluster).unwrap();
+    let mut values = vec![2000; window.points()];
+    values[rays].fill(value);
+    zone.check(&Scan::builder(window, values).build().unwrap())
+}
+
+#[test]
+fn an_obstacle_counts_up_to_the_edge() {
+    assert_eq!(check(256..=256, 600, 1), Err("obstacle at 0.0°, 0.600 m".into()));
+    assert_eq!(check(256..=256, 601, 1), Ok(()));
+    // 90 degrees to the right is along an edge.
+    assert_eq!(check(0..=0, 300, 1), Err("obstacle at -90.0°, 0.300 m".into()));
+    assert_eq!(check(0..=0, 301, 1), Ok(()));
+}
+
+#[test]
+fn gaps_count_if_the_obstacle_fits() {
+    // 0.1 m at the farthest corner, 0.67 m away, covers 24 steps.
+    for value in (0..20).chain([4095]) {
+        assert_eq!(check(200..=222, value, 1), Ok(()));
+        let is_beyond = matches!(value, 0 | 6 | 16 | 4095);
+        assert_eq!(check(200..=223, value, 1).is_ok(), is_beyond, "{value}");
+        // A code hides the other steps of its cluster.
+        assert_eq!(check(50..=54, value, 4), Ok(()));
+        assert_eq!(check(50..=55, value, 4).is_ok(), value == 4095, "{value}");
+    }
+    let reason = "24 rays without a distance up to -11.6°";
+    assert_eq!(check(200..=300, 7, 1), Err(reason.into()));
+}
+
+#[test]
+fn zones_that_are_never_clear_are_refused() {
+    let refused = |outline: &[Spot], obstacle| Zone::new(outline, obstacle).err().unwrap();
+    let square = [(0.1, -0.3), (0.6, -0.3), (0.6, 0.3), (0.1, 0.3)];
+    for obstacle in [f64::NAN, f64::INFINITY, -1.0, 0.0, 0.004] {
+        assert_eq!(refused(&square, obstacle), "expected an obstacle of 0.004 m or more");
+    }
+    for (outline, reason) in [
+        (vec![], "no ray crosses the zone"),
+        (vec![(3.0, 0.005), (3.001, 0.005), (3.0, 0.006)], "no ray crosses the zone"),
+        (vec![(0.015, -0.01), (0.0, 0.0), (0.015, 0.01)], "no ray crosses the zone"),
+        (vec![(1.0, -0.5), (5.0, 0.0), (1.0, 0.5)], "the zone reaches 4.1"),
+        (vec![(-1.0, -0.5), (-1.0, 0.5), (-2.0, 0.0)], "the zone reaches -180.0°"),
+        (vec![(-1.0, -1.0), (1.0, 0.0), (-1.0, 1.0)], "the zone reaches -180.0°"),
+        (vec![(f64::NAN, 0.0), (1.0, 0.0), (1.0, 1.0)], "expected finite vertices"),
+    ] {
+        let refused = refused(&outline, 0.1);
+        assert!(refused.starts_with(reason), "{outline:?}: {refused}");
+    }
+}
+
+#[test]
+fn a_scan_must_cover_the_zone() {
+    let zone = Zone::new(&[(0.0, 0.0), (1.0, -0.5), (1.0, 0.5)], 0.1).unwrap();
+    let window = Window::degrees(0.0..=90.0).unwrap();
+    let scan = Scan::builder(window, vec![2000; window.points()]).build().unwrap();
+    let expected = "the zone needs steps 309..=459, the scan has steps 384..=640";
+    assert_eq!(zone.check(&scan), Err(expected.into()));
 }
