@@ -116,7 +116,7 @@ pub use error::{Error, ErrorChain, ErrorKind};
 #[doc(inline)]
 pub use port::Endpoint;
 #[doc(inline)]
-pub use protocol::{BaudRate, ErrorCode, Measurement, Version, Window};
+pub use protocol::{BaudRate, ErrorCode, Geometry, Measurement, Version, Window};
 pub use rate::Rate;
 #[doc(inline)]
 pub use scan::{Point, Scan};

@@ -108,7 +108,7 @@ async fn a_full_scan_has_1576_bytes() {
 async fn a_cluster_has_its_smallest_value() {
     let mut codes = [0; 769];
     for (step, code) in codes.iter_mut().enumerate() {
-        *code = 64 * step as u16 % 4096;
+        *code = 64 * step as u32 % 4096;
     }
     codes[3] = 7;
     let mut link = instant_sensor().world(Fixed(codes)).build().link();
@@ -278,7 +278,7 @@ async fn scip_2_scans_stream_until_stopped() {
 
 #[tokio::test(start_paused = true)]
 async fn the_request_number_counts_scans_only() {
-    let world = |time: WorldTime, codes: &mut Values| codes.fill(100 + time.request as u16);
+    let world = |time: WorldTime, codes: &mut Values| codes.fill(100 + time.request as u32);
     let mut link = instant_sensor().world(world).build().link();
     for (command, reply) in [
         ("G00000001", "G00000001\n0\n1T\n\n"),

@@ -102,7 +102,7 @@ async fn commands_that_come_together_are_served_one_a_revolution() {
 async fn a_scan_shows_the_revolution_finished_last() {
     let world = |time: WorldTime, codes: &mut Values| {
         assert_eq!(time.at, 100 * MS * (time.revolution as u32 + 1));
-        codes.fill(100 + time.revolution as u16);
+        codes.fill(100 + time.revolution as u32);
     };
     let mut link = Emulator::builder().world(world).build().link();
     let start = Instant::now();

@@ -47,7 +47,7 @@ fn a_room_has_every_kind_of_error_that_it_promises() {
     let mut seen = [0_u32; 20];
     for codes in (0..20).flat_map(|seed| measured(Room::new(seed), 20)) {
         for &code in codes[44..=725].iter().filter(|&&code| code < 20) {
-            seen[usize::from(code)] += 1;
+            seen[code as usize] += 1;
         }
     }
     for code in [0, 1, 2, 3, 4, 5, 6, 7, 9, 16] {
@@ -112,7 +112,7 @@ fn sensors_at_two_places_measure_the_same_walls() {
     // Places are in the room's frame, in metres.
     let places = |values: &Values, (x, y, yaw): (f64, f64, f64)| -> Vec<(f64, f64)> {
         let measured = values.iter().enumerate().filter(|(_, value)| **value >= 20);
-        let place = |(step, &value): (usize, &u16)| {
+        let place = |(step, &value): (usize, &u32)| {
             let angle = (step as f64 - 384.0) * std::f64::consts::TAU / 1024.0 + yaw.to_radians();
             let range = f64::from(value) / 1000.0;
             (x + range * angle.cos(), y + range * angle.sin())
@@ -138,11 +138,11 @@ fn a_hard_room_misses_as_many_points() {
     let mut total = 0;
     for seed in 0..20 {
         let (mut counts, mut points) = ([0_u32; 20], 0);
-        let (mut nearest, mut farthest) = (u16::MAX, 0);
+        let (mut nearest, mut farthest) = (u32::MAX, 0);
         for values in measured(Room::hard(seed), 20) {
             for &value in &values[44..=725] {
                 points += 1;
-                match counts.get_mut(usize::from(value)) {
+                match counts.get_mut(value as usize) {
                     Some(count) => *count += 1,
                     None => (nearest, farthest) = (nearest.min(value), farthest.max(value)),
                 }
@@ -196,7 +196,7 @@ fn a_person_walks_as_described() {
 fn a_disc_goes_back_and_forth() {
     let walk = Walk::new((1.0, 0.0), (2.0, 0.0)).speed(1.0).back_and_forth();
     let scans = measured(Scene::new(0).without_noise().moving_disc(0.2, walk), 45);
-    let ahead: Vec<u16> = scans.iter().map(|values| values[384]).collect();
+    let ahead: Vec<u32> = scans.iter().map(|values| values[384]).collect();
     let turns: Vec<usize> = (1..44)
         .filter(|&scan| (ahead[scan - 1] < ahead[scan]) != (ahead[scan] < ahead[scan + 1]))
         .collect();
@@ -211,7 +211,7 @@ fn a_sparse_world_omits_the_requested_share() {
         [(0.0, 0, 0), (0.3, 28, 40), (0.5, 47, 60), (0.8, 77, 90), (1.0, 100, 100)]
     {
         let scans = measured(Sparse::new(Fixed::filled(1234), share, 3), 20);
-        let values: Vec<u16> = scans.iter().flat_map(|values| values[44..=725].to_vec()).collect();
+        let values: Vec<u32> = scans.iter().flat_map(|values| values[44..=725].to_vec()).collect();
         let missing = values.iter().filter(|&&value| value < 20).count() * 100 / values.len();
         assert!((from..=to).contains(&missing), "{share}: {missing} %");
         assert!(values.iter().all(|value| [0, 6, 16, 7, 1234].contains(value)));
@@ -255,7 +255,7 @@ async fn a_moving_sensor_measures_each_ray_in_time() {
             let angle = (f64::from(step) - 384.0) * std::f64::consts::TAU / 1024.0 + pose.heading;
             let distance = (3.0 - pose.x) / angle.cos() * 1000.0;
             let [.., high, low, b'\n', b'\n'] = reply.as_bytes() else { panic!("{reply:?}") };
-            let value = f64::from(u16::from(high - b'0') << 6 | u16::from(low - b'0'));
+            let value = f64::from(u32::from(high - b'0') << 6 | u32::from(low - b'0'));
             if distance < 4000.0 {
                 assert!((value - distance).abs() <= 1.0, "{value} {distance}");
                 values.push(value);

@@ -4,7 +4,7 @@
 use std::time::{Duration, SystemTime};
 
 use crate::ros::LaserScan;
-use tokio_scip::{Measurement, Scan, Window};
+use tokio_scip::{Geometry, Measurement, Scan, Window};
 
 /// Angle from one step to the next in radians.
 const STEP: f64 = std::f64::consts::TAU / 1024.0;
@@ -13,15 +13,15 @@ const FRONT: f64 = 384.0;
 /// Largest difference of an angle from its step, in steps. Other laser scanners have other angles.
 const TOLERANCE: f64 = 0.05;
 /// Error code 19, "Non-Measurable Distance", in place of all codes that a message has as NaN.
-const UNKNOWN: u16 = 19;
+const UNKNOWN: u32 = 19;
 /// Error code 16, "in the range 4096mm~5.6m", in place of all codes that a message has as infinite.
-const BEYOND_RANGE: u16 = 16;
+const BEYOND_RANGE: u32 = 16;
 
 /// Scan of a URG, as far as a message has it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct MessageScan {
     pub(super) window: Window,
-    pub(super) values: Vec<u16>,
+    pub(super) values: Vec<u32>,
     /// Wall clock at the end of the revolution: when the reply arrived, unless it was late.
     pub(super) stamp: SystemTime,
     /// Time of one revolution, if the message has it.
@@ -33,7 +33,7 @@ impl MessageScan {
     /// not tell how many steps its last point has. Returns `None` if the message has other
     /// directions than the steps of a URG.
     pub(super) fn from_message(message: &LaserScan, known: Option<Window>) -> Option<Self> {
-        let values: Vec<u16> = message.ranges.iter().map(|range| value(*range)).collect();
+        let values: Vec<u32> = message.ranges.iter().map(|range| value(*range)).collect();
         let scan_time = Duration::try_from_secs_f32(message.scan_time).ok();
         let scan_time = scan_time.filter(|time| !time.is_zero());
         known.into_iter().chain(derived(message)).find_map(|window| {
@@ -71,13 +71,13 @@ fn derived(message: &LaserScan) -> Option<Window> {
 }
 
 /// Value that a sensor sends for a range.
-fn value(range: f32) -> u16 {
+fn value(range: f32) -> u32 {
     if range.is_infinite() {
         return BEYOND_RANGE;
     }
     // The cast turns NaN and negative numbers into 0.
-    let value = (f64::from(range) * 1000.0).round() as u16;
-    match Measurement::from_value(value) {
+    let value = (f64::from(range) * 1000.0).round() as u32;
+    match Geometry::URG_04LX.measurement(value) {
         Measurement::Distance(distance) if distance == value => value,
         _ => UNKNOWN,
     }
@@ -91,10 +91,10 @@ mod tests {
     #[test]
     fn error_codes_become_two_and_distances_are_exact() {
         for (sent, expected) in [(0, 16), (6, 16), (16, 16), (4095, 16), (1, 19), (19, 19)] {
-            assert_eq!(value(Measurement::from_value(sent).range()), expected, "{sent}");
+            assert_eq!(value(Geometry::URG_04LX.measurement(sent).range()), expected, "{sent}");
         }
         for sent in 20..4095 {
-            assert_eq!(value(Measurement::from_value(sent).range()), sent);
+            assert_eq!(value(Geometry::URG_04LX.measurement(sent).range()), sent);
         }
         for range in [-1.0, 0.0, 5.0, 1e30, f32::NEG_INFINITY] {
             assert!(value(range) < 20, "{range}");

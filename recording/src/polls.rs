@@ -41,12 +41,12 @@ pub(super) struct PollReply {
 pub(super) enum Answer {
     Reply(RecordedReply),
     /// Values of a `/scan` message.
-    Values(Vec<u16>),
+    Values(Vec<u32>),
 }
 
 impl Answer {
     /// Values of a successful answer.
-    pub(super) fn values(&self) -> Option<Vec<u16>> {
+    pub(super) fn values(&self) -> Option<Vec<u32>> {
         match self {
             Self::Reply(reply) => reply.values(),
             Self::Values(values) => Some(values.clone()),
@@ -56,7 +56,7 @@ impl Answer {
 
 impl PollReply {
     /// Values of the stream's window, if this is a scan of it.
-    pub(super) fn stream_values(&self) -> Option<(Window, Vec<u16>)> {
+    pub(super) fn stream_values(&self) -> Option<(Window, Vec<u32>)> {
         let window = self.window?;
         let mut values = self.answer.values()?;
         // The driver may have asked for extra points before or after the window.
@@ -216,7 +216,7 @@ impl RecordedReply {
     }
 
     /// Values of a successful reply to `G`.
-    pub(super) fn values(&self) -> Option<Vec<u16>> {
+    pub(super) fn values(&self) -> Option<Vec<u32>> {
         let Some(Command::Distances(_)) = self.command else { return None };
         Some(self.parse()?.values().to_vec())
     }

@@ -21,7 +21,7 @@ use super::sync::Syncer;
 use super::writer::{LogClock, Writer};
 
 /// Largest number of bytes that wait for a slow disk. At 10 scans per second, this takes
-/// about four minutes.
+/// about three minutes.
 const HIGH_WATER_BYTES: usize = 8 << 20;
 /// Largest number of bytes held before a trigger: the rest of the queue is for what comes while they
 /// are written.

@@ -12,7 +12,7 @@ use tokio_scip::protocol::Command;
 use urg_emulator::{Emulator, ReplayPace, Script, Values};
 
 /// Error code 19, "Non-Measurable Distance": value of a step outside the recording.
-const UNKNOWN: u16 = 19;
+const UNKNOWN: u32 = 19;
 
 impl Recording {
     /// Creates an emulated sensor that answers as the recorded one did: see [the

@@ -74,7 +74,7 @@ pub struct RecordedScans {
     sequence: u64,
     position: Duration,
     /// Values of the previous scan.
-    previous: Option<Vec<u16>>,
+    previous: Option<Vec<u32>>,
     /// Log time of the first scan, and the instant it gets.
     started: Option<(SystemTime, Instant)>,
     has_polls: bool,

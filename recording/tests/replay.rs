@@ -25,7 +25,7 @@ async fn drain(emulator: Emulator, window: Window, rate: Rate) -> Vec<Result<Sca
     items
 }
 
-fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u16>> {
+fn values(items: &[Result<Scan, Error>]) -> Vec<Vec<u32>> {
     items.iter().flatten().map(|scan| scan.values().to_vec()).collect()
 }
 
@@ -142,7 +142,7 @@ async fn another_window_shows_the_recorded_part_of_it() {
 
     let groups = drain(open(), window(100, 199, 50), Rate::UNLIMITED).await;
     let smallest =
-        |all: &Vec<u16>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
+        |all: &Vec<u32>| all.chunks(50).map(|group| *group.iter().min().unwrap()).collect();
     assert_eq!(values(&groups), values(&recorded).iter().map(smallest).collect::<Vec<Vec<_>>>());
 
     // The recording has no values on the left.

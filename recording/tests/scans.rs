@@ -16,7 +16,7 @@ use super::file::Folder;
 use super::sink::{Sink, next, record, replayed, sensor, values, window};
 
 /// Stands for a function that is written for live scans.
-fn summary(scan: &Scan) -> (Window, Vec<u16>, std::time::SystemTime, u64, Duration, bool) {
+fn summary(scan: &Scan) -> (Window, Vec<u32>, std::time::SystemTime, u64, Duration, bool) {
     let values = scan.values().to_vec();
     (scan.window(), values, scan.stamp(), scan.sequence(), scan.scan_time(), scan.is_repeat())
 }
@@ -115,7 +115,7 @@ fn with_errors() -> Emulator {
         for (step, value) in values.iter_mut().enumerate() {
             *value = match step % 7 {
                 0 => 7,
-                _ => 20 + ((time.request * 7 + step as u64 * 3) % 4000) as u16,
+                _ => 20 + ((time.request * 7 + step as u64 * 3) % 4000) as u32,
             };
         }
     };

@@ -74,7 +74,7 @@ impl Write for Sink {
 pub(crate) fn sensor() -> Emulator {
     let world = |time: WorldTime, codes: &mut Values| {
         for (step, slot) in codes.iter_mut().enumerate() {
-            *slot = ((time.request * 7 + step as u64 * 3) % 4096) as u16;
+            *slot = ((time.request * 7 + step as u64 * 3) % 4096) as u32;
         }
     };
     Emulator::builder().world(world).build()
@@ -141,7 +141,7 @@ pub(crate) async fn replayed(recording: Recording, window: Window) -> Vec<Scan> 
     scans
 }
 
-pub(crate) fn values<'a>(scans: impl IntoIterator<Item = &'a Scan>) -> Vec<Vec<u16>> {
+pub(crate) fn values<'a>(scans: impl IntoIterator<Item = &'a Scan>) -> Vec<Vec<u32>> {
     scans.into_iter().map(|scan| scan.values().to_vec()).collect()
 }
 

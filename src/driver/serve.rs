@@ -17,7 +17,7 @@ use super::transport::{Timer, Timing};
 use crate::scan::{Scan, ScanMeta};
 use crate::state::Telemetry;
 use crate::stats::Shortfall;
-use crate::{BaudRate, ErrorChain, ErrorKind, Window};
+use crate::{BaudRate, ErrorChain, ErrorKind, Geometry, Window};
 
 /// Number of attempts at a baud rate that the sensor neither confirms nor refuses. At a baud rate
 /// that the cable cannot carry, each costs the link.
@@ -461,6 +461,7 @@ impl Service<'_> {
             lateness: revolution.lateness,
             repeat: false,
             scan_time: revolution.period.unwrap_or(self.scan_time),
+            geometry: Geometry::URG_04LX,
             reconnects: self.reconnects,
         };
         Scan::new(window, values, first, meta)

@@ -1,9 +1,9 @@
-//! [`Measurement`]: the meaning of the 12-bit value that a scan has for one direction.
+//! [`Measurement`]: the meaning of the value that a scan has for one direction.
 
 use std::fmt;
 
 /// Value above all distances (p. 7): all 12 bits set.
-const SATURATED: u16 = 4095;
+const SATURATED: u32 = 4095;
 
 /// Result of a measurement in one direction.
 ///
@@ -12,7 +12,7 @@ const SATURATED: u16 = 4095;
 #[cfg_attr(feature = "serde", derive(serde::Serialize), serde(rename_all = "snake_case"))]
 pub enum Measurement {
     /// A distance in millimetres, 20..=4094 (C-42-3320-A p. 7).
-    Distance(u16),
+    Distance(u32),
     /// No distance, and why (p. 7).
     Error(ErrorCode),
     /// All twelve bits set, 4095. The protocol text ends the range at 4094, the sensors'
@@ -21,26 +21,17 @@ pub enum Measurement {
 }
 
 impl Measurement {
-    /// Interprets a 12-bit value. Ignores higher bits.
-    pub const fn from_value(value: u16) -> Self {
-        match value & 0x0fff {
-            code @ 0..=19 => Self::Error(ErrorCode(code as u8)),
-            SATURATED => Self::Saturated,
-            millimetres => Self::Distance(millimetres),
-        }
-    }
-
-    /// 12-bit value as the sensor sent it.
-    pub const fn value(self) -> u16 {
+    /// Value as the sensor sent it.
+    pub const fn value(self) -> u32 {
         match self {
             Self::Distance(millimetres) => millimetres,
-            Self::Error(code) => code.0 as u16,
+            Self::Error(code) => code.0 as u32,
             Self::Saturated => SATURATED,
         }
     }
 
     /// Distance in millimetres, or `None` for an error or saturation.
-    pub const fn distance(self) -> Option<u16> {
+    pub const fn distance(self) -> Option<u32> {
         match self {
             Self::Distance(millimetres) => Some(millimetres),
             _ => None,
@@ -52,7 +43,7 @@ impl Measurement {
     /// for every other error code. Do not take `+Inf` as free space.
     pub fn range(self) -> f32 {
         match self {
-            Self::Distance(millimetres) => f32::from(millimetres) / 1000.0,
+            Self::Distance(millimetres) => (f64::from(millimetres) / 1000.0) as f32,
             Self::Error(code) if !code.is_beyond_range() => f32::NAN,
             Self::Error(_) | Self::Saturated => f32::INFINITY,
         }
@@ -66,6 +57,11 @@ impl Measurement {
 pub struct ErrorCode(u8);
 
 impl ErrorCode {
+    /// Returns the error code with this number, if it is one.
+    pub(super) const fn from_value(value: u32) -> Option<Self> {
+        if value < 20 { Some(Self(value as u8)) } else { None }
+    }
+
     /// Its meaning, in the words of the protocol text (p. 7).
     pub const fn meaning(self) -> &'static str {
         match self.0 {

@@ -5,20 +5,21 @@
 //! the protocol text, C-42-3320-A.
 //!
 //! ```
-//! use tokio_scip::protocol::{Command, Measurement, Reply, Window};
+//! use tokio_scip::protocol::{Command, Geometry, Measurement, Reply, Window};
 //!
 //! let command = Command::Distances(Window::new(384..=385)?);
 //! let frame = b"G38438501\n0\nCB06"; // as received, without the two LFs at its end
 //! let reply = Reply::parse(&command, frame)?;
 //!
-//! let values = reply.values();
-//! assert_eq!(Measurement::from_value(values[0]), Measurement::Distance(1234));
-//! assert_eq!(Measurement::from_value(values[1]).range(), f32::INFINITY); // error code 6
+//! let meanings = reply.values().iter().map(|value| Geometry::URG_04LX.measurement(*value));
+//! let ranges: Vec<f32> = meanings.map(Measurement::range).collect();
+//! assert_eq!(ranges, [1.234, f32::INFINITY]); // 1,234 mm, and error code 6
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
 mod baud;
 mod command;
+mod geometry;
 mod malformed;
 mod measurement;
 mod reply;
@@ -31,6 +32,8 @@ mod window;
 pub use baud::BaudRate;
 pub use baud::BaudRateError;
 pub use command::Command;
+#[doc(no_inline)]
+pub use geometry::Geometry;
 pub use malformed::{MalformedError, ReplyError};
 #[doc(no_inline)]
 pub use measurement::{ErrorCode, Measurement};
@@ -42,5 +45,4 @@ pub use version::Specification;
 pub use version::Version;
 #[doc(no_inline)]
 pub use window::Window;
-pub(crate) use window::angle;
 pub use window::{Step, WindowError};

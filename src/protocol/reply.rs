@@ -22,7 +22,7 @@ pub struct Reply {
     /// Data of a successful `V`, otherwise empty.
     text: Vec<u8>,
     /// Values of a successful `G`, otherwise empty.
-    values: Arc<[u16]>,
+    values: Arc<[u32]>,
 }
 
 impl Reply {
@@ -100,11 +100,11 @@ impl Reply {
 
     /// Values of a successful `G`, 0..=4095 each, in the order of their steps. Empty for any
     /// other reply.
-    pub fn values(&self) -> &[u16] {
+    pub fn values(&self) -> &[u32] {
         &self.values
     }
 
-    pub(crate) fn into_values(self) -> Arc<[u16]> {
+    pub(crate) fn into_values(self) -> Arc<[u32]> {
         self.values
     }
 
@@ -121,8 +121,8 @@ impl Reply {
 
 /// Decodes the data of a `G` reply with this number of `points`. Fails if [`find_fault`] finds a
 /// fault, but checks many times as fast.
-fn decode(data: &[u8], points: usize) -> Result<Arc<[u16]>, MalformedError> {
-    let mut values: Arc<[u16]> = repeat_n(0, points).collect();
+fn decode(data: &[u8], points: usize) -> Result<Arc<[u32]>, MalformedError> {
+    let mut values: Arc<[u32]> = repeat_n(0, points).collect();
     let is_whole = Arc::get_mut(&mut values).is_some_and(|values| decode_into(data, values));
     if !is_whole {
         find_fault(data, points * 2)?;
@@ -131,7 +131,7 @@ fn decode(data: &[u8], points: usize) -> Result<Arc<[u16]>, MalformedError> {
 }
 
 /// Decodes the data into `values`. Returns true if it has the right shape for their number.
-fn decode_into(data: &[u8], values: &mut [u16]) -> bool {
+fn decode_into(data: &[u8], values: &mut [u32]) -> bool {
     let (lines, last) = data.as_chunks::<{ BLOCK + 1 }>();
     let right_length = data.len() == 2 * values.len() + lines.len() && !last.is_empty();
     let Some((whole, rest)) = values.split_at_mut_checked(lines.len() * BLOCK / 2) else {
@@ -158,9 +158,9 @@ fn decode_into(data: &[u8], values: &mut [u16]) -> bool {
 /// harm: only characters give results below 64 in both bytes. No branch depends on a value, so that
 /// the compiler can use vector instructions.
 #[inline(always)]
-const fn decode_pair(pair: [u8; 2], value: &mut u16) -> u16 {
+const fn decode_pair(pair: [u8; 2], value: &mut u32) -> u16 {
     let sixes = u16::from_le_bytes(pair).wrapping_sub(FIRST_PAIR);
-    *value = (sixes << 6 | sixes >> 8) & 0x0fff;
+    *value = ((sixes << 6 | sixes >> 8) & 0x0fff) as u32;
     sixes
 }
 

@@ -4,13 +4,11 @@ use std::fmt;
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
-use super::BaudRate;
+use super::{BaudRate, Geometry};
 
-/// Steps in a full revolution of the motor (C-42-3320-A p. 7).
-const STEPS_PER_REVOLUTION: f64 = 1024.0;
-/// Step straight ahead (p. 7).
-const FRONT: u16 = 384;
-/// Last step (p. 6).
+/// Geometry that windows are checked against.
+const GEOMETRY: Geometry = Geometry::URG_04LX;
+/// Last step (C-42-3320-A p. 6).
 const LAST: u16 = 768;
 
 /// Length of a `G` and of its echo in bytes, LF included (p. 6).
@@ -18,11 +16,10 @@ const POLL_LEN: usize = 10;
 /// Data bytes in a full line of a `G` reply (p. 3 and 6).
 pub(super) const BLOCK: usize = 64;
 
-/// Direction of measurement: 0..=768, 360/1024 degree each (p. 7).
+/// Direction of measurement: 0..=768, counter-clockwise seen from above.
 ///
-/// Steps count counter-clockwise seen from above: 0 is -135 degrees (right
-/// rear), 384 the front, 768 is +135 degrees (left rear). As data (feature
-/// `serde`) it is its number.
+/// [`Geometry::degrees`] is its direction: for a URG-04LX, 0 is -135 degrees (right rear), 384 the
+/// front, 768 is +135 degrees (left rear). As data (feature `serde`) it is its number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 #[cfg_attr(feature = "serde", serde(into = "u16", try_from = "u16"))]
@@ -45,11 +42,6 @@ impl Step {
     pub const fn number(self) -> u16 {
         self.0
     }
-
-    /// Its direction in degrees, counter-clockwise from the front.
-    pub fn degrees(self) -> f32 {
-        ((f64::from(self.0) - f64::from(FRONT)) * 360.0 / STEPS_PER_REVOLUTION) as f32
-    }
 }
 
 impl fmt::Display for Step {
@@ -70,11 +62,6 @@ impl TryFrom<u16> for Step {
     fn try_from(number: u16) -> Result<Self, WindowError> {
         Self::new(number)
     }
-}
-
-/// Direction of a (possibly half) step in radians.
-pub(crate) fn angle(step: f64) -> f64 {
-    (step - f64::from(FRONT)) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
 }
 
 /// Steps that a scan covers: starting point, end point and cluster count, the parameters
@@ -164,10 +151,9 @@ impl Window {
     /// bound is not a number.
     pub fn degrees(interval: RangeInclusive<f64>) -> Result<Self, WindowError> {
         let (from, to) = interval.into_inner();
-        let step = |degrees: f64| degrees * STEPS_PER_REVOLUTION / 360.0 + f64::from(FRONT);
         // Rounding may move a computed bound past its step.
         let tolerance = 1e-9;
-        let (low, high) = (step(from) - tolerance, step(to) + tolerance);
+        let (low, high) = (GEOMETRY.step_at(from) - tolerance, GEOMETRY.step_at(to) + tolerance);
         let (first, last) = (low.ceil(), high.floor());
         // No range contains NaN.
         let valid = -2.0 * tolerance..=f64::from(LAST) + 2.0 * tolerance;
@@ -239,11 +225,6 @@ impl Window {
     pub(crate) fn first_cluster(&self) -> u8 {
         // At most the cluster count, so the cast is exact.
         self.steps().min(usize::from(self.cluster_count)) as u8
-    }
-
-    /// Angle from one point to the next in radians.
-    pub(crate) fn angle_increment(&self) -> f64 {
-        f64::from(self.cluster_count) * std::f64::consts::TAU / STEPS_PER_REVOLUTION
     }
 
     /// The driver adds at most this many points to a poll, so that it differs from the

@@ -13,7 +13,7 @@ pub(super) fn scan() -> Scan {
     scan_with(1000)
 }
 
-fn scan_with(value: u16) -> Scan {
+fn scan_with(value: u32) -> Scan {
     Scan::builder(Window::single(384), [value]).build().unwrap()
 }
 
@@ -37,7 +37,7 @@ fn error(kind: usize) -> Error {
 
 #[derive(Debug, Clone)]
 enum RingStep {
-    Push(u16),
+    Push(u32),
     Report(usize),
     End(Option<usize>),
     Subscribe(usize),
@@ -49,7 +49,7 @@ enum RingStep {
 
 fn step() -> impl Strategy<Value = RingStep> {
     prop_oneof![
-        8 => (0_u16..2).prop_map(RingStep::Push),
+        8 => (0_u32..2).prop_map(RingStep::Push),
         2 => (0_usize..3).prop_map(RingStep::Report),
         1 => prop::option::of(0_usize..3).prop_map(RingStep::End),
         2 => (0_usize..5).prop_map(RingStep::Subscribe),

@@ -7,10 +7,10 @@ use tokio::time::Instant;
 
 use super::{Scan, ScanMeta};
 use crate::Error;
-use crate::protocol::Window;
+use crate::protocol::{Geometry, Window};
 
 /// Largest 12-bit value.
-const MAX_VALUE: u16 = 4095;
+const MAX_VALUE: u32 = 4095;
 /// Revolution at 600 rpm.
 const REVOLUTION: Duration = Duration::from_millis(100);
 
@@ -31,7 +31,7 @@ impl Scan {
     /// assert_eq!(nearest(&scan), Some(0.9));
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
-    pub fn builder(window: Window, values: impl Into<Arc<[u16]>>) -> ScanBuilder {
+    pub fn builder(window: Window, values: impl Into<Arc<[u32]>>) -> ScanBuilder {
         ScanBuilder::new(window, values.into())
     }
 }
@@ -44,12 +44,12 @@ impl Scan {
 #[must_use = "a builder does nothing until it builds a scan"]
 pub struct ScanBuilder {
     window: Window,
-    values: Arc<[u16]>,
+    values: Arc<[u32]>,
     meta: ScanMeta,
 }
 
 impl ScanBuilder {
-    fn new(window: Window, values: Arc<[u16]>) -> Self {
+    fn new(window: Window, values: Arc<[u32]>) -> Self {
         let now = Instant::now();
         let meta = ScanMeta {
             sequence: 0,
@@ -60,6 +60,7 @@ impl ScanBuilder {
             lateness: None,
             repeat: false,
             scan_time: REVOLUTION,
+            geometry: Geometry::URG_04LX,
             reconnects: 0,
         };
         Self { window, values, meta }
@@ -140,7 +141,7 @@ pub enum ScanError {
         /// Index of the first such value, from 0.
         index: usize,
         /// Value.
-        found: u16,
+        found: u32,
     },
 }
 
@@ -157,7 +158,7 @@ mod tests {
 
     #[test]
     fn values_that_do_not_fit_their_window_are_refused() {
-        let build = |values: &[u16]| Scan::builder(Window::DETECTION, values).build();
+        let build = |values: &[u32]| Scan::builder(Window::DETECTION, values).build();
         let error = build(&[1000; 681]).unwrap_err();
         let text = "invalid scan of steps 44..=725: expected 682 values, found 681";
         assert_eq!(error.to_string(), text);

@@ -14,10 +14,10 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod angles;
 mod builder;
 #[cfg(feature = "serde")]
 mod data;
-mod geometry;
 mod pose;
 mod ray;
 #[expect(clippy::module_inception, reason = "it is named after its type")]

@@ -45,7 +45,7 @@ pub struct Point {
     pub x: f32,
     /// Metres to the left of the origin.
     pub y: f32,
-    /// Metres from the sensor, 0.020..=4.094, in any frame.
+    /// Metres from the sensor, in any frame.
     pub range: f32,
     /// Radians counter-clockwise from the sensor's front, in any frame.
     pub angle: f32,
@@ -114,14 +114,14 @@ mod tests {
 
     #[test]
     fn each_value_has_its_ray_and_point() {
-        let value = |n: u16| if n.is_multiple_of(3) { n % 20 } else { 1000 + n };
+        let value = |n: u32| if n.is_multiple_of(3) { n % 20 } else { 1000 + n };
         let scan = scan_of(Window::DETECTION, (0..682).map(value));
         let rays: Vec<Ray> = scan.rays().collect();
         assert_eq!(scan.rays().len(), 682);
         for (n, (ray, angle)) in rays.iter().zip(scan.angles()).enumerate() {
             assert_eq!((ray.step.number(), ray.angle), (44 + n as u16, angle));
             assert_eq!(ray.measurement.value(), scan.values()[n]);
-            assert!((ray.angle - ray.step.degrees().to_radians()).abs() < 1e-6);
+            assert!((ray.angle - scan.geometry().degrees(ray.step).to_radians()).abs() < 1e-6);
         }
         let with_point: Vec<&Ray> = rays.iter().filter(|ray| ray.point().is_some()).collect();
         assert_eq!(with_point.len(), scan.points().count());
@@ -134,7 +134,7 @@ mod tests {
 
     #[test]
     fn the_nearest_point_is_no_error_code() {
-        let scan = |values: [u16; 513]| scan_of(window(128, 640, 1), values.into_iter());
+        let scan = |values: [u32; 513]| scan_of(window(128, 640, 1), values.into_iter());
         let mut values = [3000; 513];
         (values[0], values[100], values[256], values[400]) = (7, 1000, 1200, 1000);
         // The first of two.

@@ -6,7 +6,7 @@ use std::time::{Duration, SystemTime};
 
 use tokio::time::Instant;
 
-use crate::protocol::{Measurement, Window};
+use crate::protocol::{Geometry, Measurement, Window};
 
 /// Values of all directions of a [`Window`], measured in one revolution.
 ///
@@ -32,7 +32,7 @@ use crate::protocol::{Measurement, Window};
 #[derive(Clone)]
 pub struct Scan {
     pub(super) window: Window,
-    values: Arc<[u16]>,
+    values: Arc<[u32]>,
     /// Index of the first value in `values`: the driver may have asked for more.
     first: usize,
     pub(crate) meta: ScanMeta,
@@ -51,13 +51,14 @@ pub(crate) struct ScanMeta {
     pub(crate) lateness: Option<Duration>,
     pub(crate) repeat: bool,
     pub(crate) scan_time: Duration,
+    pub(crate) geometry: Geometry,
     pub(crate) reconnects: u64,
 }
 
 impl Scan {
     /// Creates a scan. `values` has one value for each point of `window`, starting at
     /// `first`.
-    pub(crate) fn new(window: Window, values: Arc<[u16]>, first: usize, meta: ScanMeta) -> Self {
+    pub(crate) fn new(window: Window, values: Arc<[u32]>, first: usize, meta: ScanMeta) -> Self {
         Self { window, values, first, meta }
     }
 
@@ -66,23 +67,43 @@ impl Scan {
         self.window
     }
 
+    /// Geometry of the sensor.
+    pub fn geometry(&self) -> &Geometry {
+        &self.meta.geometry
+    }
+
     /// Number of points, at least 1; the same as [`Window::points`].
     #[expect(clippy::len_without_is_empty, reason = "a scan is never empty")]
     pub fn len(&self) -> usize {
         self.window.points()
     }
 
-    /// 12-bit values as the sensor sent them, 0..=4095, in the order of their steps: below
-    /// 20 an [`ErrorCode`](crate::ErrorCode), 20..=4094 millimetres (C-42-3320-A p. 5 and
-    /// 7).
-    pub fn values(&self) -> &[u16] {
+    /// Distances in millimetres, in the order of their steps, or `None` where the sensor measured
+    /// none.
+    ///
+    /// ```
+    /// # use tokio_scip::{Scan, Window};
+    /// let scan = Scan::builder(Window::new(383..=385)?, [900, 0, 1250]).build()?;
+    /// assert_eq!(scan.distances().collect::<Vec<_>>(), [Some(900), None, Some(1250)]);
+    /// assert_eq!(scan.distances().flatten().min(), Some(900));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn distances(&self) -> impl ExactSizeIterator<Item = Option<u32>> + Clone + '_ {
+        self.measurements().map(Measurement::distance)
+    }
+
+    /// Values as the sensor sent them, in the order of their steps: millimetres, and among them
+    /// numbers that are no distance, such as an [`ErrorCode`](crate::ErrorCode). So their least is
+    /// no distance either: take [`distances`](Self::distances), or
+    /// [`measurements`](Self::measurements), which tell them apart.
+    pub fn values(&self) -> &[u32] {
         let end = self.first + self.window.points();
         self.values.get(self.first..end).unwrap_or_default()
     }
 
     /// Iterates over the meanings of the values.
     pub fn measurements(&self) -> impl ExactSizeIterator<Item = Measurement> + Clone + '_ {
-        self.values().iter().map(|&value| Measurement::from_value(value))
+        self.values().iter().map(move |&value| self.meta.geometry.measurement(value))
     }
 
     /// Iterates over the ranges in metres, as REP 117 of ROS defines them: distances
@@ -92,14 +113,14 @@ impl Scan {
         self.measurements().map(Measurement::range)
     }
 
-    /// Shortest measurable range: 0.020 m (C-42-3320-A p. 7).
+    /// Shortest measurable range in metres.
     pub fn range_min(&self) -> f32 {
-        0.020
+        metres(*self.meta.geometry.distances().start())
     }
 
-    /// Longest measurable range: 4.094 m (C-42-3320-A p. 7).
+    /// Longest measurable range in metres.
     pub fn range_max(&self) -> f32 {
-        4.094
+        metres(*self.meta.geometry.distances().end())
     }
 
     /// Number of this scan in its schedule, from 0. A gap means that your consumer was too
@@ -122,6 +143,10 @@ impl Scan {
     pub fn is_repeat(&self) -> bool {
         self.meta.repeat
     }
+}
+
+fn metres(millimetres: u32) -> f32 {
+    (f64::from(millimetres) / 1000.0) as f32
 }
 
 impl fmt::Debug for Scan {
@@ -152,10 +177,10 @@ pub(super) mod tests {
 
     /// Each value equals its index, plus 20.
     pub(in crate::scan) fn scan(window: Window) -> Scan {
-        scan_of(window, (0..window.points() as u16).map(|n| 20 + n))
+        scan_of(window, (0..window.points() as u32).map(|n| 20 + n))
     }
 
-    pub(in crate::scan) fn scan_of(window: Window, values: impl Iterator<Item = u16>) -> Scan {
+    pub(in crate::scan) fn scan_of(window: Window, values: impl Iterator<Item = u32>) -> Scan {
         Scan::builder(window, values.collect::<Vec<_>>()).build().unwrap()
     }
 

@@ -109,7 +109,7 @@ impl Scan {
     /// Time from one point to the next: the part of the motor's revolution between them,
     /// 97.66 us per step at 600 rpm.
     pub fn time_increment(&self) -> Duration {
-        self.meta.scan_time.mul_f64(f64::from(self.window.cluster_count()) / 1024.0)
+        Duration::from_secs_f64(self.increment())
     }
 
     /// Time of one revolution of the motor: the measured time, once it is known to 0.1 %,
@@ -120,8 +120,8 @@ impl Scan {
 
     /// Exact time from one point to the next in seconds.
     pub(super) fn increment(&self) -> f64 {
-        let revolution = self.meta.scan_time.as_secs_f64();
-        revolution * f64::from(self.window.cluster_count()) / 1024.0
+        let steps = f64::from(self.meta.geometry.steps_per_revolution());
+        self.meta.scan_time.as_secs_f64() * f64::from(self.window.cluster_count()) / steps
     }
 
     /// Time from the first ray to the arrival of the first byte.

@@ -38,9 +38,9 @@ pub(crate) fn wire_time(baud_rate: BaudRate, bytes: usize) -> Duration {
 
 /// Returns the value at `step`: one of three digits, base 4000, of the request's number. The
 /// digits repeat every three steps, so any window of three steps holds the whole number.
-fn code(request: u64, step: usize) -> u16 {
+fn code(request: u64, step: usize) -> u32 {
     let digits = [request % 4000, request / 4000 % 4000, request / 16_000_000];
-    20 + digits[step % 3] as u16
+    20 + digits[step % 3] as u32
 }
 
 /// Returns an emulated sensor whose scans each carry the number of the `G` they answer.

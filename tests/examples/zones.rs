@@ -15,9 +15,9 @@ use crate::common::random::{Random, seeds};
 type Spot = (f64, f64);
 
 /// Codes for weak light, which say nothing about a zone.
-const WEAK: [u16; 4] = [1, 5, 7, 19];
+const WEAK: [u32; 4] = [1, 5, 7, 19];
 /// Codes, and a distance, for nothing within the range.
-const BEYOND: [u16; 4] = [0, 6, 16, 4095];
+const BEYOND: [u32; 4] = [0, 6, 16, 4095];
 
 fn between(random: &mut Random, range: RangeInclusive<f64>) -> f64 {
     let share = random.below(1 << 40) as f64 / (1_u64 << 40) as f64;
@@ -109,12 +109,12 @@ fn angle(step: u16) -> f64 {
 }
 
 /// Returns what the sensor sends for a step: the nearest wall there, or a code.
-fn value(walls: &[Wall], step: u16, random: &mut Random) -> u16 {
+fn value(walls: &[Wall], step: u16, random: &mut Random) -> u32 {
     let angle = angle(step);
     let hits = walls.iter().filter_map(|wall| Some((wall.distance(angle)?, wall.is_weak)));
     match hits.min_by(|a, b| a.0.total_cmp(&b.0)) {
         Some((_, true)) => *random.pick(&WEAK),
-        Some((range, false)) if range <= 4.094 => ((range * 1000.0).round() as u16).max(20),
+        Some((range, false)) if range <= 4.094 => ((range * 1000.0).round() as u32).max(20),
         _ => *random.pick(&BEYOND),
     }
 }
@@ -165,7 +165,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
         walls.extend(wall);
     }
     let dropouts = random.below(6).saturating_sub(2) * 20;
-    let mut raw: Vec<u16> = (0..=768).map(|step| value(&walls, step, random)).collect();
+    let mut raw: Vec<u32> = (0..=768).map(|step| value(&walls, step, random)).collect();
     for _ in 0..dropouts {
         let step = random.below(769) as usize;
         raw[step] = *random.pick(&WEAK);
@@ -187,7 +187,7 @@ fn case(seed: u64) -> Option<ZoneCase> {
     let window = Window::new(steps.clone()).unwrap().with_cluster_count(cluster).unwrap();
     let steps = usize::from(*steps.start())..=usize::from(*steps.end());
     let clusters = raw[steps].chunks(cluster.into());
-    let values: Vec<u16> = clusters.map(|values| *values.iter().min().unwrap()).collect();
+    let values: Vec<u32> = clusters.map(|values| *values.iter().min().unwrap()).collect();
 
     let covers = window.start().number() <= first && last <= window.end().number();
     let has_code = raw.iter().any(|value| *value < 20);
@@ -227,7 +227,7 @@ fn a_clear_zone_has_no_obstacle() {
 
 /// Returns what a zone of 0.6 m ahead, 0.3 m to each side, finds: all rays measure 2 m, but `rays` of
 /// them `value`, in clusters of `cluster` steps.
-fn check(rays: RangeInclusive<usize>, value: u16, cluster: u8) -> Result<(), String> {
+fn check(rays: RangeInclusive<usize>, value: u32, cluster: u8) -> Result<(), String> {
     let zone = Zone::new(&[(0.0, -0.3), (0.6, -0.3), (0.6, 0.3), (0.0, 0.3)], 0.1).unwrap();
     // Steps 128..=640, 180 degrees ahead.
     let window = zone.window().with_cluster_count(cluster).unwrap();

@@ -89,11 +89,11 @@ impl ModelSensor {
 }
 
 /// Returns the value of a point of a scan, which differs from scan to scan and from step to step.
-fn value(number: usize, step: u32) -> u16 {
-    20 + ((number * 1009 + step as usize * 31) % 4000) as u16
+fn value(number: usize, step: u32) -> u32 {
+    20 + ((number * 1009 + step as usize * 31) % 4000) as u32
 }
 
-fn encode(value: u16) -> [u8; 2] {
+fn encode(value: u32) -> [u8; 2] {
     [(value >> 6) as u8 + 0x30, (value & 0x3f) as u8 + 0x30]
 }
 

@@ -127,7 +127,7 @@ async fn flip(at: usize, bit: u8) -> Option<usize> {
     let next = scans(&mut stream, 2).await;
     assert!(request_of(&next[1]).is_some(), "the scan after the damaged one is wrong, too");
     // The damaged reply answers the first scan, or it was refused.
-    let sent_value = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u16;
+    let sent_value = |step: usize| 20 + [sent, 0, 0][(300 + step) % 3] as u32;
     let wrong =
         next[0].values().iter().enumerate().filter(|&(step, &v)| v != sent_value(step)).count();
     (request_of(&next[0]).is_none_or(|request| request == sent)).then_some(wrong)
@@ -140,8 +140,8 @@ async fn w03_w04_w08_w11_w13_each_bit_flipped() {
     let (_sensor, mut stream) = streaming(&emulator, window, Rate::hz(10.0)).await;
     scans(&mut stream, 1).await;
     // The second poll's reply: it asks for one step more on the left.
-    let sent = emulator.counts().scans as u16;
-    let values: Vec<u16> = (299..=340).map(|step| 20 + [sent, 0, 0][step % 3]).collect();
+    let sent = emulator.counts().scans as u32;
+    let values: Vec<u32> = (299..=340).map(|step| 20 + [sent, 0, 0][step % 3]).collect();
     let data: Vec<u8> =
         values.iter().flat_map(|v| [b'0' + (v >> 6) as u8, b'0' + (v & 63) as u8]).collect();
     let lines = data.chunks(64).collect::<Vec<_>>().join(&b'\n');
@@ -237,7 +237,7 @@ async fn w09_a_lost_and_an_added_byte_shift_points() {
     assert!(request_of(&next[0]).is_none());
     // The first point is surplus; ten and a half points lie between the two places.
     let (before, after) = (&shifted[..3], &shifted[14..]);
-    let sent = |step: usize| 20 + [emulator_number(&next[1]) - 1, 0, 0][(44 + step) % 3] as u16;
+    let sent = |step: usize| 20 + [emulator_number(&next[1]) - 1, 0, 0][(44 + step) % 3] as u32;
     assert!(before.iter().enumerate().all(|(step, &value)| value == sent(step)));
     assert!(after.iter().enumerate().all(|(step, &value)| value == sent(step + 14)));
     assert!(request_of(&next[1]).is_some(), "the scan after it is whole");

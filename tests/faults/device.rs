@@ -264,7 +264,7 @@ async fn d12_a_scan_of_error_codes_alone_is_delivered() {
         let emulator = Emulator::builder().world(Fixed::filled(code)).build();
         let sensor = open(&emulator).await;
         let scan = sensor.scan(WINDOW).await.unwrap();
-        let expected = Measurement::from_value(code);
+        let expected = scan.geometry().measurement(code);
         assert!(matches!(expected, Measurement::Error(_)), "{code}");
         assert!(scan.measurements().all(|found| found == expected), "{code}");
         assert!(scan.ranges().all(|range| !range.is_finite()));

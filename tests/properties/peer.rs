@@ -96,8 +96,8 @@ impl Peer {
 }
 
 /// Returns the value at `step`: a digit in base 4000, repeated every three steps.
-fn code(request: u64, step: u64) -> u16 {
-    20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u16
+fn code(request: u64, step: u64) -> u32 {
+    20 + (request / 4000_u64.pow((step % 3) as u32) % 4000) as u32
 }
 
 impl PeerState {

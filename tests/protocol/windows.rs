@@ -1,6 +1,6 @@
 //! Valid and invalid windows.
 
-use tokio_scip::protocol::{Step, Window, WindowError};
+use tokio_scip::protocol::{Geometry, Step, Window, WindowError};
 
 #[test]
 fn steps_are_0_to_768() {
@@ -17,10 +17,10 @@ fn angles_count_counter_clockwise_from_the_front() {
         [(0, -135.0), (128, -90.0), (384, 0.0), (640, 90.0), (768, 135.0), (385, 0.351_562_5)]
     {
         let step = Step::try_from(step).unwrap();
-        assert_eq!(step.degrees(), degrees);
+        assert_eq!(Geometry::URG_04LX.degrees(step), degrees);
     }
-    assert!((Window::DETECTION.start().degrees() - -119.53).abs() < 0.005);
-    assert!((Window::DETECTION.end().degrees() - 119.88).abs() < 0.005);
+    assert!((Geometry::URG_04LX.degrees(Window::DETECTION.start()) - -119.53).abs() < 0.005);
+    assert!((Geometry::URG_04LX.degrees(Window::DETECTION.end()) - 119.88).abs() < 0.005);
 }
 
 #[test]

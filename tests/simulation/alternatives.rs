@@ -46,7 +46,7 @@ impl FramedClient {
 
     /// Returns the values of the reply to `command`, none for `V`, or `None` without a
     /// valid reply.
-    async fn exchange(&mut self, command: Command, limit: Duration) -> Option<Vec<u16>> {
+    async fn exchange(&mut self, command: Command, limit: Duration) -> Option<Vec<u32>> {
         self.clear();
         let deadline = Instant::now() + limit;
         self.framed.send(&command).await.unwrap();

@@ -14,17 +14,17 @@ pub(crate) struct SimulationTruth(Arc<Mutex<Vec<Instant>>>);
 ///
 /// A hash without a division, which the compiler turns into vector instructions: most of
 /// the values of a simulation are computed twice.
-fn value(request: u64, step: usize) -> u16 {
+fn value(request: u64, step: usize) -> u32 {
     let mixed =
         (request as u32).wrapping_mul(0x9e37_79b1) ^ (step as u32).wrapping_mul(0x85eb_ca6b);
     let mixed = (mixed ^ (mixed >> 15)).wrapping_mul(0xc2b2_ae35);
-    20 + (((mixed >> 16) * 4000) >> 16) as u16
+    20 + (((mixed >> 16) * 4000) >> 16)
 }
 
 /// A scan with the time of its request and of its reply.
 pub(crate) struct Timed<'a> {
     pub(crate) window: Window,
-    pub(crate) values: &'a [u16],
+    pub(crate) values: &'a [u32],
     pub(crate) sent: Instant,
     pub(crate) received: Instant,
 }

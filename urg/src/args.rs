@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use clap::Args;
-use tokio_scip::{BaudRate, Rate, Window};
+use tokio_scip::{BaudRate, Geometry, Rate, Window};
 
 use crate::failure::Failure;
 
@@ -56,8 +56,9 @@ impl WindowArgs {
             (Some(window), ..) => Ok(window),
             (None, None, None) => Window::new(default.start().number()..=default.end().number()),
             (None, from, to) => {
-                let from = from.unwrap_or_else(|| default.start().degrees().into());
-                Window::degrees(from..=to.unwrap_or_else(|| default.end().degrees().into()))
+                let [start, end] = [default.start(), default.end()];
+                let [start, end] = [start, end].map(|step| Geometry::URG_04LX.degrees(step).into());
+                Window::degrees(from.unwrap_or(start)..=to.unwrap_or(end))
             }
         };
         window

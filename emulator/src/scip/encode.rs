@@ -25,7 +25,7 @@ pub(super) fn lines<'a>(echo: &[u8], lines: impl IntoIterator<Item = &'a [u8]>) 
 
 /// Encodes a reply with distance data: two characters per value, 64 bytes per line (p. 5,
 /// 6).
-pub(super) fn distances(echo: &[u8], values: &[u16]) -> Vec<u8> {
+pub(super) fn distances(echo: &[u8], values: &[u32]) -> Vec<u8> {
     let mut data = vec![0; 2 * values.len()];
     for (pair, &value) in data.as_chunks_mut().0.iter_mut().zip(values) {
         *pair = [sextet(value >> 6), sextet(value)];
@@ -43,10 +43,10 @@ pub(super) fn distances(echo: &[u8], values: &[u16]) -> Vec<u8> {
 
 /// Encodes a scan as a sensor in SCIP 2 streams it, unsolicited: three characters per
 /// point, a time stamp in milliseconds, and a check character after every line.
-pub(crate) fn scip2_scan(values: &[u16], milliseconds: u64) -> Vec<u8> {
+pub(crate) fn scip2_scan(values: &[u32], milliseconds: u64) -> Vec<u8> {
     let mut reply = Vec::with_capacity(2200);
     start(&mut reply, b"MD0044072501000", b"99b");
-    let stamp = [18, 12, 6, 0].map(|shift| sextet((milliseconds >> shift) as u16 & 0x3F));
+    let stamp = [18, 12, 6, 0].map(|shift| sextet((milliseconds >> shift) as u32 & 0x3F));
     checked_line(&mut reply, &stamp);
     let data: Vec<u8> =
         values.iter().flat_map(|&value| [sextet(0), sextet(value >> 6), sextet(value)]).collect();
@@ -62,7 +62,7 @@ pub(crate) fn scip2_lines<'a>(echo: &[u8], lines: impl Iterator<Item = &'a [u8]>
     let mut reply = Vec::new();
     start(&mut reply, echo, b"00P");
     for line in lines.filter(|line| !line.is_empty()) {
-        let sum = line.iter().fold(0_u16, |sum, &byte| sum.wrapping_add(u16::from(byte)));
+        let sum = line.iter().fold(0_u32, |sum, &byte| sum.wrapping_add(u32::from(byte)));
         reply.extend_from_slice(line);
         reply.extend_from_slice(&[b';', sextet(sum), b'\n']);
     }
@@ -78,13 +78,13 @@ fn start(reply: &mut Vec<u8>, echo: &[u8], status: &[u8]) {
 }
 
 fn checked_line(reply: &mut Vec<u8>, line: &[u8]) {
-    let sum = line.iter().fold(0_u16, |sum, &byte| sum.wrapping_add(u16::from(byte)));
+    let sum = line.iter().fold(0_u32, |sum, &byte| sum.wrapping_add(u32::from(byte)));
     reply.extend_from_slice(line);
     reply.extend_from_slice(&[sextet(sum), b'\n']);
 }
 
 /// Encodes the low six bits as a character from `0` to `o` (p. 5).
-fn sextet(bits: u16) -> u8 {
+fn sextet(bits: u32) -> u8 {
     (bits & 0x3F) as u8 + 0x30
 }
 

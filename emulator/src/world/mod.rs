@@ -26,11 +26,11 @@ pub const STEPS: usize = 769;
 
 /// One 12-bit value (0..=4095) for each step, at the step's index: a distance in
 /// millimetres from 20 on, an error code from 0 to 19 (C-42-3320-A p. 7).
-pub type Values = [u16; STEPS];
+pub type Values = [u32; STEPS];
 
 /// Error code 19, "Non-Measurable Distance": what a sensor sends for the steps
 /// outside its detection window, 0..=43 and 726..=768.
-pub(crate) const NON_MEASURABLE: u16 = 19;
+pub(crate) const NON_MEASURABLE: u32 = 19;
 
 /// When a world is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl WorldTime {
 /// let emulator = Emulator::builder()
 ///     .world(|time: WorldTime, values: &mut Values| {
 ///         values.fill(1234);
-///         values[44] = 20 + (time.request % 4000) as u16;
+///         values[44] = 20 + (time.request % 4000) as u32;
 ///     })
 ///     .build();
 /// ```
@@ -94,7 +94,7 @@ pub struct Fixed(pub Values);
 
 impl Fixed {
     /// Creates a world with the same value at every step.
-    pub fn filled(value: u16) -> Self {
+    pub fn filled(value: u32) -> Self {
         Self([value; STEPS])
     }
 }

@@ -6,7 +6,7 @@ use crate::random::{fraction, mix};
 
 /// Error codes in the order of their frequency in captures of a real URG-04LX, each with
 /// the cumulative fraction of the runs.
-const CODES: [(u16, f64); 4] = [(0, 0.40), (6, 0.70), (16, 0.88), (7, 1.0)];
+const CODES: [(u32, f64); 4] = [(0, 0.40), (6, 0.70), (16, 0.88), (7, 1.0)];
 
 /// Another world, with error codes in place of some of its distances.
 ///
@@ -84,6 +84,6 @@ impl<W> Sparse<W> {
     }
 }
 
-fn code(drawn: f64) -> u16 {
+fn code(drawn: f64) -> u32 {
     CODES.iter().find(|(_, up_to)| drawn < *up_to).map_or(0, |(code, _)| *code)
 }

@@ -51,26 +51,26 @@ pub(super) fn sweep(
     }
 }
 
-fn noisy_value(Echo { distance, light }: Echo, noise: u64) -> u16 {
+fn noisy_value(Echo { distance, light }: Echo, noise: u64) -> u32 {
     let spread = fraction(noise) + fraction(mix(noise)) - 1.0;
     let measured = distance + spread * (4.0 + 0.004 * distance);
     let metres = distance / 1000.0;
     let is_dark = (20.0..=4_094.0).contains(&measured) && light < 0.004 * metres * metres;
     match () {
         () if noise.is_multiple_of(300) => 9,
-        () if is_dark => 1 + (noise % 5) as u16,
+        () if is_dark => 1 + (noise % 5) as u32,
         () => range_value(measured),
     }
 }
 
 /// Converts a distance to a value: millimetres, or the error code of its range.
-fn range_value(distance: f64) -> u16 {
+fn range_value(distance: f64) -> u32 {
     match distance {
         d if d < 20.0 => 8,
         d if d > 12_000.0 => 0,
         d if d > 5_600.0 => 6,
         d if d > 4_094.0 => 16,
-        d => d as u16,
+        d => d as u32,
     }
 }
 

@@ -62,11 +62,13 @@ pub fn write_scan(out: &mut Vec<u8>, scan: &Scan, stamp: SystemTime, frame_id: &
     let mut cdr = CdrWriter::new(out);
     write_header(&mut cdr, stamp, frame_id);
     let revolution = scan.scan_time().as_secs_f64();
+    // Exact: a `Duration` is a whole number of nanoseconds.
+    let turn = revolution / f64::from(scan.geometry().steps_per_revolution());
     for field in [
         scan.angle_min(),
         scan.angle_max(),
         scan.angle_increment(),
-        (revolution * f64::from(scan.window().cluster_count()) / 1024.0) as f32,
+        (turn * f64::from(scan.window().cluster_count())) as f32,
         revolution as f32,
         scan.range_min(),
         scan.range_max(),

@@ -109,7 +109,7 @@ async fn record(
     for _ in 0..random.below(60) {
         tokio::time::advance(random.ms(400)).await;
         sequence += 1 + u64::from(random.once_in(8));
-        let values: Vec<u16> = (0..window.points()).map(|_| random.below(4096) as u16).collect();
+        let values: Vec<u32> = (0..window.points()).map(|_| random.below(4096) as u32).collect();
         let stamp = SystemTime::UNIX_EPOCH + 500_000 * HOUR + began.elapsed();
         let scan = Scan::builder(window, values).sequence(sequence).stamp(stamp);
         let item: Result<_, Error> = Ok(scan.received_at(Instant::now()).build().unwrap());

@@ -36,7 +36,7 @@ const COPY_TIME: Duration = Duration::from_millis(20);
 /// Result of a successful poll.
 #[derive(Debug)]
 pub(crate) struct Polled {
-    pub(crate) values: Arc<[u16]>,
+    pub(crate) values: Arc<[u32]>,
     /// Index of the window's first value. Successive polls ask for extra values before or
     /// after the window.
     pub(crate) first: usize,

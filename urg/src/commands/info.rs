@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use clap::ValueEnum;
 use serde_json::{Value, json};
-use tokio_scip::{BaudRate, Version, Window};
+use tokio_scip::{BaudRate, Geometry, Version, Window};
 
 use crate::args::LinkArgs;
 use crate::delivery::Delivery;
@@ -139,8 +139,8 @@ fn window(start: u16, end: u16) -> String {
     match Window::new(start..=end) {
         Ok(window) => format!(
             "steps {start} to {end}, {:.2}° to {:.2}°",
-            window.start().degrees(),
-            window.end().degrees()
+            Geometry::URG_04LX.degrees(window.start()),
+            Geometry::URG_04LX.degrees(window.end())
         ),
         Err(_) => format!("steps {start} to {end}"),
     }

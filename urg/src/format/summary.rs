@@ -37,7 +37,7 @@ mod tests {
 
     use super::*;
 
-    fn summary(value: u16) -> String {
+    fn summary(value: u32) -> String {
         let mut values = vec![value; Window::DETECTION.steps()];
         if value != 7 {
             values[340] = 412;

@@ -9,7 +9,7 @@ use super::time;
 use crate::plot::colours::{self, DISTANCES};
 use crate::plot::missing::MissingKind;
 use crate::plot::summary::ScanSummary;
-use crate::plot::{self, Anchor, Place, REACH, Sector};
+use crate::plot::{self, Anchor, Place, Sector};
 
 const WIDTH: f64 = 180.0;
 const MARGIN: f64 = 14.0;
@@ -37,7 +37,9 @@ text { font-family: Helvetica, Arial, 'DejaVu Sans', sans-serif; font-size: 3.1p
 
 /// Draws the picture, with the name of the sensor.
 pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
-    let paper = Paper::fitted_to(Sector::from_window(scan.window()));
+    let geometry = scan.geometry();
+    let sector = Sector::from_window(scan.window(), geometry);
+    let paper = Paper::fitted_to(sector, plot::reach(geometry));
     let mut text = String::with_capacity(64 * 1024);
     // Writing to a `String` is infallible.
     let _ = paper.picture(&mut text, scan, version);
@@ -46,6 +48,8 @@ pub(crate) fn svg(scan: &Scan, version: &Version) -> String {
 
 struct Paper {
     sector: Sector,
+    /// Radius of the sector in metres.
+    reach: f64,
     /// Millimetres of paper per metre.
     scale: f64,
     /// Place of the sensor.
@@ -56,15 +60,16 @@ struct Paper {
 }
 
 impl Paper {
-    fn fitted_to(sector: Sector) -> Self {
+    fn fitted_to(sector: Sector, reach: f64) -> Self {
         let extent = sector.extent();
         let (width, height) = (extent.left + extent.right, extent.ahead + extent.behind);
         let room = WIDTH - 2.0 * MARGIN;
-        let scale = (room / width).min(MAX_HEIGHT / height) / REACH;
-        let radius = scale * REACH;
+        let scale = (room / width).min(MAX_HEIGHT / height) / reach;
+        let radius = scale * reach;
         let top = HEADER + MARGIN;
         Self {
             sector,
+            reach,
             scale,
             // Centre a plot that is narrower than the paper.
             x: (WIDTH - radius * width) / 2.0 + radius * extent.left,
@@ -116,8 +121,8 @@ impl Paper {
             "{when}, steps {} to {} ({:.1}° to {:.1}°){cluster}",
             window.start(),
             window.end(),
-            window.start().degrees(),
-            window.end().degrees()
+            scan.geometry().degrees(window.start()),
+            scan.geometry().degrees(window.end())
         );
         let firmware = format!("firmware {}", version.firmware);
         for (class, y, text) in
@@ -130,20 +135,20 @@ impl Paper {
     }
 
     fn grid(&self, out: &mut String) -> fmt::Result {
-        let (sector, radius) = (self.sector, self.scale * REACH);
+        let (sector, radius) = (self.sector, self.scale * self.reach);
         let (x, y) = (self.x, self.y);
-        for ring in plot::rings(REACH) {
+        for ring in plot::rings(self.reach) {
             writeln!(out, r#"<path class="ring" d="M{}"/>"#, self.arc(sector, ring))?;
         }
         for degrees in sector.directions() {
             let angle = f64::from(degrees).to_radians();
-            let (to_x, to_y) = self.at(plot::place(REACH, angle));
+            let (to_x, to_y) = self.at(plot::place(self.reach, angle));
             writeln!(out, r#"<path class="ring" d="M{x:.2} {y:.2}L{to_x:.2} {to_y:.2}"/>"#)?;
             // Outside the tracks.
             let (x, y) = self.at(plot::place((radius + 10.5) / self.scale, angle));
             label(out, "what", Anchor::Middle, (x, y), &format!("{degrees}°"))?;
         }
-        for ring in plot::rings(REACH) {
+        for ring in plot::rings(self.reach) {
             let (place, anchor) = sector.beside(ring, 2.6 / self.scale);
             label(out, "small", anchor, self.at(place), &format!("{ring} m"))?;
         }
@@ -152,9 +157,9 @@ impl Paper {
 
     /// Draws the sector, and in it the free space between the sensor and the points.
     fn seen(&self, out: &mut String, scan: &Scan) -> fmt::Result {
-        let (x, y, rim) = (self.x, self.y, self.arc(self.sector, REACH));
+        let (x, y, rim) = (self.x, self.y, self.arc(self.sector, self.reach));
         writeln!(out, r#"<path class="sector" d="M{x:.2} {y:.2}L{rim}Z"/>"#)?;
-        let half = plot::width(scan.window().cluster_count()) / 2.0;
+        let half = f64::from(scan.angle_increment()) / 2.0;
         let (mut seen, mut open) = (String::new(), false);
         for ray in scan.rays() {
             let Some(millimetres) = ray.measurement.distance() else {
@@ -198,10 +203,10 @@ impl Paper {
     /// kinds differ even without colours.
     fn missing(&self, out: &mut String, scan: &Scan) -> fmt::Result {
         // A single direction is at least as wide as its track is high.
-        let least = TRACK_WIDTH / 2.0 / (REACH * self.scale);
-        let half = (plot::width(scan.window().cluster_count()) / 2.0).max(least);
+        let least = TRACK_WIDTH / 2.0 / (self.reach * self.scale);
+        let half = (f64::from(scan.angle_increment()) / 2.0).max(least);
         for (track, kind) in (1..).zip(MissingKind::ALL.into_iter().rev()) {
-            let radius = REACH + f64::from(track) * TRACK / self.scale;
+            let radius = self.reach + f64::from(track) * TRACK / self.scale;
             let mut arcs = String::new();
             let mut run: Option<Sector> = None;
             let directions = scan.rays().map(|ray| (f64::from(ray.angle), Some(ray.measurement)));

@@ -5,7 +5,7 @@ use tokio_scip::{Scan, Window};
 /// Converts a scan to `window`, as the sensor itself would have sent it. Each cluster has
 /// its smallest value. Steps that were not recorded have error code 19.
 pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
-    const NOT_RECORDED: u16 = 19;
+    const NOT_RECORDED: u32 = 19;
     let recorded = scan.window();
     if recorded == window {
         return scan.clone();
@@ -18,7 +18,7 @@ pub(crate) fn seen_through(scan: &Scan, window: Window) -> Scan {
     let first = usize::from(window.start().number());
     let seen = steps.get(first..first + window.steps()).unwrap_or_default();
     let clusters = seen.chunks(window.cluster_count().into());
-    let values: Vec<u16> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
+    let values: Vec<u32> = clusters.filter_map(|cluster| cluster.iter().min().copied()).collect();
     let built = Scan::builder(window, values).like(scan).build();
     // There is one value per point of the window, so building the scan succeeds.
     built.unwrap_or_else(|_| scan.clone())

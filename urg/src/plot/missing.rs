@@ -60,7 +60,8 @@ mod tests {
 
     #[test]
     fn every_value_is_a_distance_or_of_one_kind() {
-        let kind = |value| MissingKind::from_measurement(Measurement::from_value(value));
+        let geometry = tokio_scip::Geometry::URG_04LX;
+        let kind = |value| MissingKind::from_measurement(geometry.measurement(value));
         for value in 0..=4095 {
             let expected = match value {
                 0 | 6 | 16 | 4095 => Some(MissingKind::Far),

@@ -6,13 +6,15 @@ pub(crate) mod missing;
 pub(crate) mod pose;
 pub(crate) mod summary;
 
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::FRAC_PI_2;
 
-use tokio_scip::Window;
-use tokio_scip::protocol::Step;
+use tokio_scip::{Geometry, Window};
 
-/// Radius of a whole plot, in metres: a little more than a URG can measure.
-pub(crate) const REACH: f64 = 4.2;
+/// Computes the radius of a whole plot, in metres: a little more than the sensor can measure.
+pub(crate) fn reach(geometry: &Geometry) -> f64 {
+    // Whole decimetres, for round labels: 4.2 m for a URG-04LX.
+    (f64::from(*geometry.distances().end()) / 100.0 * 1.02).ceil() / 10.0
+}
 
 /// Place on the plot, in metres.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,8 +73,8 @@ impl Extent {
 }
 
 impl Sector {
-    pub(crate) fn from_window(window: Window) -> Self {
-        let angle = |step: Step| f64::from(step.degrees().to_radians());
+    pub(crate) fn from_window(window: Window, geometry: &Geometry) -> Self {
+        let angle = |step| f64::from(geometry.degrees(step).to_radians());
         Self { from: angle(window.start()), to: angle(window.end()) }
     }
 
@@ -134,11 +136,6 @@ pub(crate) fn rings(reach: f64) -> impl Iterator<Item = f64> {
     rings.take_while(move |ring| *ring <= reach)
 }
 
-/// Angle of a cluster of `count` steps, in radians.
-pub(crate) fn width(count: u8) -> f64 {
-    f64::from(count) * TAU / 1024.0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -160,7 +157,7 @@ mod tests {
 
     #[test]
     fn a_plot_has_room_for_its_sector_and_no_more() {
-        let full = Sector::from_window(Window::FULL).extent();
+        let full = Sector::from_window(Window::FULL, &Geometry::URG_04LX).extent();
         assert!(near(full.left, 1.0) && near(full.right, 1.0) && near(full.ahead, 1.0));
         assert!(near(full.behind, 0.5_f64.sqrt()));
         let right = Sector { from: -FRAC_PI_2, to: 0.0 }.extent();
@@ -171,7 +168,8 @@ mod tests {
 
     #[test]
     fn there_are_three_to_ten_rings_at_any_zoom() {
-        assert_eq!(rings(REACH).collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0]);
+        assert_eq!(reach(&Geometry::URG_04LX), 4.2);
+        assert_eq!(rings(4.2).collect::<Vec<_>>(), [1.0, 2.0, 3.0, 4.0]);
         assert_eq!(rings(1.0).collect::<Vec<_>>(), [0.25, 0.5, 0.75, 1.0]);
         for reach in [0.5, 2.0, 3.0, 11.0, 99.0, 1005.0, 1e9] {
             assert!((3..=10).contains(&rings(reach).count()), "{reach}");
@@ -180,7 +178,7 @@ mod tests {
 
     #[test]
     fn directions_and_arcs_stay_inside_of_the_sector() {
-        let sector = Sector::from_window(Window::DETECTION);
+        let sector = Sector::from_window(Window::DETECTION, &Geometry::URG_04LX);
         assert_eq!(sector.directions(), [-90, -60, -30, 0, 30, 60, 90]);
         let narrow = |from: f64, to: f64| Sector { from: from.to_radians(), to: to.to_radians() };
         assert_eq!(narrow(-31.0, -9.0).directions(), [-30, -20, -10]);

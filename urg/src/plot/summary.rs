@@ -15,18 +15,18 @@ pub(crate) struct ScanSummary {
     pub(crate) nearest: Option<Point>,
     pub(crate) farthest: Option<Point>,
     /// Values without a distance, each with its number of points.
-    missing: BTreeMap<u16, usize>,
+    missing: BTreeMap<u32, (Measurement, usize)>,
 }
 
 impl ScanSummary {
     pub(crate) fn from_scan(scan: &Scan) -> Self {
         let mut missing = BTreeMap::new();
         for measurement in scan.measurements().filter(|one| one.distance().is_none()) {
-            *missing.entry(measurement.value()).or_default() += 1;
+            missing.entry(measurement.value()).or_insert((measurement, 0)).1 += 1;
         }
         Self {
             points: scan.len(),
-            distances: scan.len() - missing.values().sum::<usize>(),
+            distances: scan.len() - missing.values().map(|(_, points)| points).sum::<usize>(),
             nearest: scan.nearest(),
             farthest: scan.points().max_by(|a, b| a.range.total_cmp(&b.range)),
             missing,
@@ -35,7 +35,7 @@ impl ScanSummary {
 
     /// Iterates over the measurements without a distance, each with its number of points.
     pub(crate) fn missing(&self) -> impl Iterator<Item = (Measurement, usize)> {
-        self.missing.iter().map(|(value, points)| (Measurement::from_value(*value), *points))
+        self.missing.values().copied()
     }
 
     pub(crate) fn missing_of(

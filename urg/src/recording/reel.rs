@@ -136,7 +136,7 @@ mod tests {
 
     /// Records `count` scans. Every value of a scan encodes its number.
     async fn recorded(path: &std::path::Path, count: u64) -> Recorded {
-        let world = |time: WorldTime, values: &mut Values| values.fill(20 + time.request as u16);
+        let world = |time: WorldTime, values: &mut Values| values.fill(20 + time.request as u32);
         let emulator = Emulator::builder().usb().world(world).build();
         let mut recorder = Recorder::builder().create(path).unwrap();
         let builder = Sensor::builder().on_reply(recorder.observer()).depth(1 << 12);

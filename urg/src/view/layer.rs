@@ -2,7 +2,7 @@
 
 use tokio_scip::scan::Pose;
 use tokio_scip::stats::ScheduleStats;
-use tokio_scip::{Rate, Scan, State, Stats, Version, Window};
+use tokio_scip::{Geometry, Rate, Scan, State, Stats, Version, Window};
 
 use crate::picture::PictureSource;
 use crate::plot::Place;
@@ -50,6 +50,11 @@ impl Layer {
     pub(crate) fn place(&self, range: f64, angle: f64) -> Place {
         let (x, y) = self.pose.transform(range * angle.cos(), range * angle.sin());
         Place::from_point(x, y)
+    }
+
+    /// Geometry of the sensor, until the first scan that of a URG-04LX.
+    pub(crate) fn geometry(&self) -> &Geometry {
+        self.scan.as_ref().map_or(&Geometry::URG_04LX, Scan::geometry)
     }
 
     pub(crate) fn scanned(&mut self, scan: Scan) {

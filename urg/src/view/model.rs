@@ -2,6 +2,7 @@
 //! Keys act on the picture, on the selected sensor or on the playback. The help groups them
 //! the same way.
 
+use std::iter;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -11,10 +12,10 @@ use tokio_scip::{Scan, Window};
 
 use super::layer::Layer;
 use crate::playback::{PlaybackCommand, PlaybackStatus, seen_through};
-use crate::plot::REACH;
+use crate::plot;
 
-/// Range of the radar at each zoom level, in metres.
-const ZOOMS: [f64; 5] = [REACH, 3.0, 2.0, 1.0, 0.5];
+/// Ranges of the radar in metres, from which zooming in takes those within the sensors' reach.
+const ZOOMS: [f64; 8] = [30.0, 20.0, 10.0, 5.0, 3.0, 2.0, 1.0, 0.5];
 /// How long a message stays on the screen.
 const MESSAGE_TIME: Duration = Duration::from_secs(6);
 
@@ -101,7 +102,7 @@ impl Model {
             KeyCode::Char('q') => return Some(Action::Quit),
             code if self.help.is_some() => self.help = scrolled(self.help, code),
             KeyCode::Char('?' | 'h') | KeyCode::F(1) => self.help = Some(0),
-            KeyCode::Char('+' | '=') => self.zoom = (self.zoom + 1).min(ZOOMS.len() - 1),
+            KeyCode::Char('+' | '=') => self.zoom = (self.zoom + 1).min(self.zooms().count() - 1),
             KeyCode::Char('-' | '_') => self.zoom = self.zoom.saturating_sub(1),
             KeyCode::Char('0') => self.zoom = 0,
             KeyCode::Char(' ' | 'p') => self.paused = !self.paused,
@@ -182,7 +183,17 @@ impl Model {
 
     /// Range of the radar at the current zoom, in metres.
     pub(crate) fn reach(&self) -> f64 {
-        ZOOMS.get(self.zoom).copied().unwrap_or(REACH)
+        self.zooms().nth(self.zoom).unwrap_or_else(|| self.whole_reach())
+    }
+
+    /// Iterates over the ranges of all zoom levels, from the whole picture inwards.
+    fn zooms(&self) -> impl Iterator<Item = f64> {
+        let whole = self.whole_reach();
+        iter::once(whole).chain(ZOOMS.into_iter().filter(move |range| *range < whole))
+    }
+
+    fn whole_reach(&self) -> f64 {
+        self.layers.iter().map(|layer| plot::reach(layer.geometry())).fold(0.0, f64::max)
     }
 
     /// Checks whether the scan of a layer is current. A playback is always current.

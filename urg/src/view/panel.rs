@@ -136,7 +136,9 @@ impl Panel<'_> {
             count => format!(" by {count}"),
         };
         let steps = format!("{} to {}{cluster}", window.start(), window.end());
-        let angles = format!("{:.1}° to {:.1}°", window.start().degrees(), window.end().degrees());
+        let [from, to] =
+            [window.start(), window.end()].map(|step| self.layer.geometry().degrees(step));
+        let angles = format!("{from:.1}° to {to:.1}°");
         vec![self.row("steps", steps), self.row("", angles)]
     }
 

@@ -221,7 +221,8 @@ impl<'a> Radar<'a> {
 
 /// Sector of the shown scan, or else of the requested window.
 fn sector_of(layer: &Layer) -> Sector {
-    Sector::from_window(layer.scan.as_ref().map_or(layer.window, Scan::window))
+    let window = layer.scan.as_ref().map_or(layer.window, Scan::window);
+    Sector::from_window(window, layer.geometry())
 }
 
 /// Computes the rectangle around the origin that contains all sectors, in metres.

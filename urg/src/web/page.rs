@@ -6,10 +6,10 @@ use std::hash::BuildHasher;
 use hyper::StatusCode;
 use hyper::header::{CONTENT_SECURITY_POLICY, HeaderValue};
 use serde_json::{Value, json};
-use tokio_scip::{ErrorCode, Measurement};
+use tokio_scip::{ErrorCode, Geometry, Measurement};
 
 use super::response::{Response, text, whole};
-use crate::plot::REACH;
+use crate::plot;
 use crate::plot::colours::{BAND, Colours, DISTANCES, SENSORS};
 use crate::plot::missing::MissingKind;
 
@@ -34,9 +34,11 @@ pub(super) fn page() -> Response {
     );
     let script = format!(
         "\"use strict\";\nconst CODES = {};\nconst KINDS = {};\n\
-         const REACH = {REACH};\nconst BAND = {BAND};\nconst BANDS = {};\n{}",
+         const GEOMETRY = {};\nconst REACH = {};\nconst BAND = {BAND};\nconst BANDS = {};\n{}",
         codes(),
         kinds(),
+        json!(Geometry::URG_04LX),
+        plot::reach(&Geometry::URG_04LX),
         DISTANCES.len(),
         SCRIPTS.concat()
     );
@@ -54,8 +56,8 @@ pub(super) fn page() -> Response {
     response
 }
 
-fn error_code(value: u16) -> Option<ErrorCode> {
-    match Measurement::from_value(value) {
+fn error_code(value: u32) -> Option<ErrorCode> {
+    match Geometry::URG_04LX.measurement(value) {
         Measurement::Error(code) => Some(code),
         _ => None,
     }

@@ -2,8 +2,8 @@
 // the left. Each layer is a sensor: its scan, its trail, its place in the common frame
 // (metres, radians), and its colour if there are several sensors.
 
-// The server defines the radius of a sensor's sector (REACH), the metres that share a
-// colour (BAND), and the number of colours (BANDS).
+// The server defines what a sensor measures (GEOMETRY), the radius of its sector (REACH), the
+// metres that share a colour (BAND), and the number of colours (BANDS).
 
 // Directions without a distance are marked outside the sector, on one track per kind, in
 // pixels.
@@ -15,8 +15,8 @@ const degrees = (radians) => radians * 180 / Math.PI;
 
 // Meaning of a raw value: a "distance" in metres, or the reason why it is missing.
 function meaning(value) {
-  if (value >= 4095) return { kind: "far", text: "no distance: saturated" };
-  if (value >= 20) return { kind: "distance", distance: value / 1000, text: `${(value / 1000).toFixed(3)} m` };
+  if (value > GEOMETRY.max_distance) return { kind: "far", text: "no distance: saturated" };
+  if (value >= GEOMETRY.min_distance) return { kind: "distance", distance: value / 1000, text: `${(value / 1000).toFixed(3)} m` };
   const code = CODES[value];
   return { kind: code.kind, text: `no distance, code ${value}: ${code.meaning}` };
 }
@@ -72,9 +72,10 @@ class Radar {
 
   // Directions that a layer measures, in radians in its sensor's frame.
   sector({ scan, window }) {
-    const step = 2 * Math.PI / 1024;
-    const { start, end } = scan ?? window ?? { start: 44, end: 725 };
-    return { from: (start - 384) * step, to: (end - 384) * step };
+    const { steps_per_revolution, first_step, last_step, front_step } = GEOMETRY;
+    const step = 2 * Math.PI / steps_per_revolution;
+    const { start, end } = scan ?? window ?? { start: first_step, end: last_step };
+    return { from: (start - front_step) * step, to: (end - front_step) * step };
   }
 
   // Scale (pixels per metre) and place of the origin that show all sectors and their rims.

@@ -21,7 +21,7 @@ use crate::picture::PictureSource;
 use crate::port::named::{NamedPort, PlacedPort};
 
 /// Values of a sensor whose view never changes.
-type Sight = [u16; STEPS];
+type Sight = [u32; STEPS];
 
 fn seen(sight: Sight) -> Emulator {
     let world = move |_: WorldTime, codes: &mut Values| *codes = sight;
