@@ -2,8 +2,10 @@
 against what the driver delivered.
 
     cargo test -p urg-recording
-    pip install mcap-ros2-support rosbags
+    pip install mcap-ros2-support rosbags rerun-sdk
     python3 tests/recording_readers.py target/tmp/recording.mcap
+
+Without rerun-sdk, the check of Rerun is left out.
 
 Likewise `repaired.mcap`, which was cut off and damaged, and the files of split
 recordings in `split/`.
@@ -19,9 +21,12 @@ What was streamed has the ranges and, to the microsecond, the stamps; the frame
 is the one that is named.
 """
 
+import importlib.util
 import json
 import math
+import os
 import struct
+import subprocess
 import sys
 from pathlib import Path
 
@@ -167,8 +172,25 @@ def read_cut_off(path, cut):
     return scans
 
 
+def check_with_rerun(path):
+    """Rerun decodes each message, and finds all topics in order on all its timelines."""
+    if not importlib.util.find_spec("rerun_cli"):
+        return
+    command = [sys.executable, "-m", "rerun_cli", "mcap", "check", "--full", path]
+    # Its settings, which `.ci/run` has written, are not those of the user.
+    environment = dict(os.environ, HOME=sys.prefix)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    # Its status is 0 with problems, too.
+    assert "PROBLEM" not in done.stdout, done.stdout
+    assert any("ok" in line and "/scan" in line for line in done.stdout.splitlines()), done.stdout
+    assert "ros2_timestamp" in done.stdout, done.stdout
+    print("rerun: the scans are decoded and in order")
+
+
 def main():
     path = Path(sys.argv[1])
+    check_with_rerun(path)
     scans, replies = read_with_mcap(path)
     expected = list(truth(path, replies))
     assert expected, "no scans at all"
