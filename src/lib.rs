@@ -73,8 +73,8 @@
 //! # Runtime
 //!
 //! You need tokio with its timer, and with I/O for serial ports and TCP. Each sensor has one
-//! task and no thread. Opening a serial port, listing the ports and resolving a host name each
-//! occupy one of the runtime's blocking threads.
+//! task. Calls that may wait in the system run on a thread of their own until they end: opening a
+//! serial port, setting its baud rate, closing it, listing the ports, resolving a host name.
 //!
 //! # Versions
 //!

@@ -75,6 +75,32 @@ impl Link {
         Self { shared, id, baud_rate, timer: None }
     }
 
+    /// Sets this end's baud rate. No effect on USB.
+    ///
+    /// # Errors
+    ///
+    /// Fails as unsupported on a [`bridge`](super::Emulator::bridge).
+    pub fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+        match self.baud_rate {
+            HostBaudRate::Set(_) => {
+                let mut plugged = self.shared.lock();
+                if plugged.link == Some(self.id) {
+                    // The bytes so far arrived at the old baud rate.
+                    let before = plugged.host;
+                    plugged.sensor.advance(Instant::now(), before);
+                    plugged.host = Some(baud_rate.into());
+                }
+                drop(plugged);
+                self.baud_rate = HostBaudRate::Set(baud_rate);
+                Ok(())
+            }
+            HostBaudRate::FollowsSensor => Ok(()),
+            HostBaudRate::Fixed(_) | HostBaudRate::Probed(_) => {
+                Err(io::ErrorKind::Unsupported.into())
+            }
+        }
+    }
+
     /// Waits until the link is hung up, without reading it.
     pub(super) fn replaced(&self) -> impl Future<Output = ()> + Send + 'static {
         let (shared, id) = (self.shared.clone(), self.id);
@@ -177,27 +203,12 @@ impl Port for Link {
         }
     }
 
-    /// Sets this end's baud rate. No effect on USB. Fails as unsupported on a
-    /// [`bridge`](super::Emulator::bridge).
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        match self.baud_rate {
-            HostBaudRate::Set(_) => {
-                let mut plugged = self.shared.lock();
-                if plugged.link == Some(self.id) {
-                    // The bytes so far arrived at the old baud rate.
-                    let before = plugged.host;
-                    plugged.sensor.advance(Instant::now(), before);
-                    plugged.host = Some(baud_rate.into());
-                }
-                drop(plugged);
-                self.baud_rate = HostBaudRate::Set(baud_rate);
-                Ok(())
-            }
-            HostBaudRate::FollowsSensor => Ok(()),
-            HostBaudRate::Fixed(_) | HostBaudRate::Probed(_) => {
-                Err(io::ErrorKind::Unsupported.into())
-            }
-        }
+    fn poll_set_baud_rate(
+        &mut self,
+        _: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        Poll::Ready(self.set_baud_rate(baud_rate))
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {

@@ -5,7 +5,6 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep};
 use tokio_scip::BaudRate;
-use tokio_scip::port::Port;
 use urg_emulator::{Emulator, Fault, Faults};
 
 use super::{ask, instant_sensor, listen, listen_bytes};

@@ -5,7 +5,6 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::time::{Instant, sleep, sleep_until};
 use tokio_scip::BaudRate;
-use tokio_scip::port::Port;
 use urg_emulator::{
     Emulator, EmulatorBuilder, Fault, Faults, Fixed, Link, Pace, Values, WorldTime,
 };

@@ -33,7 +33,7 @@ pub(crate) async fn find(
         for &baud_rate in baud_rates {
             let mut latency = SEARCH_LATENCY;
             if session.transport.baud_rate().is_some() {
-                match session.set_baud_rate(baud_rate) {
+                match session.set_baud_rate(baud_rate).await {
                     Ok(()) => {}
                     Err(error) if error.kind() == io::ErrorKind::Unsupported => {
                         latency = session.transport.latency(&Command::Distances(Window::FULL));
@@ -93,10 +93,10 @@ pub(crate) async fn change(
         return session.fence().await.map(drop).map_err(|error| error.on_behalf_of(command));
     }
     // Try the port first: the sensor must not move to a baud rate that the port lacks.
-    if let Err(error) = session.set_baud_rate(baud_rate) {
+    if let Err(error) = session.set_baud_rate(baud_rate).await {
         let source = session.transport.is_adjustable().then(|| Arc::new(error));
         if let Some(old) = old.filter(|_| session.transport.is_adjustable()) {
-            session.set_baud_rate(old).map_err(lost)?;
+            session.set_baud_rate(old).await.map_err(lost)?;
         }
         return Err(ExchangeError::Command(ErrorKind::UnsupportedBaudRate { baud_rate, source }));
     }
@@ -104,7 +104,7 @@ pub(crate) async fn change(
         // Over USB the sensor accepts `S` without effect (C-42-3320-A p. 5).
         return session.command_twice(command).await.map(drop);
     };
-    session.set_baud_rate(old).map_err(lost)?;
+    session.set_baud_rate(old).await.map_err(lost)?;
     let status = match session.command(command).await {
         Ok(reply) => Some(reply.status()),
         // Without a reply, nothing tells whether the sensor has changed.
@@ -118,11 +118,11 @@ pub(crate) async fn change(
         return Err(LinkError::Silent(not_confirmed).into());
     }
     sleep(CHANGE_TIME).await;
-    session.set_baud_rate(baud_rate).map_err(lost)?;
+    session.set_baud_rate(baud_rate).await.map_err(lost)?;
     if answers(session, 3).await? {
         return Ok(());
     }
-    session.set_baud_rate(old).map_err(lost)?;
+    session.set_baud_rate(old).await.map_err(lost)?;
     if !session.is_closing() && answers(session, 3).await? {
         return Err(ExchangeError::Command(not_confirmed));
     }

@@ -3,11 +3,12 @@
 
 use std::fmt;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 
-use tokio::task::spawn_blocking;
 use tokio_serial::{SerialPortInfo, SerialPortType};
 
+use super::thread;
 use crate::Error;
 use crate::protocol::Text;
 
@@ -68,17 +69,15 @@ pub struct PortInfo {
 /// Lists the serial ports of this machine: likely sensors first, then other USB ports,
 /// then the rest, each sorted by path.
 ///
-/// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on one of
-/// tokio's blocking threads. Cancel-safe.
+/// Leaves out pseudo-terminals and names without hardware (`/dev/ttyS1`). Runs on a
+/// thread of its own. Cancel-safe.
 ///
 /// # Errors
 ///
 /// Fails with [`Open`](crate::ErrorKind::Open) if the system cannot list its ports.
 pub async fn list() -> Result<Vec<PortInfo>, Error> {
-    match spawn_blocking(list_blocking).await {
-        Ok(ports) => ports,
-        Err(panicked_or_cancelled) => Err(Error::open(THE_LIST, panicked_or_cancelled.into())),
-    }
+    let listed = thread::run_on(list_blocking).map_err(|error| Error::open(THE_LIST, error))?;
+    listed.await.map_err(|panicked| Error::open(THE_LIST, io::Error::other(panicked)))?
 }
 
 /// Name of the port in an error of listing.

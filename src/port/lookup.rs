@@ -5,7 +5,8 @@ use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::watch;
-use tokio::task::spawn_blocking;
+
+use super::thread;
 
 type LookupResult = Result<Vec<SocketAddr>, Arc<io::Error>>;
 /// Has a value once the lookup has ended.
@@ -37,7 +38,7 @@ impl Lookup {
         resolve: impl FnOnce() -> io::Result<Vec<SocketAddr>> + Send + 'static,
     ) -> io::Result<Vec<SocketAddr>> {
         let running = self.running.get_or_insert_with(|| join(host, resolve));
-        // Fails if the thread panicked or its runtime ended.
+        // Fails if the thread panicked or there is none.
         let outcome = running.wait_for(Option::is_some).await.map(|outcome| outcome.clone());
         self.running = None;
         match outcome.map_err(io::Error::other)? {
@@ -60,7 +61,8 @@ fn join(
     }
     let (outcome, running) = watch::channel(None);
     all.push((host.to_owned(), running.clone()));
-    spawn_blocking(move || outcome.send(Some(resolve().map_err(Arc::new))));
+    // Without a thread the sender is dropped, as if it had panicked.
+    let _ = thread::run_on(move || outcome.send(Some(resolve().map_err(Arc::new))));
     running
 }
 

@@ -41,11 +41,14 @@ mod serial;
 mod stream_port;
 #[cfg(feature = "tcp")]
 mod tcp;
+#[cfg(any(feature = "serial", feature = "tcp"))]
+mod thread;
 #[cfg(all(feature = "serial", unix))]
 mod tty;
 
 use std::future::Future;
 use std::io;
+use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite};
 
@@ -82,16 +85,20 @@ pub trait Port: AsyncRead + AsyncWrite + Send + Unpin + 'static {
     }
 
     /// Sets this side's baud rate. The driver calls it when the sensor changes its own, and
-    /// to search for the sensor's baud rate.
+    /// to search for the sensor's baud rate, again until it is ready.
     ///
     /// # Errors
     ///
     /// Fail if the baud rate is not in force afterwards. `ErrorKind::Unsupported` (the
     /// default) means that this port cannot change its baud rate at all; the driver then
     /// does not change the sensor's, either.
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        let _ = baud_rate;
-        Err(io::ErrorKind::Unsupported.into())
+    fn poll_set_baud_rate(
+        &mut self,
+        cx: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        let _ = (cx, baud_rate);
+        Poll::Ready(Err(io::ErrorKind::Unsupported.into()))
     }
 
     /// What else the port can do for the driver, or `None` (the default) for a plain stream
@@ -106,8 +113,12 @@ impl<P: Port + ?Sized> Port for Box<P> {
         (**self).baud_rate()
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        (**self).set_baud_rate(baud_rate)
+    fn poll_set_baud_rate(
+        &mut self,
+        cx: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        (**self).poll_set_baud_rate(cx, baud_rate)
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {

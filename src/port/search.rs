@@ -60,7 +60,7 @@ impl Ports for SystemPorts {
 
     async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
         self.hanging.extend(self.latest.take());
-        self.hanging.retain(|(_, opener)| opener.is_opening());
+        self.hanging.retain_mut(|(_, opener)| opener.is_opening());
         if self.hanging.iter().any(|(hanging, _)| hanging == path) {
             // One thread for it is enough.
             return Err(ErrorKind::Busy { port: path.to_owned() }.into());
@@ -207,7 +207,6 @@ mod tests {
     use super::*;
     use futures::FutureExt;
     use futures::future::join_all;
-    use tokio::task::spawn_blocking;
 
     /// Ports whose nth opening has the result of the nth letter of their plan: `o` opens, `b`
     /// is busy, `d` is denied, `e` fails, `g` is gone, `h` hangs. The last letter repeats.
@@ -426,32 +425,25 @@ mod tests {
         assert_eq!(start.elapsed(), 2 * OPEN_LIMIT);
     }
 
-    /// Tests the system's ports while the one thread for blocking calls is busy, as with a
-    /// device that hangs.
-    #[test]
-    fn o25_a_hanging_port_blocks_no_other() {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .max_blocking_threads(1)
-            .build()
-            .unwrap();
-        runtime.block_on(async {
-            let (hang, end) = std::sync::mpsc::channel::<()>();
-            let hanging = spawn_blocking(move || end.recv());
-            let mut ports = SystemPorts::default();
-            let mut open = async |path: &str| ports.open(path).await.map(drop);
-            assert!(open("/dev/gone").now_or_never().is_none());
-            let again = open("/dev/gone").now_or_never().unwrap().unwrap_err();
-            assert!(matches!(again.kind(), ErrorKind::Busy { .. }), "{again:?}");
-            assert!(open("/dev/lost").now_or_never().is_none(), "another port waits for itself");
-            drop(hang);
-            assert!(hanging.await.unwrap().is_err());
-            // The thread begins this call only after the openings have ended.
-            spawn_blocking(|| ()).await.unwrap();
-            for path in ["/dev/gone", "/dev/lost"] {
-                let error = open(path).await.unwrap_err();
-                assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
-            }
-        });
+    #[tokio::test]
+    async fn o25_a_hanging_port_blocks_no_other() {
+        let (hang, opener) = SerialOpener::hanging();
+        let mut ports = SystemPorts {
+            latest: Some(("/dev/gone".to_owned(), opener)),
+            ..SystemPorts::default()
+        };
+        let mut open = async |path: &str| ports.open(path).await.map(drop).unwrap_err();
+        for _ in 0..2 {
+            let error = open("/dev/gone").await;
+            assert!(
+                matches!(error.kind(), ErrorKind::Busy { .. }),
+                "one thread is enough: {error}"
+            );
+            let error = open("/dev/lost").await;
+            assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
+        }
+        drop(hang);
+        let error = open("/dev/gone").await;
+        assert!(matches!(error.kind(), ErrorKind::NoSuchPort { .. }), "{error}");
     }
 }

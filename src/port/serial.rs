@@ -1,20 +1,20 @@
-//! [`SerialPort`]: a serial port of this machine, RS-232 or USB, and the thread that
-//! opens it.
+//! [`SerialPort`]: a serial port of this machine, RS-232 or USB. Threads open it, set its baud
+//! rate and close it.
 
+use std::future::Future;
 use std::io;
 use std::pin::Pin;
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::oneshot;
-use tokio::task::{JoinHandle, spawn_blocking};
 use tokio_serial::{ClearBuffer, DataBits, FlowControl, Parity, StopBits};
 #[cfg(not(unix))]
 use tokio_serial::{SerialPort as _, SerialStream as Tty};
 
 #[cfg(unix)]
 use super::tty::Tty;
-use super::{Port, PortHints, list, open_error};
+use super::{Port, PortHints, list, open_error, thread};
 use crate::{BaudRate, Error};
 
 /// Serial port: raw, 8 data bits, no parity, 1 stop bit, no flow control (C-42-3320-A p.
@@ -24,8 +24,9 @@ use crate::{BaudRate, Error};
 ///
 /// - `flush` and `shutdown` return at once. The system's call that waits for unsent output
 ///   would block the thread, and with it the runtime.
-/// - Dropping the port discards unsent output. Closing would wait for it, for up to half a
-///   minute. Only a reply proves that your command was sent.
+/// - Dropping the port discards unsent output. If the device takes no bytes, closing waits for it
+///   nevertheless, for up to half a minute, on a thread of its own: dropping waits at most 20 ms.
+///   The port is busy until then. Only a reply proves that your command was sent.
 /// - You can read bytes that the system had received before you opened the port.
 ///
 /// After a port was unplugged or hung up, reads return the end of the stream or fail with
@@ -33,19 +34,28 @@ use crate::{BaudRate, Error};
 /// the sensor when you plug it in again.
 #[derive(Debug)]
 pub struct SerialPort {
-    inner: Tty,
+    /// `None` while a thread changes its baud rate.
+    tty: Option<Tty>,
+    change: Option<Change>,
     baud_rate: BaudRate,
     /// True for the sensor's own USB port, where the baud rate has no effect; false for an
     /// RS-232 adapter.
     is_usb_sensor: bool,
 }
 
+/// Change of the baud rate, which takes seconds if an adapter hangs.
+#[derive(Debug)]
+struct Change {
+    to: BaudRate,
+    done: oneshot::Receiver<(Tty, io::Result<()>)>,
+}
+
 impl SerialPort {
     /// Opens a port by its path (Unix) or name (Windows), at 19,200 baud, the baud rate of
     /// a sensor after power-up. Sends nothing.
     ///
-    /// Opening blocks, so it runs on one of tokio's blocking threads. Cancel-safe: if you
-    /// drop the future, the port is closed as soon as it is open, and is busy until then.
+    /// Opening blocks, so it runs on a thread of its own. Cancel-safe: if you drop the future, the
+    /// port is closed as soon as it is open, and is busy until then.
     ///
     /// # Errors
     ///
@@ -81,27 +91,62 @@ impl SerialPort {
             .flow_control(FlowControl::None);
         #[cfg(unix)]
         let builder = builder.exclusive(true);
-        let inner = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
-        let actual = inner.baud_rate().map_err(io::Error::from);
-        let checked = actual.and_then(|actual| check_baud_rate(baud_rate, actual));
-        checked.map_err(|source| Error::open(path, source))?;
-        Ok(Self { inner, baud_rate, is_usb_sensor: list::is_usb_sensor(path) })
+        let tty = Tty::open(&builder).map_err(|error| open_error::explain(path, error))?;
+        check_baud_rate(&tty, baud_rate).map_err(|source| Error::open(path, source))?;
+        let is_usb_sensor = list::is_usb_sensor(path);
+        Ok(Self { tty: Some(tty), change: None, baud_rate, is_usb_sensor })
     }
 
-    fn apply_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.inner.set_baud_rate(baud_rate.bits_per_second())?;
-        check_baud_rate(baud_rate, self.inner.baud_rate()?)
+    /// Returns the terminal, as soon as no thread has it.
+    fn poll_tty(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<&mut Tty>> {
+        if self.change.is_some() {
+            // Its result belonged to a call that was given up.
+            let _ = ready!(self.poll_change(cx));
+        }
+        Poll::Ready(self.tty.as_mut().ok_or_else(|| io::ErrorKind::NotConnected.into()))
+    }
+
+    /// Waits for the change of the baud rate, if one is running.
+    fn poll_change(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        let Some(Change { to, done }) = &mut self.change else { return Poll::Ready(Ok(())) };
+        // Without a result the thread has panicked, and the terminal is gone.
+        let done = ready!(Pin::new(done).poll(cx)).map_err(io::Error::other);
+        let to = *to;
+        self.change = None;
+        let (tty, outcome) = done?;
+        self.tty = Some(tty);
+        if outcome.is_ok() {
+            self.baud_rate = to;
+        }
+        Poll::Ready(outcome)
     }
 }
 
-/// Fails if a port that runs at `actual` bits per second does not run at `baud_rate`. Some
-/// adapters accept a baud rate they do not have, and take the nearest one.
-fn check_baud_rate(baud_rate: BaudRate, actual: u32) -> io::Result<()> {
-    if is_close(baud_rate, actual) {
-        Ok(())
-    } else {
-        Err(io::Error::other(format!("expected {baud_rate} baud, the port runs at {actual}")))
+/// Sets the baud rate and reads it back. After an error it restores the former baud rate, if the
+/// port can still be set at all.
+fn set_baud_rate(tty: &mut Tty, from: BaudRate, to: BaudRate) -> io::Result<()> {
+    let mut apply = |baud_rate: BaudRate| {
+        tty.set_baud_rate(baud_rate.bits_per_second())?;
+        check_baud_rate(tty, baud_rate)
+    };
+    let outcome = apply(to);
+    if outcome.is_err()
+        && let Err(error) = apply(from)
+    {
+        tracing::debug!(%error, baud_rate = %from, "cannot restore the baud rate of the port");
     }
+    outcome
+}
+
+/// Fails if a port does not run at `baud_rate`. Some adapters accept a baud rate they do not have,
+/// and take the nearest one.
+fn check_baud_rate(tty: &Tty, baud_rate: BaudRate) -> io::Result<()> {
+    let actual = tty.baud_rate()?;
+    if is_close(baud_rate, actual) { Ok(()) } else { Err(wrong_baud_rate(baud_rate, actual)) }
+}
+
+fn wrong_baud_rate(expected: BaudRate, actual: u32) -> io::Error {
+    io::Error::other(format!("expected {expected} baud, the port runs at {actual}"))
 }
 
 /// Returns true if `actual` bits per second are within 2 % of `baud_rate`.
@@ -121,21 +166,29 @@ impl Port for SerialPort {
         if self.is_usb_sensor { None } else { Some(self.baud_rate) }
     }
 
-    /// Sets the baud rate and reads it back. After an error it restores the former baud
-    /// rate, if the port can still be set at all.
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        match self.apply_baud_rate(baud_rate) {
-            Ok(()) => {
-                self.baud_rate = baud_rate;
-                Ok(())
-            }
-            Err(error) => {
-                let before = self.baud_rate;
-                if let Err(error) = self.apply_baud_rate(before) {
-                    tracing::debug!(%error, baud_rate = %before, "cannot restore the baud rate of the port");
+    /// Sets the baud rate on a thread, and reads it back. After an error it restores the former
+    /// baud rate, if the port can still be set at all.
+    fn poll_set_baud_rate(
+        &mut self,
+        cx: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        loop {
+            if let Some(Change { to, .. }) = self.change {
+                let outcome = ready!(self.poll_change(cx));
+                if to == baud_rate {
+                    return Poll::Ready(outcome);
                 }
-                Err(error)
             }
+            let Some(mut tty) = self.tty.take() else {
+                return Poll::Ready(Err(io::ErrorKind::NotConnected.into()));
+            };
+            let from = self.baud_rate;
+            let done = thread::run_on(move || {
+                let outcome = set_baud_rate(&mut tty, from, baud_rate);
+                (tty, outcome)
+            });
+            self.change = Some(Change { to: baud_rate, done: done? });
         }
     }
 
@@ -158,24 +211,29 @@ impl PortHints for SerialPort {
 
     #[cfg(unix)]
     fn try_read(&mut self, buffer: &mut [u8]) -> Option<io::Result<usize>> {
-        Some(self.inner.try_read(buffer))
+        self.tty.as_mut().map(|tty| tty.try_read(buffer))
     }
 
     #[cfg(unix)]
     fn suspend_wakeups(&mut self) -> bool {
-        self.inner.suspend_wakeups();
-        true
+        self.tty.as_mut().map(Tty::suspend_wakeups).is_some()
     }
 
     fn discard_output(&mut self) {
-        // Fails only if the port is gone, and with it its output.
-        let _ = self.inner.clear(ClearBuffer::Output);
+        if let Some(tty) = &self.tty {
+            // Fails only if the port is gone, and with it its output.
+            let _ = tty.clear(ClearBuffer::Output);
+        }
     }
 }
 
 impl Drop for SerialPort {
     fn drop(&mut self) {
         self.discard_output();
+        // A thread that changes the baud rate closes the port itself.
+        if let Some(tty) = self.tty.take() {
+            thread::drop_on(tty);
+        }
     }
 }
 
@@ -185,7 +243,7 @@ impl AsyncRead for SerialPort {
         cx: &mut Context<'_>,
         buf: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
-        Pin::new(&mut self.inner).poll_read(cx, buf)
+        Pin::new(ready!(self.poll_tty(cx))?).poll_read(cx, buf)
     }
 }
 
@@ -195,7 +253,7 @@ impl AsyncWrite for SerialPort {
         cx: &mut Context<'_>,
         buf: &[u8],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.inner).poll_write(cx, buf)
+        Pin::new(ready!(self.poll_tty(cx))?).poll_write(cx, buf)
     }
 
     fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -209,56 +267,65 @@ impl AsyncWrite for SerialPort {
     }
 }
 
-/// Opens ports on a blocking thread, one at a time.
+/// Opens ports on a thread, one at a time.
 #[derive(Debug, Default)]
 pub(super) struct SerialOpener {
-    earlier: Option<JoinHandle<()>>,
+    /// Ends when the latest call has, whose future may have been dropped.
+    latest: Option<oneshot::Receiver<()>>,
 }
 
 impl SerialOpener {
     /// Returns true while an earlier call, whose future was dropped, is still running.
-    pub(super) fn is_opening(&self) -> bool {
-        self.earlier.as_ref().is_some_and(|earlier| !earlier.is_finished())
+    pub(super) fn is_opening(&mut self) -> bool {
+        let running = self.latest.as_mut().map(oneshot::Receiver::try_recv);
+        running == Some(Err(oneshot::error::TryRecvError::Empty))
     }
 
     /// Opens a port as [`SerialPort::open`] does. Waits first for an earlier call whose
     /// future was dropped: its port would be busy, and calls that hang in the system would
     /// each keep a thread.
     pub(super) async fn open(&mut self, path: &str) -> Result<SerialPort, Error> {
-        if let Some(earlier) = &mut self.earlier {
-            // The result belonged to the earlier call.
+        if let Some(earlier) = &mut self.latest {
+            // Without a result, its thread has panicked.
             let _ = earlier.await;
-            self.earlier = None;
         }
-        let (result, opened) = oneshot::channel();
+        let (sender, opened) = oneshot::channel();
         let owned = path.to_owned();
-        let task = self.earlier.insert(spawn_blocking(move || {
-            // Without a receiver this drops the port, which closes it.
-            drop(result.send(SerialPort::open_blocking(&owned)));
-        }));
-        match opened.await {
-            Ok(result) => {
-                self.earlier = None;
-                result
-            }
-            Err(_) => {
-                let ended = task.await;
-                self.earlier = None;
-                let source = match ended {
-                    Err(panicked_or_cancelled) => panicked_or_cancelled.into(),
-                    Ok(()) => {
-                        io::Error::other("the thread that opened the port ended without a result")
-                    }
-                };
-                Err(Error::open(path, source))
-            }
-        }
+        // Without a receiver this drops the port, which closes it.
+        let open = move || drop(sender.send(SerialPort::open_blocking(&owned)));
+        self.latest = None;
+        self.latest = Some(thread::run_on(open).map_err(|source| Error::open(path, source))?);
+        let outcome = opened.await;
+        self.latest = None;
+        let panicked = || io::Error::other("the thread that opens the port has panicked");
+        outcome.unwrap_or_else(|_| Err(Error::open(path, panicked())))
+    }
+}
+
+#[cfg(test)]
+impl SerialOpener {
+    /// Returns an opener whose call hangs until the sender is dropped.
+    pub(super) fn hanging() -> (oneshot::Sender<()>, Self) {
+        let (sender, call) = oneshot::channel();
+        (sender, Self { latest: Some(call) })
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use futures::FutureExt;
+
     use super::*;
+
+    #[tokio::test]
+    async fn an_opener_waits_for_its_hanging_call() {
+        let (hang, mut opener) = SerialOpener::hanging();
+        assert!(opener.open("/dev/gone").now_or_never().is_none());
+        assert!(opener.is_opening());
+        drop(hang);
+        assert!(opener.open("/dev/gone").await.is_err());
+        assert!(!opener.is_opening());
+    }
 
     #[test]
     fn o12_a_rounded_baud_rate_is_accepted() {
@@ -273,8 +340,7 @@ mod tests {
         assert!(!is_close(BaudRate::B250000, 256_000));
         assert!(!is_close(BaudRate::B250000, 230_400));
         assert!(!is_close(BaudRate::B750000, 921_600));
-        assert!(check_baud_rate(BaudRate::B115200, 115_384).is_ok());
-        let error = check_baud_rate(BaudRate::B250000, 256_000).map_err(|error| error.to_string());
-        assert_eq!(error, Err("expected 250000 baud, the port runs at 256000".to_owned()));
+        let error = wrong_baud_rate(BaudRate::B250000, 256_000).to_string();
+        assert_eq!(error, "expected 250000 baud, the port runs at 256000");
     }
 }

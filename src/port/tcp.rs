@@ -20,7 +20,7 @@ use crate::BaudRate;
 ///
 /// Do not use a Telnet server: it doubles the byte 0xFF and sends commands of its own.
 /// You cannot change the baud rate of the line behind the server from here, so
-/// [`set_baud_rate`](Port::set_baud_rate) fails with [`io::ErrorKind::Unsupported`].
+/// [`poll_set_baud_rate`](Port::poll_set_baud_rate) fails with [`io::ErrorKind::Unsupported`].
 ///
 /// Written bytes are sent at once (`TCP_NODELAY`).
 ///

@@ -242,11 +242,15 @@ impl<S: Port> Port for FaultyLink<S> {
         self.inner.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+    fn poll_set_baud_rate(
+        &mut self,
+        cx: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
         let done = self.counter.0.baud_rate_changes.fetch_add(1, Ordering::Relaxed);
         match self.take_failure(Call::SetBaudRate, done).and_then(LinkFailure::error) {
-            Some(error) => Err(error),
-            None => self.inner.set_baud_rate(baud_rate),
+            Some(error) => Poll::Ready(Err(error)),
+            None => self.inner.poll_set_baud_rate(cx, baud_rate),
         }
     }
 

@@ -12,6 +12,8 @@ pub(crate) mod ready_port;
 pub(crate) mod test_port;
 
 use std::collections::HashMap;
+use std::future::poll_fn;
+use std::io;
 use std::time::Duration;
 
 use tokio::time::Instant;
@@ -23,6 +25,11 @@ use urg_emulator::{Emulator, EmulatorBuilder, Received, Values, Verdict, WorldTi
 /// Returns why the last scan of a sensor is too old.
 pub(crate) fn reason(freshness: &Freshness) -> Error {
     freshness.check(Duration::ZERO).unwrap_err().source.unwrap()
+}
+
+/// Sets the baud rate of a port.
+pub(crate) async fn set_baud_rate(port: &mut impl Port, baud_rate: BaudRate) -> io::Result<()> {
+    poll_fn(|cx| port.poll_set_baud_rate(cx, baud_rate)).await
 }
 
 /// Returns the length of the reply to a `G` for this window, terminator included.

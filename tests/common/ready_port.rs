@@ -68,8 +68,12 @@ impl<P: Port> Port for ReadyPort<P> {
         self.port.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.port.set_baud_rate(baud_rate)
+    fn poll_set_baud_rate(
+        &mut self,
+        cx: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        self.port.poll_set_baud_rate(cx, baud_rate)
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {

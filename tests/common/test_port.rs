@@ -68,8 +68,12 @@ impl<E: FarEnd> Port for TestPort<E> {
         self.0.baud_rate()
     }
 
-    fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
-        self.0.set_baud_rate(baud_rate)
+    fn poll_set_baud_rate(
+        &mut self,
+        _: &mut Context<'_>,
+        baud_rate: BaudRate,
+    ) -> Poll<io::Result<()>> {
+        Poll::Ready(self.0.set_baud_rate(baud_rate))
     }
 
     fn hints(&mut self) -> Option<&mut dyn PortHints> {

@@ -7,7 +7,6 @@ use std::time::Duration;
 use futures::FutureExt;
 use tokio::io::AsyncWriteExt;
 use tokio::runtime::Builder;
-use tokio_scip::port::Port;
 use tokio_scip::{BaudRate, Error, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::{Emulator, Fault, Faults};
 

@@ -13,6 +13,7 @@ use tokio_scip::port::{Connect, ConnectHints, Port, PortHints, StreamPort};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, Sensor, Window};
 use urg_emulator::Emulator;
 
+use crate::common::set_baud_rate;
 use crate::common::test_port::{FarEnd, TestPort};
 
 fn tcp(host: &str, port: u16, baud_rate: BaudRate) -> Endpoint {
@@ -161,13 +162,13 @@ impl PortHints for Unusual {
     }
 }
 
-#[test]
-fn a_boxed_port_keeps_its_hints() {
+#[tokio::test]
+async fn a_boxed_port_keeps_its_hints() {
     let is_discarded = Arc::new(AtomicBool::new(false));
     let mut boxed: Box<dyn Port> =
         Box::new(TestPort(Unusual { is_discarded: Arc::clone(&is_discarded) }));
     assert_eq!(boxed.baud_rate(), Some(BaudRate::B57600));
-    assert!(boxed.set_baud_rate(BaudRate::B19200).is_ok());
+    assert!(set_baud_rate(&mut boxed, BaudRate::B19200).await.is_ok());
     let hints = Port::hints(&mut boxed).unwrap();
     assert_eq!(hints.wall_clock(), Some(SystemTime::UNIX_EPOCH));
     assert_eq!(hints.try_read(&mut [0; 8]).unwrap().unwrap(), 3);
@@ -177,7 +178,7 @@ fn a_boxed_port_keeps_its_hints() {
 
     let mut plain = StreamPort(tokio::io::empty());
     assert_eq!(plain.baud_rate(), None);
-    let refused = plain.set_baud_rate(BaudRate::B19200).unwrap_err();
+    let refused = set_baud_rate(&mut plain, BaudRate::B19200).await.unwrap_err();
     assert_eq!(refused.kind(), io::ErrorKind::Unsupported);
     assert!(plain.hints().is_none());
 }

@@ -8,6 +8,8 @@ use tokio_scip::port::{Connect, Port};
 use tokio_scip::{BaudRate, Endpoint, ErrorKind, Rate, Sensor, State, Window};
 use urg_emulator::Emulator;
 
+use crate::common::set_baud_rate;
+
 #[tokio::test]
 async fn bytes_go_both_ways_over_tcp() {
     for host in ["127.0.0.1", "localhost"] {
@@ -28,7 +30,7 @@ async fn bytes_go_both_ways_over_tcp() {
         assert_eq!(reply.as_slice(), every_byte);
 
         assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
-        let refused = port.set_baud_rate(BaudRate::B115200).unwrap_err();
+        let refused = set_baud_rate(&mut port, BaudRate::B115200).await.unwrap_err();
         assert_eq!(refused.kind(), std::io::ErrorKind::Unsupported);
         assert_eq!(port.baud_rate(), Some(BaudRate::B57600));
         assert!(port.hints().unwrap().can_die_silently());

@@ -110,11 +110,11 @@ impl Session {
     }
 
     /// Sets this side's baud rate. Forgets what is known of the line at the former one.
-    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+    pub(crate) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         self.is_settled = false;
         self.is_outrun = false;
         self.telemetry.stats().baud_rate_outrun = false;
-        self.transport.set_baud_rate(baud_rate)
+        self.transport.set_baud_rate(baud_rate).await
     }
 
     /// Drops pending input. Bytes without a command cast doubt on the link.

@@ -1,6 +1,7 @@
 //! The link outside of an exchange: its baud rate, how it began and ended, and the bytes that
 //! arrive while it is idle.
 
+use std::future::poll_fn;
 use std::io;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
@@ -29,12 +30,12 @@ impl Transport {
     }
 
     /// Sets this side's baud rate, and drops the bytes received at another one.
-    pub(crate) fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
+    pub(crate) async fn set_baud_rate(&mut self, baud_rate: BaudRate) -> io::Result<()> {
         // What was written at another baud rate.
         self.interrupted |= !self.output.is_empty();
         self.clear_input();
         self.pauses = Pauses::default();
-        let outcome = self.port.set_baud_rate(baud_rate);
+        let outcome = poll_fn(|cx| self.port.poll_set_baud_rate(cx, baud_rate)).await;
         let unsupported = |error: &io::Error| error.kind() == io::ErrorKind::Unsupported;
         self.adjustable = !outcome.as_ref().is_err_and(unsupported);
         outcome

@@ -10,6 +10,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::common::limit::limit;
+use crate::common::set_baud_rate;
 use futures::FutureExt;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_scip::port::SerialPort;
@@ -68,7 +69,7 @@ async fn all_six_baud_rates_are_set_and_in_force() {
     assert_eq!(line.near.baud_rate().unwrap(), 19_200);
     assert!(port.hints().unwrap().can_die_silently(), "it counts as a sensor's own USB port");
     for baud_rate in BaudRate::ALL.into_iter().rev() {
-        port.set_baud_rate(baud_rate).unwrap();
+        set_baud_rate(&mut port, baud_rate).await.unwrap();
         assert_eq!(port.baud_rate(), Some(baud_rate));
         assert_eq!(line.near.baud_rate().unwrap(), u32::from(baud_rate));
     }
@@ -206,6 +207,24 @@ async fn o04_an_open_port_is_busy_until_it_is_dropped() {
 }
 
 #[tokio::test]
+async fn a_given_up_change_of_baud_rate_disturbs_nothing() {
+    let mut line = line();
+    let mut port = SerialPort::open(&line.path).await.unwrap();
+    let mut given_up = 0;
+    for baud_rate in BaudRate::ALL.into_iter().cycle().take(60) {
+        given_up += usize::from(set_baud_rate(&mut port, baud_rate).now_or_never().is_none());
+        line.far.write_all(b"V").await.unwrap();
+        assert_eq!(port.read_u8().await.unwrap(), b'V');
+        assert_eq!(port.baud_rate(), Some(baud_rate));
+        assert_eq!(line.near.baud_rate().unwrap(), u32::from(baud_rate));
+        drop(set_baud_rate(&mut port, BaudRate::B19200).now_or_never());
+        set_baud_rate(&mut port, BaudRate::B750000).await.unwrap();
+        assert_eq!(line.near.baud_rate().unwrap(), 750_000);
+    }
+    assert!(given_up > 0, "a change takes a thread, which is seldom done at the first poll");
+}
+
+#[tokio::test]
 async fn a_dropped_opening_leaves_no_port_open() {
     let line = line();
     let mut connector = Endpoint::Serial(line.path.clone()).into_connector();
@@ -250,7 +269,7 @@ async fn o01_a_hung_up_line_ends_reads_and_fails_writes() {
         }
     }
     assert!(port.write(b"V\n").await.unwrap_err().raw_os_error().is_some());
-    assert!(port.set_baud_rate(BaudRate::B57600).is_err());
+    assert!(set_baud_rate(&mut port, BaudRate::B57600).await.is_err());
     assert_eq!(port.baud_rate(), Some(BaudRate::B19200));
     port.hints().unwrap().discard_output();
 }

@@ -185,7 +185,7 @@ class Sensor(Gadget):
         super().__init__(number)
         self.serial_number = serial_number
         self.sent, self.partial = [], b""
-        self.moment, self.plugged = None, False
+        self.moment, self.plugged, self.hung = None, False, False
         self.emulator = None
         threading.Thread(target=self._work, daemon=True).start()
 
@@ -214,6 +214,23 @@ class Sensor(Gadget):
         self.emulator.kill()
         self.emulator.wait()
 
+    def hang(self):
+        """Hangs the firmware: the sensor takes no more bytes, and sends none."""
+        self.hung = True
+        time.sleep(0.3)
+        # The controller has 16 buffers, which nobody reads now.
+        host = hang_on(self.path())
+        try:
+            for _ in range(40):
+                os.write(host, b"\n")
+                time.sleep(0.02)
+        except BlockingIOError:
+            pass
+        os.close(host)
+
+    def recover(self):
+        self.hung = False
+
     def unplug_at(self, moment):
         """Unplugs in the middle of a `reply`, of a `pause` (after a command, before its
         reply) or when `idle` (after a reply). Returns once it is unplugged."""
@@ -232,7 +249,7 @@ class Sensor(Gadget):
     def _work(self):
         """Passes bytes between the emulator and the gadget, whenever there is a cable."""
         while True:
-            if not self.plugged:
+            if not self.plugged or self.hung:
                 time.sleep(0.01)
                 continue
             try:
@@ -249,7 +266,7 @@ class Sensor(Gadget):
                     pass
 
     def _pass_on(self, near, line):
-        while self.plugged and line is self.line:
+        while self.plugged and line is self.line and not self.hung:
             ready, _, _ = select.select([near, line], [], [], 0.1)
             if near in ready:
                 command = os.read(near, 256)

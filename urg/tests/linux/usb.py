@@ -5,8 +5,12 @@ import fcntl
 import json
 import os
 import pathlib
+import signal
 import sys
+import threading
 import time
+import urllib.error
+import urllib.request
 
 from guest import Gadget, Running, Sensor, expect, hang_on, run_checks, urg, wait
 
@@ -170,6 +174,93 @@ def a_bus_that_is_suspended_between_polls_costs_no_scan():
     (device / "power/control").write_text("on")
 
 
+def slowest_health(seconds):
+    """Asks `/health` for some seconds, and returns the longest time that an answer took."""
+    longest, end = 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        began = time.monotonic()
+        try:
+            urllib.request.urlopen("http://127.0.0.1:8090/health", timeout=60).read()
+        except urllib.error.HTTPError:
+            pass  # 503: a sensor is away
+        longest = max(longest, time.monotonic() - began)
+        time.sleep(0.2)
+    return longest
+
+
+def a_sensor_that_takes_no_bytes_delays_no_other():
+    """Closing its terminal takes 30 s."""
+    server = Running(f"serve front=serial:H0000001 rear={second.path()} --listen 8090")
+    arrivals = {"front": [], "rear": []}
+
+    def read_scans():
+        with urllib.request.urlopen("http://127.0.0.1:8090/scans") as lines:
+            for line in lines:
+                item = json.loads(line)
+                if "values" in item:
+                    arrivals[item["sensor"]].append(time.monotonic())
+
+    wait(lambda: any("8090" in notice for notice in server.notices), "the server is not ready")
+    threading.Thread(target=read_scans, daemon=True).start()
+    wait(lambda: all(len(times) > 5 for times in arrivals.values()), "no scans of both")
+    first.hang()
+    began = time.monotonic()
+    health = slowest_health(50)
+    rear = [time for time in arrivals["rear"] if time > began]
+    gap = max(after - before for before, after in zip(rear, rear[1:]))
+    first.recover()
+    recovered = time.monotonic()
+    wait(lambda: arrivals["front"][-1] > recovered, "no scan of a sensor that has recovered", 0.01)
+    back = arrivals["front"][-1] - recovered
+    first.hang()
+    time.sleep(10)
+    ended = end_of(server, signal.SIGINT)
+    first.recover()
+    told = f"gap {gap:.2f} s, /health {health:.2f} s, back after {back:.1f} s, Ctrl-C {ended:.2f} s"
+    expect(gap < 0.5 and health < 1 and back < 2 and ended < 1, told)
+    return told
+
+
+def end_of(running, sent=None):
+    """Returns how long a program runs on, from the signal that it is sent."""
+    began = time.monotonic()
+    if sent:
+        running.process.send_signal(sent)
+    running.process.wait()
+    return time.monotonic() - began
+
+
+def commands_end_in_time_if_the_sensor_takes_no_bytes():
+    stream = Running(f"stream {first.path()} --duration 6s --format ndjson")
+    true_scans(stream, first, 5)
+    began = time.monotonic()
+    first.hang()
+    stream.process.wait()
+    duration = time.monotonic() - began
+
+    began = time.monotonic()
+    urg(f"info {first.path()}", code=1)
+    info = time.monotonic() - began
+
+    first.recover()
+    stream = Running(f"stream {first.path()} --format ndjson")
+    true_scans(stream, first, 5)
+    first.hang()
+    time.sleep(10)
+    interrupt = end_of(stream, signal.SIGINT)
+
+    first.recover()
+    stream = Running(f"stream {first.path()} --format ndjson")
+    true_scans(stream, first, 5)
+    first.hang()
+    time.sleep(2)
+    killed = end_of(stream, signal.SIGKILL)
+    first.recover()
+    told = f"--duration 6s {duration:.1f} s, info {info:.1f} s, Ctrl-C {interrupt:.2f} s, kill -9 {killed:.1f} s"
+    expect(duration < 7 and info < 6 and interrupt < 1, told)
+    return told
+
+
 def host(request):
     print(f"@host {request}", flush=True)
 
@@ -238,6 +329,8 @@ ALL = [
     both_pulled_at_once_come_back_with_their_names_exchanged,
     another_program_that_writes_AT_costs_no_wrong_scan,
     a_bus_that_is_suspended_between_polls_costs_no_scan,
+    a_sensor_that_takes_no_bytes_delays_no_other,
+    commands_end_in_time_if_the_sensor_takes_no_bytes,
     a_sensor_behind_an_FTDI_adapter_is_found_at_each_baud_rate_and_after_a_replug,
     a_hub_that_is_pulled_takes_both_sensors_and_brings_both_back,
 ]

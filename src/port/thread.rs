@@ -1,0 +1,104 @@
+//! Calls of the system that may wait, each on a thread of its own.
+//!
+//! tokio's blocking threads do not serve: a runtime that is dropped waits for their calls, and
+//! starts no more of them.
+
+use std::io;
+use std::sync::mpsc;
+use std::thread::Builder;
+use std::time::Duration;
+
+use tokio::runtime::Handle;
+use tokio::sync::oneshot;
+
+/// Time that [`drop_on`] waits. A port closes in less than a millisecond, unless its device hangs.
+/// Linux keeps a program that exits before its thread closes such a port for half a minute;
+/// afterwards the exit interrupts the thread.
+const GRACE: Duration = Duration::from_millis(20);
+
+/// Runs `call` in the context of this runtime. The receiver gets its result; without a receiver
+/// the thread drops it.
+///
+/// # Errors
+///
+/// Fails if the system has no more threads.
+///
+/// # Panics
+///
+/// Panics outside of a tokio runtime.
+pub(super) fn run_on<T: Send + 'static>(
+    call: impl FnOnce() -> T + Send + 'static,
+) -> io::Result<oneshot::Receiver<T>> {
+    let (sender, receiver) = oneshot::channel();
+    let runtime = Handle::current();
+    thread().spawn(move || {
+        let _context = runtime.enter();
+        drop(sender.send(call()));
+    })?;
+    Ok(receiver)
+}
+
+/// Drops `value`, and returns when it is dropped or after [`GRACE`].
+pub(super) fn drop_on<T: Send + 'static>(value: T) {
+    let (sender, dropped) = mpsc::channel::<()>();
+    // Without a thread the value is dropped here, with the closure.
+    let started = thread().spawn(move || {
+        drop(value);
+        drop(sender);
+    });
+    if started.is_ok() {
+        // Ends when the sender is dropped.
+        let _ = dropped.recv_timeout(GRACE);
+    }
+}
+
+fn thread() -> Builder {
+    Builder::new().name("tokio-scip".to_owned())
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+
+    /// Hangs when it is dropped, as the port of a device that takes no bytes, until the sender is
+    /// dropped.
+    struct Hanging(mpsc::Receiver<()>);
+
+    impl Drop for Hanging {
+        fn drop(&mut self) {
+            let _ = self.0.recv();
+        }
+    }
+
+    #[test]
+    fn a_dropped_runtime_waits_for_no_call() {
+        let (end, [call, port]) = hanging();
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let mut ended = runtime.block_on(async { run_on(move || drop(call)) }).unwrap();
+        runtime.spawn(async move {
+            let _port = DroppedOn(Some(port));
+            std::future::pending::<()>().await;
+        });
+        runtime.block_on(tokio::task::yield_now());
+        drop(runtime);
+        assert_eq!(ended.try_recv(), Err(oneshot::error::TryRecvError::Empty));
+        drop(end);
+        ended.blocking_recv().unwrap();
+    }
+
+    struct DroppedOn(Option<Hanging>);
+
+    impl Drop for DroppedOn {
+        fn drop(&mut self) {
+            if let Some(port) = self.0.take() {
+                drop_on(port);
+            }
+        }
+    }
+
+    fn hanging() -> ([mpsc::Sender<()>; 2], [Hanging; 2]) {
+        let [(first, one), (second, other)] = [mpsc::channel(), mpsc::channel()];
+        ([first, second], [Hanging(one), Hanging(other)])
+    }
+}
