@@ -8,6 +8,9 @@ use tokio_serial::ErrorKind as Cause;
 
 use crate::ErrorKind;
 
+/// Text of the nix crate.
+const EBUSY: &str = "Device or resource busy";
+
 /// Device file at a port's path.
 #[derive(Debug, Clone)]
 struct Node {
@@ -18,6 +21,8 @@ struct Node {
     /// True if it appeared, or changed its owner, within the last seconds. A new device
     /// belongs to root until udev has set its group.
     is_new: bool,
+    /// True if it is a pseudo-terminal that no program has open. Its lock outlives its programs.
+    is_abandoned: bool,
 }
 
 /// Fails if `port` is not a serial port. Runs before opening, because opening another
@@ -45,7 +50,14 @@ fn explain_with(port: &str, error: tokio_serial::Error, node: io::Result<Node>) 
     // Of an errno, serialport keeps only the text of the nix crate, which is the same in
     // every locale.
     match (error.kind(), error.description.as_str()) {
-        // EBUSY, or TIOCEXCL set by another process. On Windows access denied, which for
+        // The lock of a program that was killed. A lock by flock(2) ends with its program.
+        (Cause::NoDevice, EBUSY) if node.is_abandoned => {
+            let source = io::Error::other(
+                "a program that has ended left it locked (TIOCEXCL), and no program has it open: restart the program that provides this terminal",
+            );
+            ErrorKind::Open { port, source: Arc::new(source) }
+        }
+        // EBUSY: locked with TIOCEXCL by another process. On Windows access denied, which for
         // an existing port means that it is open.
         (Cause::NoDevice, _) => ErrorKind::Busy { port },
         (Cause::Io(io::ErrorKind::NotFound), _)
@@ -89,7 +101,18 @@ fn node(port: &str) -> io::Result<Node> {
         is_device: metadata.file_type().is_char_device(),
         group: group_to_join(metadata.mode(), metadata.gid(), Path::new("/etc/group")),
         is_new: is_new(metadata.ctime(), now),
+        is_abandoned: std::fs::canonicalize(port).is_ok_and(|terminal| is_abandoned(&terminal)),
     })
+}
+
+/// Returns true if `terminal` is a pseudo-terminal that no program has open, as far as this user
+/// may know. Only root and the owner of a pseudo-terminal may open it.
+#[cfg(unix)]
+fn is_abandoned(terminal: &std::path::Path) -> bool {
+    let entries = |path| std::fs::read_dir(path).into_iter().flatten().flatten();
+    let mut files = entries("/proc".into()).flat_map(|program| entries(program.path().join("fd")));
+    terminal.starts_with("/dev/pts")
+        && !files.any(|file| std::fs::read_link(file.path()).is_ok_and(|open| open == terminal))
 }
 
 /// Group whose members may open a device: its name in the file `groups` (/etc/group), or
@@ -126,7 +149,7 @@ fn node(port: &str) -> io::Result<Node> {
     use super::list::{available, is_same};
 
     if available().is_ok_and(|ports| ports.iter().any(|listed| is_same(&listed.port_name, port))) {
-        Ok(Node { is_device: true, group: None, is_new: false })
+        Ok(Node { is_device: true, group: None, is_new: false, is_abandoned: false })
     } else {
         Err(io::ErrorKind::NotFound.into())
     }
@@ -139,7 +162,8 @@ mod tests {
     const PORT: &str = "/dev/ttyACM0";
 
     fn device() -> Node {
-        Node { is_device: true, group: Some("dialout".to_owned()), is_new: false }
+        let group = Some("dialout".to_owned());
+        Node { is_device: true, group, is_new: false, is_abandoned: false }
     }
 
     fn unknown(text: &str) -> tokio_serial::Error {

@@ -83,6 +83,8 @@ impl SerialPort {
 
     fn open_blocking(path: &str) -> Result<Self, Error> {
         open_error::check_before_opening(path)?;
+        #[cfg(any(target_os = "linux", target_os = "android"))]
+        respect_locks();
         let baud_rate = BaudRate::B19200;
         let builder = tokio_serial::new(path, baud_rate.bits_per_second())
             .data_bits(DataBits::Eight)
@@ -119,6 +121,19 @@ impl SerialPort {
             self.baud_rate = to;
         }
         Poll::Ready(outcome)
+    }
+}
+
+/// Gives up this thread's privilege to open a terminal that another program has locked
+/// (`TIOCEXCL`). Otherwise a program of root opens it, and unlocks it when it closes it.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+fn respect_locks() {
+    use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
+
+    // Fails only in a sandbox that forbids these calls.
+    if let Ok(mut own) = capabilities(None) {
+        own.effective.remove(CapabilitySet::SYS_ADMIN);
+        let _ = set_capabilities(None, own);
     }
 }
 

@@ -111,6 +111,27 @@ async fn o01_o16_a_stream_survives_a_replug() {
     );
 }
 
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn o04_a_killed_client_leaves_no_lock() {
+    use rustix::fs::{Mode, OFlags};
+
+    let (path, _serving) = serve(&truthful().build(), "killed");
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+    let client = rustix::fs::open(&path, flags, Mode::empty()).unwrap();
+    rustix::termios::ioctl_tiocexcl(&client).unwrap();
+    drop(client);
+    let open = async {
+        loop {
+            match SerialPort::open(path.to_str().unwrap()).await {
+                Err(error) if matches!(error.kind(), ErrorKind::Busy { .. }) => {}
+                outcome => break outcome.unwrap(),
+            }
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(10), open).await.expect("it stays locked");
+}
+
 #[tokio::test]
 async fn a_terminal_changes_its_baud_rate() {
     let emulator = truthful().baud_rate(BaudRate::B57600).build();

@@ -1,10 +1,15 @@
 //! [`Pty`]: an emulated sensor on a pseudo-terminal.
 
 use std::io;
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
+use rustix::fs::{Mode, OFlags};
+use rustix::termios::{OptionalActions, ioctl_tiocnxcl, tcgetattr, tcsetattr};
 use serialport::TTYPort;
+use tokio::time::interval;
 use tokio_serial::{SerialPort, SerialStream};
 
 use super::pump;
@@ -23,9 +28,8 @@ use crate::link::HostBaudRate;
 /// To hang up the client and remove the symbolic link, drop the value or the future of
 /// [`serve`](Self::serve).
 ///
-/// On Linux a client that locks the terminal (`TIOCEXCL`) and is killed leaves the
-/// lock behind, and only root can open the terminal again. A client that closes the
-/// terminal leaves no lock.
+/// A client that locks the terminal (`TIOCEXCL`) and is killed leaves the lock behind. So
+/// [`serve`](Self::serve) removes this lock twice a second. Locks by `flock` hold.
 ///
 /// A program that another thread starts at the moment when [`open`](Self::open) creates
 /// the terminal inherits it. The terminal then cannot hang up while that program runs.
@@ -73,12 +77,30 @@ impl Pty {
             let TerminalPair { master, slave, path: _, _symlink } = terminal;
             let shared = Arc::new(slave);
             let slave = shared.clone();
-            let baud_rate = HostBaudRate::Probed(Box::new(move || slave.baud_rate().ok()));
-            pump(master, emulator.open(baud_rate)).await?;
+            let probe = move || tcgetattr(&slave).ok().map(|settings| settings.output_speed());
+            let link = emulator.open(HostBaudRate::Probed(Box::new(probe)));
+            tokio::select! {
+                ended = pump(master, link) => ended?,
+                () = unlock(&shared) => {}
+            }
             drop((shared, _symlink));
             emulator.wait_until_plugged_in().await;
             terminal = TerminalPair::open(symlink.as_deref())?;
         }
+    }
+}
+
+/// Time for which the lock of a killed client stays.
+const UNLOCK_INTERVAL: Duration = Duration::from_millis(500);
+
+/// Removes a lock (`TIOCEXCL`) again and again. Nothing tells when a client has ended, because the
+/// terminal stays open here.
+async fn unlock(slave: &OwnedFd) {
+    let mut interval = interval(UNLOCK_INTERVAL);
+    loop {
+        interval.tick().await;
+        // Fails only if the terminal has hung up.
+        let _ = ioctl_tiocnxcl(slave);
     }
 }
 
@@ -87,7 +109,7 @@ struct TerminalPair {
     master: SerialStream,
     /// Kept open so that the terminal survives its clients. Not locked, so that they can
     /// lock it.
-    slave: SerialStream,
+    slave: OwnedFd,
     path: PathBuf,
     _symlink: Option<Symlink>,
 }
@@ -96,12 +118,16 @@ impl TerminalPair {
     fn open(symlink: Option<&Path>) -> io::Result<Self> {
         // Programs that the process starts inherit the pair itself, and its master would
         // keep the terminal open after the sensor was unplugged. They do not inherit
-        // copies (F_DUPFD_CLOEXEC).
+        // a copy (F_DUPFD_CLOEXEC) and a terminal opened with CLOEXEC.
         let (master, slave) = TTYPort::pair()?;
         let master = SerialStream::try_from(master.try_clone_native()?)?;
-        let mut slave = SerialStream::try_from(slave.try_clone_native()?)?;
-        slave.set_baud_rate(19_200)?;
         let path = PathBuf::from(slave.name().ok_or(io::ErrorKind::Unsupported)?);
+        let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+        let slave = rustix::fs::open(&path, flags, Mode::empty())?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        settings.set_speed(19_200)?;
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
         let symlink = symlink.map(|at| Symlink::create(&path, at)).transpose()?;
         Ok(Self { master, slave, path, _symlink: symlink })
     }

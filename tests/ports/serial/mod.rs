@@ -6,12 +6,19 @@
 mod usb;
 mod wakeups;
 
+#[cfg(target_os = "linux")]
+use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use crate::common::limit::limit;
 use crate::common::set_baud_rate;
 use futures::FutureExt;
+#[cfg(target_os = "linux")]
+use rustix::{
+    fs::{Mode, OFlags},
+    termios::{ioctl_tiocexcl, ioctl_tiocnxcl},
+};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_scip::port::SerialPort;
 use tokio_scip::port::{Connect, Port};
@@ -204,6 +211,50 @@ async fn o04_an_open_port_is_busy_until_it_is_dropped() {
     }
     drop(port);
     reopened(&line.path).await;
+}
+
+/// Opens a terminal as a program does that does not lock it.
+#[cfg(target_os = "linux")]
+fn open_beside(path: &str) -> OwnedFd {
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+    rustix::fs::open(path, flags, Mode::empty()).unwrap()
+}
+
+/// Also for root, whom the system would let in.
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn o04_a_port_locked_by_tiocexcl_alone_stays_locked() {
+    let line = line();
+    let other = open_beside(&line.path);
+    ioctl_tiocexcl(&other).unwrap();
+    for _ in 0..2 {
+        let error = SerialPort::open(&line.path).await.unwrap_err();
+        assert!(matches!(error.kind(), ErrorKind::Busy { .. }), "{error:?}");
+    }
+    ioctl_tiocnxcl(&other).unwrap();
+    reopened(&line.path).await;
+}
+
+#[cfg(target_os = "linux")]
+#[tokio::test]
+async fn o04_the_lock_of_a_killed_program_is_named() {
+    let SerialLine { far: _far, near, path } = line();
+    drop(near);
+    let killed = open_beside(&path);
+    ioctl_tiocexcl(&killed).unwrap();
+    drop(killed);
+    let open = async {
+        loop {
+            let error = SerialPort::open(&path).await.unwrap_err();
+            // A program that another test starts has the terminal for a moment.
+            if !matches!(error.kind(), ErrorKind::Busy { .. }) {
+                break error.chain().to_string();
+            }
+        }
+    };
+    let text =
+        tokio::time::timeout(Duration::from_secs(10), open).await.expect("it counts as busy");
+    assert!(text.contains("no program has it open"), "{text}");
 }
 
 #[tokio::test]
